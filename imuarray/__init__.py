@@ -1,0 +1,38 @@
+"""Drive, log, calibrate and fuse an array of low-cost MEMS inertial sensors, and tell why a simulator differs from it.
+
+Words: an *array* is all sensors of one box; a *frame* is one pass over it; a *log* holds counts, the raw signed
+register values; specific force (m/s2) and angular rate (rad/s) are given in the box frame. The names below are loaded
+when first used."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from imuarray.array import load_array
+    from imuarray.bus import open_bus
+    from imuarray.calibrate import load_calibration
+    from imuarray.log import open_log
+
+__version__ = "0.1.0"
+
+_PUBLIC = {
+    "load_array": "imuarray.array",
+    "load_calibration": "imuarray.calibrate",
+    "open_bus": "imuarray.bus",
+    "open_log": "imuarray.log",
+}
+
+__all__ = ["__version__", "load_array", "load_calibration", "open_bus", "open_log"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use: `import imuarray` alone costs nothing."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_PUBLIC[name]), name)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

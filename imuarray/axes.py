@@ -1,0 +1,51 @@
+"""Signed axes: which box axis each axis of a sensor points along, as text ("+Y+X-Z") and as a rotation matrix.
+
+Frames: ``box`` is the cuboid box, ``sensor`` the chip's own; ``vector_box = orientation @ vector_sensor``.
+"""
+
+from __future__ import annotations
+
+import re
+
+Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
+"""The six ways a box can stand on a table: the box axis that points up."""
+
+_AXES = re.compile(r"([+-])([XYZ])" * 3)
+
+
+def orientation_of(axes: str) -> Matrix:
+    """The rotation that an axes text names: column k is the box axis along which the sensor's axis k points.
+
+    ValueError when the text is not three signed axes, when an axis comes twice, or when the triad is left-handed (no
+    chip is)."""
+    match = _AXES.fullmatch(axes)
+    if match is None:
+        raise ValueError(
+            f"axes {axes!r}: write the box axes along which the sensor's x, y and z point, such as '+Y+X-Z'"
+        )
+    signs = [1.0 if sign == "+" else -1.0 for sign in match.groups()[0::2]]
+    rows = ["XYZ".index(axis) for axis in match.groups()[1::2]]
+    if len(set(rows)) < 3:
+        raise ValueError(f"axes {axes!r}: each of X, Y and Z comes once")
+    if _parity(rows) * signs[0] * signs[1] * signs[2] < 0:
+        raise ValueError(f"axes {axes!r}: this triad is left-handed, no chip is; one sign is wrong")
+    columns = [[sign if row == axis else 0.0 for axis in range(3)] for row, sign in zip(rows, signs, strict=True)]
+    first, second, third = zip(*columns, strict=True)
+    return (first, second, third)
+
+
+def up_vector(up: str) -> tuple[float, float, float]:
+    """The unit vector, in the box frame, of the box axis that points up; ValueError unless one of `UP_AXES`."""
+    if up not in UP_AXES:
+        raise ValueError(f"up {up!r}: allowed are {', '.join(UP_AXES)}")
+    sign = 1.0 if up[0] == "+" else -1.0
+    x, y, z = (sign if axis == up[1] else 0.0 for axis in "XYZ")
+    return (x, y, z)
+
+
+def _parity(permutation: list[int]) -> int:
+    """+1 for an even permutation of 0, 1, 2, -1 for an odd one."""
+    swaps = sum(permutation[i] > permutation[j] for i in range(3) for j in range(i + 1, 3))
+    return -1 if swaps % 2 else 1

@@ -1,0 +1,38 @@
+"""Time is an argument: integer nanoseconds of a clock that never steps back.
+
+`MonotonicClock` is the machine's; an emulated bus brings its own, which bus traffic and sleeping advance.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """What the poll loop and the drivers need to know about time."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds since an arbitrary start; never decreases."""
+
+    def sleep_until(self, at_ns: int) -> None:
+        """Return when `now_ns()` has reached `at_ns`; at once if it has already."""
+
+
+class MonotonicClock:
+    """CLOCK_MONOTONIC of this machine."""
+
+    def now_ns(self) -> int:
+        """Nanoseconds since boot, or thereabouts."""
+        return time.monotonic_ns()
+
+    def sleep_until(self, at_ns: int) -> None:
+        """Sleep until `at_ns`."""
+        left_ns = at_ns - time.monotonic_ns()
+        if left_ns > 0:
+            time.sleep(left_ns * 1e-9)
+
+
+def sleep_for(clock: Clock, seconds: float) -> None:
+    """Let `seconds` pass on `clock`: chips need time after a reset or a power-up."""
+    clock.sleep_until(clock.now_ns() + round(seconds * 1e9))

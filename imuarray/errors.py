@@ -1,0 +1,71 @@
+"""Everything that `imuarray` raises on purpose, in one tree.
+
+::
+
+    ImuArrayError                 one line for a person; the command line turns it into exit code 2
+    +-- ConfigError               a TOML file says something impossible: names the file, the key, what is allowed
+    +-- BusUrlError               a bus URL that names no bus, or one that can't be opened here
+    +-- SensorError               a chip that is missing, wrong, or does not keep what was written to it
+    +-- LogError                  a log that is missing, foreign, truncated, hostile or malformed
+    +-- SourceError               a foreign recording that `import` can't read: names the file and the row
+    +-- CalibrationError          data from which the wanted parameters can't be had, or a bad calibration file
+    +-- FusionError               a technique that this array or this log can't feed
+    +-- OutputExistsError         a file that would be overwritten (`--force` allows it)
+    +-- MissingExtraError         an optional package that a command needs is not installed
+
+A bus itself speaks `OSError` with the errno that Linux would give: 6 (ENXIO) or 121 (EREMOTEIO) for an address that
+nobody acknowledges, 110 (ETIMEDOUT) for a clock held too long (DATASHEETS LNX-40 ... LNX-49)."""
+
+from __future__ import annotations
+
+import errno
+from os import PathLike
+
+NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})
+"""The two errnos with which Linux adapters say that nobody acknowledged (LNX-40, LNX-41)."""
+
+
+class ImuArrayError(Exception):
+    """Root of the tree; its text is one line that names the place, what came and what is allowed."""
+
+
+class ConfigError(ImuArrayError):
+    """A configuration that can't be meant: unknown key, impossible range, two sensors in one place, mirrored axes."""
+
+
+class BusUrlError(ImuArrayError):
+    """A bus URL that names no known bus, or a bus that can't be opened on this machine."""
+
+
+class SensorError(ImuArrayError):
+    """A chip that does not answer, has another identity, or does not keep its configuration."""
+
+
+class LogError(ImuArrayError):
+    """A log file that is missing, not a log, truncated, malformed, or built to do harm."""
+
+
+class SourceError(ImuArrayError):
+    """A foreign recording that can't be imported; names the file and the row or byte."""
+
+
+class CalibrationError(ImuArrayError):
+    """A log that can't be calibrated from, or a calibration file that does not fit."""
+
+
+class FusionError(ImuArrayError):
+    """A technique that this array or this log can't feed."""
+
+
+class OutputExistsError(ImuArrayError):
+    """An output that exists already; nothing is overwritten unless `--force` says so."""
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        super().__init__(f"{path}: exists already; choose another name or say --force")
+
+
+class MissingExtraError(ImuArrayError):
+    """An optional package is not installed; names the extra that brings it."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"this needs {package}, which is not installed: pip install 'imuarray[{extra}]'")

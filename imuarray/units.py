@@ -1,0 +1,25 @@
+"""Quantities, the units in which data sheets and people give them, and their factors to SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal, get_args
+
+Quantity = Literal["specific_force", "angular_rate", "magnetic_field", "pressure", "temperature"]
+
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+
+STANDARD_GRAVITY = 9.80665
+"""m/s2 in one g; 3rd CGPM (1901)."""
+
+SI_PER_UNIT: Mapping[str, float] = MappingProxyType(
+    {"g": STANDARD_GRAVITY, "dps": math.pi / 180, "gauss": 1e-4, "Pa": 1.0, "degC": 1.0}
+)
+"""Factor from a sensor's unit to SI (m/s2, rad/s, T, Pa); degrees Celsius stay as they are."""
+
+SI_NAME: Mapping[str, str] = MappingProxyType(
+    {"g": "m s-2", "dps": "rad s-1", "gauss": "T", "Pa": "Pa", "degC": "degC"}
+)
+"""The SI unit in the spelling of CF conventions."""
