@@ -1,0 +1,254 @@
+"""One array, as its TOML file describes it: which chip sits where, set how, pointing which way.
+
+`load_array` reads the file and refuses what can't be meant; every refusal names the file, the sensor, the key and
+what is allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections import Counter
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+
+from imuarray.axes import Matrix, orientation_of
+from imuarray.chips import CHIPS, ChipSpec
+from imuarray.errors import ConfigError
+
+_STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class MuxConfig(BaseModel):
+    """The multiplexer of an array that drives it itself; left out where the kernel's mux driver exposes the
+    channels.
+    """
+
+    model_config = _STRICT
+    chip: Literal["pca9544a"]
+    address: Annotated[int, Field(ge=0x70, le=0x77)]
+
+
+class SensorConfig(BaseModel):
+    """One sensor: a chip at a place, its settings and the way it points."""
+
+    model_config = _STRICT
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+    chip: str
+    address: int
+    channel: Annotated[int, Field(ge=0, le=3)] | None = None
+    bus: str | None = None
+    range: float | None = None
+    rate_hz: float | None = None
+    bandwidth_hz: float | None = None
+    axes: str = "+X+Y+Z"
+    position_mm: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        """Refuse a setting that this chip does not have."""
+        spec = CHIPS.get(self.chip)
+        if spec is None:
+            raise ValueError(f"chip {self.chip!r}: allowed are {', '.join(CHIPS)}")
+        _one_of("address", self.address, spec.addresses, "#x")
+        if spec.sensitivity or self.range is not None:
+            _one_of("range", self.range, tuple(spec.sensitivity), "g")
+        if self.rate_hz is not None:
+            _one_of("rate_hz", self.rate_hz, spec.rates_hz, ".10g")
+        if self.bandwidth_hz is not None:
+            _one_of("bandwidth_hz", self.bandwidth_hz, spec.allowed_bandwidths_hz(spec.rate_hz(self.rate_hz)), "g")
+        if self.channel is not None and self.bus is not None:
+            raise ValueError("channel and bus: a sensor is on a channel of the mux or on a bus of its own, not both")
+        orientation_of(self.axes)
+        return self
+
+    @property
+    def spec(self) -> ChipSpec:
+        """What the data sheet says of this chip."""
+        return CHIPS[self.chip]
+
+    @property
+    def orientation(self) -> Matrix:
+        """3x3, ``vector_box = orientation @ vector_sensor``."""
+        return orientation_of(self.axes)
+
+    @property
+    def sensitivity(self) -> float:
+        """Typical counts per unit at the configured range; 0 for a chip that has no range."""
+        return 0.0 if self.range is None else self.spec.sensitivity[self.range]
+
+    @property
+    def chip_rate_hz(self) -> float:
+        """The chip's own update rate in Hz under this configuration."""
+        return self.spec.rate_hz(self.rate_hz)
+
+    @property
+    def chip_bandwidth_hz(self) -> float:
+        """-3 dB bandwidth in Hz; 0 where the data sheet names none that can be set."""
+        allowed, default = self.spec.allowed_bandwidths_hz(self.chip_rate_hz), self.spec.default_bandwidth_hz
+        return self.bandwidth_hz or (default if default in allowed else (*allowed, 0.0)[0])
+
+    @property
+    def place(self) -> str:
+        """Where it sits, for messages: "channel 1 address 0x40"."""
+        where = self.bus or ("trunk" if self.channel is None else f"channel {self.channel}")
+        return f"{where} address {self.address:#04x}"
+
+
+class _ArrayTable(BaseModel):
+    """The `[array]` table."""
+
+    model_config = _STRICT
+    name: Annotated[str, Field(min_length=1)]
+    bus: str | None = None
+    mux: MuxConfig | None = None
+
+
+class _File(BaseModel):
+    """The whole TOML file."""
+
+    model_config = _STRICT
+    array: _ArrayTable
+    sensor: Annotated[list[SensorConfig], Field(min_length=1)]
+
+
+class ArrayConfig(BaseModel):
+    """An array: its name, its bus (a URL, or None: say it on the command line), its mux and its sensors in file
+    order.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    name: str
+    bus: str | None
+    mux: MuxConfig | None
+    sensors: tuple[SensorConfig, ...]
+    text: str = ""
+    """The TOML text, kept in every log."""
+
+    def __getitem__(self, name: str) -> SensorConfig:
+        """The sensor of that name; KeyError when there is none."""
+        return {sensor.name: sensor for sensor in self.sensors}[name]
+
+    def only(self, names: tuple[str, ...]) -> ArrayConfig:
+        """The array reduced to these sensors; ConfigError names one that it does not have."""
+        known = [sensor.name for sensor in self.sensors]
+        for name in names:
+            if name not in known:
+                raise ConfigError(f"array {self.name}: no sensor {name!r}; it has {', '.join(known)}")
+        return self.model_copy(update={"sensors": tuple(sensor for sensor in self.sensors if sensor.name in names)})
+
+
+def load_array(path: str | PathLike[str]) -> ArrayConfig:
+    """Read an array's TOML file; ConfigError names the file and, one after the other, every mistake in it."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}") from None
+    return parse_array(text, str(path))
+
+
+def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
+    """An array from TOML text; `where` stands at the head of every message."""
+    try:
+        table = tomllib.loads(text)
+        file = _File.model_validate(table)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{where}: not TOML: {error}") from None
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {'; '.join(_mistakes(error, table))}") from None
+    array = ArrayConfig(
+        name=file.array.name, bus=file.array.bus, mux=file.array.mux, sensors=tuple(file.sensor), text=text
+    )
+    _check_places(array, where)
+    return array
+
+
+def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: str) -> None:
+    """ValueError unless `value` is one of `allowed`; says what is."""
+    if value in allowed:
+        return
+    came = "is missing" if value is None else f"{value:{style}}"
+    choice = (
+        f"allowed are {', '.join(f'{option:{style}}' for option in allowed)}"
+        if allowed
+        else "this chip has none to set"
+    )
+    raise ValueError(f"{key} {came}: {choice}")
+
+
+def _check_places(array: ArrayConfig, where: str) -> None:
+    """Refuse two sensors of one name or in one place, channels without a mux, and whatever the mux's own address
+    hides.
+    """
+    for name, count in Counter(sensor.name for sensor in array.sensors).items():
+        if count > 1:
+            raise ConfigError(f"{where}: {count} sensors are called {name!r}; names are unique")
+    taken: dict[tuple[int | str | None, int], SensorConfig] = {}
+    for sensor in array.sensors:
+        if sensor.channel is not None and array.mux is None:
+            raise ConfigError(f"{where}: sensor {sensor.name!r}: channel {sensor.channel}, but [array] has no mux")
+        _check_against_trunk(array, sensor, where)
+        rival = taken.setdefault((sensor.bus or sensor.channel, sensor.address), sensor)
+        if rival is not sensor:
+            raise ConfigError(f"{where}: sensors {rival.name!r} and {sensor.name!r} both sit at {sensor.place}")
+
+
+def _check_against_trunk(array: ArrayConfig, sensor: SensorConfig, where: str) -> None:
+    """What sits upstream of the mux, the mux included, answers on every channel too (PCA-10, PCA-11)."""
+    if array.mux is None or sensor.bus is not None:
+        return
+    if sensor.address == array.mux.address:
+        free = "0x70 to 0x76" if sensor.chip == "bmp180" else "another of 0x70 to 0x77"
+        raise ConfigError(
+            f"{where}: sensor {sensor.name!r}: address {sensor.address:#x} is the mux's own, both would answer;"
+            f" strap the mux to {free}"
+        )
+    if sensor.channel is None:
+        return
+    for other in array.sensors:
+        if other.channel is None and other.bus is None and other.address == sensor.address:
+            raise ConfigError(
+                f"{where}: sensor {sensor.name!r} on channel {sensor.channel}: {other.name!r} on the trunk answers"
+                f" at {other.address:#x} too"
+            )
+
+
+def _mistakes(error: ValidationError, table: dict[str, Any]) -> list[str]:
+    """Every mistake as "sensor 3 'BMA3': range 17: allowed are ..."."""
+    return [f"{_place(tuple(mistake['loc']), table)}{_complaint(mistake)}" for mistake in error.errors()]
+
+
+def _place(location: tuple[int | str, ...], table: dict[str, Any]) -> str:
+    """The place of a mistake in words: "sensor 3 'BMA3': range: "."""
+    words: list[str] = []
+    for part in location:
+        if isinstance(part, int) and words == ["sensor"]:
+            entries = table.get("sensor")
+            entry = entries[part] if isinstance(entries, list) else None
+            name = entry.get("name") if isinstance(entry, dict) else None
+            words = [f"sensor {part + 1} {name!r}" if name else f"sensor {part + 1}"]
+        else:
+            words.append(str(part) if str(part).isprintable() else repr(part))
+    return "".join(f"{word}: " for word in words)
+
+
+def _complaint(mistake: Any) -> str:
+    """What is wrong, in one clause, and what is allowed."""
+    if mistake["type"] == "extra_forbidden":
+        allowed = list(_table_of(tuple(mistake["loc"])).model_fields)
+        near = difflib.get_close_matches(str(mistake["loc"][-1]), allowed, n=1, cutoff=0.5)
+        return f"unknown key{f' (did you mean {near[0]!r}?)' if near else ''}; allowed are {', '.join(allowed)}"
+    if mistake["type"] == "value_error":
+        return str(mistake["ctx"]["error"])
+    return str(mistake["msg"])
+
+
+def _table_of(location: tuple[int | str, ...]) -> type[BaseModel]:
+    """The model of the table in which a key stands."""
+    if location[:2] == ("array", "mux") and len(location) > 2:
+        return MuxConfig
+    if len(location) == 1:
+        return _File
+    return _ArrayTable if location[0] == "array" else SensorConfig

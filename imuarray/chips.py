@@ -1,0 +1,128 @@
+"""What each chip can be set to and what one count of it nominally means: shared by configuration, drivers and models.
+
+Sensitivities are the data sheets' typical values in counts per unit, never a range divided by a word length, and
+never the rounded reciprocals that some tables print beside them (BMA-78, L3G-43). What one sensor's count really
+means is found by `calibrate`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d
+from imuarray.units import Quantity
+
+
+@dataclass(frozen=True)
+class ChipSpec:
+    """The settings of one chip that a configuration may name.
+
+    `sensitivity`: counts per `unit` for each measuring range (in `unit`); empty for a chip without ranges.
+    `rates_hz`: data rates that its registers can set (empty: it has one rate of its own, `fixed_rate_hz`).
+    `bandwidths_hz`: -3 dB bandwidths for each data rate (key 0.0: whatever the rate); empty where it can't be set.
+    """
+
+    quantity: Quantity
+    unit: str
+    addresses: tuple[int, ...]
+    sensitivity: Mapping[float, float] = field(default_factory=dict)
+    rates_hz: tuple[float, ...] = ()
+    default_rate_hz: float = 0.0
+    fixed_rate_hz: float = 0.0
+    bandwidths_hz: Mapping[float, tuple[float, ...]] = field(default_factory=dict)
+    default_bandwidth_hz: float = 0.0
+
+    def rate_hz(self, asked: float | None) -> float:
+        """The chip's own update rate under a configuration that asks for `asked` (None: not said)."""
+        return self.fixed_rate_hz or asked or self.default_rate_hz
+
+    def allowed_bandwidths_hz(self, rate_hz: float) -> tuple[float, ...]:
+        """The bandwidths that can be set at this data rate."""
+        return self.bandwidths_hz.get(rate_hz, self.bandwidths_hz.get(0.0, ()))
+
+
+_ADXL345_RATES_HZ = tuple(3200.0 / 2**octave for octave in range(16))  # exact powers of two: ADX-36
+
+_HMC5883_RATES_HZ = (0.75, 1.5, 3.0, 7.5, 15.0, 30.0, 75.0)  # HMC-28
+
+CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
+    {
+        "adxl345": ChipSpec(
+            quantity="specific_force",
+            unit="g",
+            addresses=adxl345.ADDRESSES,
+            sensitivity=dict.fromkeys((2.0, 4.0, 8.0, 16.0), 256.0),  # full resolution, whatever the range: ADX-40
+            rates_hz=_ADXL345_RATES_HZ,
+            default_rate_hz=100.0,
+        ),
+        "bma180": ChipSpec(
+            quantity="specific_force",
+            unit="g",
+            addresses=bma180.ADDRESSES,
+            # BMA-70 ... BMA-76
+            sensitivity={1.0: 8192.0, 1.5: 5460.0, 2.0: 4096.0, 3.0: 2730.0, 4.0: 2048.0, 8.0: 1024.0, 16.0: 512.0},
+            fixed_rate_hz=2400.0,  # BMA-93
+            bandwidths_hz={0.0: (10.0, 20.0, 40.0, 75.0, 150.0, 300.0, 600.0, 1200.0)},  # BMA-81 ... BMA-88
+            default_bandwidth_hz=150.0,  # BMA-85: the factory's
+        ),
+        "l3g4200d": ChipSpec(
+            quantity="angular_rate",
+            unit="dps",
+            addresses=l3g4200d.ADDRESSES,
+            sensitivity={250.0: 1 / 0.00875, 500.0: 1 / 0.0175, 2000.0: 1 / 0.07},  # L3G-40 ... L3G-42
+            rates_hz=(100.0, 200.0, 400.0, 800.0),
+            default_rate_hz=100.0,
+            bandwidths_hz={  # L3G-30 ... L3G-33
+                100.0: (12.5, 25.0),
+                200.0: (12.5, 25.0, 50.0, 70.0),
+                400.0: (20.0, 25.0, 50.0, 110.0),
+                800.0: (30.0, 35.0, 50.0, 110.0),
+            },
+            default_bandwidth_hz=25.0,
+        ),
+        "bmp180": ChipSpec(
+            quantity="pressure",
+            unit="Pa",
+            addresses=bmp180.ADDRESSES,
+            rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # how often it is asked; it converts only when asked (BMP-51)
+            default_rate_hz=4.0,
+        ),
+        "hmc5883l": ChipSpec(
+            quantity="magnetic_field",
+            unit="gauss",
+            addresses=hmc5883.ADDRESSES,
+            # HMC-20 ... HMC-27, first column
+            sensitivity={
+                0.88: 1370.0,
+                1.3: 1090.0,
+                1.9: 820.0,
+                2.5: 660.0,
+                4.0: 440.0,
+                4.7: 390.0,
+                5.6: 330.0,
+                8.1: 230.0,
+            },
+            rates_hz=_HMC5883_RATES_HZ,
+            default_rate_hz=15.0,
+        ),
+        "hmc5883": ChipSpec(
+            quantity="magnetic_field",
+            unit="gauss",
+            addresses=hmc5883.ADDRESSES,
+            # HMC-20 ... HMC-27, second column
+            sensitivity={
+                0.9: 1280.0,
+                1.2: 1024.0,
+                1.9: 768.0,
+                2.5: 614.0,
+                4.0: 415.0,
+                4.6: 361.0,
+                5.5: 307.0,
+                7.9: 219.0,
+            },
+            rates_hz=_HMC5883_RATES_HZ,
+            default_rate_hz=15.0,
+        ),
+    }
+)
