@@ -1,0 +1,26 @@
+"""A bus that behaves like the real one: chips, multiplexer, time and the world that they feel.
+
+::
+
+    world (callable of time) -> element (one chip's imperfections) -> chip (registers, converter) -> mux -> wire
+
+It shares register facts with the drivers (`imuarray.facts`) and nothing else: byte order, signs, timing and every scale
+factor are worked out here a second time, so that a wrong driver is noticed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from firmware_emulator.array import ArrayLike, EmulatedBus
+
+__all__ = ["open_bus"]
+
+
+def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
+    """The bus of the emulated `array`, from the parameters of its URL: see `firmware_emulator.array.open_bus`."""
+    from firmware_emulator import array as emulated
+
+    return emulated.open_bus(query, array)

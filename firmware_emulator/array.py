@@ -1,0 +1,230 @@
+"""A whole emulated array: a wire per bus, the multiplexer, chips with their units' imperfections, one world, one clock.
+
+The array's description is duck-typed: `ArrayLike` says what is looked at.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from typing import Protocol, Self, TypeVar
+
+from firmware_emulator.chip import Chip
+from firmware_emulator.chips import CHIPS
+from firmware_emulator.clock import Clock, RealClock, VirtualClock
+from firmware_emulator.element import IDENTITY, Matrix, SensingElement
+from firmware_emulator.mux import Pca9544a
+from firmware_emulator.units import unit_of
+from firmware_emulator.wire import Wire
+from firmware_emulator.world import WORLDS, Delayed, Phase, PhasedWorld, Still, World, WorldKind
+
+T = TypeVar("T")
+TRUNK = ""
+CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
+MUXES = {"pca9544a": Pca9544a}
+ERRNOS = (6, 121)
+"""What Linux adapters say when nobody acknowledges (LNX-40, LNX-41)."""
+SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
+
+
+class MuxLike(Protocol):
+    """A multiplexer in the description of an array."""
+
+    @property
+    def chip(self) -> str:
+        """Only "pca9544a"."""
+
+    @property
+    def address(self) -> int:
+        """On the trunk."""
+
+
+class SensorLike(Protocol):
+    """A sensor in the description of an array."""
+
+    @property
+    def name(self) -> str:
+        """Unique."""
+
+    @property
+    def chip(self) -> str:
+        """A key of `CHIPS`."""
+
+    @property
+    def channel(self) -> int | None:
+        """Of the multiplexer; None for one on a trunk."""
+
+    @property
+    def bus(self) -> str | None:
+        """Another trunk than the array's own: a channel that the kernel drives."""
+
+    @property
+    def address(self) -> int:
+        """Seven bits."""
+
+    @property
+    def range(self) -> float | None:
+        """Full scale in g, dps or gauss; None for a chip without."""
+
+    @property
+    def orientation(self) -> Matrix:
+        """box = orientation @ sensor."""
+
+
+class ArrayLike(Protocol):
+    """The description of an array."""
+
+    @property
+    def name(self) -> str:
+        """ "martin2013" for the paper's, whose units are known."""
+
+    @property
+    def mux(self) -> MuxLike | None:
+        """The multiplexer on the trunk, if any."""
+
+    @property
+    def sensors(self) -> Sequence[SensorLike]:
+        """Every chip."""
+
+
+class EmulatedBus:
+    """The bus of an emulated array. `chips` are its chips by name of the sensor, `wire` is its trunk.
+
+    `transfer` is the trunk's (`Wire.transfer`). `phases` and ``truth(at_ns)`` are in times of `clock`: what the world
+    calls its stretches, and what the box truly felt.
+    """
+
+    source = "emulated"
+
+    def __init__(self, wires: Mapping[str, Wire], chips: Mapping[str, Chip], world: World, clock: Clock) -> None:
+        self.wires = dict(wires)
+        self.wire = self.wires[TRUNK]
+        self.chips = dict(chips)
+        self.clock = clock
+        self.truth = world
+        self.transfer = self.wire.transfer
+        self.phases: tuple[Phase, ...] = getattr(world, "phases", ())
+
+    def channel_bus(self, bus: str) -> Wire:
+        """The trunk of that name; OSError, as for a device file that isn't there, when no sensor is on it."""
+        if bus == TRUNK or bus not in self.wires:
+            raise FileNotFoundError(2, "no emulated sensor on this bus", bus)
+        return self.wires[bus]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing to give back."""
+
+
+def open_array(
+    array: ArrayLike,
+    *,
+    clock: str | Clock = "virtual",
+    world: World | None = None,
+    seed: int = 0,
+    bit_rate_hz: int = 400_000,
+    nack_errno: int = 121,
+    host_ns: int = 0,
+) -> EmulatedBus:
+    """Power the array up, now, in `world` (at rest on its -Z face by default), which begins now as well.
+
+    `seed` keys noise and the units that are drawn. ValueError for a chip, a clock or a multiplexer that isn't known.
+    """
+    time = named(clock, CLOCKS, "clock")() if isinstance(clock, str) else clock
+    now_ns = time.now_ns()
+    begun = Delayed(world or Still(), now_ns) if now_ns else world or Still()
+    names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus)]
+    wires = {name: Wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}
+    chips = {sensor.name: powered_chip(array.name, sensor, begun, seed, now_ns) for sensor in array.sensors}
+    branches: dict[int, list[Chip]] = {}
+    for sensor in array.sensors:
+        if sensor.channel is None:
+            wires[sensor.bus or TRUNK].connect(chips[sensor.name])
+        else:
+            branches.setdefault(sensor.channel, []).append(chips[sensor.name])
+    if array.mux is not None:
+        wires[TRUNK].connect_router(named(array.mux.chip, MUXES, "mux")(array.mux.address, branches, now_ns))
+    elif branches:
+        raise ValueError(f"array {array.name}: sensors on channels {sorted(branches)}, but no mux")
+    return EmulatedBus(wires, chips, begun, time)
+
+
+def powered_chip(array: str, sensor: SensorLike, world: World, seed: int, now_ns: int) -> Chip:
+    """The chip of one sensor with its unit's imperfections, powered up at `now_ns`."""
+    chip = named(sensor.chip, CHIPS, f"sensor {sensor.name}: chip")
+    unit = unit_of(array, sensor.name, sensor.chip, sensor.range or 0.0, seed)
+    orientation = IDENTITY if sensor.orientation is None else sensor.orientation
+    element = SensingElement(world, sensor.chip, sensor.name, orientation, unit, seed)
+    if sensor.chip == "bmp180":
+        return chip(sensor.address, element, now_ns, generator=random.Random(f"{seed} {sensor.name}"))
+    return chip(sensor.address, element, now_ns)
+
+
+def named(name: str, known: Mapping[str, T], what: str) -> T:
+    """The entry of that name; ValueError that lists the others."""
+    if name not in known:
+        raise ValueError(f"{what} {name!r}; allowed are {', '.join(known)}")
+    return known[name]
+
+
+def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
+    """`open_array` from the parameters of a URL such as ``emulated:?clock=real&world=tumble&face_s=10``.
+
+    ValueError, one line that says what is allowed, for a parameter or a value that isn't known.
+    """
+    kind = named(query.get("world", "still"), WORLDS, "world")
+    own = [field.name for field in fields(kind)]
+    for key in query:
+        if key not in SETTINGS and key not in own:
+            raise ValueError(f"{key}: no such parameter; allowed are {', '.join((*SETTINGS, *own))}")
+    nack_errno = whole_number(query, "errno", 121)
+    if nack_errno not in ERRNOS:
+        raise ValueError(f"errno={nack_errno}; allowed are {', '.join(map(str, ERRNOS))}")
+    return open_array(
+        array,
+        clock=query.get("clock", "virtual"),
+        world=world_from(kind, query),
+        seed=whole_number(query, "seed", 0),
+        bit_rate_hz=whole_number(query, "bit_rate", 400_000),
+        nack_errno=nack_errno,
+    )
+
+
+def world_from(kind: WorldKind, query: Mapping[str, str]) -> PhasedWorld:
+    """The world with those of its own fields that the query names."""
+    given: dict[str, float | str] = {}
+    for field in fields(kind):
+        if field.name in query:
+            text = query[field.name]
+            given[field.name] = number(field.name, text) if isinstance(field.default, float) else axis(text)
+    build: Callable[..., PhasedWorld] = kind
+    return build(**given)
+
+
+def axis(text: str) -> str:
+    """A box axis; the plus sign of ``up=+X`` reaches us as a space, as in every URL."""
+    name = text.strip()
+    return name if name[:1] in ("+", "-") else f"+{name}"
+
+
+def number(key: str, text: str) -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{key}={text}; allowed is a number")
+    return value
+
+
+def whole_number(query: Mapping[str, str], key: str, default: int) -> int:
+    """A parameter that is a number without sign or fraction."""
+    text = query.get(key, str(default))
+    if not (text.isascii() and text.isdigit()):
+        raise ValueError(f"{key}={text}; allowed is a whole number")
+    return int(text)

@@ -1,0 +1,108 @@
+"""What every emulated chip is: a page of registers behind an address pointer, fed by a sensing element.
+
+The wire speaks to a `Target`; a `Chip` is the usual one. Its subclasses (`firmware_emulator.chips`) say what reading
+and writing each register does, at which instant. Times are integer nanoseconds of the emulated clock."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Protocol
+
+from imuarray.facts.registers import Register
+
+Triple = tuple[float, float, float]
+
+
+class Target(Protocol):
+    """A device on the wire, as the two wires see it."""
+
+    address: int
+
+    def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
+        """Receive `data`, whose first byte is complete at `at_ns` and every further one `byte_ns` later; how many
+        were acknowledged.
+        """
+
+    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
+        """Send `count` bytes, the first of which is fetched at `at_ns` and every further one `byte_ns` later."""
+
+    def stop(self, at_ns: int) -> None:
+        """A STOP ends the transaction in which this device was addressed."""
+
+
+class Element(Protocol):
+    """The sensing element behind a chip's converter: what the world does to it, its own imperfections included."""
+
+    def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
+        """Input of the converter along the sensor's x, y, z at `at_ns`, in the data sheet's unit (g, dps, gauss),
+        noise included.
+
+        `full_scale` (same unit) and `bandwidth_hz` are the settings in force: noise depends on them.
+        """
+
+    def temperature(self, at_ns: int) -> float:
+        """Temperature of the chip in degC."""
+
+    def pressure(self, at_ns: int) -> float:
+        """Air pressure in Pa."""
+
+
+def registers_of(facts: ModuleType) -> dict[int, Register]:
+    """Every register that a module of facts declares, by address."""
+    return {fact.address: fact for fact in vars(facts).values() if isinstance(fact, Register)}
+
+
+class Chip:
+    """A page of 256 bytes behind a pointer that counts on, byte by byte; unmapped registers read 0 and keep nothing
+    (DEC-01).
+    """
+
+    def __init__(self, address: int, facts: ModuleType, element: Element, powered_on_ns: int = 0) -> None:
+        self.address = address
+        self.element = element
+        self.registers = registers_of(facts)
+        self.page = bytearray(256)
+        self.pointer = 0
+        self.power_on(powered_on_ns)
+
+    def power_on(self, at_ns: int) -> None:
+        """Everything as after the supply has come up at `at_ns`: reset values in every register, pointer at 0."""
+        self.powered_on_ns = at_ns
+        self.page[:] = bytes(256)
+        self.pointer = 0
+        for address, register in self.registers.items():
+            self.page[address] = register.reset
+
+    def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
+        """First byte: pointer; the others are stored one after the other. Every byte is acknowledged."""
+        if data:
+            self.pointer = data[0]
+        for index in range(1, len(data)):
+            self.store(self.pointer, data[index], at_ns + index * byte_ns)
+            self.pointer = self.advance(self.pointer, reading=False)
+        return len(data)
+
+    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
+        """`count` bytes from the pointer on, each as it stands when it is fetched."""
+        sent = bytearray(count)
+        for index in range(count):
+            sent[index] = self.load(self.pointer, at_ns + index * byte_ns)
+            self.pointer = self.advance(self.pointer, reading=True)
+        return bytes(sent)
+
+    def stop(self, at_ns: int) -> None:
+        """Nothing happens at STOP unless a chip says so."""
+
+    def advance(self, pointer: int, reading: bool) -> int:
+        """The pointer after a byte: the next register (the pointer survives STOP, DEC-03)."""
+        return pointer + 1 & 0xFF
+
+    def load(self, address: int, at_ns: int) -> int:
+        """The byte that a read of register `address` fetches at `at_ns`."""
+        return self.page[address]
+
+    def store(self, address: int, value: int, at_ns: int) -> None:
+        """A byte written to register `address`: kept if the register exists and can be written, ignored otherwise."""
+        register = self.registers.get(address)
+        if register is not None and register.access != "r":
+            self.page[address] = value & ~register.reserved & 0xFF

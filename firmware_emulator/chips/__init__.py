@@ -1,0 +1,20 @@
+"""The chips: what reading and writing each register does, and when a conversion is finished."""
+
+from collections.abc import Callable
+
+from firmware_emulator.chip import Chip
+from firmware_emulator.chips.adxl345 import Adxl345
+from firmware_emulator.chips.bma180 import Bma180
+from firmware_emulator.chips.bmp180 import Bmp180
+from firmware_emulator.chips.hmc5883 import Hmc5883, Hmc5883l
+from firmware_emulator.chips.l3g4200d import L3g4200d
+
+CHIPS: dict[str, Callable[..., Chip]] = {
+    "adxl345": Adxl345,
+    "bma180": Bma180,
+    "l3g4200d": L3g4200d,
+    "bmp180": Bmp180,
+    "hmc5883": Hmc5883,
+    "hmc5883l": Hmc5883l,
+}
+"""By the name that configurations use; every one is built as ``(address, element, powered_on_ns, **switches)``."""

@@ -1,0 +1,33 @@
+"""A first-order high-pass that is asked now and then, as inputs of emulated filters are: only when somebody looks.
+
+Between two calls the input is taken to have stayed as it was at the earlier one. Any unit; times in integer
+nanoseconds.
+"""
+
+from __future__ import annotations
+
+import math
+
+from firmware_emulator.chip import Triple
+
+
+class HighPass:
+    """Removes what is slower than `cutoff_hz`; switched on at `since_ns` with an empty memory."""
+
+    def __init__(self, cutoff_hz: float, since_ns: int) -> None:
+        self._per_ns = -2e-9 * math.pi * cutoff_hz
+        self._at_ns = since_ns
+        self._input: Triple | None = None
+        self._removed: Triple = (0.0, 0.0, 0.0)
+
+    def __call__(self, value: Triple, at_ns: int) -> Triple:
+        """What is left of `value`, the input at `at_ns`, which is never earlier than in the call before."""
+        earlier = value if self._input is None else self._input
+        kept = math.exp(self._per_ns * max(0, at_ns - self._at_ns))
+        x, y, z = (old + (new - old) * kept for new, old in zip(self._removed, earlier, strict=True))
+        self._at_ns, self._input, self._removed = at_ns, value, (x, y, z)
+        return value[0] - x, value[1] - y, value[2] - z
+
+    def zero(self, value: Triple, at_ns: int) -> None:
+        """From `at_ns` on, an input of `value` gives 0."""
+        self._at_ns, self._input, self._removed = at_ns, value, value

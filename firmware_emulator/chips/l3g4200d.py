@@ -1,0 +1,247 @@
+"""L3G4200D gyroscope behind its registers, after the ST data sheet Doc ID 17116 Rev 3 (facts L3G-01 ... L3G-65).
+
+It wakes up in power-down and has no reset. Sub-address bit 7 asks for the next register after every byte; without
+it a burst is the same register over and over. Left out: the interrupts (INT1_SRC reads 0, see also
+`l3g4200d_fifo`), the 3-wire SPI.
+
+Choices: an axis counts as read when both its bytes are; with BDU it stands still from the first byte to the second
+(L3G-50, L3G-51). An axis switched off keeps its value and is never new. BOOT clears itself after 5 ms and changes
+nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from struct import Struct
+
+from firmware_emulator.chip import Chip, Element
+from firmware_emulator.chips.l3g4200d_fifo import DEPTH, Fifo
+from firmware_emulator.chips.l3g4200d_signal import RATES_HZ, Codes, Signal
+from imuarray.facts import l3g4200d as facts
+
+FAR_NS = 1 << 62
+START_UP_NS = 300_000_000  # from power-down, L3G-65
+BOOT_NS = 5_000_000
+SECOND_NS = 1_000_000_000  # OUT_TEMP is refreshed at 1 Hz, L3G-60
+ALL_AXES = 0b111
+
+_CTRL1, _CTRL4, _CTRL5 = facts.CTRL_REG1.address, facts.CTRL_REG4.address, facts.CTRL_REG5.address
+_REFERENCE, _TEMP, _STATUS = facts.REFERENCE.address, facts.OUT_TEMP.address, facts.STATUS_REG.address
+_X_LOW, _Z_HIGH = facts.OUT_X_L.address, facts.OUT_Z_H.address
+_FIFO_CTRL, _FIFO_SRC = facts.FIFO_CTRL_REG.address, facts.FIFO_SRC_REG.address
+_LITTLE, _BIG = Struct("<hhh"), Struct(">hhh")
+
+
+class L3g4200d(Chip):
+    """The chip. `forbidden_writes` counts writes to reserved registers, which may destroy a real part (L3G-07).
+
+    temperature_zero: OUT_TEMP at 0 degC, unknown for a real part (L3G-60).
+    left_over: registers as an earlier program left them; the part then neither boots nor warms up.
+    start_up_ns: from leaving power-down to the first conversion (L3G-65).
+    wrap_always: 0x2D is followed by 0x28 also without FIFO (DEC-20).
+    rate_error: relative error of the output data rate.
+    """
+
+    def __init__(
+        self,
+        address: int,
+        element: Element,
+        powered_on_ns: int = 0,
+        *,
+        temperature_zero: float = 47.0,
+        left_over: Mapping[int, int] | None = None,
+        start_up_ns: int = START_UP_NS,
+        wrap_always: bool = False,
+        rate_error: float = 0.0,
+    ) -> None:
+        self.forbidden_writes = 0
+        self._temperature_zero, self._wrap_always = temperature_zero, wrap_always
+        self._start_up_ns, self._rate_error = start_up_ns, rate_error
+        super().__init__(address, facts, element, powered_on_ns)
+        if left_over is not None:
+            for register, value in left_over.items():
+                self.page[register] = value
+            self._start_up_ns = 0
+            self._reconfigure(powered_on_ns)
+            self._start_up_ns = start_up_ns
+
+    def power_on(self, at_ns: int) -> None:
+        """Reset values, power-down, outputs 0."""
+        super().power_on(at_ns)
+        self._increment = False
+        self._signal, self._fifo = Signal(self.element, self.page), Fifo()
+        self._powered, self._running, self._rate, self._ready_ns = False, False, -1, at_ns
+        self._base, self._start_ns, self._period_ns = -1, FAR_NS, SECOND_NS  # conversions are numbered from 0, for ever
+        self._index, self._codes = -1, (0, 0, 0)  # the latest conversion that somebody looked at
+        self._axes = ALL_AXES
+        self._stopped = [-1, -1, -1]  # latest conversion of an axis that is switched off
+        self._read_upto = [-1, -1, -1]
+        self._half = [-1, -1, -1]  # which byte of an axis has been read alone: 0, 1, or -1 for none
+        self._frozen = [(0, -1)] * 3  # code and index shown between the two bytes
+        self._temperature_start_ns, self._second, self._temperature = FAR_NS, -1, 0
+        self._boot_end_ns = FAR_NS
+        self._reconfigure(at_ns)
+
+    # Conversions ----------------------------------------------------------------------------------------------------
+
+    def _latest(self, at_ns: int) -> int:
+        """Number of the latest conversion at `at_ns`."""
+        return self._base if at_ns < self._start_ns else self._base + 1 + (at_ns - self._start_ns) // self._period_ns
+
+    def _convert(self, index: int) -> Codes:
+        """Look at conversion `index`, the latest one or one still to be queued."""
+        codes = self._signal.codes(self._start_ns + (index - self._base - 1) * self._period_ns)
+        if self._axes != ALL_AXES:
+            x, y, z = (new if self._axes >> axis & 1 else self._codes[axis] for axis, new in enumerate(codes))
+            codes = x, y, z
+        self._index, self._codes = index, codes
+        return codes
+
+    def _sync(self, at_ns: int) -> int:
+        """Bring outputs and FIFO up to `at_ns`; the number of the latest conversion."""
+        latest = self._latest(at_ns)
+        if self._fifo.active:
+            self._fifo.fill(latest, self._convert)
+        elif latest != self._index:
+            self._convert(latest)
+        return latest
+
+    def _reconfigure(self, at_ns: int) -> None:
+        """Let the control registers act from `at_ns` on; `_sync` has been called with the old ones."""
+        ctrl1, ctrl5 = self.page[_CTRL1], self.page[_CTRL5]
+        latest = self._latest(at_ns)
+        self._set_axes(facts.AXES_ON.of(ctrl1), latest)
+        self._signal.configure(at_ns)
+        self._set_clock(ctrl1, at_ns, latest)
+        mode = facts.FIFO_MODE.of(self.page[_FIFO_CTRL]) if facts.FIFO_EN.of(ctrl5) else 0
+        self._fifo.switch(mode, latest, self._codes)
+        self._pack = (_BIG if facts.BIG_ENDIAN.of(self.page[_CTRL4]) else _LITTLE).pack
+        self._blocking = bool(facts.BLOCK_DATA_UPDATE.of(self.page[_CTRL4]))
+
+    def _set_axes(self, axes: int, latest: int) -> None:
+        for axis in range(3):
+            if self._axes >> axis & 1 and not axes >> axis & 1:
+                self._stopped[axis] = latest
+        self._axes = axes
+
+    def _set_clock(self, ctrl1: int, at_ns: int, latest: int) -> None:
+        """Power mode (L3G-34) and data rate; a change of either restarts the grid of conversions."""
+        powered, rate = bool(facts.POWER_ON.of(ctrl1)), facts.DATA_RATE.of(ctrl1)
+        running = powered and facts.AXES_ON.of(ctrl1) != 0
+        waking, started = powered and not self._powered, running and not self._running
+        if powered != self._powered:
+            self._ready_ns = at_ns + self._start_up_ns
+            self._temperature_start_ns = self._ready_ns if powered else FAR_NS
+            self._second = -1
+        if (running, rate) != (self._running, self._rate) or waking:
+            self._period_ns = round(1e9 / (RATES_HZ[rate] * (1 + self._rate_error)))
+            filtered = facts.OUT_SELECT.of(self.page[_CTRL5]) >= 0b10
+            periods = 6 if started and filtered else 1  # L3G-64
+            soonest = at_ns if waking else at_ns + periods * self._period_ns
+            self._base, self._start_ns = latest, max(self._ready_ns, soonest) if running else FAR_NS
+        self._powered, self._running, self._rate = powered, running, rate
+
+    def _status(self, latest: int) -> int:
+        """STATUS_REG: new data per axis and altogether, and the same for overwritten data (L3G-52)."""
+        if self._fifo.active:
+            return (0x0F if self._fifo.waiting else 0) | (0xF0 if self._fifo.level == DEPTH else 0)
+        available = overrun = 0
+        for axis in range(3):
+            index = latest if self._axes >> axis & 1 else self._stopped[axis]
+            available |= (index > self._read_upto[axis]) << axis
+            overrun |= (index > self._read_upto[axis] + 1) << axis
+        return (overrun == 7) << 7 | overrun << 4 | (available == 7) << 3 | available
+
+    def _temperature_byte(self, at_ns: int) -> int:
+        """OUT_TEMP: one code less per degree (L3G-60); holds its value in power-down."""
+        second = (at_ns - self._temperature_start_ns) // SECOND_NS
+        if second > self._second:
+            self._second = second
+            degc = self.element.temperature(self._temperature_start_ns + second * SECOND_NS)
+            self._temperature = max(-128, min(127, round(self._temperature_zero - degc))) & 0xFF
+        return self._temperature
+
+    # Reading --------------------------------------------------------------------------------------------------------
+
+    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
+        """`count` bytes from the pointer on; a burst that no conversion interrupts takes a short cut."""
+        if not self._increment or (self.pointer, count) not in ((_X_LOW, 6), (_TEMP, 8)):
+            return super().read(count, at_ns, byte_ns)
+        latest = self._latest(at_ns)
+        end_ns = at_ns + (count - 1) * byte_ns
+        if self._half != [-1, -1, -1] or self._axes != ALL_AXES or self._fifo.active or self._latest(end_ns) != latest:
+            return super().read(count, at_ns, byte_ns)
+        codes = self._codes if latest == self._index else self._convert(latest)
+        sent = self._pack(*codes)
+        if count == 8:
+            sent = bytes((self._temperature_byte(at_ns), self._status(latest))) + sent
+        self._read_upto = [latest, latest, latest]
+        self.pointer = _X_LOW if self._wrap_always else _Z_HIGH + 1
+        return sent
+
+    def load(self, address: int, at_ns: int) -> int:
+        """A register's byte."""
+        if _X_LOW <= address <= _Z_HIGH:
+            return self._output(address - _X_LOW, at_ns)
+        if address == _TEMP:
+            return self._temperature_byte(at_ns)
+        if address == _STATUS:
+            return self._status(self._sync(at_ns))
+        if address == _FIFO_SRC:
+            self._sync(at_ns)
+            return self._fifo.source(facts.FIFO_WATERMARK.of(self.page[_FIFO_CTRL])) if self._fifo.active else 0x20
+        if address == _REFERENCE:
+            self._sync(at_ns)
+            self._signal.zero(at_ns)
+        elif address == _CTRL5 and at_ns >= self._boot_end_ns:
+            self.page[_CTRL5] &= ~facts.BOOT.mask
+        return self.page[address]
+
+    def _output(self, byte: int, at_ns: int) -> int:
+        """Byte 0 ... 5 of the output registers: of each axis the low half first, with BLE the high one (L3G-44)."""
+        latest = self._sync(at_ns)
+        axis, half = divmod(byte, 2)
+        big = self.page[_CTRL4] & facts.BIG_ENDIAN.mask
+        shift = 8 if bool(half) != bool(big) else 0
+        if self._fifo.active:
+            return self._fifo.shown(byte)[axis] >> shift & 0xFF
+        if not (self._blocking and self._half[axis] >= 0):
+            self._frozen[axis] = self._codes[axis], latest if self._axes >> axis & 1 else self._stopped[axis]
+        code, index = self._frozen[axis]
+        if self._half[axis] == 1 - half:
+            self._half[axis] = -1
+            self._read_upto[axis] = index
+        else:
+            self._half[axis] = half
+        return code >> shift & 0xFF
+
+    def advance(self, pointer: int, reading: bool) -> int:
+        """The next register if sub-address bit 7 asked for it (L3G-03, L3G-04); a FIFO is read in circles (L3G-05)."""
+        if not self._increment:
+            return pointer
+        if reading and pointer == _Z_HIGH and (self._fifo.active or self._wrap_always):
+            return _X_LOW
+        return pointer + 1 & 0x7F
+
+    # Writing --------------------------------------------------------------------------------------------------------
+
+    def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
+        """First byte: sub-address, whose bit 7 asks for auto-increment; then the values."""
+        if data:
+            self._increment = data[0] >= 0x80
+            data = bytes((data[0] & 0x7F,)) + data[1:]
+        return super().write(data, at_ns, byte_ns)
+
+    def store(self, address: int, value: int, at_ns: int) -> None:
+        """A byte written to a register: what was converted before it stays as it was."""
+        if address < facts.WHO_AM_I.address or 0x10 <= address < _CTRL1:
+            self.forbidden_writes += 1
+            return
+        latest = self._sync(at_ns)
+        if latest != self._index:
+            self._convert(latest)  # passed over by a FIFO that is full
+        self._temperature_byte(at_ns)
+        super().store(address, value, at_ns)
+        if address == _CTRL5 and value & facts.BOOT.mask:
+            self._boot_end_ns = at_ns + BOOT_NS
+        self._reconfigure(at_ns)

@@ -1,0 +1,62 @@
+"""Emulated and real time, in integer nanoseconds.
+
+On the virtual clock a transfer takes exactly what the bus arithmetic says and a sleep takes nothing, so that torn
+reads, overruns and update ticks come out the same in every run (DEC-50). On the real clock bus time passes by itself.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """What tells the time to the wire, and what a caller sleeps on."""
+
+    def now_ns(self) -> int:
+        """The present time."""
+
+    def advance(self, ns: int) -> None:
+        """The wire was busy for `ns`."""
+
+    def sleep_until(self, ns: int) -> None:
+        """Return when `now_ns()` is at least `ns`."""
+
+
+class VirtualClock:
+    """Time that passes only when somebody uses it."""
+
+    def __init__(self, start_ns: int = 0) -> None:
+        self._now_ns = start_ns
+
+    def now_ns(self) -> int:
+        """The present time."""
+        return self._now_ns
+
+    def advance(self, ns: int) -> None:
+        """Let `ns` pass; ValueError when negative."""
+        if ns < 0:
+            raise ValueError(f"time can't go back: {ns} ns")
+        self._now_ns += ns
+
+    def sleep_until(self, ns: int) -> None:
+        """Be at `ns` at once; a time that has passed changes nothing."""
+        if ns > self._now_ns:
+            self._now_ns = ns
+
+
+class RealClock:
+    """CLOCK_MONOTONIC."""
+
+    def now_ns(self) -> int:
+        """The present time."""
+        return time.monotonic_ns()
+
+    def advance(self, ns: int) -> None:
+        """Nothing: real time passes by itself."""
+
+    def sleep_until(self, ns: int) -> None:
+        """Sleep in earnest; a time that has passed returns at once."""
+        remaining_ns = ns - time.monotonic_ns()
+        if remaining_ns > 0:
+            time.sleep(remaining_ns * 1e-9)

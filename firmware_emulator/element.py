@@ -1,0 +1,165 @@
+"""The sensing element: world in, converter input out, with the imperfections of one unit.
+
+For a sensor with axes s, in the data sheet's unit and at temperature T:
+
+    input = (1 + k (T - 25)) R s  +  G f  +  b + d (T - 25)  +  white noise
+
+R (3x3) is scale and misalignment, k the change of scale, G f the effect of specific force on a gyroscope, b the bias
+and d its slope. Where the sensor sits in the box is not felt: every sensor is at the box's origin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+from zlib import crc32
+
+import numpy as np
+
+from firmware_emulator.chip import Triple
+from firmware_emulator.world import ROOM_DEGC, STANDARD_GRAVITY, Stimulus, World
+
+Matrix = tuple[Triple, Triple, Triple]
+IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+ZERO: Triple = (0.0, 0.0, 0.0)
+NOTHING: Matrix = (ZERO, ZERO, ZERO)
+BLOCK = 3 * 1365
+
+SENSED: dict[str, tuple[str, float]] = {
+    "adxl345": ("force_box", 1 / STANDARD_GRAVITY),
+    "bma180": ("force_box", 1 / STANDARD_GRAVITY),
+    "l3g4200d": ("rate_box", 180 / math.pi),
+    "bmp180": ("force_box", 0.0),  # has no axes
+    "hmc5883": ("field_box", 1.0),
+    "hmc5883l": ("field_box", 1.0),
+}
+"""By chip: the field of `Stimulus` that it measures, and what one of its unit is in g, dps or gauss."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """How one part differs from the ideal one; the data sheet's unit is g, dps or gauss, axes are the sensor's own.
+
+    White noise is `noise` rms at `noise_full_scale` and `noise_bandwidth_hz`; it grows with the square root of the
+    bandwidth and with the full scale to the power `noise_exponent`. From the full scale `shift_from` on, `shift` is
+    added to the bias (BMA-79).
+    """
+
+    bias: Triple = ZERO
+    response: Matrix = IDENTITY
+    slope_per_degc: Triple = ZERO
+    scale_slope_per_degc: float = 0.0
+    noise: Triple = ZERO
+    noise_full_scale: float = 1.0
+    noise_bandwidth_hz: float = 1.0
+    noise_exponent: float = 0.0
+    shift: Triple = ZERO
+    shift_from: float = math.inf
+    g_sensitivity: Matrix = NOTHING
+    thermometer_offset_degc: float = 0.0
+    pressure_offset_pa: float = 0.0
+
+
+def product(a: Matrix, b: Matrix) -> Matrix:
+    """a @ b."""
+    x, y, z = ((sum_of(row, 0, b), sum_of(row, 1, b), sum_of(row, 2, b)) for row in a)
+    return x, y, z
+
+
+def sum_of(row: Triple, column: int, matrix: Matrix) -> float:
+    """One element of a product of matrices."""
+    return row[0] * matrix[0][column] + row[1] * matrix[1][column] + row[2] * matrix[2][column]
+
+
+def times(matrix: Matrix, factor: float) -> Matrix:
+    """`factor` times `matrix`."""
+    x, y, z = ((a * factor, b * factor, c * factor) for a, b, c in matrix)
+    return x, y, z
+
+
+def transposed(matrix: Matrix) -> Matrix:
+    """Rows for columns."""
+    x, y, z = zip(*matrix, strict=True)
+    return x, y, z
+
+
+def applied(matrix: Matrix, vector: Triple) -> Triple:
+    """matrix @ vector."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    x, y, z = vector
+    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+
+def stream(seed: int, key: str) -> np.random.Generator:
+    """Random numbers of their own for everything that has a name: leaving one out changes no other."""
+    return np.random.default_rng([seed, crc32(key.encode())])
+
+
+class SensingElement:
+    """The element of the sensor called `name`, a `chip` mounted so that box = `orientation` @ sensor."""
+
+    def __init__(self, world: World, chip: str, name: str, orientation: Matrix, unit: Unit, seed: int = 0) -> None:
+        self.unit = unit
+        self._world = world
+        self._random = stream(seed, f"noise of {name}")
+        self._noise: list[float] = []
+        self._used = 0
+        field, factor = SENSED[chip]
+        self._sensed: Callable[[Stimulus], Triple] = attrgetter(field)
+        from_box = transposed(orientation)
+        self._response = times(product(unit.response, from_box), factor)
+        self._feels_force = any(any(row) for row in unit.g_sensitivity)
+        self._g_sensitivity = times(product(unit.g_sensitivity, from_box), 1 / STANDARD_GRAVITY)
+        self._setting = (math.nan, math.nan)
+        self._deviation = self._bias = ZERO
+        self._felt: Stimulus | None = None
+        self._ideal = ZERO
+
+    def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
+        """Input of the converter along the sensor's x, y, z, in the data sheet's unit, noise included."""
+        if (full_scale, bandwidth_hz) != self._setting:
+            self._set(full_scale, bandwidth_hz)
+        stimulus = self._world(at_ns)
+        if stimulus is not self._felt:  # a box at rest feels the very same thing again and again
+            self._felt, self._ideal = stimulus, self._without_noise(stimulus)
+        used = self._used
+        if used >= len(self._noise):
+            self._noise, used = self._random.standard_normal(BLOCK).tolist(), 0
+        self._used = used + 3
+        noise, (x, y, z), (dx, dy, dz) = self._noise, self._ideal, self._deviation
+        return x + dx * noise[used], y + dy * noise[used + 1], z + dz * noise[used + 2]
+
+    def temperature(self, at_ns: int) -> float:
+        """What the chip's own thermometer feels, its offset included, in degC."""
+        return self._world(at_ns).temperature_degc + self.unit.thermometer_offset_degc
+
+    def pressure(self, at_ns: int) -> float:
+        """Air pressure in Pa, the part's offset included."""
+        return self._world(at_ns).pressure_pa + self.unit.pressure_offset_pa
+
+    def _set(self, full_scale: float, bandwidth_hz: float) -> None:
+        unit = self.unit
+        share = math.sqrt(bandwidth_hz / unit.noise_bandwidth_hz)
+        share *= (full_scale / unit.noise_full_scale) ** unit.noise_exponent
+        shifted = full_scale >= unit.shift_from
+        self._deviation = unit.noise[0] * share, unit.noise[1] * share, unit.noise[2] * share
+        x, y, z = (bias + shifted * more for bias, more in zip(unit.bias, unit.shift, strict=True))
+        self._bias = x, y, z
+        self._setting = full_scale, bandwidth_hz
+        self._felt = None
+
+    def _without_noise(self, stimulus: Stimulus) -> Triple:
+        unit, bias = self.unit, self._bias
+        warmer = stimulus.temperature_degc - ROOM_DEGC
+        scale = 1.0 + unit.scale_slope_per_degc * warmer
+        x, y, z = applied(self._response, self._sensed(stimulus))
+        slope = unit.slope_per_degc
+        x = x * scale + bias[0] + slope[0] * warmer
+        y = y * scale + bias[1] + slope[1] * warmer
+        z = z * scale + bias[2] + slope[2] * warmer
+        if not self._feels_force:
+            return x, y, z
+        gx, gy, gz = applied(self._g_sensitivity, stimulus.force_box)
+        return x + gx, y + gy, z + gz

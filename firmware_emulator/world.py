@@ -1,0 +1,337 @@
+"""What the box feels, as a function of time alone.
+
+A world is a callable ``at_ns -> Stimulus`` plus the phases that a person with a stopwatch would note. Any callable
+will do: a simulated or a recorded motion can drive the emulated array just as well. Vectors are in the box frame:
+specific force in m/s2 (a box at rest on its -Z face feels +g along +Z), angular rate in rad/s, magnetic flux density
+in gauss.
+
+The worlds here begin at 0 ns and last for ever: what they show last, they go on showing.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple, Protocol
+
+from firmware_emulator.attitude import UP, scaled, seen_after_turn, turn_between
+from firmware_emulator.chip import Triple
+
+STANDARD_GRAVITY = 9.80665
+"""m/s2; conventional value of the 3rd CGPM (1901)."""
+FOREVER_NS = 1 << 62
+ROOM_DEGC = 25.0
+FIELD_UPRIGHT: Triple = (0.2, 0.0, -0.43)
+"""The earth's field in gauss, in the frame of a box that stands on its -Z face."""
+
+
+class Stimulus(NamedTuple):
+    """What the box feels at one instant."""
+
+    force_box: Triple = (0.0, 0.0, STANDARD_GRAVITY)
+    rate_box: Triple = (0.0, 0.0, 0.0)
+    temperature_degc: float = ROOM_DEGC
+    pressure_pa: float = 101325.0
+    field_box: Triple = FIELD_UPRIGHT
+
+
+class Phase(NamedTuple):
+    """A stretch of time that the experimenter names; `up` is the box axis that points up ("+Z"), "" if none."""
+
+    start_ns: int
+    end_ns: int
+    name: str
+    up: str = ""
+
+
+UPRIGHT = Stimulus()
+"""At rest on the -Z face."""
+
+World = Callable[[int], Stimulus]
+
+
+class PhasedWorld(Protocol):
+    """A world that knows its own phases."""
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """In order of time, not overlapping."""
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        """What the box feels at `at_ns`."""
+
+
+def positive(**durations: float) -> None:
+    """ValueError that names the first of the arguments that is not above zero."""
+    for name, value in durations.items():
+        if not value > 0:
+            raise ValueError(f"{name}: {value}; allowed is anything above 0")
+
+
+def resting(up: str, field_box: Triple, temperature_degc: float = ROOM_DEGC) -> Stimulus:
+    """A box at rest with this axis up."""
+    return Stimulus(scaled(UP[up], STANDARD_GRAVITY), temperature_degc=temperature_degc, field_box=field_box)
+
+
+@dataclass(frozen=True)
+class Still:
+    """A box at rest with the axis `up` upwards, at one temperature."""
+
+    up: str = "+Z"
+    temperature_degc: float = ROOM_DEGC
+
+    def __post_init__(self) -> None:
+        if self.up not in UP:
+            raise ValueError(f"up: {self.up!r}; allowed are {', '.join(UP)}")
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """One, for ever."""
+        return (Phase(0, FOREVER_NS, "static", self.up),)
+
+    @cached_property
+    def stimulus(self) -> Stimulus:
+        """What it always feels."""
+        axis, angle = turn_between("+Z", self.up)
+        field = seen_after_turn(FIELD_UPRIGHT, axis, round(math.cos(angle)), round(math.sin(angle)))
+        return resting(self.up, field, self.temperature_degc)
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        """The same at any time."""
+        return self.stimulus
+
+
+@dataclass(frozen=True)
+class Tumble:
+    """Every face up for `face_s` in the paper's order (section 4), smooth turns of `turn_s` between them.
+
+    A turn's rate rises and falls as 1 - cos. Its phases cover only the still parts; forces of the turning itself (the
+    box turns about its own origin) are not felt.
+    """
+
+    face_s: float = 60.0
+    turn_s: float = 2.0
+
+    ORDER = (
+        ("z_up", "+Z"),
+        ("x_up", "+X"),
+        ("y_up", "+Y"),
+        ("x_down", "-X"),
+        ("y_down", "-Y"),
+        ("z_down", "-Z"),
+        ("z_up_check", "+Z"),
+    )
+
+    def __post_init__(self) -> None:
+        positive(face_s=self.face_s, turn_s=self.turn_s)
+
+    @cached_property
+    def face_ns(self) -> int:
+        """Length of a still part."""
+        return round(self.face_s * 1e9)
+
+    @cached_property
+    def turn_ns(self) -> int:
+        """Length of a turn."""
+        return round(self.turn_s * 1e9)
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """The seven still parts."""
+        starts = [index * (self.face_ns + self.turn_ns) for index in range(len(self.ORDER))]
+        stops = [start + self.face_ns for start in starts]
+        return tuple(Phase(a, b, *face) for a, b, face in zip(starts, stops, self.ORDER, strict=True))
+
+    @cached_property
+    def turns(self) -> tuple[tuple[Triple, float], ...]:
+        """Axis and angle between each face and the next."""
+        ups = [up for _, up in self.ORDER]
+        return tuple(turn_between(before, after) for before, after in pairwise(ups))
+
+    @cached_property
+    def faces(self) -> tuple[Stimulus, ...]:
+        """What the box feels on each face."""
+        fields = [FIELD_UPRIGHT]
+        for axis, angle in self.turns:
+            fields.append(seen_after_turn(fields[-1], axis, round(math.cos(angle)), round(math.sin(angle))))
+        return tuple(resting(up, field) for (_, up), field in zip(self.ORDER, fields, strict=True))
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        """A face, or the way to the next."""
+        index, since_ns = divmod(max(at_ns, 0), self.face_ns + self.turn_ns)
+        if index >= len(self.turns) or since_ns < self.face_ns:
+            return self.faces[min(index, len(self.turns))]
+        return self.turning(index, (since_ns - self.face_ns) / self.turn_ns)
+
+    def turning(self, index: int, share: float) -> Stimulus:
+        """The turn after face `index`, of which `share` of the time has passed."""
+        axis, angle = self.turns[index]
+        phase = 2 * math.pi * share
+        turned = angle * (share - math.sin(phase) / (2 * math.pi))
+        rate = angle / (self.turn_ns * 1e-9) * (1 - math.cos(phase))
+        before, cosine, sine = self.faces[index], math.cos(turned), math.sin(turned)
+        return Stimulus(
+            seen_after_turn(before.force_box, axis, cosine, sine),
+            scaled(axis, rate),
+            field_box=seen_after_turn(before.field_box, axis, cosine, sine),
+        )
+
+
+class Stretch(NamedTuple):
+    """A part of a temperature profile: its phase's name, minutes, degC that it tends to, time constant in minutes."""
+
+    name: str
+    minutes: float
+    towards_degc: float
+    constant_min: float
+
+
+def heating_to(degc: float, from_degc: float, minutes: float, constant_min: float) -> Stretch:
+    """A stretch of heating at whose end exactly `degc` is reached."""
+    left = math.exp(-minutes / constant_min)
+    return Stretch("heat", minutes, (degc - from_degc * left) / (1 - left), constant_min)
+
+
+COOLING_MIN = 20.0
+HEATING_MIN = 2.0
+PROFILE_START_DEGC = 24.0
+WARM_DEGC = 24.0 + (42.5 - 24.0) * math.exp(-5.0 / COOLING_MIN)
+"""Where five minutes of cooling from 42.5 degC lead."""
+PROFILE = (
+    Stretch("room", 5.0, PROFILE_START_DEGC, COOLING_MIN),
+    heating_to(42.5, PROFILE_START_DEGC, 5.0, HEATING_MIN),
+    Stretch("cool", 5.0, 24.0, COOLING_MIN),
+    heating_to(52.0, WARM_DEGC, 5.0, HEATING_MIN),
+    Stretch("cool", 90.0, 25.0, COOLING_MIN),
+)
+"""Times and peaks of the paper's section 5.2.5, which ended a little warmer than it began. Time constants are ours."""
+
+
+@dataclass(frozen=True)
+class Heating:
+    """A box on its -Z face, warmed twice by a hairdryer and left to cool; `scale` below 1 shortens all times."""
+
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        positive(scale=self.scale)
+
+    @cached_property
+    def starts_ns(self) -> tuple[int, ...]:
+        """When each stretch begins, and when the last one ends."""
+        minutes = [sum(stretch.minutes for stretch in PROFILE[:index]) for index in range(len(PROFILE) + 1)]
+        return tuple(round(self.scale * passed * 60e9) for passed in minutes)
+
+    @cached_property
+    def starts_degc(self) -> tuple[float, ...]:
+        """How warm it is when each stretch begins."""
+        reached = [PROFILE_START_DEGC]
+        for _, minutes, towards, constant in PROFILE:
+            reached.append(towards + (reached[-1] - towards) * math.exp(-minutes / constant))
+        return tuple(reached)
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """room, heat, cool, heat, cool."""
+        ends = zip(self.starts_ns, self.starts_ns[1:], PROFILE, strict=False)
+        return tuple(Phase(start, end, stretch.name, "+Z") for start, end, stretch in ends)
+
+    @cached_property
+    def constants_ns(self) -> tuple[float, ...]:
+        """Time constant of each stretch."""
+        return tuple(self.scale * stretch.constant_min * 60e9 for stretch in PROFILE)
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        """At rest, at the temperature of that moment."""
+        index = min(max(bisect_right(self.starts_ns, at_ns) - 1, 0), len(PROFILE) - 1)
+        towards = PROFILE[index].towards_degc
+        passed_ns = max(at_ns - self.starts_ns[index], 0)
+        distance = (self.starts_degc[index] - towards) * math.exp(-passed_ns / self.constants_ns[index])
+        return Stimulus(UPRIGHT.force_box, UPRIGHT.rate_box, towards + distance)
+
+
+@dataclass(frozen=True)
+class Shaking:
+    """A box upright, at rest for `still_s`, shaken for `motion_s`, at rest again for `still_s`.
+
+    Force along each axis and rate about it are each a sum of two sines of incommensurate frequencies (hertz), bounded
+    by `peak_g` on top of gravity and by `peak_dps`, under an envelope that rises and falls as 1 - cos within `RAMP_S`.
+    Force and rate are set apart from each other: no attitude is followed, gravity stays along +Z.
+    """
+
+    peak_g: float = 8.0
+    peak_dps: float = 500.0
+    still_s: float = 10.0
+    motion_s: float = 30.0
+
+    RAMP_S = 1.0
+    SHARES = (0.6, 0.4)
+    FORCE_HZ = ((1.31, 4.17), (1.73, 5.39), (2.29, 6.71))
+    RATE_HZ = ((0.91, 3.13), (1.13, 3.71), (1.51, 4.33))
+
+    def __post_init__(self) -> None:
+        positive(peak_g=self.peak_g, peak_dps=self.peak_dps, still_s=self.still_s, motion_s=self.motion_s)
+
+    @cached_property
+    def edges_ns(self) -> tuple[int, int, int, int]:
+        """Begin, begin and end of the motion, end."""
+        still_ns, motion_ns = round(self.still_s * 1e9), round(self.motion_s * 1e9)
+        return 0, still_ns, still_ns + motion_ns, 2 * still_ns + motion_ns
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """static, motion, static."""
+        begin, shaken, calm, end = self.edges_ns
+        return Phase(begin, shaken, "static", "+Z"), Phase(shaken, calm, "motion"), Phase(calm, end, "static", "+Z")
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        """At rest, or in the midst of it."""
+        _, begin_ns, end_ns, _ = self.edges_ns
+        if not begin_ns < at_ns < end_ns:
+            return UPRIGHT
+        moved_s, left_s = (at_ns - begin_ns) * 1e-9, (end_ns - at_ns) * 1e-9
+        ramp_s = min(self.RAMP_S, self.motion_s / 2)
+        envelope = 0.5 - 0.5 * math.cos(math.pi * min(moved_s, left_s, ramp_s) / ramp_s)
+        force_x, force_y, force_z = self.swings(self.FORCE_HZ, moved_s, envelope * self.peak_g * STANDARD_GRAVITY)
+        rate = self.swings(self.RATE_HZ, moved_s, envelope * math.radians(self.peak_dps))
+        return Stimulus((force_x, force_y, force_z + STANDARD_GRAVITY), rate)
+
+    def swings(self, frequencies_hz: tuple[tuple[float, float], ...], at_s: float, bound: float) -> Triple:
+        """One sum of sines an axis, none above `bound`."""
+        more, less = bound * self.SHARES[0], bound * self.SHARES[1]
+        angle = 2 * math.pi * at_s
+        x, y, z = [more * math.sin(angle * first) + less * math.sin(angle * last) for first, last in frequencies_hz]
+        return x, y, z
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """A world whose time 0 is `start_ns` of the clock."""
+
+    world: World
+    start_ns: int
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The world's own phases, by the clock."""
+        own: tuple[Phase, ...] = getattr(self.world, "phases", ())
+        return tuple(Phase(start + self.start_ns, end + self.start_ns, name, up) for start, end, name, up in own)
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        """What the world shows at `at_ns` of the clock."""
+        return self.world(at_ns - self.start_ns)
+
+
+WorldKind = type[Still] | type[Tumble] | type[Heating] | type[Shaking]
+
+WORLDS: dict[str, WorldKind] = {
+    "still": Still,
+    "tumble": Tumble,
+    "heating": Heating,
+    "shaking": Shaking,
+}
+"""By the name that a bus URL uses: ``emulated:?world=tumble&face_s=10``."""
