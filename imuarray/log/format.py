@@ -1,0 +1,95 @@
+"""The names, units and flags of a log, format 1. Everything else that writes or reads a log takes them from here.
+
+Times are int64 nanoseconds since the log's epoch, on a clock that never steps. Counts are raw signed register values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from imuarray.axes import Matrix, orientation_of
+from imuarray.units import Quantity
+
+FORMAT = "imuarray-log"
+FORMAT_VERSION = 1
+
+STALE = 1
+"""The same reading as the one before: the chip had nothing newer."""
+OVERRUN = 2
+"""The chip dropped readings that this log was meant to have."""
+SATURATED = 4
+"""An axis stands at an end of its code span."""
+LOST_BEFORE = 8
+"""Readings were lost just before this one; an event says why."""
+RECONFIGURED = 16
+"""First reading after the chip was set up again."""
+SUSPECT = 32
+"""The chip may not have been in its configured state."""
+
+FLAGS: Mapping[str, int] = {
+    "stale": STALE,
+    "overrun": OVERRUN,
+    "saturated": SATURATED,
+    "lost_before": LOST_BEFORE,
+    "reconfigured": RECONFIGURED,
+    "suspect": SUSPECT,
+}
+
+SOURCES = ("i2c", "serial", "emulated", "simulated", "imported", "replay")
+
+LONG_NAME: Mapping[str, str] = {
+    "specific_force": "specific force along the sensor's axes",
+    "angular_rate": "angular rate about the sensor's axes",
+    "magnetic_field": "magnetic flux density along the sensor's axes",
+    "pressure": "air pressure",
+    "temperature": "temperature",
+}
+
+
+class Phase(NamedTuple):
+    """A named stretch of a log; `up` is the box axis that points up ("+Z"), "" if none."""
+
+    start_ns: int
+    end_ns: int
+    name: str
+    up: str = ""
+
+
+class Event(NamedTuple):
+    """Something that happened while logging; `sensor` is "" for the array as a whole."""
+
+    time_ns: int
+    sensor: str
+    kind: str
+    message: str
+
+
+@dataclass(frozen=True)
+class SensorHeader:
+    """What a log says of one sensor: the attributes of `/sensors/<NAME>`.
+
+    `sensitivity` is the data sheet's typical counts per `unit`; `rate_hz` the chip's own update rate. `columns` names
+    what the columns of `counts` are; `extra` holds attributes of one chip only (a barometer's calibration words)."""
+
+    name: str
+    chip: str
+    quantity: Quantity
+    unit: str
+    range: float
+    sensitivity: float
+    rate_hz: float = 0.0
+    bandwidth_hz: float = 0.0
+    axes: str = "+X+Y+Z"
+    position_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    columns: tuple[str, ...] = ("x", "y", "z")
+    has_temperature: bool = False
+    compensated: tuple[str, ...] = ()
+    delay_ns: int | None = None
+    extra: Mapping[str, int | float | str] = field(default_factory=dict)
+
+    @property
+    def orientation(self) -> Matrix:
+        """3x3, ``vector_box = orientation @ vector_sensor``."""
+        return orientation_of(self.axes)

@@ -1,0 +1,331 @@
+"""Reading a log: lazily, a slice at a time, and only if it is one.
+
+A file from elsewhere is checked before anything in it is believed: it must be a log of a known format, nothing in it
+may lead outside it (links, external storage, virtual datasets), and the columns must be there, of the right kind and
+length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self, cast
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import orientation_of
+from imuarray.errors import LogError
+from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, Event, Phase
+from imuarray.units import QUANTITIES, SI_PER_UNIT
+
+_FILTERS = frozenset({"gzip", "lzf", None})
+_MAX_DEPTH = 4
+
+
+class SensorLog:
+    """One sensor's part of a log. `time`, `counts`, ... are HDF5 datasets: slice them, or `numpy.asarray` them
+    whole.
+    """
+
+    def __init__(self, group: h5py.Group, where: str) -> None:
+        self._group = group
+        self.name = str(group.name).rsplit("/", 1)[-1]
+        self.where = where
+        self.chip = self._text("chip")
+        self.quantity = self._text("quantity", QUANTITIES)
+        self.unit = self._text("unit", tuple(SI_PER_UNIT))
+        self.range = self._number("range")
+        self.sensitivity = self._number("sensitivity")
+        self.rate_hz = self._number("rate_hz", 0.0)
+        self.bandwidth_hz = self._number("bandwidth_hz", 0.0)
+        self.axes = self._text("axes")
+        self.position_mm = np.asarray(group.attrs.get("position_mm", (0.0, 0.0, 0.0)), float)
+        self.orientation = self._orientation()
+        self._check_columns()
+
+    def _text(self, attribute: str, allowed: tuple[str, ...] = ()) -> str:
+        value = self._group.attrs.get(attribute)
+        value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+        if not isinstance(value, str) or (allowed and value not in allowed):
+            choice = f"; allowed are {', '.join(allowed)}" if allowed else ""
+            raise LogError(
+                f"{self.where}: attribute {attribute} is {'missing' if value is None else repr(value)}{choice}"
+            )
+        return value
+
+    def _number(self, attribute: str, default: float | None = None) -> float:
+        value = self._group.attrs.get(attribute, default)
+        try:
+            number = float(cast(Any, value))
+        except (TypeError, ValueError):
+            raise LogError(f"{self.where}: attribute {attribute} is {value!r}, a number is wanted") from None
+        if not np.isfinite(number):
+            raise LogError(f"{self.where}: attribute {attribute} is {number}, a finite number is wanted")
+        return number
+
+    def _orientation(self) -> npt.NDArray[np.float64]:
+        """The stored matrix if there is one (a fused or foreign log may have finer ones), else that of `axes`."""
+        try:
+            named = np.array(orientation_of(self.axes))
+        except ValueError as error:
+            raise LogError(f"{self.where}: {error}") from None
+        stored = np.asarray(self._group.attrs.get("orientation", named), float)
+        if (
+            stored.shape != (3, 3)
+            or not np.allclose(stored @ stored.T, np.eye(3), atol=1e-6)
+            or np.linalg.det(stored) < 0
+        ):
+            raise LogError(f"{self.where}: attribute orientation is not a 3x3 rotation")
+        return stored
+
+    def _check_columns(self) -> None:
+        kinds = {"time": "iu", "counts": "iu", "status": "u", "temperature_counts": "iu"}
+        for name, kind in kinds.items():
+            dataset = self._group.get(name)
+            if dataset is None:
+                if name in ("time", "counts"):
+                    raise LogError(f"{self.where}: column {name} is missing")
+                continue
+            if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in kind:
+                raise LogError(f"{self.where}: column {name} is no column of whole numbers")
+            if dataset.shape[:1] != self._group["time"].shape[:1]:
+                raise LogError(f"{self.where}: column {name} has another length than time")
+        if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
+            raise LogError(f"{self.where}: column counts is no (n, 3) table")
+
+    @property
+    def is_triad(self) -> bool:
+        """True for an inertial or magnetic sensor: three axes."""
+        return self.quantity in ("specific_force", "angular_rate", "magnetic_field")
+
+    @property
+    def time(self) -> h5py.Dataset:
+        """(n,) int64 ns since the log's epoch."""
+        return self._group["time"]
+
+    @property
+    def counts(self) -> h5py.Dataset:
+        """(n, 3) raw counts of a triad; chip-specific columns otherwise."""
+        return self._group["counts"]
+
+    @property
+    def temperature_counts(self) -> h5py.Dataset | None:
+        """(n,) raw counts of the chip's thermometer, if it has one."""
+        return self._group.get("temperature_counts")
+
+    @property
+    def status(self) -> h5py.Dataset | npt.NDArray[np.uint16]:
+        """(n,) flags of `imuarray.log.format`; zeros in a log that has none."""
+        dataset = self._group.get("status")
+        return np.zeros(len(self), np.uint16) if dataset is None else dataset
+
+    def compensated(self, name: str) -> h5py.Dataset:
+        """A column in physical units that the chip's own calibration gave ("temperature" degC, "pressure" Pa);
+        LogError.
+        """
+        dataset = self._group.get(name)
+        if not isinstance(dataset, h5py.Dataset) or dataset.shape != self.time.shape:
+            raise LogError(f"{self.where}: column {name} is missing")
+        return dataset
+
+    @property
+    def attributes(self) -> Mapping[str, Any]:
+        """All attributes as they stand in the file."""
+        return cast(Mapping[str, Any], self._group.attrs)
+
+    def __len__(self) -> int:
+        return int(self.time.shape[0])
+
+    def blocks(self, rows: int = 1 << 16) -> Iterator[slice]:
+        """Slices that cover the log, `rows` at a time."""
+        return (slice(start, min(start + rows, len(self))) for start in range(0, len(self), rows))
+
+    def between(self, start_ns: int, end_ns: int) -> slice:
+        """The rows whose time lies in [start_ns, end_ns), found without reading the column."""
+        return slice(first_at(self.time, start_ns), first_at(self.time, end_ns))
+
+
+def first_at(time: h5py.Dataset, at_ns: int) -> int:
+    """The first row of an increasing column whose time is `at_ns` or later; by bisection, reading one chunk at the
+    end.
+    """
+    low, high = 0, int(time.shape[0])
+    while high - low > 4096:
+        middle = (low + high) // 2
+        low, high = (middle, high) if time[middle] < at_ns else (low, middle)
+    return low + int(np.searchsorted(time[low:high], at_ns))
+
+
+class Track(NamedTuple):
+    """`/truth` or `/reference`: datasets time (n,) ns, specific_force (n, 3) m/s2 and angular_rate (n, 3) rad/s in
+    the box frame, temperature (n,) degC; None for what the log does not have.
+    """
+
+    time: h5py.Dataset
+    specific_force: h5py.Dataset | None
+    angular_rate: h5py.Dataset | None
+    temperature: h5py.Dataset | None
+
+
+class Log:
+    """An open log; a context manager. `log["Gyro1"].counts[1000:2000]` reads a thousand rows and no more."""
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        """Open and check `path`; LogError says what is missing or wrong with it."""
+        self.path = Path(path)
+        self._file = _open(self.path)
+        try:
+            self._check()
+            self.sensors: Mapping[str, SensorLog] = {
+                name: SensorLog(group, f"{path}, sensor {name}") for name, group in self._file["sensors"].items()
+            }
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _check(self) -> None:
+        attributes = self._file.attrs
+        if _plain(attributes.get("format")) != FORMAT:
+            raise LogError(f"{self.path}: an HDF5 file, but no log: attribute format is not {FORMAT!r}")
+        version = attributes.get("format_version")
+        if version != FORMAT_VERSION:
+            raise LogError(f"{self.path}: log format {version}; this software reads format {FORMAT_VERSION}")
+        _refuse_hostile(self._file, str(self.path))
+        if _plain(attributes.get("source")) not in SOURCES:
+            raise LogError(
+                f"{self.path}: attribute source is {attributes.get('source')!r}; allowed are {', '.join(SOURCES)}"
+            )
+        if not isinstance(self._file.get("sensors"), h5py.Group) or len(self._file["sensors"]) == 0:
+            raise LogError(f"{self.path}: group sensors is missing or empty")
+
+    @property
+    def epoch(self) -> str:
+        """ISO 8601 UTC of time 0."""
+        return _text(self._file.attrs.get("epoch", ""))
+
+    @property
+    def source(self) -> str:
+        """Where the counts came from: one of `imuarray.log.format.SOURCES`."""
+        return _text(self._file.attrs["source"])
+
+    @property
+    def config(self) -> str:
+        """The array's TOML text, "" if the log has none."""
+        return _text(self._file.attrs.get("config", ""))
+
+    @property
+    def software(self) -> str:
+        """What wrote the log."""
+        return _text(self._file.attrs.get("software", ""))
+
+    def __getitem__(self, name: str) -> SensorLog:
+        """One sensor by name; LogError names those that there are."""
+        if name not in self.sensors:
+            raise LogError(f"{self.path}: no sensor {name!r}; it has {', '.join(self.sensors)}")
+        return self.sensors[name]
+
+    def of(self, quantity: str) -> list[SensorLog]:
+        """The sensors that measure `quantity`."""
+        return [sensor for sensor in self.sensors.values() if sensor.quantity == quantity]
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """Named stretches, in file order."""
+        columns = self._columns("phases", ("start", "end", "name", "up"))
+        return tuple(Phase(int(start), int(end), name, up) for start, end, name, up in zip(*columns, strict=True))
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """What happened, in file order."""
+        columns = self._columns("events", ("time", "sensor", "kind", "message"))
+        return tuple(Event(int(time), *texts) for time, *texts in zip(*columns, strict=True))
+
+    def _columns(self, name: str, columns: tuple[str, ...]) -> list[list[Any]]:
+        group = self._file.get(name)
+        if group is None:
+            return [[] for _ in columns]
+        try:
+            values = [[_plain(value) for value in group[column][:].tolist()] for column in columns]
+        except (KeyError, AttributeError, TypeError):
+            raise LogError(f"{self.path}: group {name} lacks one of the columns {', '.join(columns)}") from None
+        if len({len(column) for column in values}) != 1:
+            raise LogError(f"{self.path}: group {name} has columns of different lengths")
+        return values
+
+    @property
+    def truth(self) -> Track | None:
+        """What the box really felt, in a simulated or emulated log."""
+        return self._track("truth")
+
+    @property
+    def reference(self) -> Track | None:
+        """What a reference instrument saw, if one was there."""
+        return self._track("reference")
+
+    def _track(self, name: str) -> Track | None:
+        group = self._file.get(name)
+        if group is None:
+            return None
+        if "time" not in group:
+            raise LogError(f"{self.path}: group {name} has no time")
+        return Track(
+            group["time"], *(group.get(column) for column in ("specific_force", "angular_rate", "temperature"))
+        )
+
+    def close(self) -> None:
+        """Close the file; its datasets can't be read any more."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def open_log(path: str | PathLike[str]) -> Log:
+    """Open a log for reading; LogError, one line, if it is missing, truncated, foreign, malformed or hostile."""
+    return Log(path)
+
+
+def _open(path: Path) -> h5py.File:
+    if not path.is_file():
+        raise LogError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        kind = "is truncated" if "truncated" in str(error) else "is no HDF5 file or is damaged"
+        raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}") from None
+
+
+def _plain(value: Any) -> Any:
+    """Text as str whichever way HDF5 stored it."""
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _text(value: Any) -> str:
+    """An attribute as text."""
+    return str(_plain(value))
+
+
+def _refuse_hostile(group: h5py.Group, where: str, depth: int = 0) -> None:
+    """LogError for anything that leads outside the file or declares what it does not hold."""
+    if depth > _MAX_DEPTH:
+        raise LogError(f"{where}: groups nested deeper than {_MAX_DEPTH}")
+    for name in group:
+        place = f"{where}: {group.name.rstrip('/')}/{name}"
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise LogError(f"{place}: a link that leads elsewhere; a log holds its own data")
+        item = group[name]
+        if isinstance(item, h5py.Group):
+            _refuse_hostile(item, where, depth + 1)
+        elif not isinstance(item, h5py.Dataset):
+            raise LogError(f"{place}: neither group nor dataset")
+        elif item.external or item.is_virtual or item.compression not in _FILTERS:
+            raise LogError(f"{place}: data stored outside the file or behind an unknown filter")
