@@ -1,0 +1,65 @@
+"""Ways to reach a chip: Linux, a recorded transcript, the emulated array. All of them are a `Bus`.
+
+A bus is named by a URL: ``i2c:/dev/i2c-1``, ``replay:T.jsonl``, ``emulated:?clock=real&world=tumble``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import cast
+from urllib.parse import parse_qsl
+
+from imuarray.array import ArrayConfig, load_array
+from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.errors import BusUrlError
+
+__all__ = ["Bus", "OpenBus", "open_bus"]
+
+
+def open_bus(url: str, array: ArrayConfig) -> OpenBus:
+    """Open the bus that `url` names, for the sensors of `array`; a context manager.
+
+    BusUrlError when the URL names no bus, or the bus can't be opened here.
+    """
+    scheme, colon, rest = url.partition(":")
+    if not colon or scheme not in _SCHEMES:
+        raise BusUrlError(f"bus {url!r}: allowed are {', '.join(_EXAMPLES)}")
+    return _SCHEMES[scheme](rest, array)
+
+
+def _linux(rest: str, array: ArrayConfig) -> OpenBus:
+    """``i2c:/dev/i2c-1``; with no path, the first bus that a sensor names (kernel-driven channels need no root bus)."""
+    from imuarray.bus.linux import LinuxBus
+
+    path = rest or next((sensor.bus for sensor in array.sensors if sensor.bus), "")
+    if not path:
+        raise BusUrlError("bus 'i2c:': name the device, as in i2c:/dev/i2c-1")
+    return LinuxBus(path)
+
+
+def _replay(rest: str, array: ArrayConfig) -> OpenBus:
+    """``replay:T.jsonl``."""
+    from imuarray.bus.transcript import ReplayBus
+
+    return ReplayBus(rest)
+
+
+def _emulated(rest: str, array: ArrayConfig) -> OpenBus:
+    """``emulated:?name=value&...``; ``board=other.toml`` solders the emulated board by another file than the one in
+    use.
+
+    The emulator is imported by name: nothing else in this package knows that it exists.
+    """
+    query = dict(parse_qsl(rest.removeprefix("?"), keep_blank_values=True))
+    board = query.pop("board", None)
+    try:
+        bus = import_module("firmware_emulator").open_bus(query, array if board is None else load_array(board))
+    except ValueError as error:
+        raise BusUrlError(f"bus 'emulated:{rest}': {error}") from None
+    return cast(OpenBus, bus)
+
+
+_SCHEMES: dict[str, Callable[[str, ArrayConfig], OpenBus]] = {"i2c": _linux, "replay": _replay, "emulated": _emulated}
+
+_EXAMPLES = ("i2c:/dev/i2c-1", "replay:T.jsonl", "emulated:")

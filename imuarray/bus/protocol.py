@@ -1,0 +1,30 @@
+"""The boundary between the library and the wire: one method."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from typing import Protocol
+
+from imuarray.clock import Clock
+
+
+class Bus(Protocol):
+    """Anything that can carry one I2C transaction; a channel of a multiplexer is one too."""
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """One transaction: ``S address+W write... [Sr address+R read...] P``; the bytes that were read.
+
+        With nothing to write the transaction is ``S address+R read... P``, and ``transfer(address)`` alone, ``S
+        address+W P``, asks whether anybody answers. Raises OSError as Linux does: errno 6 or 121 when nobody
+        acknowledges, 110 when the clock is held too long."""
+
+
+class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):
+    """A bus that was opened from a URL, with the clock that its traffic obeys."""
+
+    clock: Clock
+    source: str
+    """What a log of it says of its origin: "i2c", "serial" or "emulated"."""
+
+    def channel_bus(self, path: str) -> Bus:
+        """The bus at `path`, for a sensor behind a kernel-driven mux channel; closed together with this one."""

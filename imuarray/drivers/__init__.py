@@ -1,0 +1,23 @@
+"""One driver a chip. To add a chip: its registers in `imuarray.facts`, its entry in `imuarray.chips`, a file here, a
+line below.
+"""
+
+from __future__ import annotations
+
+from imuarray.drivers.adxl345 import Adxl345
+from imuarray.drivers.bma180 import Bma180
+from imuarray.drivers.bmp180 import Bmp180
+from imuarray.drivers.driver import Decoded, Driver
+from imuarray.drivers.hmc5883 import Hmc5883
+from imuarray.drivers.l3g4200d import L3g4200d
+
+__all__ = ["DRIVERS", "Decoded", "Driver"]
+
+DRIVERS: dict[str, type[Driver]] = {
+    "adxl345": Adxl345,
+    "bma180": Bma180,
+    "l3g4200d": L3g4200d,
+    "bmp180": Bmp180,
+    "hmc5883": Hmc5883,
+    "hmc5883l": Hmc5883,
+}

@@ -1,0 +1,83 @@
+"""BMA180 accelerometer. Bosch data sheet v2.5 (2010); facts BMA-*.
+
+The image registers share bytes with factory trim and are locked: unlock with ee_w, read-modify-write, read back
+(BMA-51, section 2.10 of the facts). Writes are (register, value) pairs (BMA-05); nothing at or above 0x40 is ever
+written (BMA-55). Codes have 14 bits, left-justified, with a new-data flag in bit 0 of each low byte (BMA-60, BMA-62).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.array import SensorConfig
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock, sleep_for
+from imuarray.drivers.driver import Bytes, Decoded, registers_for, saturated
+from imuarray.facts import bma180 as facts
+from imuarray.log.format import STALE
+
+_RANGE_CODES = {
+    1.0: 0b000,
+    1.5: 0b001,
+    2.0: 0b010,
+    3.0: 0b011,
+    4.0: 0b100,
+    8.0: 0b101,
+    16.0: 0b110,
+}  # BMA-70 ... BMA-76
+_BANDWIDTH_CODES = {10.0: 0, 20.0: 1, 40.0: 2, 75.0: 3, 150.0: 4, 300.0: 5, 600.0: 6, 1200.0: 7}  # BMA-81 ... BMA-88
+_SOFT_RESET = 0xB6
+_EEPROM_DOWNLOAD_S = 0.020  # the 10 us of the data sheet are not enough: BMA-53
+_SLOWEST_SETTLING_S = 253 / 2400  # samples to settle at 10 Hz, the narrowest low-pass: BMA-81
+
+
+class Bma180:
+    """Driver of one BMA180."""
+
+    burst: ClassVar[int] = 7
+    tells_fresh: ClassVar[bool] = True
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        self.registers = registers_for(sensor, bus)
+        self.clock = clock
+        self.settings = (
+            facts.BANDWIDTH(_BANDWIDTH_CODES[sensor.chip_bandwidth_hz]),
+            facts.MODE_CONFIG(0b00),  # low noise: BMA-96
+            facts.SHADOW_DIS(0),  # low and high byte of an axis from one conversion: BMA-99
+            facts.RANGE(_RANGE_CODES[sensor.range or 2.0]) | facts.SMP_SKIP(0),
+        )
+
+    def identify(self) -> None:
+        """chip_id is 3 (BMA-10)."""
+        self.registers.expect(facts.CHIP_ID)
+
+    def configure(self) -> None:
+        """Reset, wait for the EEPROM download, unlock, change, read back, lock, let the filter settle."""
+        self.registers.poke(facts.RESET, _SOFT_RESET)
+        sleep_for(self.clock, _EEPROM_DOWNLOAD_S)
+        self.registers.change(facts.EE_W(1))
+        for setting in self.settings:
+            self.registers.change(setting)
+        for setting in self.settings:
+            self.registers.verify(setting)
+        self.registers.change(facts.EE_W(0))
+        sleep_for(self.clock, _SLOWEST_SETTLING_S)
+
+    def fetch(self) -> bytes:
+        """0x02 ... 0x08: x, y, z and temperature, low byte first, so that the shadow keeps each axis whole."""
+        return self.registers.peek(facts.ACC_X_LSB, self.burst)
+
+    def decode(self, bursts: Bytes) -> Decoded:
+        """Counts of 14 bits; temperature at 0.5 K per count, 0 at 24 degC (BMA-63); stale where no axis was new."""
+        words = np.ascontiguousarray(bursts[:, 0:6]).view("<i2")
+        counts = (words >> 2).astype(np.int16)
+        fresh = (words & facts.NEW_DATA_X.mask).any(axis=1)
+        status = saturated(counts, -8192, 8191) | np.where(fresh, 0, STALE).astype(np.uint16)
+        return Decoded(counts, bursts[:, 6].view(np.int8).astype(np.int16), status)
+
+    def header(self) -> Mapping[str, int]:
+        """Nothing of its own."""
+        return {}

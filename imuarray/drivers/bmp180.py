@@ -1,0 +1,143 @@
+"""BMP180 barometer. Bosch data sheet v2.8 (2015); facts BMP-*.
+
+It converts only when asked, temperature first, then pressure, into the same registers (BMP-48). Nobody waits for it:
+each call of `fetch` looks whether a conversion that was started earlier must be over by now, and starts the next. The
+compensation uses floor division throughout, which reproduces every printed intermediate value (BMP-64)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.array import SensorConfig
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock, sleep_for
+from imuarray.drivers.driver import Bytes, Decoded, registers_for
+from imuarray.errors import SensorError
+from imuarray.facts import bmp180 as facts
+
+_SOFT_RESET = 0xB6
+_START_UP_S = 0.010  # BMP-50
+_TEMPERATURE = 0x2E  # BMP-40
+_PRESSURE = 0xF4  # eight samples, the quietest: BMP-44
+_OVERSAMPLING = 3
+_TEMPERATURE_NS = 4_500_000  # longest conversions: BMP-40, BMP-44
+_PRESSURE_NS = 25_500_000
+_UNSIGNED = ("AC4", "AC5", "AC6")  # BMP-23 ... BMP-25
+
+Words = Mapping[str, int]
+Integers = npt.NDArray[np.int64]
+
+
+class Bmp180:
+    """Driver of one BMP180; one reading is an uncompensated temperature and an uncompensated pressure."""
+
+    burst: ClassVar[int] = 5
+    tells_fresh: ClassVar[bool] = True
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        self.registers = registers_for(sensor, bus)
+        self.clock = clock
+        self.period_ns = round(1e9 / sensor.chip_rate_hz)
+        self.words: Words = {}
+        self._due_ns = 0
+        self._done_ns = 0
+        self._converting = 0
+        self._temperature = b""
+
+    def identify(self) -> None:
+        """The identity register holds 0x55 (BMP-11)."""
+        self.registers.expect(facts.CHIP_ID)
+
+    def configure(self) -> None:
+        """Reset, then read the eleven calibration words; SensorError if one is 0 or 0xFFFF (BMP-31)."""
+        self.registers.poke(facts.SOFT_RESET, _SOFT_RESET)
+        sleep_for(self.clock, _START_UP_S)
+        block = self.registers.peek(facts.CALIBRATION, 2 * len(facts.CALIBRATION_WORDS))
+        self.words = calibration_words(block)
+        if bad := [name for name, word in self.words.items() if word in (0, 0xFFFF, -1)]:
+            raise SensorError(
+                f"{self.registers.label}: calibration word {bad[0]} reads {self.words[bad[0]]}: no BMP180"
+            )
+        self._due_ns, self._converting = self.clock.now_ns(), 0
+
+    def fetch(self) -> bytes:
+        """UT and UP, five bytes, when a pair is complete; empty otherwise. OSError (EIO) if a conversion is overdue
+        (BMP-46).
+        """
+        now_ns = self.clock.now_ns()
+        if self._converting == 0:
+            if now_ns >= self._due_ns:
+                self._due_ns = max(self._due_ns + self.period_ns, now_ns)
+                self._start(_TEMPERATURE, now_ns + _TEMPERATURE_NS)
+            return b""
+        if now_ns < self._done_ns:
+            return b""
+        started, self._converting = self._converting, 0
+        if started == _TEMPERATURE:
+            self._temperature = self._result(2)
+            self._start(_PRESSURE, self.clock.now_ns() + _PRESSURE_NS)
+            return b""
+        return self._temperature + self._result(3)
+
+    def _start(self, command: int, done_ns: int) -> None:
+        self.registers.poke(facts.CTRL_MEAS, command)
+        self._converting, self._done_ns = command, done_ns
+
+    def _result(self, count: int) -> bytes:
+        """`count` bytes of result, with the register in one burst that says whether the conversion is over."""
+        block = self.registers.peek(facts.CTRL_MEAS, 2 + count)
+        if facts.CONVERTING.of(block[0]):
+            raise OSError(5, f"{self.registers.label}: conversion not finished in time")
+        return block[2:]
+
+    def decode(self, bursts: Bytes) -> Decoded:
+        """UT and UP as counts, temperature in degC and pressure in Pa beside them (BMP-47)."""
+        wide = bursts.astype(np.int64)
+        ut = wide[:, 0] << 8 | wide[:, 1]
+        up = (wide[:, 2] << 16 | wide[:, 3] << 8 | wide[:, 4]) >> 8 - _OVERSAMPLING
+        temperature_degc, pressure_pa = compensate(ut, up, self.words, _OVERSAMPLING)
+        return Decoded(
+            np.stack([ut, up], axis=1).astype(np.int32),
+            None,
+            np.zeros(len(bursts), np.uint16),
+            {"temperature": temperature_degc, "pressure": pressure_pa},
+        )
+
+    def header(self) -> Mapping[str, int]:
+        """The calibration words, without which the counts mean nothing."""
+        return {**self.words, "oversampling": _OVERSAMPLING}
+
+
+def calibration_words(block: bytes) -> Words:
+    """The eleven words from the 22 bytes at 0xAA: most significant byte first, AC4 ... AC6 unsigned (BMP-20 ...
+    BMP-30).
+    """
+    return {
+        name: int.from_bytes(block[2 * index : 2 * index + 2], "big", signed=name not in _UNSIGNED)
+        for index, name in enumerate(facts.CALIBRATION_WORDS)
+    }
+
+
+def compensate(
+    ut: Integers, up: Integers, words: Words, oversampling: int
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Temperature (n,) in degC and pressure (n,) in Pa from the uncompensated readings (BMP-60 ... BMP-63)."""
+    x1 = (ut - words["AC6"]) * words["AC5"] >> 15
+    divisor = x1 + words["MD"]
+    x2 = (words["MC"] << 11) // np.where(divisor == 0, 1, divisor)  # a nonsense UT must not end the log: BMP-66
+    b5 = x1 + x2
+    b6 = b5 - 4000
+    square = b6 * b6 >> 12
+    b3 = (((words["AC1"] * 4 + (words["B2"] * square >> 11) + (words["AC2"] * b6 >> 11)) << oversampling) + 2) >> 2
+    x3 = ((words["AC3"] * b6 >> 13) + (words["B1"] * square >> 16) + 2) >> 2
+    b4 = words["AC4"] * (x3 + 32768) >> 15
+    b7 = (up - b3) * (50000 >> oversampling)
+    b4 = np.where(b4 == 0, 1, b4)
+    p = np.where(b7 < 0x80000000, 2 * b7 // b4, b7 // b4 * 2)
+    x1 = ((p >> 8) * (p >> 8)) * 3038 >> 16
+    p = p + ((x1 + (-7357 * p >> 16) + 3791) >> 4)
+    return (b5 + 8 >> 4) / 10.0, p.astype(np.float64)

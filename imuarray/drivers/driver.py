@@ -1,0 +1,67 @@
+"""What every driver is to the poll loop: configure once, fetch one burst per frame, decode many bursts at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.array import SensorConfig
+from imuarray.bus.protocol import Bus
+from imuarray.clock import Clock
+from imuarray.drivers.registers import Registers
+from imuarray.log.format import SATURATED
+
+Bytes = npt.NDArray[np.uint8]
+
+
+class Decoded(NamedTuple):
+    """What n bursts say.
+
+    counts (n, 3) int16 for triads, (n, 2) int32 for the barometer; temperature_counts (n,) int16 where the chip has a
+    thermometer; status (n,) uint16, flags of `imuarray.log.format` that the burst itself tells; `compensated`:
+    further columns in physical units by name, where the chip's own calibration gives them."""
+
+    counts: npt.NDArray[np.int16] | npt.NDArray[np.int32]
+    temperature_counts: npt.NDArray[np.int16] | None
+    status: npt.NDArray[np.uint16]
+    compensated: Mapping[str, npt.NDArray[np.float64]] = {}
+
+
+class Driver(Protocol):
+    """One chip, as the poll loop sees it."""
+
+    burst: ClassVar[int]
+    """Length of one fetched burst in bytes."""
+    tells_fresh: ClassVar[bool]
+    """True if the burst says whether the reading is new; otherwise the logger compares with the reading before."""
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None: ...
+
+    def identify(self) -> None:
+        """SensorError unless this very chip answers."""
+
+    def configure(self) -> None:
+        """Set the chip up from any state, and read back; SensorError if it does not keep what it was told."""
+
+    def fetch(self) -> bytes:
+        """One burst, one instant; empty if the chip has nothing to give yet. OSError as the bus gives it."""
+
+    def decode(self, bursts: Bytes) -> Decoded:
+        """Pure: what (n, burst) bytes say; the chip is not asked."""
+
+    def header(self) -> Mapping[str, int]:
+        """Attributes of the chip itself that its log needs (the barometer's calibration words)."""
+
+
+def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:
+    """The registers of `sensor` on `bus`, labelled for messages."""
+    return Registers(bus, sensor.address, f"{sensor.name} ({sensor.chip}) at {sensor.place}")
+
+
+def saturated(counts: npt.NDArray[np.int16], low: int, high: int) -> npt.NDArray[np.uint16]:
+    """Flag SATURATED for each row of (n, 3) counts with an axis at or beyond an end of the code span."""
+    at_end = ((counts <= low) | (counts >= high)).any(axis=1)
+    return np.where(at_end, SATURATED, 0).astype(np.uint16)
