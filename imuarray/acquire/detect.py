@@ -1,0 +1,84 @@
+"""What answers on a bus, and is it what the configuration says: every sensor is asked, none is changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from imuarray.acquire.stations import route
+from imuarray.array import ArrayConfig
+from imuarray.bus.mux import Pca9544a
+from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.errors import SensorError
+from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d, pca9544a
+from imuarray.facts.registers import Register
+
+# What an address may hold, and how it is told: the identity register and the value that proves it.
+_IDENTITIES: tuple[tuple[str, tuple[int, ...], Register], ...] = (
+    ("adxl345", adxl345.ADDRESSES, adxl345.DEVID),
+    ("bma180", bma180.ADDRESSES, bma180.CHIP_ID),
+    ("l3g4200d", l3g4200d.ADDRESSES, l3g4200d.WHO_AM_I),
+    ("bmp180", bmp180.ADDRESSES, bmp180.CHIP_ID),
+    ("hmc5883 or hmc5883l", hmc5883.ADDRESSES, hmc5883.IDENTITY_A),
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """One line of `detect`: a place, what the configuration wants there ("" if nothing), what answered, and whether
+    that is right.
+
+    A known chip of which the configuration says nothing has no `sensor` and no `expected`; it is not wrong, only
+    worth knowing."""
+
+    place: str
+    sensor: str
+    expected: str
+    found: str
+    ok: bool
+
+
+def detect(array: ArrayConfig, bus: OpenBus) -> list[Found]:
+    """Ask for every sensor of `array`, then look for chips that the configuration does not name."""
+    found = [_ask_mux(array, bus)] if array.mux else []
+    for station in route(array, bus):
+        sensor = station.sensor
+        try:
+            station.driver.identify()
+            found.append(Found(sensor.place, sensor.name, sensor.chip, sensor.chip, True))
+        except SensorError as error:
+            found.append(Found(sensor.place, sensor.name, sensor.chip, str(error).partition(": ")[2], False))
+    return found + _strangers(array, bus)
+
+
+def _ask_mux(array: ArrayConfig, bus: OpenBus) -> Found:
+    """Does the multiplexer answer?"""
+    address = array.mux.address if array.mux else 0
+    try:
+        control = bus.transfer(address, read=1)[0]
+        return Found(f"trunk address {address:#04x}", "mux", "pca9544a", f"pca9544a, control {control:#04x}", True)
+    except OSError as error:
+        return Found(f"trunk address {address:#04x}", "mux", "pca9544a", f"nobody: {error.strerror or error}", False)
+
+
+def _strangers(array: ArrayConfig, bus: OpenBus) -> list[Found]:
+    """Known chips at places of which the configuration says nothing; a chip on the trunk answers on every channel."""
+    segments: list[tuple[int | None, Bus]] = [(None, bus)]
+    if array.mux:
+        mux = Pca9544a(bus, array.mux.address)
+        segments = [(channel, mux.channel(channel)) for channel in pca9544a.CHANNELS]
+    taken = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
+    return [
+        Found(f"{'trunk' if channel is None else f'channel {channel}'} address {address:#04x}", "", "", chip, True)
+        for channel, segment in segments
+        for chip, addresses, register in _IDENTITIES
+        for address in addresses
+        if not taken & {(channel, address), (None, address)} and _answers(segment, address, register)
+    ]
+
+
+def _answers(segment: Bus, address: int, register: Register) -> bool:
+    """Does a chip with this identity sit at `address`?"""
+    try:
+        return segment.transfer(address, bytes([register.address]), 1)[0] == register.reset
+    except OSError:
+        return False

@@ -1,0 +1,69 @@
+"""Which sensor is reached how, and in which order a frame visits them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imuarray.array import ArrayConfig, SensorConfig
+from imuarray.bus.mux import Pca9544a
+from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.drivers import DRIVERS, Driver
+from imuarray.errors import SensorError
+
+
+@dataclass(frozen=True)
+class Station:
+    """One sensor, its driver, and the segment of the bus on which it sits (channels of one mux exclude each other)."""
+
+    sensor: SensorConfig
+    driver: Driver
+    segment: int | str | None
+
+
+def route(array: ArrayConfig, bus: OpenBus) -> list[Station]:
+    """A station for every sensor of `array`; nothing is sent yet."""
+    mux = Pca9544a(bus, array.mux.address) if array.mux else None
+    stations = []
+    for sensor in array.sensors:
+        segment: Bus = bus
+        if sensor.bus is not None:
+            segment = bus.channel_bus(sensor.bus)
+        elif mux is not None and sensor.channel is not None:
+            segment = mux.channel(sensor.channel)
+        driver = DRIVERS[sensor.chip](segment, sensor, bus.clock)
+        stations.append(Station(sensor, driver, sensor.bus or sensor.channel))
+    return stations
+
+
+def connect(array: ArrayConfig, bus: OpenBus) -> list[Station]:
+    """Identify and configure every sensor; SensorError names the first that is missing, wrong or refuses its
+    configuration.
+    """
+    stations = route(array, bus)
+    for station in stations:
+        station.driver.identify()
+    for station in stations:
+        try:
+            station.driver.configure()
+        except OSError as error:
+            name, place = station.sensor.name, station.sensor.place
+            raise SensorError(
+                f"{name} at {place}: the bus fails while it is configured: {error.strerror or error}"
+            ) from error
+    return stations
+
+
+def there_and_back(stations: Sequence[Station]) -> tuple[list[Station], list[Station]]:
+    """The visiting order of even and of odd frames: segment by segment, forth and back, so that a frame ends where
+    the next begins.
+
+    With k segments behind a mux a frame then needs k - 1 switches, the fewest there are. Inside a segment the order
+    of the configuration is kept in both directions, so that each sensor's readings stay evenly spaced."""
+    segments: dict[int | str | None, list[Station]] = {}
+    for station in stations:
+        segments.setdefault(station.segment, []).append(station)
+    groups = list(segments.values())
+    return [station for group in groups for station in group], [
+        station for group in reversed(groups) for station in group
+    ]
