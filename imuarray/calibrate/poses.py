@@ -1,0 +1,126 @@
+"""Static poses: stretches in which the box did not move, and what every sensor read in them.
+
+A log whose phases name the faces (`z_up`, `x_down`, ...) says itself where they are. Any other log is searched:
+windows of half a second in which the accelerometers hardly move, joined as long as their means agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import up_vector
+from imuarray.errors import CalibrationError
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import SATURATED, SUSPECT, Phase
+
+Floats = npt.NDArray[np.float64]
+
+WINDOW_S = 0.5
+MIN_POSE_S = 1.5
+SAME_POSE_G = 0.02
+"""Neighbouring windows whose means differ by more belong to two poses."""
+
+_BATCHES = 16
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One static stretch; `up_box` is known only for a named face."""
+
+    phase: Phase
+    up_box: tuple[float, float, float] | None
+
+    @property
+    def is_check(self) -> bool:
+        """A face that was read again to see the drift; it is not part of a fit."""
+        return self.phase.name.endswith("_check")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Mean counts (3,) of one sensor over one pose, their standard error (3,) and the number of rows."""
+
+    mean_lsb: Floats
+    sem_lsb: Floats
+    rows: int
+
+
+def named_faces(log: Log) -> list[Pose]:
+    """The poses that the log's own phases name, in file order."""
+    return [Pose(phase, up_vector(phase.up)) for phase in log.phases if phase.up and _is_face(phase.name)]
+
+
+def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
+    """What `sensor` read in `pose`; CalibrationError if it read nothing there.
+
+    The standard error comes from the means of batches, which neighbouring readings of one batch do not make too small.
+    Saturated and suspect readings are left out.
+    """
+    rows = sensor.between(pose.phase.start_ns, pose.phase.end_ns)
+    sound = (np.asarray(sensor.status[rows]) & (SATURATED | SUSPECT)) == 0
+    counts = np.asarray(sensor.counts[rows], float)[sound]
+    if len(counts) < 2:
+        raise CalibrationError(f"{sensor.where}: no sound readings in phase {pose.phase.name!r}")
+    batches = [batch.mean(axis=0) for batch in np.array_split(counts, min(_BATCHES, len(counts)))]
+    sem = np.std(batches, axis=0, ddof=1) / np.sqrt(len(batches))
+    return Reading(counts.mean(axis=0), sem, len(counts))
+
+
+def find_poses(log: Log) -> list[Pose]:
+    """Static stretches of a log that names none, found by its accelerometers, first and last window cut off."""
+    sensors = [sensor for sensor in log.of("specific_force") if len(sensor)]
+    if not sensors:
+        raise CalibrationError(f"{log.path}: no accelerometer, so nothing tells when the box stood still")
+    starts_ns, mean_g, std_g = _windows(sensors)
+    # Most logs are still for a good part of the time: the quiet quarter of the windows shows the noise at rest.
+    known = np.isfinite(std_g)
+    still = known & (std_g <= 2.5 * np.quantile(std_g[known], 0.25)) if known.any() else known
+    jump = np.abs(np.diff(mean_g, axis=0)).max(axis=1) > SAME_POSE_G
+    edges = np.flatnonzero(jump | (still[1:] != still[:-1])) + 1
+    width_ns = round(WINDOW_S * 1e9)
+    poses: list[Pose] = []
+    for run in np.split(np.arange(len(still)), edges):
+        if still[run[0]] and len(run) * WINDOW_S >= MIN_POSE_S:
+            margin_ns = width_ns if len(run) >= 5 else 0
+            start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + width_ns
+            poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None))
+    return poses
+
+
+def _is_face(name: str) -> bool:
+    """`z_up`, `x_down`, `y_up_check`, ..."""
+    axis, _, way = name.removesuffix("_check").partition("_")
+    return axis in ("x", "y", "z") and way in ("up", "down")
+
+
+def _windows(sensors: Sequence[SensorLog]) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+    """Start (w,), mean (w, 3) and largest standard deviation (w,) of every window, in g, averaged over the sensors.
+
+    Each sensor's axes are turned into the box frame first, so that what moves is the box and not one chip.
+    """
+    width_ns = round(WINDOW_S * 1e9)
+    begin = max(int(sensor.time[0]) for sensor in sensors)
+    end = min(int(sensor.time[len(sensor) - 1]) for sensor in sensors)
+    count = max(0, (end - begin) // width_ns)
+    if count < 4:
+        raise CalibrationError(
+            f"{sensors[0].where}: {(end - begin) * 1e-9:.1f} s of data, too short to hold several poses"
+        )
+    means, spreads = np.zeros((count, 3)), np.zeros((count, 3))
+    for sensor in sensors:
+        sums, squares, rows = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
+        for block in sensor.blocks():
+            window = (np.asarray(sensor.time[block]) - begin) // width_ns
+            inside = (window >= 0) & (window < count)
+            value = np.asarray(sensor.counts[block], float)[inside] / sensor.sensitivity @ sensor.orientation.T
+            np.add.at(sums, window[inside], value)
+            np.add.at(squares, window[inside], value**2)
+            np.add.at(rows, window[inside], 1)
+        spreads[rows < 2] = np.inf  # nothing is known of a window in which a sensor read nothing
+        rows = np.maximum(rows, 1)[:, None]
+        means += sums / rows / len(sensors)
+        spreads += np.sqrt(np.maximum(squares / rows - (sums / rows) ** 2, 0)) / len(sensors)
+    return begin + width_ns * np.arange(count), means, spreads.max(axis=1)
