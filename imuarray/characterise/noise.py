@@ -1,0 +1,165 @@
+"""Streaming statistics of a sensor at rest: mean, spread, correlation from row to row, codes and flags.
+
+Rows are read in batches and blocks, never all at once, and the parts are merged (Chan, Golub and LeVeque, "Updating
+formulae and a pairwise algorithm for computing sample variances", 1979).
+
+Stale, saturated and suspect rows are left out of mean, spread and correlation: a stale row is the one before again and
+no new reading, a suspect one may be in other units, a saturated one is cut off. Leaving saturated rows out makes the
+spread too small, so the number of such rows stands beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.log import SensorLog
+from imuarray.log.format import FLAGS, SATURATED, STALE, SUSPECT
+
+Vector = npt.NDArray[np.float64]
+
+LEFT_OUT = STALE | SATURATED | SUSPECT
+"""Rows with one of these flags don't count as readings."""
+
+BATCHES = 32
+"""The standard error of the mean comes from the scatter of so many batch means."""
+
+_MIN_BATCH = 8
+_BLOCK = 1 << 16
+
+
+@dataclass(frozen=True)
+class NoiseStatistics:
+    """One sensor's rows at rest, in counts, per column (k,); nan where there are too few rows to tell.
+
+    `rows` looked at, `used` of them; `flags` rows per flag of the log. `mean` and `std` (about that mean, n - 1) of the
+    used rows; `sem` the standard error of the mean, from the scatter of the means of up to 32 equally long batches, and
+    so with all correlation that dies out within a batch; `lag1` the autocorrelation of one used row and the next;
+    `even_share` the share of even codes among the used rows.
+    """
+
+    rows: int
+    used: int
+    flags: Mapping[str, int]
+    mean: Vector
+    std: Vector
+    sem: Vector
+    lag1: Vector
+    even_share: Vector
+
+
+class _Moments(NamedTuple):
+    """Number of rows, their mean (k,) and the sum of squares about it (k,)."""
+
+    number: int
+    mean: Vector
+    squares: Vector
+
+    def merge(self, other: _Moments) -> _Moments:
+        """The moments of both together."""
+        number = self.number + other.number
+        if number == 0:
+            return self
+        apart = other.mean - self.mean
+        mean = self.mean + apart * (other.number / number)
+        squares = self.squares + other.squares + apart**2 * (self.number * other.number / number)
+        return _Moments(number, mean, squares)
+
+
+class _Pairs(NamedTuple):
+    """Neighbouring rows about a fixed origin: how many, sum of both rows' values and sum of their products (k,)."""
+
+    number: int
+    both: Vector
+    product: Vector
+
+    def merge(self, other: _Pairs) -> _Pairs:
+        """The sums of both together."""
+        return _Pairs(self.number + other.number, self.both + other.both, self.product + other.product)
+
+    def covariance(self, offset: Vector) -> Vector:
+        """Mean product about a mean that lies `offset` from the origin."""
+        return (self.product - offset * self.both) / self.number + offset**2
+
+
+def noise_statistics(sensor: SensorLog, rows: slice) -> NoiseStatistics:
+    """Statistics of a sensor's `rows`, which should be a stretch at rest."""
+    zeros = np.zeros(int(sensor.counts.shape[1]))
+    total, pairs, even = _Moments(0, zeros, zeros), _Pairs(0, zeros, zeros), zeros
+    flags = dict.fromkeys(FLAGS, 0)
+    means: list[Vector] = []
+    origin: Vector | None = None
+    for batch in _batches(rows):
+        in_batch = _Moments(0, zeros, zeros)
+        for kept in _used_rows(sensor, batch, flags):
+            origin = kept.mean(axis=0) if origin is None else origin
+            in_batch = in_batch.merge(_moments(kept))
+            pairs = pairs.merge(_pairs(kept - origin))
+            even = even + np.count_nonzero((kept & 1) == 0, axis=0)
+        total = total.merge(in_batch)
+        if in_batch.number:
+            means.append(in_batch.mean)
+    offset = zeros if origin is None else total.mean - origin
+    return _finish(_Sums(rows.stop - rows.start, flags, total, pairs, even, means, offset))
+
+
+def _used_rows(sensor: SensorLog, rows: slice, flags: dict[str, int]) -> Iterator[npt.NDArray[np.int64]]:
+    """Counts (n, k) of the rows that count as readings, a block at a time; flagged rows are added up in `flags`."""
+    for start in range(rows.start, rows.stop, _BLOCK):
+        part = slice(start, min(start + _BLOCK, rows.stop))
+        status = np.asarray(sensor.status[part])
+        for name, flag in FLAGS.items():
+            flags[name] += int(np.count_nonzero(status & flag))
+        kept = np.asarray(sensor.counts[part], np.int64)[(status & LEFT_OUT) == 0]
+        if len(kept):
+            yield kept
+
+
+def _batches(rows: slice) -> Iterator[slice]:
+    """Equally long slices that cover `rows`: 32, or fewer of at least 8 rows, but at least one."""
+    count = max(1, min(BATCHES, (rows.stop - rows.start) // _MIN_BATCH))
+    edges = np.linspace(rows.start, rows.stop, count + 1).round().astype(int).tolist()
+    return (slice(start, stop) for start, stop in pairwise(edges) if stop > start)
+
+
+def _moments(rows: npt.NDArray[np.int64]) -> _Moments:
+    mean = rows.mean(axis=0)
+    return _Moments(len(rows), mean, ((rows - mean) ** 2).sum(axis=0))
+
+
+def _pairs(rows: Vector) -> _Pairs:
+    """Sums over every row and the next (the pair across two blocks is not looked at)."""
+    first, second = rows[:-1], rows[1:]
+    return _Pairs(len(first), (first + second).sum(axis=0), (first * second).sum(axis=0))
+
+
+class _Sums(NamedTuple):
+    """All that a pass over the rows collects; `offset` (k,) is where the mean lies from the origin of `pairs`."""
+
+    rows: int
+    flags: Mapping[str, int]
+    total: _Moments
+    pairs: _Pairs
+    even: Vector
+    means: list[Vector]
+    offset: Vector
+
+
+def _finish(sums: _Sums) -> NoiseStatistics:
+    """From sums to statistics; nan for what so few rows don't tell."""
+    used, squares = sums.total.number, sums.total.squares
+    std = sem = lag1 = mean = share = np.full(len(squares), np.nan)
+    if used:
+        mean, share = sums.total.mean, sums.even / used
+    if used > 1:
+        std = np.sqrt(squares / (used - 1))
+    if len(sums.means) > 1:
+        sem = np.std(sums.means, axis=0, ddof=1) / np.sqrt(len(sums.means))
+    if sums.pairs.number:
+        lag1 = sums.pairs.covariance(sums.offset) / np.where(squares > 0, squares / used, np.nan)
+    return NoiseStatistics(sums.rows, used, sums.flags, mean, std, sem, lag1, share)

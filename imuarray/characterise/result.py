@@ -1,0 +1,185 @@
+"""Everything that is known of a log's sensors at rest, as one JSON-ready object.
+
+Values are in counts; `unit_per_count` and `si_per_count` turn them into the sensor's unit and into SI by the data
+sheet's typical sensitivity (null where the log has none). Statistics and coefficients stand in all three.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.characterise.allan import CONFIDENCE, AllanCurve, allan_deviation
+from imuarray.characterise.coefficients import floor, white_noise
+from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
+from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
+from imuarray.errors import LogError
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import FLAGS
+from imuarray.units import SI_NAME, SI_PER_UNIT
+
+MIN_ROWS = 9
+"""A run shorter than this gives no Allan deviation: not even two octaves."""
+
+Progress = Callable[[], None]
+
+
+def characterise_log(
+    log: Log, phase: str | None = None, sensors: Sequence[str] | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Noise of the triads of `log` (or of the `sensors` named, of any kind) in one stretch at rest.
+
+    `phase` names the stretch; without it the longest phase at rest is taken, or the whole log; `stretch` says which.
+    `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads.
+    """
+    chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
+    if not chosen:
+        raise LogError(f"{log.path}: no accelerometer, gyroscope or magnetometer in it")
+    stretch = choose_stretch(log, phase)
+    result = {
+        "log": str(log.path),
+        "source": log.source,
+        "software": log.software,
+        "stretch": _stretch(stretch),
+        "confidence": CONFIDENCE,
+        "left_out_of_statistics": [name for name, flag in FLAGS.items() if flag & LEFT_OUT],
+        "sensors": [_sensor(sensor, stretch, progress or _nothing) for sensor in chosen],
+    }
+    return {name: json_ready(value) for name, value in result.items()}
+
+
+def _nothing() -> None:
+    pass
+
+
+def json_ready(value: Any) -> Any:
+    """The same in plain lists, numbers and text; what is not a finite number is None."""
+    if isinstance(value, dict):
+        return {name: json_ready(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return json_ready(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _stretch(stretch: Stretch) -> dict[str, Any]:
+    return {
+        "phase": stretch.phase,
+        "up": stretch.up,
+        "start_s": stretch.start_ns * 1e-9,
+        "end_s": stretch.end_ns * 1e-9,
+        "chosen_by": stretch.chosen_by,
+    }
+
+
+def _sensor(sensor: SensorLog, stretch: Stretch, progress: Progress) -> dict[str, Any]:
+    """One sensor: what it is, its times and flags, and its axes."""
+    rows = sensor.between(stretch.start_ns, stretch.end_ns)
+    timing = find_timing(sensor, rows)
+    statistics = noise_statistics(sensor, rows)
+    run = _run(sensor, timing)
+    count = statistics.rows or math.nan
+    return {
+        **_identity(sensor),
+        "rows": statistics.rows,
+        "rows_used": statistics.used,
+        "flags": dict(statistics.flags),
+        "stale_share": statistics.flags["stale"] / count,
+        "rate_hz": 1 / run["interval_s"],
+        "median_interval_s": timing.interval_s,
+        "gaps": timing.gaps,
+        "largest_gap_s": timing.largest_gap_s,
+        "allan_run": run | {"left_out_share": 1 - run["rows"] / count},
+        "axes": _axes(sensor, timing, run["interval_s"], statistics, progress),
+    }
+
+
+def _identity(sensor: SensorLog) -> dict[str, Any]:
+    """What the log says of a sensor, and its scale."""
+    per_count = _per_count(sensor)
+    return {
+        "name": sensor.name,
+        "chip": sensor.chip,
+        "quantity": sensor.quantity,
+        "range": sensor.range,
+        "unit": sensor.unit,
+        "si_unit": SI_NAME[sensor.unit],
+        "unit_per_count": per_count,
+        "si_per_count": per_count * SI_PER_UNIT[sensor.unit],
+    }
+
+
+def _per_count(sensor: SensorLog) -> float:
+    return 1 / sensor.sensitivity if sensor.sensitivity else math.nan
+
+
+def _axes(
+    sensor: SensorLog, timing: Timing, interval_s: float, statistics: NoiseStatistics, progress: Progress
+) -> list[dict[str, Any]]:
+    """Every column: its statistics, and its Allan deviation over the unbroken run if that is long enough."""
+    counts = np.asarray(sensor.counts[timing.run])
+    per_count = _per_count(sensor)
+    scales = {"counts": 1.0, "unit": per_count, "si": per_count * SI_PER_UNIT[sensor.unit]}
+    axes = []
+    for column, name in enumerate(_columns(sensor)):
+        curve = allan_deviation(counts[:, column], interval_s) if len(counts) >= MIN_ROWS else None
+        axes.append(_axis(name, column, statistics, curve, scales))
+        progress()
+    return axes
+
+
+def _run(sensor: SensorLog, timing: Timing) -> dict[str, Any]:
+    """The rows that the Allan deviation is taken of; `interval_s` is their mean interval, which tau is counted in.
+
+    The mean and not the median: an array that is scanned to and fro has a short and a long interval in turn.
+    """
+    first, last = timing.run.start, timing.run.stop - 1
+    if last <= first:
+        return {"start_s": math.nan, "end_s": math.nan, "rows": last + 1 - first, "interval_s": math.nan}
+    start, end = int(sensor.time[first]), int(sensor.time[last])
+    interval_s = (end - start) * 1e-9 / (last - first)
+    return {"start_s": start * 1e-9, "end_s": end * 1e-9, "rows": last + 1 - first, "interval_s": interval_s}
+
+
+def _columns(sensor: SensorLog) -> list[str]:
+    """What the columns are called: x, y, z, or what the log says."""
+    count = int(sensor.counts.shape[1])
+    if sensor.is_triad:
+        return ["x", "y", "z"]
+    stored: npt.NDArray[Any] = np.atleast_1d(sensor.attributes.get("columns", ()))
+    names = [item.decode() if isinstance(item, bytes) else str(item) for item in stored.tolist()]
+    return names if len(names) == count else [str(index) for index in range(count)]
+
+
+def _axis(
+    name: str, column: int, statistics: NoiseStatistics, curve: AllanCurve | None, scales: dict[str, float]
+) -> dict[str, Any]:
+    """One axis: statistics and coefficients in counts, in the sensor's unit and in SI, and the curve in counts."""
+    white = curve and white_noise(curve.tau_s, curve.deviation, curve.freedom)
+    lowest = curve and floor(curve.tau_s, curve.deviation, curve.low, curve.high, curve.freedom)
+    values = {
+        "mean": float(statistics.mean[column]),
+        "std": float(statistics.std[column]),
+        "sem": float(statistics.sem[column]),
+        "noise_density": white.density if white else math.nan,
+        "noise_density_one_sided": white.density * math.sqrt(2) if white else math.nan,
+        "bias_instability": lowest.instability if lowest else math.nan,
+        "bias_instability_low": lowest.low if lowest else math.nan,
+        "bias_instability_high": lowest.high if lowest else math.nan,
+    }
+    return {
+        "axis": name,
+        **{unit: {key: value * scale for key, value in values.items()} for unit, scale in scales.items()},
+        "lag1": float(statistics.lag1[column]),
+        "even_share": float(statistics.even_share[column]),
+        "noise_density_tau_s": [white.shortest_s, white.longest_s] if white else None,
+        "bias_instability_tau_s": lowest.tau_s if lowest else None,
+        "bias_instability_is_bound": lowest.is_bound if lowest else None,
+        "allan": asdict(curve) if curve else None,
+    }

@@ -1,0 +1,119 @@
+"""Which part of a log is looked at: a phase at rest, and within it the longest run of rows at a steady interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import LogError
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT, Phase
+
+STILL_NAMES = frozenset({"static", "room"})
+"""Phases at rest by their name; one that says which axis is up is at rest too."""
+
+FACE_NAMES = frozenset(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
+
+GAP = 1.5
+"""An interval longer than this many median intervals is a gap."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The part of a log that is characterised: a phase, or all of it (`phase` None); `chosen_by` says why this one."""
+
+    start_ns: int
+    end_ns: int
+    phase: str | None
+    up: str
+    chosen_by: str
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The times of one sensor's rows: median and longest interval (nan with fewer than 2 rows), number of gaps, and the
+    longest run of rows without a gap, lost readings, or a chip in doubt."""
+
+    interval_s: float
+    largest_gap_s: float
+    gaps: int
+    run: slice
+
+
+def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
+    """The longest phase called `phase`; without a name the longest phase at rest, or the whole log if none is.
+
+    LogError if no phase has that name.
+    """
+    if phase is not None:
+        named = [item for item in log.phases if item.name == phase]
+        if not named:
+            known = ", ".join(dict.fromkeys(item.name for item in log.phases))
+            raise LogError(f"{log.path}: no phase {phase!r}; it has {known or 'no phases'}")
+        return _stretch(named, "named")
+    still = [item for item in log.phases if _at_rest(item)]
+    return _stretch(still, "longest phase at rest") if still else _whole(log)
+
+
+def _at_rest(phase: Phase) -> bool:
+    return bool(phase.up) or phase.name in STILL_NAMES or phase.name.removesuffix("_check") in FACE_NAMES
+
+
+def _stretch(phases: list[Phase], chosen_by: str) -> Stretch:
+    longest = max(phases, key=lambda phase: phase.end_ns - phase.start_ns)
+    return Stretch(longest.start_ns, longest.end_ns, longest.name, longest.up, chosen_by)
+
+
+def _whole(log: Log) -> Stretch:
+    sensors = [sensor for sensor in log.sensors.values() if len(sensor)]
+    start = min((int(sensor.time[0]) for sensor in sensors), default=0)
+    end = max((int(sensor.time[-1]) + 1 for sensor in sensors), default=0)
+    return Stretch(start, end, None, "", "no phase at rest: the whole log")
+
+
+def find_timing(sensor: SensorLog, rows: slice, block: int = 1 << 16) -> Timing:
+    """Median interval, gaps and longest unbroken run of `rows`, read `block` rows at a time.
+
+    A run ends at a gap, where readings were lost or the chip was set up again, and at every row in which the chip is in
+    doubt. The median of more than `block` rows is the median of the blocks' medians. LogError if time doesn't increase.
+    """
+    if rows.stop - rows.start < 2:
+        return Timing(float("nan"), float("nan"), 0, rows)
+    median = float(np.median([np.median(_intervals(sensor, part)) for part in _parts(rows, block)]))
+    gaps, largest, begin, best = 0, 0, rows.start, slice(rows.start, rows.start)
+    for part in _parts(rows, block):
+        intervals = _intervals(sensor, part)
+        wide = intervals > GAP * median
+        gaps += int(np.count_nonzero(wide))
+        largest = max(largest, int(intervals.max()))
+        for row in (part.start + 1 + np.flatnonzero(wide | _broken(sensor, part))).tolist():
+            best = max(best, slice(begin, row), key=_length)
+            begin = row
+    return Timing(median * 1e-9, largest * 1e-9, gaps, max(best, slice(begin, rows.stop), key=_length))
+
+
+def _parts(rows: slice, block: int) -> list[slice]:
+    """Slices that cover `rows` and share their end rows, so that every interval is in exactly one."""
+    return [slice(start, min(start + block + 1, rows.stop)) for start in range(rows.start, rows.stop - 1, block)]
+
+
+def _intervals(sensor: SensorLog, part: slice) -> npt.NDArray[np.int64]:
+    time = np.asarray(sensor.time[part], np.int64)
+    intervals = time[1:] - time[:-1]
+    if intervals.min() <= 0:
+        raise LogError(f"{sensor.where}: time does not increase at row {part.start + 1 + int(intervals.argmin())}")
+    return intervals
+
+
+def _broken(sensor: SensorLog, part: slice) -> npt.NDArray[np.bool_]:
+    """For every row but the first: the flags say that it doesn't continue the one before."""
+    status = np.asarray(sensor.status[part])
+    doubt = (status & SUSPECT) != 0
+    broken: npt.NDArray[np.bool_] = ((status[1:] & (LOST_BEFORE | RECONFIGURED)) != 0) | doubt[1:] | doubt[:-1]
+    return broken
+
+
+def _length(rows: slice) -> int:
+    return int(rows.stop - rows.start)

@@ -1,0 +1,102 @@
+"""The noise table for a person: at most 110 columns, one block per quantity, in the sensor's unit."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+WIDTH = 110
+
+_HEAD = (
+    f"{'sensor':12} {'axis':4} {'mean':>10} {'std':>9} {'std':>8} {'error of':>9} {'N':>9} {'B':>10} {'at tau':>7} "
+    f"{'lag-1':>6} {'even':>5} {'stale':>6}"
+)
+_ROWS_HEAD = (
+    f"{'sensor':12} {'chip':9} {'range':12} {'rate Hz':>7} {'rows':>9} {'gaps':>5} {'max ms':>9}  Allan deviation from"
+)
+_NOTES = (
+    "error of the mean: its standard error, correlation allowed for. N: density of the white noise, two-sided "
+    "(IEEE Std 952); a data sheet's one-sided figure is 1.41 N. B: lowest point of the Allan deviation / 0.664; "
+    "'<' where the curve still falls at its end, so that B is a bound. Means are raw: bias, and for an "
+    "accelerometer gravity, are in them. Units by the data sheet's typical sensitivity."
+)
+
+
+def render_text(result: Mapping[str, Any]) -> str:
+    """The result of `characterise_log` as lines of text, the last one ended."""
+    lines = list(_heading(result))
+    for quantity in dict.fromkeys(sensor["quantity"] for sensor in result["sensors"]):
+        sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] == quantity]
+        lines += ["", *_table(quantity, sensors)]
+    lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
+    return "\n".join([*lines, "", *_wrapped(_NOTES), ""])
+
+
+def _wrapped(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH)
+
+
+def _heading(result: Mapping[str, Any]) -> Iterator[str]:
+    """Which log, which stretch, and a warning if nothing says that the box stood still."""
+    stretch = result["stretch"]
+    emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
+    yield from _wrapped(f"{result['log']}{emulated}")
+    phase = f"phase {stretch['phase']!r}, " if stretch["phase"] is not None else ""
+    up = f", {stretch['up']} up" if stretch["up"] else ""
+    yield from _wrapped(f"{phase}{stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s{up} ({stretch['chosen_by']})")
+    if stretch["phase"] is None:
+        yield "no phase says that the box stood still: motion, if there was any, counts as noise here"
+
+
+def _table(quantity: str, sensors: list[Mapping[str, Any]]) -> Iterator[str]:
+    unit = sensors[0]["unit"]
+    title = quantity.replace("_", " ")
+    yield f"{title} in {unit}; N in {unit}/sqrt(Hz); the second std in counts; tau in s; shares in %"
+    yield _HEAD
+    yield f"{'':12} {'':4} {'':>10} {'':>9} {'counts':>8} {'the mean':>9}"
+    for sensor in sensors:
+        yield from (_line(sensor, axis) for axis in sensor["axes"])
+
+
+def _line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
+    """One axis; in counts if the log has no sensitivity."""
+    values = axis["unit"] if sensor["unit_per_count"] is not None else axis["counts"]
+    bound = "<" if axis["bias_instability_is_bound"] else ""
+    return (
+        f"{_cut(sensor['name'], 12):12} {_cut(axis['axis'], 4):4} {_number(values['mean'], 4):>10} "
+        f"{_number(values['std'], 4):>9} {_number(axis['counts']['std'], 4):>8} {_number(values['sem']):>9} "
+        f"{_number(values['noise_density']):>9} {bound + _number(values['bias_instability']):>10} "
+        f"{_number(axis['bias_instability_tau_s']):>7} {_fixed(axis['lag1'], 3):>6} "
+        f"{_fixed(axis['even_share'], 1, 100):>5} {_fixed(sensor['stale_share'], 2, 100):>6}"
+    )
+
+
+def _cut(name: str, width: int) -> str:
+    return name if len(name) <= width else name[: width - 1] + "~"
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def _fixed(value: float | None, digits: int, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{value * factor:.{digits}f}"
+
+
+def _rows(sensor: Mapping[str, Any]) -> Iterator[str]:
+    """Rate, rows, gaps, what the Allan deviation was taken of, and below them what the log flags."""
+    run, scale = sensor["allan_run"], f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else ""
+    taken = any(axis["allan"] for axis in sensor["axes"])
+    stretch = f"{run['rows']} rows, {run['start_s']:.1f} s to {run['end_s']:.1f} s" if taken else "too few rows"
+    longest_ms = None if sensor["largest_gap_s"] is None else sensor["largest_gap_s"] * 1e3
+    name, chip = _cut(sensor["name"], 12), _cut(sensor["chip"], 9)
+    yield (
+        f"{name:12} {chip:9} {_cut(scale, 12):12} {_number(sensor['rate_hz'], 4):>7} {sensor['rows']:>9} "
+        f"{sensor['gaps']:>5} {_number(longest_ms, 4):>9}  {stretch}"
+    )
+    if sensor["rows"] > run["rows"] > 1:
+        yield f"{'':12} of all rows {_fixed(run['left_out_share'], 1, 100)} % left out of the Allan deviation"
+    flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items() if count)
+    if flags:
+        yield f"{'':12} {flags}"

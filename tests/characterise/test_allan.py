@@ -1,0 +1,173 @@
+"""The overlapping Allan deviation against other implementations, exact arithmetic and closed forms."""
+
+from __future__ import annotations
+
+import warnings
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.stats import binom
+
+from imuarray.characterise import allan_deviation
+from imuarray.characterise.allan import octaves
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # allantools warns of its own dependencies when it is imported
+    import allantools
+
+
+def oadev(values: np.ndarray, rate: float, taus: np.ndarray) -> Any:
+    return allantools.oadev(values, rate=rate, data_type="freq", taus=taus)
+
+
+def test_riley_1000_points() -> None:
+    """The 1000-point suite of NIST SP 1065 ("Test suites"): a Lehmer generator, overlapping deviations as printed."""
+    state = [1234567890]
+    for _ in range(999):
+        state.append(16807 * state[-1] % 2147483647)
+    curve = allan_deviation(np.array(state) / 2147483647, 1.0, [1, 10, 100])
+    assert [f"{value:.6e}" for value in curve.deviation] == ["2.922319e-01", "9.159953e-02", "3.241343e-02"]
+
+
+def test_nbs_nine_points() -> None:
+    """The nine values of NBS Monograph 140, annex 8.E, as SP 1065 prints their overlapping deviations."""
+    curve = allan_deviation([892, 809, 823, 798, 671, 644, 883, 903, 677], 1.0, [1, 2])
+    assert [f"{value:.5f}" for value in curve.deviation] == ["91.22945", "85.95287"]
+    assert curve.terms.tolist() == [8, 6]
+
+
+@pytest.mark.parametrize("rows", [60, 8191, 8193, 100_003])
+@pytest.mark.parametrize("kind", ["float", "counts"])
+def test_equals_allantools(rows: int, kind: str) -> None:
+    values = 1000 + 30 * np.random.default_rng(rows).normal(size=rows)
+    values = values if kind == "float" else np.rint(values).astype(np.int16)
+    curve = allan_deviation(values, 0.02)
+    taus, expected, _, terms = oadev(values.astype(float), 50.0, curve.tau_s)
+    np.testing.assert_allclose(curve.tau_s[: len(taus)], taus, rtol=1e-12)
+    np.testing.assert_allclose(curve.deviation[: len(taus)], expected, rtol=1e-12)
+    np.testing.assert_array_equal(curve.terms[: len(taus)], terms)
+    assert len(taus) >= len(octaves(rows)) - 1
+
+
+@settings(deadline=None)
+@given(
+    hnp.arrays(np.int16, st.integers(2, 40), elements=st.integers(-(2**15), 2**15 - 1)),
+    st.data(),
+)
+def test_counts_are_exact(values: np.ndarray, data: st.DataObject) -> None:
+    """Against the definition as a difference of neighbouring averages, in rational numbers."""
+    m = data.draw(st.integers(1, len(values) // 2))
+    whole = [int(value) for value in values]
+    means = [Fraction(sum(whole[start : start + m]), m) for start in range(len(whole) - m + 1)]
+    apart = [(late - early) ** 2 for early, late in zip(means, means[m:], strict=False)]
+    variance = sum(apart, Fraction(0)) / (2 * len(apart))
+    curve = allan_deviation(values, 1.0, [m])
+    assert curve.deviation[0] == pytest.approx(float(variance) ** 0.5, rel=4e-16)
+    assert curve.terms[0] == len(apart)
+
+
+def test_counts_stay_exact_on_a_large_mean() -> None:
+    """Sums beyond 2^53, where float64 would lose counts, and sums that wrap round int64 don't change the result."""
+    noise = np.random.default_rng(1).integers(-3, 4, 5000)
+    expected = allan_deviation(noise, 1.0).deviation
+    for offset in (2**50, 2**61):
+        np.testing.assert_array_equal(allan_deviation(noise + offset, 1.0).deviation, expected)
+
+
+def test_wide_whole_numbers_fall_back_to_floating_point() -> None:
+    values = np.array([0, 2**62, 0, 2**62, 0, 2**62], np.uint64)
+    assert allan_deviation(values, 1.0, [1]).deviation[0] == pytest.approx(2**62 / 2**0.5, rel=1e-12)
+    assert allan_deviation(values, 1.0, [2]).deviation[0] == 0
+
+
+@settings(deadline=None)
+@given(
+    hnp.arrays(
+        np.float64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=30), elements=st.floats(-1e3, 1e3)
+    ),
+    st.floats(1e-3, 1e3),
+)
+def test_columns_are_independent(values: np.ndarray, interval_s: float) -> None:
+    curve = allan_deviation(values, interval_s)
+    shape = (len(octaves(len(values))), values.shape[1])
+    for part in (curve.deviation, curve.low, curve.high, curve.freedom, curve.noise):
+        assert part.shape == shape
+    assert curve.tau_s.shape == curve.terms.shape == shape[:1]
+    for column in range(values.shape[1]):
+        alone = allan_deviation(values[:, column].copy(), interval_s)
+        np.testing.assert_array_equal(alone.deviation, curve.deviation[:, column])
+        np.testing.assert_array_equal(alone.noise, curve.noise[:, column])
+    assert (curve.low <= curve.deviation).all() and (curve.deviation <= curve.high).all()
+    assert (curve.freedom >= 1 - 1e-9).all()
+
+
+@settings(deadline=None)
+@given(hnp.arrays(np.int32, st.integers(2, 60), elements=st.integers(-1000, 1000)), st.integers(-(10**6), 10**6))
+def test_offset_and_scale(values: np.ndarray, offset: int) -> None:
+    deviation = allan_deviation(values, 1.0).deviation
+    np.testing.assert_array_equal(allan_deviation(values + offset, 1.0).deviation, deviation)
+    np.testing.assert_array_equal(allan_deviation(values * -4, 1.0).deviation, 4 * deviation)
+
+
+def test_ramp_and_alternation() -> None:
+    """A drift of 1 a row gives m / sqrt(2); one that alternates by 2 gives sqrt(2) at m = 1 and 0 at even m."""
+    ramp = allan_deviation(np.arange(1000), 1.0, [1, 7, 100])
+    np.testing.assert_allclose(ramp.deviation, np.array([1, 7, 100]) / 2**0.5, rtol=1e-14)
+    alternating = allan_deviation(np.tile([0, 2], 50), 1.0, [1, 2, 4])
+    np.testing.assert_allclose(alternating.deviation, [2**0.5, 0, 0], rtol=1e-14)
+    assert alternating.low[1] == alternating.high[1] == 0
+
+
+REPEATS, ROWS, FACTORS = 400, 1024, (1, 4, 32, 128)
+WHITE = [1 / m for m in FACTORS]
+WALK = [(2 * m * m + 1) / (6 * m) for m in FACTORS]
+"""Allan variances of unit white noise and of its running sum; the latter tends to m / 3."""
+
+
+@pytest.mark.parametrize(("truth", "sums", "seed"), [(WHITE, 0, 11), (WALK, 1, 12)], ids=["white", "random walk"])
+def test_closed_forms_and_coverage(truth: list[float], sums: int, seed: int) -> None:
+    """400 replicates: mean within 5 standard errors; 95 % intervals cover as often as a binomial allows.
+
+    Each count has a chance below 1e-6 to leave its limits if coverage lies between 93 % and 97 % (noise types are told
+    from the data and the distribution is not quite chi-squared, so that 95 % is not exact).
+    """
+    noise = np.random.default_rng(seed).normal(size=(ROWS, REPEATS))
+    curve = allan_deviation(np.cumsum(noise, axis=0) if sums else noise, 1.0, FACTORS)
+    for row, variance in enumerate(truth):
+        squares = curve.deviation[row] ** 2
+        assert abs(squares.mean() - variance) < 5 * squares.std() / REPEATS**0.5
+        covered = int(((curve.low[row] ** 2 <= variance) & (variance <= curve.high[row] ** 2)).sum())
+        assert binom.ppf(1e-6, REPEATS, 0.93) <= covered <= binom.isf(1e-6, REPEATS, 0.97)
+
+
+@pytest.mark.parametrize(
+    ("values", "interval_s", "factors", "message"),
+    [
+        ([1.0], 1.0, None, "at least 2"),
+        (np.zeros((5, 2, 2)), 1.0, None, r"\(5, 2, 2\)"),
+        (np.zeros((5, 0)), 1.0, None, r"\(5, 0\)"),
+        (np.zeros(5, complex), 1.0, None, "complex128"),
+        ([1.0, np.nan, 2.0], 1.0, None, "not finite"),
+        ([1.0, np.inf, 2.0], 1.0, None, "not finite"),
+        ([1.0, 2.0], 0.0, None, "interval_s is 0.0"),
+        ([1.0, 2.0], float("nan"), None, "interval_s is nan"),
+        (np.zeros(10), 1.0, [0], "from 1 to 5"),
+        (np.zeros(10), 1.0, [6], "from 1 to 5"),
+        (np.zeros(10), 1.0, [1.5], "whole numbers"),
+        (np.zeros(10), 1.0, [], "whole numbers"),
+    ],
+)
+def test_refused(values: Any, interval_s: float, factors: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        allan_deviation(values, interval_s, factors)
+
+
+def test_octaves_end_at_a_third() -> None:
+    assert octaves(2) == octaves(3) == (1,)
+    assert octaves(47) == (1, 2, 4, 8)
+    assert octaves(48) == (1, 2, 4, 8, 16)

@@ -1,0 +1,112 @@
+"""`imuarray characterise`: what it prints, what it writes, what it refuses, and the figure."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from imuarray.characterise import characterise_log
+from imuarray.characterise.plots import COLOURS, allan_figure
+from imuarray.cli import main
+from imuarray.errors import MissingExtraError
+from imuarray.log import open_log
+
+
+def test_prints_the_table(log_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["characterise", str(log_path)]) == 0
+    out, err = capsys.readouterr()
+    assert "specific force in g" in out
+    assert "angular rate in dps" in out
+    assert err == ""
+
+
+def test_json_of_one_sensor(log_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["characterise", str(log_path), "--json", "--sensor", "G", "--phase", "motion"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [sensor["name"] for sensor in result["sensors"]] == ["G"]
+    assert result["stretch"]["phase"] == "motion"
+
+
+def test_writes_and_overwrites_nothing(log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new" / "folder"
+    arguments = ["characterise", str(log_path), "-o", str(folder)]
+    assert main(arguments) == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["allan.png", "characterise.json"]
+    assert (folder / "allan.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    assert json.loads((folder / "characterise.json").read_text())["confidence"] == 0.95
+    (folder / "characterise.json").write_text("mine")
+    capsys.readouterr()
+    assert main(arguments) == 2
+    assert "characterise.json: exists already" in capsys.readouterr().err
+    assert (folder / "characterise.json").read_text() == "mine"
+    assert main([*arguments, "--force"]) == 0
+    assert (folder / "characterise.json").read_text() != "mine"
+
+
+def test_without_matplotlib(
+    log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with open_log(log_path) as log, pytest.raises(MissingExtraError, match=r"imuarray\[report\]"):
+        allan_figure(characterise_log(log, sensors=["P"]))
+    assert main(["characterise", str(log_path), "-o", str(tmp_path)]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["characterise.json"]
+    assert "no allan.png: this needs matplotlib" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--phase", "room"], "no phase 'room'; it has static, motion"),
+        (["--sensor", "A,Q"], "no sensor 'Q'; it has A, E, G, P"),
+        (["-o", "{log}"], "is a file"),
+    ],
+)
+def test_bad_input_is_one_line(
+    log_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["characterise", str(log_path), *(item.format(log=log_path) for item in arguments)]) == 2
+    out, err = capsys.readouterr()
+    assert message in err
+    assert len(err.splitlines()) == 1
+    assert out == ""
+
+
+def test_figure_has_a_panel_per_quantity(log_path: Path) -> None:
+    with open_log(log_path) as log:
+        figure = allan_figure(characterise_log(log, sensors=["A", "E", "G", "P"]))
+    panels = figure.get_axes()
+    assert [panel.get_ylabel() for panel in panels] == [f"Allan deviation ({u})" for u in ("g", "dps", "counts")]
+    accelerometers = [line for line in panels[0].get_lines() if line.get_color() in COLOURS]
+    assert len(accelerometers) == 6
+    shortest = accelerometers[0].get_xydata()[0]
+    assert shortest == pytest.approx([0.01, 20 / 5460], rel=0.1)
+
+
+def test_figure_of_many_or_no_curves(log_path: Path) -> None:
+    with open_log(log_path) as log:
+        result = characterise_log(log, sensors=["A"])
+    many = [result["sensors"][0] | {"name": f"$A{number}"} for number in range(32)]
+    figure = allan_figure(result | {"sensors": many, "log": "cost_$5$_^.h5"})
+    figure.canvas.draw()
+    colours = [line.get_color() for line in figure.get_axes()[0].get_lines()]
+    assert len({tuple(colour) for colour in colours if not isinstance(colour, str)}) == 32
+    assert allan_figure(result | {"sensors": []}).get_axes() == []
+
+
+def test_heavy_packages_stay_out() -> None:
+    """The library needs NumPy and h5py until intervals or figures are asked for; a figure never loads pyplot."""
+    code = (
+        "import sys, imuarray.commands.characterise; assert 'numpy' not in sys.modules\n"
+        "import imuarray.characterise, imuarray.characterise.plots as plots\n"
+        "assert not {'scipy', 'matplotlib'} & set(sys.modules)\n"
+        "plots.allan_figure({'sensors': [], 'source': 'i2c', 'log': 'x', "
+        "'stretch': {'phase': None, 'start_s': 0.0, 'end_s': 1.0}})\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,92 @@
+"""Degrees of freedom and noise types against printed formulas, another implementation and simulation."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+
+from imuarray.characterise.freedom import Noise, degrees_of_freedom, identify_noise, interval
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # allantools warns of its own dependencies when it is imported
+    from allantools.ci import edf_greenhall
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 10, 64, 100, 333])
+def test_white_noise_as_printed(m: int) -> None:
+    """NIST SP 1065, table of edf formulas for the overlapping estimator, white FM; N counts phase values."""
+    N = 2001
+    printed = (3 * (N - 1) / (2 * m) - 2 * (N - 2) / N) * 4 * m**2 / (4 * m**2 + 5)
+    assert degrees_of_freedom("white", m, N - 2 * m) == pytest.approx(printed, rel=0.01 if m < 100 else 0.04)
+
+
+@pytest.mark.parametrize(("noise", "alpha"), [("white", 0), ("flicker", -1), ("random walk", -2)])
+@pytest.mark.parametrize("m", [128, 1000, 3000])
+def test_long_factors_as_greenhall_and_riley(noise: Noise, alpha: int, m: int) -> None:
+    """allantools evaluates the same theory from its tables and limits; they meet where m is long."""
+    N = 10_001
+    assert degrees_of_freedom(noise, m, N - 2 * m) == pytest.approx(
+        edf_greenhall(alpha, 2, m, N, overlapping=True), rel=0.01
+    )
+
+
+@pytest.mark.parametrize(("noise", "sums"), [("white", 0), ("random walk", 1)])
+@pytest.mark.parametrize("m", [1, 2, 5, 40])
+def test_by_simulation(noise: Noise, sums: int, m: int) -> None:
+    """2 mean^2 / variance of 4000 replicates: its relative error is below 4 %, so 16 % is four of them."""
+    series = np.random.default_rng(m).normal(size=(4000, 100))
+    phase = np.pad(series, ((0, 0), (1, 0)))
+    for _ in range(1 + sums):
+        phase = np.cumsum(phase, axis=1)
+    second = phase[:, 2 * m :] - 2 * phase[:, m:-m] + phase[:, : -2 * m]
+    variances = (second**2).mean(axis=1)
+    simulated = 2 * variances.mean() ** 2 / variances.var()
+    assert degrees_of_freedom(noise, m, second.shape[1]) == pytest.approx(simulated, rel=0.16)
+
+
+def test_shortest_factor_is_exact() -> None:
+    """At m = 1 the terms are y[i+1] - y[i]: of a random walk uncorrelated, of white noise with rho(1) = -1/2."""
+    assert degrees_of_freedom("random walk", 1, 500) == pytest.approx(500, rel=1e-12)
+    assert degrees_of_freedom("white", 1, 500) == pytest.approx(500 / (1 + 2 * (499 / 500) / 4), rel=1e-12)
+
+
+@pytest.mark.parametrize("noise", ["white", "flicker", "random walk"])
+def test_single_term_has_one_degree(noise: Noise) -> None:
+    assert degrees_of_freedom(noise, 500, 1) == 1
+
+
+def _power_law(rng: np.random.Generator, exponent: float, rows: int) -> np.ndarray:
+    """Noise of spectrum 1 / f^exponent by fractional summation (Kasdin, Proc. IEEE 83, 1995), after a long run-in."""
+    lags = np.arange(1, 8 * rows)
+    weights = np.concatenate([[1.0], np.cumprod((lags - 1 + exponent / 2) / lags)])
+    return fftconvolve(rng.normal(size=8 * rows), weights)[7 * rows : 8 * rows]
+
+
+@pytest.mark.parametrize(("noise", "exponent"), [("white", 0.0), ("flicker", 1.0), ("random walk", 2.0)])
+def test_noise_is_identified(noise: Noise, exponent: float) -> None:
+    """In 200 series of 1000 values: the next type is over four standard errors away, so that two may fail at most.
+
+    (Standard error of r / (1 + r): 0.03 for white noise, 0.06 for flicker noise; the limits are 0.25 from the middle.)
+    """
+    rng = np.random.default_rng(17)
+    assert sum(identify_noise(_power_law(rng, exponent, 1000)) == noise for _ in range(200)) >= 198
+
+
+def test_noise_type_of_odd_series() -> None:
+    rng = np.random.default_rng(3)
+    white = rng.normal(size=1000)
+    assert identify_noise(white[:29]) is None
+    assert identify_noise(np.zeros(100)) == "white"
+    assert identify_noise(np.diff(white)) == "white"
+    assert identify_noise(white + 5 * np.arange(1000)) == "white"
+    assert identify_noise(np.cumsum(np.cumsum(white))) == "random walk"
+
+
+def test_interval_of_ten_degrees() -> None:
+    """Chi-squared with 10 degrees of freedom has its 2.5 % points at 3.247 and 20.483 (any table)."""
+    low, high = interval(np.array([2.0]), np.array([10.0]), 0.95)
+    assert low[0] == pytest.approx(2 * (10 / 20.483) ** 0.5, rel=1e-4)
+    assert high[0] == pytest.approx(2 * (10 / 3.247) ** 0.5, rel=1e-4)

@@ -1,0 +1,203 @@
+"""The whole characterisation of a log: stretch, runs, scales, JSON and the table."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imuarray.characterise import characterise_log, render_text
+from imuarray.characterise.result import json_ready
+from imuarray.characterise.stretch import choose_stretch, find_timing
+from imuarray.errors import LogError
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import Phase, SensorHeader
+
+
+@pytest.fixture(scope="module")
+def result(log_path: Path) -> dict[str, Any]:
+    with open_log(log_path) as log:
+        return characterise_log(log)
+
+
+def sensor(result: dict[str, Any], name: str) -> dict[str, Any]:
+    return {item["name"]: item for item in result["sensors"]}[name]
+
+
+def test_is_plain_json(result: dict[str, Any]) -> None:
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
+    assert [item["name"] for item in result["sensors"]] == ["A", "E", "G"]
+
+
+def test_longest_phase_at_rest(result: dict[str, Any]) -> None:
+    assert result["stretch"] == {
+        "phase": "static",
+        "up": "+Z",
+        "start_s": 5.0,
+        "end_s": 55.0,
+        "chosen_by": "longest phase at rest",
+    }
+
+
+def test_gap_splits_the_run(result: dict[str, Any]) -> None:
+    """Rows 500 ... 1999 and 2020 ... 5499: the second run is taken, 1500 of 4980 rows are left out."""
+    found = sensor(result, "A")
+    assert (found["rows"], found["gaps"], found["flags"]["lost_before"]) == (4980, 1, 1)
+    assert found["largest_gap_s"] == pytest.approx(0.21)
+    assert found["rate_hz"] == pytest.approx(100.0)
+    assert found["median_interval_s"] == pytest.approx(0.01)
+    run = found["allan_run"]
+    assert run == pytest.approx(
+        {"start_s": 20.2, "end_s": 54.99, "rows": 3480, "interval_s": 0.01, "left_out_share": 1500 / 4980}
+    )
+    assert found["axes"][0]["allan"]["terms"][0] == 3479
+
+
+def test_white_sensor_in_all_units(result: dict[str, Any]) -> None:
+    """Sigma 20 counts at 100 Hz and 5460 counts per g: 2 counts / sqrt(Hz); rounding adds 1/12 to the variance."""
+    z = sensor(result, "A")["axes"][2]
+    sigma = (20.0**2 + 1 / 12) ** 0.5
+    assert z["counts"]["std"] == pytest.approx(sigma, rel=5 / (2 * 4980) ** 0.5)
+    assert z["counts"]["noise_density"] == pytest.approx(sigma / 10, rel=0.1)
+    assert z["counts"]["noise_density_one_sided"] == pytest.approx(z["counts"]["std"] / 50**0.5, rel=0.1)
+    assert z["unit"]["mean"] == pytest.approx(1.0, abs=5 * 20 / 5460 / 4980**0.5)
+    for name, value in z["counts"].items():
+        assert z["unit"][name] == pytest.approx(value / 5460)
+        assert z["si"][name] == pytest.approx(value / 5460 * 9.80665)
+    assert abs(z["lag1"]) < 5 / 4980**0.5
+    assert z["bias_instability_is_bound"] in (True, False)
+    assert sensor(result, "G")["si_per_count"] == pytest.approx(0.00875 * np.pi / 180)
+
+
+def test_doubtful_and_saturated_rows_are_left_out(result: dict[str, Any]) -> None:
+    """The suspect row of 30000 counts would make the spread 400; the run begins after it."""
+    found = sensor(result, "E")
+    assert (found["rows"], found["rows_used"]) == (5000, 4989)
+    assert found["flags"]["suspect"] == 1
+    assert found["flags"]["saturated"] == 10
+    assert all(axis["counts"]["std"] == pytest.approx(20, rel=0.06) for axis in found["axes"])
+    assert all(axis["even_share"] == 1 for axis in found["axes"])
+    assert (found["allan_run"]["rows"], found["allan_run"]["start_s"]) == (2599, pytest.approx(29.01))
+
+
+def test_stale_rows(result: dict[str, Any]) -> None:
+    """Half the rows are stale; new readings follow one another without correlation."""
+    found = sensor(result, "G")
+    assert found["stale_share"] == 0.5
+    assert found["rows_used"] == 2500
+    assert all(abs(axis["lag1"]) < 5 / 2500**0.5 for axis in found["axes"])
+    assert found["allan_run"]["left_out_share"] == 0
+
+
+def test_named_phase_and_sensors(log_path: Path) -> None:
+    calls: list[None] = []
+    with open_log(log_path) as log:
+        found = characterise_log(log, "motion", ["P", "A"], lambda: calls.append(None))
+    assert (found["stretch"]["phase"], found["stretch"]["chosen_by"]) == ("motion", "named")
+    assert [item["name"] for item in found["sensors"]] == ["P", "A"]
+    pressure = found["sensors"][0]
+    assert [axis["axis"] for axis in pressure["axes"]] == ["ut", "up"]
+    assert pressure["unit_per_count"] is None
+    assert pressure["axes"][0]["unit"]["std"] is None
+    assert pressure["axes"][0]["counts"]["std"] == pytest.approx(20, rel=0.2)
+    assert sensor(found, "A")["axes"][0]["counts"]["std"] > 1000
+    assert len(calls) == 5
+    assert " ut " in render_text(found)
+
+
+def test_unknown_names(log_path: Path) -> None:
+    with open_log(log_path) as log:
+        with pytest.raises(LogError, match=r"no phase 'room'; it has static, motion"):
+            characterise_log(log, "room")
+        with pytest.raises(LogError, match="no sensor 'Q'"):
+            characterise_log(log, sensors=["Q"])
+
+
+def write_log(path: Path, time: np.ndarray, phases: tuple[Phase, ...] = (), status: np.ndarray | None = None) -> Path:
+    header = SensorHeader("S", "chip", "angular_rate", "dps", 250.0, 100.0)
+    with LogWriter(path, [header], source="emulated", epoch="2024-01-01T00:00:00Z") as writer:
+        counts = np.arange(3 * len(time), dtype=np.int16).reshape(-1, 3)
+        flags = np.zeros(len(time), np.uint16) if status is None else status
+        writer.append("S", Block(time.astype(np.int64), counts, flags))
+        for phase in phases:
+            writer.phase(phase)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("phases", "chosen"),
+    [
+        ((), None),
+        ((Phase(0, 90, "heat"), Phase(0, 80, "run 3")), None),
+        ((Phase(0, 90, "heat"), Phase(5, 20, "x_down"), Phase(30, 40, "room")), "x_down"),
+        ((Phase(0, 9, "static"), Phase(10, 50, "z_up_check")), "z_up_check"),
+        ((Phase(0, 9, "static"), Phase(10, 50, "mine", "-Y")), "mine"),
+        ((Phase(0, 90, "warm_up"),), None),
+    ],
+)
+def test_choice_of_stretch(tmp_path: Path, phases: tuple[Phase, ...], chosen: str | None) -> None:
+    with open_log(write_log(tmp_path / "run.h5", np.arange(100), phases)) as log:
+        stretch = choose_stretch(log)
+    assert stretch.phase == chosen
+    if chosen is None:
+        assert (stretch.start_ns, stretch.end_ns) == (0, 100)
+
+
+@pytest.mark.parametrize("block", [1, 2, 7, 1 << 16])
+def test_runs_whatever_the_blocks(tmp_path: Path, block: int) -> None:
+    """Intervals 10, but 15 (no gap) after row 9, 16 after row 29 and 40 after row 69; row 50 is set up again."""
+    intervals = np.full(99, 10)
+    intervals[[9, 29, 69]] = 15, 16, 40
+    status = np.zeros(100, np.uint16)
+    status[50] = 16
+    path = write_log(tmp_path / "run.h5", np.concatenate([[0], np.cumsum(intervals)]), status=status)
+    with open_log(path) as log:
+        timing = find_timing(log["S"], slice(0, 100), block)
+    assert (timing.gaps, timing.run) == (2, slice(0, 30))
+    assert timing.interval_s == pytest.approx(10e-9)
+    assert timing.largest_gap_s == pytest.approx(40e-9)
+
+
+def test_rate_of_alternating_intervals(tmp_path: Path) -> None:
+    """19 ms and 21 ms in turn are 50 Hz, and no gap."""
+    time = np.cumsum(np.tile([19_000_000, 21_000_000], 60))
+    with open_log(write_log(tmp_path / "run.h5", time)) as log:
+        found = characterise_log(log)["sensors"][0]
+    assert found["rate_hz"] == pytest.approx(50, rel=0.001)
+    assert found["gaps"] == 0
+    assert found["axes"][0]["allan"]["tau_s"][:2] == pytest.approx([0.02, 0.04], rel=0.001)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2, 8, 9])
+def test_short_logs(tmp_path: Path, rows: int) -> None:
+    with open_log(write_log(tmp_path / "run.h5", np.arange(rows) * 10)) as log:
+        found = characterise_log(log)
+    assert (found["sensors"][0]["axes"][0]["allan"] is not None) == (rows >= 9)
+    assert "S " in render_text(found)
+    json.dumps(found, allow_nan=False)
+
+
+def test_table_fits_and_says_what_it_shows(result: dict[str, Any]) -> None:
+    long_name = result | {"log": "folder/" * 30 + "run.h5", "source": "emulated"}
+    long_name["sensors"] = [item | {"name": item["name"] * 30, "chip": "chip" * 9} for item in result["sensors"]]
+    for text in (render_text(result), render_text(long_name)):
+        assert max(map(len, text.splitlines())) <= 110
+    text = render_text(result)
+    assert "'static', 5.0 s to 55.0 s, +Z up (longest phase at rest)" in text
+    assert "30.1 % left out" in text
+    assert sum(line.startswith(("A ", "E ", "G ")) for line in text.splitlines()) == 9 + 3
+
+
+def test_table_warns_of_a_log_that_is_not_at_rest(tmp_path: Path) -> None:
+    with open_log(write_log(tmp_path / "run.h5", np.arange(50) * 10)) as log:
+        text = render_text(characterise_log(log))
+    assert "motion, if there was any, counts as noise" in text
+    assert "emulated, no hardware" in text
+
+
+def test_json_ready() -> None:
+    value = {"a": np.array([1.0, np.nan]), "b": (np.int64(3), float("inf")), "c": np.array(["x"]), "d": np.bool_(True)}
+    assert json_ready(value) == {"a": [1.0, None], "b": [3, None], "c": ["x"], "d": True}
