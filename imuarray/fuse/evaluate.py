@@ -1,0 +1,94 @@
+"""How far a fused result is from what the box really felt, where a log knows: emulated and simulated logs, or a
+reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from imuarray.errors import FusionError
+from imuarray.fuse.fuse import QUANTITIES, FusedBlock
+from imuarray.log import Log, Track, first_at
+from imuarray.log.format import Phase
+
+Floats = npt.NDArray[np.float64]
+
+_MARGIN = 32
+"""Rows of truth on either side of a block, so that the spline does not depend on where blocks end."""
+
+
+@dataclass(frozen=True)
+class Error:
+    """Error of one quantity over a stretch, per box axis (3,) in SI: its mean, its scatter from frame to frame, its
+    rms, its drift (spread of sixteen slow means), and how many frames."""
+
+    mean: Floats
+    noise: Floats
+    rms: Floats
+    drift: Floats
+    frames: int
+
+
+def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, Error]:
+    """Errors of a fused result against `/truth` (or `/reference`) by quantity; only inside `phases` if there are any.
+
+    FusionError if the log has neither.
+    """
+    errors = errors_of(log, blocks, phases)
+    return {quantity: _error(rows) for quantity, (_, rows) in errors.items() if len(rows) > 1}
+
+
+def errors_of(
+    log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()
+) -> dict[str, tuple[npt.NDArray[np.int64], Floats]]:
+    """Time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError if nothing is known."""
+    track = log.truth or log.reference
+    if track is None:
+        raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
+    stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
+    found: dict[str, list[tuple[npt.NDArray[np.int64], Floats]]] = {quantity: [] for quantity in QUANTITIES}
+    for block in blocks:
+        inside = np.ones(len(block.time), bool)
+        if stretches:
+            inside = np.any([(block.time >= start) & (block.time < end) for start, end in stretches], axis=0)
+        for quantity, triad in block.triads.items():
+            felt = _felt(track, quantity, block.time)
+            if felt is not None:
+                keep = inside & np.isfinite(triad - felt).all(axis=1)
+                found[quantity].append((block.time[keep], (triad - felt)[keep]))
+    return {
+        quantity: (np.concatenate([time for time, _ in parts]), np.concatenate([error for _, error in parts]))
+        for quantity, parts in found.items()
+        if parts
+    }
+
+
+def _felt(track: Track, quantity: str, time: npt.NDArray[np.int64]) -> Floats | None:
+    """The truth (n, 3) at `time`, by a cubic spline through its rows: between them a shaken box does not move in
+    straight lines.
+    """
+    column = track.specific_force if quantity == "specific_force" else track.angular_rate
+    if column is None:
+        return None
+    first = max(0, first_at(track.time, int(time[0])) - _MARGIN)
+    last = first_at(track.time, int(time[-1])) + _MARGIN
+    known = np.asarray(track.time[first:last])
+    spline = CubicSpline((known - time[0]) * 1e-9, np.asarray(column[first:last], float), extrapolate=False)
+    return np.asarray(spline((time - time[0]) * 1e-9))
+
+
+def _error(rows: Floats) -> Error:
+    """Noise is the scatter between neighbours (over sqrt 2), drift the spread of sixteen slow means."""
+    slow = np.array([part.mean(axis=0) for part in np.array_split(rows, min(16, len(rows)))])
+    return Error(
+        mean=rows.mean(axis=0),
+        noise=np.std(np.diff(rows, axis=0), axis=0) / np.sqrt(2),
+        rms=np.sqrt(np.mean(rows**2, axis=0)),
+        drift=np.ptp(slow, axis=0),
+        frames=len(rows),
+    )

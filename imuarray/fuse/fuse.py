@@ -1,0 +1,56 @@
+"""Fusing a log: one specific force and one angular rate per frame, in the box frame, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate import Calibration
+from imuarray.errors import FusionError
+from imuarray.fuse.align import BLOCK, axes_of, frames
+from imuarray.fuse.techniques import TECHNIQUES
+from imuarray.log import Log, SensorLog
+
+Floats = npt.NDArray[np.float64]
+
+QUANTITIES = ("specific_force", "angular_rate")
+
+
+@dataclass(frozen=True)
+class FusedBlock:
+    """n frames: time (n,) ns and, per quantity, the fused triad (n, 3) in SI in the box frame (NaN where too few axes
+    were valid).
+    """
+
+    time: npt.NDArray[np.int64]
+    triads: Mapping[str, Floats]
+
+
+def fuse(
+    log: Log, calibration: Calibration, technique: str, *, only: Collection[str] = (), block: int = BLOCK
+) -> Iterator[FusedBlock]:
+    """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`; FusionError if they can't
+    feed it.
+    """
+    if technique not in TECHNIQUES:
+        raise FusionError(f"technique {technique!r}: allowed are {', '.join(TECHNIQUES)}")
+    chosen = {quantity: [s for s in log.of(quantity) if not only or s.name in only] for quantity in QUANTITIES}
+    groups = {quantity: sensors for quantity, sensors in chosen.items() if sensors}
+    if not groups:
+        raise FusionError(f"{log.path}: no inertial sensor {f'among {sorted(only)}' if only else 'in it'}")
+    reference = next(iter(groups.values()))[0]
+    streams = [_fuse_group(sensors, calibration, technique, reference, block) for sensors in groups.values()]
+    for parts in zip(*streams, strict=True):
+        yield FusedBlock(parts[0][0], dict(zip(groups, (triad for _, triad in parts), strict=True)))
+
+
+def _fuse_group(
+    sensors: list[SensorLog], calibration: Calibration, technique: str, reference: SensorLog, block: int
+) -> Iterator[tuple[npt.NDArray[np.int64], Floats]]:
+    """Time (n,) and fused triad (n, 3) of one quantity, block by block."""
+    fused = TECHNIQUES[technique](axes_of(sensors, calibration))
+    for part in frames(sensors, calibration, reference, block):
+        yield part.time, fused(part)

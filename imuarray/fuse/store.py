@@ -1,0 +1,78 @@
+"""A fused result as a file: HDF5, format "imuarray-fused", with the names of a log's `/truth`.
+
+::
+
+    /       attrs: format="imuarray-fused" format_version=1 epoch technique log calibration software /fused  time (n,)
+    int64 ns since epoch, specific_force (n, 3) m/s2, angular_rate (n, 3) rad/s, box frame; NaN: not enough axes
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from os import PathLike
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from imuarray import __version__
+from imuarray.errors import OutputExistsError
+from imuarray.fuse.fuse import FusedBlock
+
+UNITS = {"specific_force": "m s-2", "angular_rate": "rad s-1"}
+
+
+def write_fused(
+    path: str | PathLike[str],
+    blocks: Iterable[FusedBlock],
+    *,
+    epoch: str,
+    technique: str,
+    log: str,
+    calibration: str = "",
+    force: bool = False,
+    progress: Callable[[int], None] = lambda frames: None,
+) -> int:
+    """Write blocks as they come, under a temporary name until all are there; the number of frames.
+    OutputExistsError.
+    """
+    target = Path(path)
+    if target.exists() and not force:
+        raise OutputExistsError(path)
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        with h5py.File(part, "w") as file:
+            file.attrs.update(
+                format="imuarray-fused", format_version=1, epoch=epoch, technique=technique, log=log,
+                calibration=calibration, software=f"imuarray {__version__}",
+            )  # fmt: skip
+            frames = 0
+            for block in blocks:
+                _append(file.require_group("fused"), block, epoch)
+                frames += len(block.time)
+                progress(frames)
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+    return frames
+
+
+def _append(group: h5py.Group, block: FusedBlock, epoch: str) -> None:
+    columns = {"time": block.time, **block.triads}
+    for name, rows in columns.items():
+        if name not in group:
+            tail = rows.shape[1:]
+            group.create_dataset(
+                name,
+                (0, *tail),
+                rows.dtype,
+                maxshape=(None, *tail),
+                chunks=(4096, *tail),
+                compression="gzip",
+                shuffle=True,
+            )
+            group[name].attrs["units"] = UNITS.get(name, f"nanoseconds since {epoch}")
+        dataset = group[name]
+        dataset.resize(dataset.shape[0] + len(rows), axis=0)
+        dataset[-len(rows) :] = np.asarray(rows)
