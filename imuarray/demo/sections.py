@@ -1,0 +1,239 @@
+"""The sections of the demo's page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imuarray.calibrate import Calibration, Tumble
+from imuarray.characterise.plots import allan_figure
+from imuarray.demo.comparison import BMA180S, UNITS, Rows
+from imuarray.errors import LogError
+from imuarray.fuse import errors_of, fuse
+from imuarray.log import open_log
+from imuarray.log.format import Phase
+from imuarray.report import Figure, Section, Table
+from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
+from imuarray.units import STANDARD_GRAVITY
+
+_AXIS_WORDS = {axis: f" along {axis}" for axis in "XYZ"}
+
+
+def recorded_section(logs: Mapping[str, Path]) -> Section:
+    """What every log holds."""
+    rows = []
+    for run, path in logs.items():
+        with open_log(path) as log:
+            seconds = max((int(s.time[-1]) for s in log.sensors.values()), default=0) * 1e-9
+            readings = sum(len(sensor) for sensor in log.sensors.values())
+            rows.append(
+                [
+                    run,
+                    f"{seconds:.0f}",
+                    f"{readings}",
+                    ", ".join(phase.name for phase in log.phases),
+                    str(len(log.events)),
+                ]
+            )
+    return Section(
+        "What was recorded",
+        "Twelve sensors of the paper's array behind one multiplexer, emulated to the register: nine "
+        "inertial sensors with the "
+        "biases, responses, temperature slopes and noise of the paper's Tables 3, 4, 8 and 10. Every "
+        "log holds raw counts.",
+        [
+            Table(
+                ["run", "seconds", "readings", "phases", "events"],
+                rows,
+                "One log per run; all of them are beside this page.",
+                (3,),
+            )
+        ],
+    )
+
+
+def calibration_section(tumble: Tumble) -> Section:
+    """Bias and scale factor of every axis, with standard errors."""
+    rows = []
+    for name, sensor in tumble.calibration.sensors.items():
+        factor, unit = (1e3, "mg") if sensor.unit == "g" else (1.0, "dps")
+        sem = sensor.bias_sem_lsb if sensor.bias_sem_lsb is not None else np.full(3, np.nan)
+        for axis in range(3):
+            bias = factor * sensor.bias_in_units()[axis]
+            error = factor * sem[axis] / sensor.scale_lsb_per_unit[axis]
+            scale = f"{sensor.scale_lsb_per_unit[axis]:.2f}" if sensor.unit == "g" else "data sheet"
+            rows.append([f"{name} {'xyz'[axis]}", f"{bias:.3f}", f"{error:.3f}", unit, scale])
+    return Section(
+        "Calibration from six faces",
+        "Bias and response of every axis from six faces of the box (the paper's Appendix B), "
+        "gyroscope bias from all seven "
+        "readings. The standard errors come from the scatter of batch means.",
+        [
+            Table(
+                ["axis", "bias", "standard error", "unit", "scale factor (LSB/g)"],
+                rows,
+                "Compare with the paper's Tables 3 and 4.",
+            )
+        ],
+    )
+
+
+def noise_section(noise: dict[str, Any]) -> Section:
+    """Noise table and Allan curves of a `characterise_log` result."""
+    rows = []
+    for sensor in noise["sensors"]:
+        if sensor["quantity"] not in UNITS:
+            continue
+        factor, unit = (1e3, "mg") if sensor["unit"] == "g" else (1.0, "dps")
+        for axis in sensor["axes"]:
+            density = axis["unit"]["noise_density"]
+            scatter = factor * axis["unit"]["std"]
+            rows.append(
+                [
+                    f"{sensor['name']} {axis['axis']}",
+                    f"{scatter:.3f}",
+                    unit,
+                    "-" if density is None else f"{factor * density:.4f}",
+                    f"{unit}/√Hz",
+                    f"{axis['even_share']:.2f}",
+                ]
+            )
+    return Section(
+        "Noise",
+        "Scatter of single readings and white-noise density from the long rest. A share of even "
+        "codes of 1.00 betrays a chip "
+        "that outputs even codes only, as the ADXL345 does at 1600 and 3200 Hz.",
+        [
+            Table(
+                ["axis", "std", "unit", "density", "unit", "even codes"],
+                rows,
+                "Per axis, by the data sheets' sensitivities.",
+            ),
+            Figure(
+                allan_figure(noise),
+                "Overlapping Allan deviation: straight lines of slope -1/2 are white noise; a curve "
+                "that flattens shows drift.",
+                "Allan deviation curves of every inertial sensor axis",
+            ),
+        ],
+    )
+
+
+def gain_section(rows: Rows) -> Section:
+    """Every technique against the average."""
+    table, labels, ratios, errors = [], [], [], []
+    for case, gain in rows:
+        if (gain.box_axis == "XYZ") == (gain.quantity == case.claim):
+            continue  # axis by axis where a gain is claimed, the whole triad elsewhere
+        factor, unit = UNITS[gain.quantity]
+        name = f"{case.label}: {gain.quantity.replace('_', ' ')}{_AXIS_WORDS.get(gain.box_axis, '')}"
+        figures = [f"{factor * gain.average:.3f}", f"{factor * gain.technique_error:.3f}", unit]
+        table.append([name, *figures, f"{gain.ratio:.3f}", f"{gain.ratio_se:.3f}"])
+        labels.append(name)
+        ratios.append(gain.ratio)
+        errors.append(gain.ratio_se)
+    return Section(
+        "What each technique gains",
+        "Rms error of each technique over that of the simple average of the same sensors, on runs "
+        "whose truth is known. The first "
+        "rows, axis by axis, are where the paper expects a gain; the others, for the whole vector, "
+        "are everywhere else.",
+        [
+            Figure(
+                ratio_figure(labels, ratios, errors),
+                "Left of the line the technique is better than the average; bars are two standard errors.",
+                "Ratios of the errors of each technique to those of the average",
+            ),
+            Table(
+                ["case", "average", "technique", "unit", "ratio", "standard error"],
+                table,
+                "Rms errors against the truth.",
+            ),
+        ],
+    )
+
+
+def heating_section(path: Path, calibration: Calibration) -> Section:
+    """Gyroscopes about box Y, the axes that the paper's Figure 10 shows."""
+    with open_log(path) as log:
+        names = [sensor.name for sensor in log.of("angular_rate")]
+        curves = {}
+        for label, technique in (("simple average", "mean"), ("opposed", "opposed")):
+            curves[label] = _slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
+        single = {}
+        for name in names:
+            time, error = errors_of(log, fuse(log, calibration, "mean", only=[name]))["angular_rate"]
+            single[name] = _slow_error(time, error)
+        time_s = single[names[0]][0]
+        barometer = log.of("pressure")[0]
+        temperature = (np.asarray(barometer.time) * 1e-9, np.asarray(barometer.compensated("temperature")))
+    length = min(len(time_s), *(len(curve[0]) for curve in curves.values()))
+    figure = drift_figure(
+        time_s[:length],
+        {name: values[:length] for name, (_, values) in single.items()},
+        {name: values[:length] for name, (_, values) in curves.items()},
+        "dps",
+        temperature,
+    )
+    return Section(
+        "Heated: opposed gyroscopes",
+        "The hair dryer heats the box by 28 degrees. About box Y one gyroscope points along and two "
+        "against the axis, and all "
+        "three drift alike in their own frames.",
+        [
+            Figure(
+                figure,
+                "Five-second means of the error about box Y: every single gyroscope drifts, their "
+                "average keeps part of it, "
+                "opposing them takes out what they share.",
+                "Drift of single gyroscopes, their average and the opposed result while the box is heated",
+            )
+        ],
+    )
+
+
+def _slow_error(time: Any, error: Any) -> tuple[Any, Any]:
+    """Time (s) and five-second means of the error about box Y in dps, from where it starts."""
+    groups = (time - time[0]) // 5_000_000_000
+    _, first = np.unique(groups, return_index=True)
+    means = np.add.reduceat(error[:, 1], first) / np.diff(np.append(first, len(error)))
+    return time[first] * 1e-9, np.degrees(means - means[:2].mean())
+
+
+def motion_section(path: Path, calibration: Calibration) -> Section:
+    """BMA180 along box X while the box is shaken: the low range alone, the high range alone, both blended."""
+    choices = {
+        "±16 g alone": ("mean", BMA180S[:2]),
+        "±1.5 g alone": ("mean", BMA180S[2:]),
+        "ranges": ("ranges", BMA180S),
+    }
+    curves, times = {}, {}
+    with open_log(path) as log:
+        motion = next(phase for phase in log.phases if phase.name == "motion")
+        window = Phase(motion.start_ns - 1_500_000_000, min(motion.start_ns + 4_500_000_000, motion.end_ns), "window")
+        for label, (technique, only) in choices.items():
+            time, error = errors_of(log, fuse(log, calibration, technique, only=only), [window])["specific_force"]
+            curves[label], times[label] = 1e3 / STANDARD_GRAVITY * error[:, 0], time * 1e-9
+        track = log.truth
+        if track is None or track.specific_force is None:
+            raise LogError(f"{path}: an emulated log without a truth")
+        known = track.time[:]
+        inside = (known >= window.start_ns) & (known < window.end_ns)
+        felt = (known[inside] * 1e-9, track.specific_force[:][inside, 0] / STANDARD_GRAVITY)
+    return Section(
+        "Shaken: low and high range blended",
+        "Two of the four BMA180 measure up to 1.5 g, two up to 16 g. The low range is the quieter one, until it clips.",
+        [
+            Figure(
+                motion_figure(felt, times, curves, 1.5),
+                "Above: what the box felt; dashed, where the low range ends. Below: errors. The low "
+                "range alone has nothing to say "
+                "while it clips (gaps); the blend is there all the time, at rest quieter than "
+                "either, and makes no step.",
+                "True specific force of a shaken box and the errors of the low range, the high range and their blend",
+            )
+        ],
+    )

@@ -1,0 +1,8 @@
+"""What was measured, as one self-contained HTML page: numbers with units, figures with a sentence that says what to
+see.
+"""
+
+from imuarray.report.gains import Gain, gains
+from imuarray.report.page import Figure, Section, Table, write_page
+
+__all__ = ["Figure", "Gain", "Section", "Table", "gains", "write_page"]

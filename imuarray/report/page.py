@@ -1,0 +1,78 @@
+"""One HTML file that needs nothing else: no script, no font, no image from elsewhere; every name escaped."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imuarray.errors import MissingExtraError, OutputExistsError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+
+@dataclass(frozen=True)
+class Table:
+    """A heading row and rows of text; numbers come formatted, with their unit. `words` are columns that hold no
+    numbers.
+    """
+
+    heading: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str
+    words: Sequence[int] = ()
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing, what to see in it, and what it shows for those who can't see it."""
+
+    drawing: Drawing
+    caption: str
+    alternative: str
+
+    @property
+    def data_url(self) -> str:
+        """The drawing as SVG inside a URL."""
+        buffer = io.BytesIO()
+        self.drawing.savefig(buffer, format="svg", metadata={"Date": None})
+        return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading, a paragraph and what belongs to it."""
+
+    title: str
+    text: str
+    parts: Sequence[Table | Figure] = ()
+
+    @property
+    def anchor(self) -> str:
+        """Name of the section inside the page."""
+        return "".join(letter if letter.isalnum() else "-" for letter in self.title.lower())
+
+
+def write_page(
+    path: str | PathLike[str], title: str, summary: Sequence[str], sections: Sequence[Section], *, force: bool = False
+) -> None:
+    """Write the page; OutputExistsError if it is there, MissingExtraError without jinja2."""
+    try:
+        from jinja2 import Environment
+    except ImportError:
+        raise MissingExtraError("jinja2", "report") from None
+    template = files("imuarray.report").joinpath("page.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.tests["table"] = lambda part: isinstance(part, Table)
+    page = environment.from_string(template).render(title=title, summary=summary, sections=sections)
+    try:
+        with Path(path).open("w" if force else "x", encoding="utf-8") as file:
+            file.write(page)
+    except FileExistsError:
+        raise OutputExistsError(path) from None
