@@ -1,0 +1,7 @@
+"""`python -m imuarray`."""
+
+import sys
+
+from imuarray.cli import main
+
+sys.exit(main())

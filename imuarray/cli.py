@@ -1,0 +1,78 @@
+"""The command line: one small file a command in `imuarray.commands`, loaded only when it is called.
+
+Exit codes: 0 did what was asked; 2 bad input, with one line that names the place and what is allowed; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from types import MappingProxyType
+
+import click
+
+from imuarray import __version__
+from imuarray.errors import ImuArrayError
+
+COMMANDS: Mapping[str, str] = MappingProxyType(
+    {
+        "demo": "record the emulated array, calibrate, fuse, write report.html",
+        "detect": "what answers on the bus, and is it what the configuration says",
+        "log": "record an array into a log",
+        "info": "what a log holds",
+        "import": "turn a foreign recording into a log",
+        "characterise": "Allan deviation and noise table of a log",
+        "calibrate": "sensor parameters from a log: tumble, noise",
+        "fuse": "one specific force and angular rate from all sensors",
+        "paper": "the paper's tables and conclusions, recomputed from its published data",
+    }
+)
+"""Every command and the line that `--help` shows; the module `imuarray.commands.<name>` holds it as `command`."""
+
+_MODULES = {"import": "imuarray.commands.import_"}
+
+
+class _Commands(click.Group):
+    """The commands above, imported when one of them is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        command: click.Command = import_module(_MODULES.get(name, f"imuarray.commands.{name}")).command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="imuarray")
+def program() -> None:
+    """Drive, log, calibrate and fuse an array of low-cost MEMS inertial sensors."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; what it returns is the exit code."""
+    try:
+        result = program.main(
+            args=None if arguments is None else list(arguments), prog_name="imuarray", standalone_mode=False
+        )
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.Abort:
+        click.echo("imuarray: interrupted", err=True)
+        return 130
+    except (click.ClickException, ImuArrayError) as error:
+        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        click.echo(f"imuarray: {' '.join(text.split())}", err=True)
+        return 2
+    return result if isinstance(result, int) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""`imuarray characterise`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imuarray.commands.options import force_option, json_option, log_argument, on_terminal, print_json, refuse_existing
+from imuarray.errors import ImuArrayError, MissingExtraError
+
+if TYPE_CHECKING:
+    from imuarray.log import Log
+
+RESULT, FIGURE = "characterise.json", "allan.png"
+
+
+@click.command("characterise")
+@log_argument
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help=f"write {RESULT} and, with matplotlib, {FIGURE} into DIR",
+)
+@click.option("--phase", metavar="NAME", help="the stretch to look at (default: the longest phase at rest)")
+@click.option("--sensor", "sensors", metavar="NAME,...", help="only these sensors (default: all with three axes)")
+@json_option
+@force_option
+def command(run: Path, output: Path | None, phase: str | None, sensors: str | None, as_json: bool, force: bool) -> None:
+    """Allan deviation and noise table of the sensors in a log at rest.
+
+    Prints mean, spread, density of the white noise, bias instability, correlation and stale readings of every axis, and
+    says which stretch of the log they are from.
+    """
+    from imuarray.characterise import render_text
+    from imuarray.log import open_log
+
+    for name in (RESULT, FIGURE) if output else ():
+        refuse_existing(Path(output or "") / name, force)
+    with open_log(run) as log:
+        result = _characterise(log, phase, tuple(sensors.split(",")) if sensors else None)
+    written = _write(result, output) if output else []
+    if as_json:
+        print_json(result)
+    else:
+        click.echo(render_text(result), nl=False)
+    for path in written:
+        click.echo(f"imuarray: wrote {path}", err=True)
+
+
+def _characterise(log: Log, phase: str | None, sensors: tuple[str, ...] | None) -> dict[str, Any]:
+    """The result, with a bar on standard error while it is computed."""
+    from imuarray.characterise import characterise_log
+
+    chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
+    columns = sum(int(sensor.counts.shape[1]) for sensor in chosen)
+    with click.progressbar(length=columns, label=str(log.path), file=sys.stderr, hidden=not on_terminal()) as bar:
+        return characterise_log(log, phase, sensors, lambda: bar.update(1))
+
+
+def _write(result: dict[str, Any], output: Path) -> list[Path]:
+    """The files that were written into `output`; without matplotlib the figure is left out and that is said."""
+    import json
+
+    from imuarray.characterise.plots import allan_figure
+
+    paths = [output / RESULT]
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        paths[0].write_text(json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        allan_figure(result).savefig(output / FIGURE, metadata={"Software": None})
+        paths.append(output / FIGURE)
+    except MissingExtraError as error:
+        click.echo(f"imuarray: no {FIGURE}: {error}", err=True)
+    except OSError as error:
+        raise ImuArrayError(f"{error.filename or output}: {error.strerror or error}") from None
+    return paths

@@ -1,0 +1,52 @@
+"""`imuarray demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from imuarray.commands.options import find_config, force_option, json_option, print_json
+
+
+@click.command("demo")
+@click.option(
+    "-o",
+    "--output",
+    default="demo",
+    show_default=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="folder for logs and page",
+)
+@click.option(
+    "--seconds",
+    default=1600.0,
+    show_default=True,
+    type=click.FloatRange(min=300),
+    help="array time to record, all runs together",
+)
+@click.option("--seed", default=1, show_default=True, help="draws the emulated noise")
+@force_option
+@json_option
+def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool) -> None:
+    """Record the emulated paper array, calibrate it, fuse it, and write report.html.
+
+    No hardware is needed: the chips are emulated to the register, and the drivers do not know.
+    """
+    from imuarray.demo import run_demo
+
+    result = run_demo(
+        find_config(Path("martin2013")),
+        output,
+        seconds=seconds,
+        seed=seed,
+        force=force,
+        say=lambda step: click.echo(f"imuarray: {step}", err=True),
+    )
+    if as_json:
+        print_json(result)
+        return
+    click.echo("The paper's array, emulated to the register: recorded, calibrated, fused.")
+    for line in result["summary"]:
+        click.echo(f"  {line}")
+    click.echo(f"Open {result['report']}; the logs, the calibration and the fused results lie beside it.")

@@ -1,0 +1,42 @@
+"""`imuarray detect`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from imuarray.commands.options import bus_option, config_argument, find_config, json_option, print_json
+
+
+@click.command("detect")
+@config_argument
+@bus_option
+@json_option
+def command(config: Path, bus_url: str | None, as_json: bool) -> int:
+    """What answers on the bus, and is it what CONFIG says.
+
+    Exits 2 if a sensor is missing or another chip sits in its place.
+    """
+    from imuarray.acquire import detect
+    from imuarray.array import load_array
+    from imuarray.bus import open_bus
+
+    array = load_array(find_config(config))
+    url = bus_url or array.bus or "emulated:"
+    with open_bus(url, array) as bus:
+        found = detect(array, bus)
+        source = bus.source
+    wrong = [line for line in found if not line.ok]
+    if as_json:
+        print_json({"array": array.name, "source": source, "found": [asdict(line) for line in found], "ok": not wrong})
+        return 2 if wrong else 0
+    note = " (emulated, no hardware)" if source == "emulated" else ""
+    click.echo(f"{array.name} on {url}{note}")
+    for line in found:
+        mark = "ok " if line.ok and line.expected else ("?  " if line.ok else "NO ")
+        wanted = f"{line.sensor} ({line.expected})" if line.expected else "not in the configuration"
+        click.echo(f"  {mark} {line.place:24} {wanted:28} {'' if line.found == line.expected else line.found}".rstrip())
+    click.echo(f"{sum(bool(line.expected) for line in found) - len(wrong)} as configured, {len(wrong)} not")
+    return 2 if wrong else 0

@@ -1,0 +1,97 @@
+"""`imuarray info`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imuarray.commands.options import json_option, log_argument, print_json
+
+if TYPE_CHECKING:
+    from imuarray.log import Log, SensorLog
+
+
+@click.command("info")
+@log_argument
+@json_option
+def command(run: Path, as_json: bool) -> None:
+    """What a log holds: sensors, rates, phases, flags, events."""
+    from imuarray.log import open_log
+
+    with open_log(run) as log:
+        summary = describe(log)
+    if as_json:
+        print_json(summary)
+    else:
+        _print(summary)
+
+
+def describe(log: Log) -> dict[str, Any]:
+    """The log as one JSON-ready object."""
+    return {
+        "log": str(log.path),
+        "source": log.source,
+        "epoch": log.epoch,
+        "software": log.software,
+        "sensors": [_sensor(sensor) for sensor in log.sensors.values()],
+        "phases": [
+            {"name": phase.name, "up": phase.up, "start_s": phase.start_ns * 1e-9, "end_s": phase.end_ns * 1e-9}
+            for phase in log.phases
+        ],
+        "events": [
+            {"time_s": event.time_ns * 1e-9, "sensor": event.sensor, "kind": event.kind, "message": event.message}
+            for event in log.events
+        ],
+        "truth": log.truth is not None,
+    }
+
+
+def _sensor(sensor: SensorLog) -> dict[str, Any]:
+    """One sensor's line."""
+    import numpy as np
+
+    from imuarray.log.format import FLAGS
+
+    rows = len(sensor)
+    seconds = float(sensor.time[-1] - sensor.time[0]) * 1e-9 if rows > 1 else 0.0
+    flagged = dict.fromkeys(FLAGS, 0)
+    for block in sensor.blocks():
+        status = np.asarray(sensor.status[block])
+        for name, flag in FLAGS.items():
+            flagged[name] += int(np.count_nonzero(status & flag))
+    return {
+        "name": sensor.name,
+        "chip": sensor.chip,
+        "quantity": sensor.quantity,
+        "range": sensor.range,
+        "unit": sensor.unit,
+        "axes": sensor.axes,
+        "rows": rows,
+        "seconds": seconds,
+        "rate_hz": (rows - 1) / seconds if seconds else 0.0,
+        "flags": {name: count for name, count in flagged.items() if count},
+    }
+
+
+def _print(summary: dict[str, Any]) -> None:
+    """The same for a person."""
+    emulated = " (no hardware)" if summary["source"] == "emulated" else ""
+    click.echo(
+        f"{summary['log']}: {summary['source']}{emulated}, from {summary['epoch']}, written by {summary['software']}"
+    )
+    for sensor in summary["sensors"]:
+        scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else sensor["unit"]
+        flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())
+        click.echo(
+            f"  {sensor['name']:12} {sensor['chip']:10} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"
+            f" {sensor['rows']:8d} rows {sensor['rate_hz']:7.2f} Hz  {flags}".rstrip()
+        )
+    for phase in summary["phases"]:
+        up = f" ({phase['up']} up)" if phase["up"] else ""
+        click.echo(f"  phase {phase['name']:12} {phase['start_s']:9.1f} s to {phase['end_s']:9.1f} s{up}")
+    for event in summary["events"][:20]:
+        click.echo(f"  event {event['time_s']:9.3f} s {event['sensor']} {event['kind']}: {event['message']}")
+    if len(summary["events"]) > 20:
+        click.echo(f"  and {len(summary['events']) - 20} more events (--json lists all)")

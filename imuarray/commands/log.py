@@ -1,0 +1,160 @@
+"""`imuarray log`."""
+
+from __future__ import annotations
+
+import signal
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imuarray.axes import UP_AXES
+from imuarray.commands.options import (
+    bus_option,
+    config_argument,
+    find_config,
+    force_option,
+    json_option,
+    on_terminal,
+    print_json,
+    refuse_existing,
+)
+from imuarray.errors import ConfigError
+
+if TYPE_CHECKING:
+    from imuarray.acquire import Summary
+
+
+@click.command("log")
+@config_argument
+@bus_option
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write"
+)
+@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="how long (default: until interrupted)")
+@click.option(
+    "--rate-hz",
+    type=click.FloatRange(0.01, 3200),
+    default=50.0,
+    show_default=True,
+    help="frames per second; a frame reads every sensor once",
+)
+@click.option(
+    "--phase", default="", metavar="NAME", help="what this log is: static, z_up, room, heat, motion, run 3, ..."
+)
+@click.option(
+    "--up", type=click.Choice(UP_AXES), default=None, help="the box axis that points up (told by z_up and the like)"
+)
+@click.option(
+    "--transcript", type=click.Path(path_type=Path), metavar="T.jsonl", help="also write every transaction here"
+)
+@click.option("--only", metavar="SENSOR,...", help="read only these sensors")
+@force_option
+@json_option
+def command(
+    config: Path,
+    bus_url: str | None,
+    output: Path,
+    seconds: float | None,
+    rate_hz: float,
+    phase: str,
+    up: str | None,
+    transcript: Path | None,
+    only: str | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Record the array of CONFIG into a log of raw counts. Interrupt (Ctrl-C) to end it cleanly.
+
+    The bus is --bus or the configuration's; with neither, nothing is recorded.
+    """
+    from imuarray.acquire import record
+    from imuarray.array import load_array
+    from imuarray.bus import open_bus
+    from imuarray.bus.transcript import RecordingBus
+
+    array = load_array(find_config(config))
+    url = bus_url or array.bus
+    if url is None:
+        raise ConfigError(
+            f"{config}: no bus: say --bus i2c:/dev/i2c-1 (or --bus emulated: to rehearse), or give [array] a bus"
+        )
+    if only:
+        array = array.only(tuple(only.split(",")))
+    refuse_existing(output, force)
+    with ExitStack() as stack:
+        bus = stack.enter_context(open_bus(url, array))
+        if transcript:
+            bus = stack.enter_context(RecordingBus(bus, transcript, force=force))
+        if bus.source == "emulated":
+            click.echo("imuarray: recording the emulated array, no hardware", err=True)
+        stop = stack.enter_context(_Interruptible())
+        length = None if seconds is None else int(seconds * rate_hz)
+        bar = stack.enter_context(
+            click.progressbar(
+                length=length or 0, label=str(output), file=None, hidden=length is None or not on_terminal()
+            )
+        )
+        summary = record(
+            array,
+            bus,
+            output,
+            rate_hz=rate_hz,
+            seconds=seconds,
+            phases=() if phase else getattr(bus, "phases", ()),
+            phase=phase,
+            up=up or _up_of(phase),
+            stopped=lambda: stop.asked,
+            progress=lambda frames: bar.update(max(0, min(frames, length or 0) - bar.pos)),
+            force=force,
+        )
+    _tell(summary, output, as_json)
+
+
+def _up_of(phase: str) -> str:
+    """The axis that a face phase names: "x_down" means that -X points up; "" for every other phase."""
+    axis, _, way = phase.removesuffix("_check").partition("_")
+    if axis in ("x", "y", "z") and way in ("up", "down"):
+        return ("+" if way == "up" else "-") + axis.upper()
+    return ""
+
+
+def _tell(summary: Summary, output: Path, as_json: bool) -> None:
+    """What was recorded, for a person or a program."""
+    lost = {name: count for name, count in summary.lost.items() if count}
+    if as_json:
+        print_json(
+            {
+                "log": str(output),
+                "frames": summary.frames,
+                "late": summary.late,
+                "lost": lost,
+                "seconds": summary.seconds,
+            }
+        )
+        return
+    rate = summary.frames / summary.seconds if summary.seconds else 0.0
+    click.echo(f"{output}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
+    for name, count in lost.items():
+        click.echo(f"  {name}: {count} readings lost (see events: imuarray info {output})")
+
+
+class _Interruptible:
+    """SIGINT and SIGTERM end a log cleanly instead of breaking it off."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._before: dict[int, Any] = {}
+
+    def _ask(self, number: int, frame: Any) -> None:
+        self.asked = True
+
+    def __enter__(self) -> _Interruptible:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._ask)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,56 @@
+"""Arguments and options that several commands share, so that they read and behave alike."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from imuarray.errors import OutputExistsError
+
+config_argument = click.argument("config", type=click.Path(path_type=Path))
+log_argument = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
+bus_option = click.option(
+    "--bus",
+    "bus_url",
+    metavar="URL",
+    help="i2c:/dev/i2c-1, replay:T.jsonl or emulated: (default: the configuration's bus)",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object instead of text")
+force_option = click.option("--force", is_flag=True, help="overwrite the output if it exists")
+
+
+def find_config(name: Path) -> Path:
+    """`name` itself if it is a file, else the configuration of that name which comes with the package
+    ("martin2013").
+    """
+    if name.exists() or name.suffix:
+        return name
+    shipped = _configs() / f"{name}.toml"
+    return shipped if shipped.is_file() else name
+
+
+def _configs() -> Path:
+    """The shipped configurations: inside an installed package, beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"
+
+
+def refuse_existing(path: Path, force: bool) -> None:
+    """OutputExistsError if `path` is there and `--force` was not said; long work should fail before it begins."""
+    if path.exists() and not force:
+        raise OutputExistsError(path)
+
+
+def print_json(value: Any) -> None:
+    """One JSON object on standard output."""
+    click.echo(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False))
+
+
+def on_terminal() -> bool:
+    """True if a person watches standard error: only then is progress worth showing."""
+    return sys.stderr.isatty()
