@@ -35,6 +35,8 @@ class RecordingBus:
             self._file: IO[str] = open_output(Path(path), force)
         except FileExistsError:
             raise OutputExistsError(path) from None
+        except OSError as error:
+            raise BusUrlError(f"transcript {path}: can't be written: {error.strerror or error}") from None
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """See `Bus.transfer`."""
@@ -56,7 +58,8 @@ class RecordingBus:
             line.update(count=read, errno=error.errno)
             raise
         finally:
-            self._file.write(json.dumps(line) + "\n")
+            if "read" in line or "errno" in line:  # a request that no adapter can send never went over the wire
+                self._file.write(json.dumps(line) + "\n")
 
     def __getattr__(self, name: str) -> Any:
         """What else the bus offers (an emulated one knows the truth)."""
@@ -121,7 +124,8 @@ class ReplayBus:
                 parsed = json.loads(line)
                 parsed["to"], parsed["write"] = int(parsed["to"], 16), bytes.fromhex(parsed["write"])
                 parsed["read"] = bytes.fromhex(parsed.get("read", ""))
-            except (ValueError, KeyError, TypeError, AttributeError):
+                parsed["at_ns"], parsed["errno"] = int(parsed.get("at_ns", 0)), int(parsed.get("errno", 0))
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
                 raise BusUrlError(f"{self.path}, line {number}: not a transaction of a transcript") from None
             yield parsed
 
@@ -146,8 +150,8 @@ class ReplayBus:
         )
         if asked != then:
             raise SensorError(f"{self.path}, line {self._at}: recorded {_words(*then)}, now {_words(*asked)}")
-        self._clock.sleep_until(int(recorded.get("at_ns", 0)))
-        if "errno" in recorded:
+        self._clock.sleep_until(recorded["at_ns"])
+        if recorded["errno"]:
             raise OSError(recorded["errno"], os.strerror(recorded["errno"]))
         answer: bytes = recorded["read"]
         return answer

@@ -21,6 +21,8 @@ Floats = npt.NDArray[np.float64]
 BLOCKS = 20
 """Stretches of a log that are left out in turn for the uncertainty of a ratio (jackknife, Tukey 1958)."""
 
+FEWEST_BLOCKS = 5
+
 
 @dataclass(frozen=True)
 class Gain:
@@ -74,17 +76,14 @@ def _ten_second_means(time: npt.NDArray[np.int64], rows: Floats) -> Floats:
 
 
 def _gain(technique: str, quantity: str, box_axis: str, before: Floats, after: Floats) -> Gain:
-    if len(before) < 2 * BLOCKS:
-        raise FusionError(f"technique {technique}: {len(before)} frames with a truth, too few to compare")
-    squares = np.array(
-        [
-            [np.sum(b**2), np.sum(a**2)]
-            for b, a in zip(np.array_split(before, BLOCKS), np.array_split(after, BLOCKS), strict=True)
-        ]
-    )
+    count = min(BLOCKS, len(before) // 2)
+    if count < FEWEST_BLOCKS:
+        raise FusionError(f"technique {technique}: {len(before)} values with a truth, too few to compare")
+    parts = zip(np.array_split(before, count), np.array_split(after, count), strict=True)
+    squares = np.array([[np.sum(b**2), np.sum(a**2)] for b, a in parts])
     total = squares.sum(axis=0)
     ratio = float(np.sqrt(total[1] / total[0]))
     left_out = np.sqrt((total[1] - squares[:, 1]) / (total[0] - squares[:, 0]))
-    spread = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((left_out - left_out.mean()) ** 2)))
+    spread = float(np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean()) ** 2)))
     average, error = (float(value) for value in np.sqrt(total / len(before)))
     return Gain(technique, quantity, box_axis, average, error, ratio, spread)
