@@ -5,17 +5,17 @@ what is allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm."
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections import Counter
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from imuarray.axes import Matrix, orientation_of
 from imuarray.chips import CHIPS, ChipSpec
+from imuarray.complaints import complaints
 from imuarray.errors import ConfigError
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -43,6 +43,8 @@ class SensorConfig(BaseModel):
     range: float | None = None
     rate_hz: float | None = None
     bandwidth_hz: float | None = None
+    fifo: bool = False
+    """Drain the chip's own queue, so that every sample arrives however slowly the array is polled."""
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
 
@@ -59,6 +61,9 @@ class SensorConfig(BaseModel):
             _one_of("rate_hz", self.rate_hz, spec.rates_hz, ".10g")
         if self.bandwidth_hz is not None:
             _one_of("bandwidth_hz", self.bandwidth_hz, spec.allowed_bandwidths_hz(spec.rate_hz(self.rate_hz)), "g")
+        if self.fifo and not spec.has_fifo:
+            chips = ", ".join(name for name, other in CHIPS.items() if other.has_fifo)
+            raise ValueError(f"fifo true: the {self.chip} has none; allowed for {chips}")
         if self.channel is not None and self.bus is not None:
             raise ValueError("channel and bus: a sensor is on a channel of the mux or on a bus of its own, not both")
         orientation_of(self.axes)
@@ -157,7 +162,7 @@ def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{where}: not TOML: {error}") from None
     except ValidationError as error:
-        raise ConfigError(f"{where}: {'; '.join(_mistakes(error, table))}") from None
+        raise ConfigError(f"{where}: {complaints(error, table, _File)}") from None
     array = ArrayConfig(
         name=file.array.name, bus=file.array.bus, mux=file.array.mux, sensors=tuple(file.sensor), text=text
     )
@@ -213,42 +218,3 @@ def _check_against_trunk(array: ArrayConfig, sensor: SensorConfig, where: str) -
                 f"{where}: sensor {sensor.name!r} on channel {sensor.channel}: {other.name!r} on the trunk answers"
                 f" at {other.address:#x} too"
             )
-
-
-def _mistakes(error: ValidationError, table: dict[str, Any]) -> list[str]:
-    """Every mistake as "sensor 3 'BMA3': range 17: allowed are ..."."""
-    return [f"{_place(tuple(mistake['loc']), table)}{_complaint(mistake)}" for mistake in error.errors()]
-
-
-def _place(location: tuple[int | str, ...], table: dict[str, Any]) -> str:
-    """The place of a mistake in words: "sensor 3 'BMA3': range: "."""
-    words: list[str] = []
-    for part in location:
-        if isinstance(part, int) and words == ["sensor"]:
-            entries = table.get("sensor")
-            entry = entries[part] if isinstance(entries, list) else None
-            name = entry.get("name") if isinstance(entry, dict) else None
-            words = [f"sensor {part + 1} {name!r}" if name else f"sensor {part + 1}"]
-        else:
-            words.append(str(part) if str(part).isprintable() else repr(part))
-    return "".join(f"{word}: " for word in words)
-
-
-def _complaint(mistake: Any) -> str:
-    """What is wrong, in one clause, and what is allowed."""
-    if mistake["type"] == "extra_forbidden":
-        allowed = list(_table_of(tuple(mistake["loc"])).model_fields)
-        near = difflib.get_close_matches(str(mistake["loc"][-1]), allowed, n=1, cutoff=0.5)
-        return f"unknown key{f' (did you mean {near[0]!r}?)' if near else ''}; allowed are {', '.join(allowed)}"
-    if mistake["type"] == "value_error":
-        return str(mistake["ctx"]["error"])
-    return str(mistake["msg"])
-
-
-def _table_of(location: tuple[int | str, ...]) -> type[BaseModel]:
-    """The model of the table in which a key stands."""
-    if location[:2] == ("array", "mux") and len(location) > 2:
-        return MuxConfig
-    if len(location) == 1:
-        return _File
-    return _ArrayTable if location[0] == "array" else SensorConfig

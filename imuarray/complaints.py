@@ -1,0 +1,63 @@
+"""What pydantic found wrong with a TOML table, in words: the place, what came, what is allowed."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+
+def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """Every mistake in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
+    return "; ".join(_place(mistake["loc"], table) + _complaint(mistake, model) for mistake in error.errors())
+
+
+def _place(location: Sequence[int | str], table: Mapping[str, Any]) -> str:
+    """The place of a mistake; entries of an array of tables are counted from 1 and called by their name."""
+    words: list[str] = []
+    value: Any = table
+    for part in location:
+        value = _inside(value, part)
+        if isinstance(part, int) and words:
+            name = value.get("name") if isinstance(value, Mapping) else None
+            words[-1] += f" {part + 1}" + (f" {name!r}" if isinstance(name, str) else "")
+        else:
+            words.append(str(part) if str(part).isprintable() else repr(part))
+    return "".join(f"{word}: " for word in words)
+
+
+def _inside(value: Any, part: int | str) -> Any:
+    """`value[part]`, or None if there is no such thing."""
+    try:
+        return value[part]
+    except (KeyError, IndexError, TypeError):
+        return None
+
+
+def _complaint(mistake: Any, model: type[BaseModel]) -> str:
+    """What is wrong, in one clause, and what is allowed."""
+    if mistake["type"] == "extra_forbidden":
+        *path, key = mistake["loc"]
+        allowed = list(_model_at(path, model).model_fields)
+        near = difflib.get_close_matches(str(key), allowed, n=1, cutoff=0.5)
+        return f"unknown key{f' (did you mean {near[0]!r}?)' if near else ''}; allowed are {', '.join(allowed)}"
+    if mistake["type"] == "value_error":
+        return str(mistake["ctx"]["error"])
+    return str(mistake["msg"])
+
+
+def _model_at(path: Sequence[int | str], model: type[BaseModel]) -> type[BaseModel]:
+    """The model of the table at `path` inside `model`."""
+    for part in path:
+        if isinstance(part, str):
+            model = _models_in(model.model_fields[part].annotation)[0]
+    return model
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    """The models that an annotation names: `list[Model]`, `Model | None`, ..."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _models_in(part)]

@@ -1,0 +1,74 @@
+"""Recordings made by other programs, turned into logs: known formats by name, any table of numbers by a map.
+
+Counts stay as the source holds them; nothing is resampled, filled in or repeated. Formats of one instrument are entries
+of `FORMATS`; everything that is a text table needs no code but a map (`imuarray.importers.mapping`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import BinaryIO, Protocol, cast
+
+from imuarray.errors import SourceError
+
+FORMATS: Mapping[str, str] = MappingProxyType({"mimu4444": "imuarray.importers.mimu4444"})
+"""Every format that has a name; the module (loaded when it is asked for) holds its importer as `import_file`."""
+
+NO_WALL_TIME = "1970-01-01T00:00:00.000000Z"
+"""Epoch of a log whose source names no wall time; such a log says so in an event of kind "imported"."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What an import wrote: `rows` of each sensor over `seconds`; `lost` rows that the source shows to be missing
+    (None: it numbers nothing, so nobody knows); how often each kind of event happened."""
+
+    sensors: tuple[str, ...]
+    rows: int
+    lost: int | None
+    seconds: float
+    events: Mapping[str, int] = field(default_factory=dict)
+
+
+class Importer(Protocol):
+    """Reads `source` and writes the log `output`; `progress` is told how many bytes of the source are done.
+
+    Raises SourceError, OutputExistsError, LogError; leaves no half-written log behind.
+    """
+
+    def __call__(
+        self,
+        source: str | PathLike[str],
+        output: str | PathLike[str],
+        *,
+        force: bool = False,
+        progress: Callable[[int], None] = lambda done: None,
+    ) -> Summary:
+        """Import `source` into `output`."""
+
+
+def importer(name: str) -> Importer:
+    """The importer of the format called `name`; KeyError unless it is one of `FORMATS`."""
+    return cast(Importer, import_module(FORMATS[name]).import_file)
+
+
+def open_source(source: str | PathLike[str], output: str | PathLike[str]) -> BinaryIO:
+    """Open a recording for reading; SourceError if it can't be, or if the log would replace it."""
+    path = Path(source)
+    if path.is_dir():
+        raise SourceError(f"{path}: is a folder; a recording is one file")
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise SourceError(
+            f"{path}: {'no such file' if isinstance(error, FileNotFoundError) else error.strerror}"
+        ) from None
+    if Path(output).exists() and Path(output).samefile(path):
+        file.close()
+        raise SourceError(f"{path}: is the output too; a log never replaces what it was made from")
+    return file

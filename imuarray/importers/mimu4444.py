@@ -1,0 +1,202 @@
+"""MIMU4444 boards: eight MPU-9150, four on each side, so that every axis of one side opposes an axis of the other.
+
+Scales: 2048 counts per g (+-16 g), 16.4 counts per degree/s (+-2000 degrees/s). The box frame is the board's, that of
+the odd units; the even ones, on the other side, have x along -Y, y along -X, z along -Z. Time is the board's 64 MHz
+counter, 32 bits, so it wraps every 67 s; the packet numbers, 16 bits, tell how often it did so in a gap. Sources: those
+of `imuarray.importers.packets`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import SourceError
+from imuarray.importers import NO_WALL_TIME, Summary, open_source
+from imuarray.importers.packets import BLOCK_BYTES, PAYLOAD, SIZE, Piece, read_packets
+from imuarray.log import Block, LogWriter
+from imuarray.log.format import LOST_BEFORE, SATURATED, Event, SensorHeader
+
+RATE_HZ = 62.5
+COUNTER_HZ = 64_000_000
+TICKS_PER_PACKET = round(COUNTER_HZ / RATE_HZ)
+
+JUMP_S = 0.5
+"""The counter and the packet numbers may differ by this and 1 % of a gap; beyond that an event says that one jumped."""
+
+EVENTS_PER_KIND = 100
+"""Events of one kind that are written out; the rest is one event with their count."""
+
+_POSITIONS_MM = (
+    (-9.45, 9.45, 1.0),
+    (-9.45, 9.45, -1.0),
+    (-9.45, -9.45, 1.0),
+    (-9.45, -9.45, -1.0),
+    (9.45, 9.45, 1.0),
+    (9.45, 9.45, -1.0),
+    (9.45, -9.45, 1.0),
+    (9.45, -9.45, -1.0),
+)
+_AXES = ("+X+Y+Z", "-Y-X-Z")
+
+Integers = npt.NDArray[np.int64]
+
+
+def sensors() -> list[SensorHeader]:
+    """The sixteen sensors of a board: `IMU1_acc`, `IMU1_gyro`, ..., `IMU8_gyro`."""
+    return [header for unit in range(len(_POSITIONS_MM)) for header in (_header(unit, "acc"), _header(unit, "gyro"))]
+
+
+def _header(unit: int, part: str) -> SensorHeader:
+    """The accelerometer ("acc") or gyroscope ("gyro") of one unit, counted from 0."""
+    gyro = part == "gyro"
+    return SensorHeader(
+        name=f"IMU{unit + 1}_{part}",
+        chip="mpu9150",
+        quantity="angular_rate" if gyro else "specific_force",
+        unit="dps" if gyro else "g",
+        range=2000.0 if gyro else 16.0,
+        sensitivity=16.4 if gyro else 2048.0,
+        rate_hz=RATE_HZ,
+        axes=_AXES[unit % 2],
+        position_mm=_POSITIONS_MM[unit],
+    )
+
+
+def import_file(
+    source: str | PathLike[str],
+    output: str | PathLike[str],
+    *,
+    force: bool = False,
+    progress: Callable[[int], None] = lambda done: None,
+    block_bytes: int = BLOCK_BYTES,
+) -> Summary:
+    """Write the recording `source` to the log `output`; SourceError if no packet in it is sound."""
+    headers = sensors()
+    with (
+        open_source(source, output) as file,
+        LogWriter(output, headers, source="imported", epoch=NO_WALL_TIME, force=force) as log,
+    ):
+        recording = _Recording(log, [header.name for header in headers], str(source))
+        for piece in read_packets(file, block_bytes):
+            recording.add(piece)
+            progress(file.tell())
+        return recording.finish()
+
+
+class _Recording:
+    """The state of one import: the last packet's number and counter, the time so far, what was noted."""
+
+    def __init__(self, log: LogWriter, names: list[str], source: str) -> None:
+        self.log = log
+        self.names = names
+        self.source = source
+        self.rows = self.lost = 0
+        self.number = self.ticks = self.elapsed = 0
+        self.happened: Counter[str] = Counter()
+        note = f"from {Path(source).name}, MIMU4444; it holds no wall time: the epoch stands for its first packet"
+        log.event(Event(0, "", "imported", note))
+
+    def add(self, piece: Piece) -> None:
+        """Write the rows of one piece and note what is wrong with it."""
+        number = piece.packets["number"].astype(np.int64)
+        ticks = piece.packets["ticks"].astype(np.int64)
+        if len(number) and not self.rows:
+            self.number, self.ticks, self.elapsed = (
+                int(number[0]) - 1,
+                int(ticks[0]) - TICKS_PER_PACKET,
+                -TICKS_PER_PACKET,
+            )
+        steps, passed = _advance(np.append(self.number, number), np.append(self.ticks, ticks))
+        elapsed = self.elapsed + np.cumsum(passed)
+        time = (elapsed * 125 + 4) // 8  # 15.625 ns a tick
+        fresh = passed > 0
+        if (~fresh & (steps > 0)).any():
+            stuck = number[np.argmax(~fresh & (steps > 0))]
+            raise SourceError(f"{self.source}: packet {stuck}: it has the time stamp of the packet before it")
+        self._write(piece, time, steps, fresh)
+        self._note(piece, number, time, steps, passed)
+        if len(number):
+            self.number, self.ticks, self.elapsed = int(number[-1]), int(ticks[-1]), int(elapsed[-1])
+
+    def _write(self, piece: Piece, time: Integers, steps: Integers, fresh: npt.NDArray[np.bool_]) -> None:
+        """Append the fresh packets of `piece` to all sensors."""
+        gap = np.where(steps > 1, LOST_BEFORE, 0)[fresh]
+        axes = piece.packets["axes"].astype(np.int16)[fresh].reshape(-1, len(self.names), 3)
+        for index, name in enumerate(self.names):
+            counts = np.ascontiguousarray(axes[:, index])
+            full = ((counts == -32768) | (counts == 32767)).any(axis=1)
+            self.log.append(name, Block(time[fresh], counts, (gap | np.where(full, SATURATED, 0)).astype(np.uint16)))
+        self.rows += len(axes)
+        self.lost += int(np.maximum(steps - 1, 0).sum())
+
+    def _note(self, piece: Piece, number: Integers, time: Integers, steps: Integers, passed: Integers) -> None:
+        """One event for each thing that is wrong with `piece`."""
+        at = np.append(time, (self.elapsed * 125 + 4) // 8 if len(time) == 0 else time[-1])
+        odd = piece.skipped - SIZE * piece.broken
+        apart = np.abs(passed - steps * TICKS_PER_PACKET)
+        jumps = np.flatnonzero(apart > JUMP_S * COUNTER_HZ + 0.01 * steps * TICKS_PER_PACKET)
+        end = len(number)
+        self._tell(
+            "checksum",
+            np.flatnonzero(piece.broken),
+            at,
+            lambda i: f"{piece.broken[i]} packets with a wrong checksum left out",
+        )
+        self._tell(
+            "garbage", np.flatnonzero(odd[:end]), at, lambda i: f"{odd[i]} bytes that belong to no packet left out"
+        )
+        self._tell(
+            "lost", np.flatnonzero(steps > 1), at, lambda i: f"{steps[i] - 1} packets missing before packet {number[i]}"
+        )
+        self._tell(
+            "repeated", np.flatnonzero(steps == 0), at, lambda i: f"packet {number[i]} came twice; left out once"
+        )
+        self._tell("clock", jumps, at, lambda i: _jump(passed[i], steps[i]) + f" before packet {number[i]}")
+        self._tell(
+            "end", end + np.flatnonzero(odd[end:]), at, lambda i: f"{odd[i]} bytes at the end are no whole packet"
+        )
+
+    def _tell(self, kind: str, where: Iterable[int], at: Integers, message: Callable[[int], str]) -> None:
+        """Note events of one kind at rows `where`, written out up to a bound."""
+        for index in where:
+            self.happened[kind] += 1
+            if self.happened[kind] <= EVENTS_PER_KIND:
+                self.log.event(Event(max(0, int(at[index])), "", kind, message(index)))
+
+    def finish(self) -> Summary:
+        """The last events and the summary; SourceError if there was no packet."""
+        if self.rows == 0:
+            raise SourceError(
+                f"{self.source}: no MIMU4444 packet in it; expected packets of {SIZE} bytes: 0xaa, number, "
+                f"length {PAYLOAD}, payload, sum of the first {SIZE - 2} bytes"
+            )
+        end_ns = (self.elapsed * 125 + 4) // 8
+        for kind, count in self.happened.items():
+            if count > EVENTS_PER_KIND:
+                self.log.event(Event(end_ns, "", kind, f"{count - EVENTS_PER_KIND} more events of this kind"))
+        return Summary(tuple(self.names), self.rows, self.lost, end_ns * 1e-9, dict(self.happened))
+
+
+def _jump(passed: int, steps: int) -> str:
+    """How far the counter and the packet numbers disagree, in words."""
+    return f"{passed / COUNTER_HZ:.3f} s by the counter, {steps / RATE_HZ:.3f} s by the packet numbers,"
+
+
+def _advance(number: Integers, ticks: Integers) -> tuple[Integers, Integers]:
+    """From raw numbers and counters (n + 1,): by how many packets each follows the one before, and ticks passed (n,).
+
+    Both wrap: the number after 65536 packets, the counter after 2**32 ticks; in a gap the number says how often the
+    counter did. A packet that repeats the one before is 0 packets and 0 ticks on; no other step is 0.
+    """
+    steps = (np.diff(number) - 1) % 65536 + 1
+    passed = np.diff(ticks) % 2**32
+    same = (steps == 65536) & (passed == 0)
+    wraps = np.rint((steps * TICKS_PER_PACKET - passed) / 2**32).astype(np.int64)
+    passed += np.maximum(wraps, 0) * 2**32
+    return np.where(same, 0, steps), np.where(same, 0, passed)

@@ -1,0 +1,119 @@
+"""Maps that can't be meant are refused on one line that names file, place, and what is allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from imuarray.errors import ConfigError
+from imuarray.importers.mapping import load_map
+
+TIME = '[time]\ncolumn = "t"\nunit = "s"\n'
+SENSOR = """[[sensor]]
+name = "A"
+chip = "bma180"
+quantity = "specific_force"
+columns = ["x", "y", "z"]
+range = 16
+unit = "g"
+sensitivity = 512
+"""
+
+
+def complaint(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "map.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_map(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{path}: ")
+
+
+def test_the_shortest_map(tmp_path: Path) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(TIME + SENSOR)
+    table_map = load_map(path)
+    (sensor,) = table_map.sensor
+    assert (sensor.values, sensor.axes, sensor.temperature_column) == ("counts", "+X+Y+Z", None)
+    assert (table_map.file.delimiter, table_map.file.skip_rows, table_map.file.comment) == (",", 0, "#")
+    assert list(table_map.columns()) == ["t", "x", "y", "z"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "range = 16",
+            "rnage = 16",
+            "sensor 1 'A': rnage: unknown key (did you mean 'range'?); allowed are name, chip,",
+        ),
+        ("[time]", "[tmie]\n[time]", "tmie: unknown key (did you mean 'time'?); allowed are file, time, sensor, phase"),
+        ('unit = "s"', 'unit = "s"\nzone = 1', "time: zone: unknown key; allowed are column, unit, rate_hz"),
+        ("range = 16", "", "sensor 1 'A': range: Field required"),
+        ("range = 16", "range = -16", "sensor 1 'A': range: Input should be greater than 0"),
+        ("range = 16", "range = inf", "sensor 1 'A': range: Input should be a finite number"),
+        ("sensitivity = 512", 'sensitivity = "512"', "sensor 1 'A': sensitivity: Input should be a valid number"),
+        ('unit = "g"', 'unit = "dps"', "sensor 1 'A': unit 'dps': allowed for specific_force is g"),
+        ('unit = "g"', 'unit = "m/s2"', "sensor 1 'A': unit: Input should be 'g', 'dps' or 'gauss'"),
+        ('"specific_force"', '"pressure"', "quantity: Input should be 'specific_force', 'angular_rate' or"),
+        ('["x", "y", "z"]', '["x", "y"]', "sensor 1 'A': columns: List should have at least 3 items"),
+        ('["x", "y", "z"]', '["x", "y", "y"]', "sensor 1 'A': columns ['x', 'y', 'y']: each column comes once"),
+        ('["x", "y", "z"]', "[1, 2, -3]", "columns 3: -3: allowed are a column's name or its index, counted from 0"),
+        ('["x", "y", "z"]', "[1, 2, 1.5]", "columns 3: 1.5: allowed are a column's name or its index"),
+        ('["x", "y", "z"]', "[1, 2, true]", "columns 3: True: allowed are a column's name or its index"),
+        ('name = "A"', 'name = "A/B"', "sensor 1 'A/B': name: String should match pattern"),
+        ("range = 16", 'range = 16\naxes = "+X+Y-Z"', "sensor 1 'A': axes '+X+Y-Z': this triad is left-handed"),
+        ("range = 16", 'range = 16\nvalues = "si"', "sensor 1 'A': values: Input should be 'counts' or 'physical'"),
+        ('unit = "s"\n', "", "time: unit goes with column; allowed are s, ms, us, ns"),
+        ('unit = "s"', 'unit = "s"\nrate_hz = 100', "time: needs either column and unit, or rate_hz"),
+        ('column = "t"\nunit = "s"', "", "time: needs either column and unit, or rate_hz"),
+        ('column = "t"\nunit = "s"', "rate_hz = 0", "time: rate_hz: Input should be greater than or equal to 0.001"),
+        ("[time]", '[file]\ndelimiter = "tab"\n[time]', "file: delimiter: Input should be ',', ';', '\\t', ' ' or '|'"),
+        ("[time]", "[file]\nskip_rows = -1\n[time]", "file: skip_rows: Input should be greater than or equal to 0"),
+        ("[time]", '[[phase]]\nname = "p"\nrows = [5, 4]\n[time]', "phase 1 'p': rows [5, 4]: [first, last], last not"),
+        ("[time]", '[[phase]]\nname = "p"\nrows = [-5, 4]\n[time]', "phase 1 'p': rows 1: Input should be greater"),
+        ("[time]", "[time", "not TOML: "),
+    ],
+)
+def test_what_cannot_be_meant(tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = TIME + SENSOR
+    assert text.count(old) == 1 or old == 'unit = "s"\n'
+    assert message in complaint(tmp_path, text.replace(old, new, 1))
+
+
+def test_every_mistake_is_named(tmp_path: Path) -> None:
+    message = complaint(tmp_path, (TIME + SENSOR).replace("range = 16", "range = 0").replace('"t"', '""'))
+    assert "time: column: '': allowed are" in message
+    assert "; sensor 1 'A': range: " in message
+
+
+def test_names_are_unique_and_there_is_a_sensor(tmp_path: Path) -> None:
+    assert complaint(tmp_path, TIME + SENSOR * 2) == "2 sensors are called 'A'; names are unique"
+    assert complaint(tmp_path, TIME) == "sensor: Field required"
+
+
+def test_tables_of_the_wrong_shape(tmp_path: Path) -> None:
+    assert complaint(tmp_path, TIME + "sensor = 3").startswith("time: sensor: unknown key")
+    assert complaint(tmp_path, "sensor = [3]\n" + TIME).startswith("sensor 1: Input should be")
+
+
+def test_a_map_that_is_not_there_or_no_text(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: No such file"):
+        load_map(tmp_path / "none.toml")
+    path = tmp_path / "map.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match=r"map\.toml: is not a text file"):
+        load_map(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "up"),
+    [("z_up", "+Z"), ("x_down", "-X"), ("y_up_check", "+Y"), ("static", ""), ("w_up", ""), ("z", ""), ("run 3", "")],
+)
+def test_faces_say_what_is_up(tmp_path: Path, name: str, up: str) -> None:
+    path = tmp_path / "map.toml"
+    path.write_text(TIME + SENSOR + f'[[phase]]\nname = "{name}"\nrows = [0, 0]\n')
+    assert load_map(path).phase[0].up == up
