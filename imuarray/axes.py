@@ -45,6 +45,14 @@ def up_vector(up: str) -> tuple[float, float, float]:
     return (x, y, z)
 
 
+def face_up(phase: str) -> str:
+    """The box axis that points up in a phase named after a face: "-X" for "x_down" and "x_down_check", else ""."""
+    axis, _, way = phase.removesuffix("_check").partition("_")
+    if axis in ("x", "y", "z") and way in ("up", "down"):
+        return ("+" if way == "up" else "-") + axis.upper()
+    return ""
+
+
 def _parity(permutation: list[int]) -> int:
     """+1 for an even permutation of 0, 1, 2, -1 for an odd one."""
     swaps = sum(permutation[i] > permutation[j] for i in range(3) for j in range(i + 1, 3))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.axes import up_vector
+from imuarray.axes import face_up, up_vector
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
@@ -50,7 +50,7 @@ class Reading:
 
 def named_faces(log: Log) -> list[Pose]:
     """The poses that the log's own phases name, in file order."""
-    return [Pose(phase, up_vector(phase.up)) for phase in log.phases if phase.up and _is_face(phase.name)]
+    return [Pose(phase, up_vector(phase.up)) for phase in log.phases if phase.up and face_up(phase.name)]
 
 
 def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
@@ -88,12 +88,6 @@ def find_poses(log: Log) -> list[Pose]:
             start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + width_ns
             poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None))
     return poses
-
-
-def _is_face(name: str) -> bool:
-    """`z_up`, `x_down`, `y_up_check`, ..."""
-    axis, _, way = name.removesuffix("_check").partition("_")
-    return axis in ("x", "y", "z") and way in ("up", "down")
 
 
 def _windows(sensors: Sequence[SensorLog]) -> tuple[npt.NDArray[np.int64], Floats, Floats]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.options import force_option, json_option, log_argument, on_terminal, print_json, refuse_existing
+from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
 from imuarray.errors import ImuArrayError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -58,8 +58,9 @@ def _characterise(log: Log, phase: str | None, sensors: tuple[str, ...] | None) 
 
     chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
     columns = sum(int(sensor.counts.shape[1]) for sensor in chosen)
-    with click.progressbar(length=columns, label=str(log.path), file=sys.stderr, hidden=not on_terminal()) as bar:
-        return characterise_log(log, phase, sensors, lambda: bar.update(1))
+    count = itertools.count(1)
+    with progress(columns, str(log.path)) as done:
+        return characterise_log(log, phase, sensors, lambda: done(next(count)))
 
 
 def _write(result: dict[str, Any], output: Path) -> list[Path]:

@@ -13,11 +13,12 @@ from imuarray.commands.options import bus_option, config_argument, find_config, 
 @click.command("detect")
 @config_argument
 @bus_option
+@click.option("--self-test", is_flag=True, help="let each chip test itself; its settings are lost")
 @json_option
-def command(config: Path, bus_url: str | None, as_json: bool) -> int:
+def command(config: Path, bus_url: str | None, self_test: bool, as_json: bool) -> int:
     """What answers on the bus, and is it what CONFIG says.
 
-    Exits 2 if a sensor is missing or another chip sits in its place.
+    Exits 2 if a sensor is missing, another chip sits in its place, or it fails its self-test.
     """
     from imuarray.acquire import detect
     from imuarray.array import load_array
@@ -26,7 +27,7 @@ def command(config: Path, bus_url: str | None, as_json: bool) -> int:
     array = load_array(find_config(config))
     url = bus_url or array.bus or "emulated:"
     with open_bus(url, array) as bus:
-        found = detect(array, bus)
+        found = detect(array, bus, self_test=self_test)
         source = bus.source
     wrong = [line for line in found if not line.ok]
     if as_json:
@@ -37,6 +38,7 @@ def command(config: Path, bus_url: str | None, as_json: bool) -> int:
     for line in found:
         mark = "ok " if line.ok and line.expected else ("?  " if line.ok else "NO ")
         wanted = f"{line.sensor} ({line.expected})" if line.expected else "not in the configuration"
-        click.echo(f"  {mark} {line.place:24} {wanted:28} {'' if line.found == line.expected else line.found}".rstrip())
+        told = [text for text in (line.found, line.self_test) if text not in ("", line.expected)]
+        click.echo(f"  {mark} {line.place:24} {wanted:28} {'; '.join(told)}".rstrip())
     click.echo(f"{sum(bool(line.expected) for line in found) - len(wrong)} as configured, {len(wrong)} not")
     return 2 if wrong else 0

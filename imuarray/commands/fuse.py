@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.options import force_option, json_option, log_argument, on_terminal, print_json, refuse_existing
+from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
@@ -50,7 +50,7 @@ def command(
         names = [log[name].name for name in only.split(",")] if only else []
         calibration = with_noise(log, calibration, technique)
         rows = max(len(sensor) for sensor in log.sensors.values())
-        with click.progressbar(length=rows, label=technique, hidden=not on_terminal()) as bar:
+        with progress(rows, technique) as done:
             frames = write_fused(
                 output,
                 fuse(log, calibration, technique, only=names),
@@ -59,7 +59,7 @@ def command(
                 log=str(run),
                 calibration=str(calibration_file or ""),
                 force=force,
-                progress=lambda done: bar.update(done - bar.pos),
+                progress=done,
             )
         errors = evaluate(log, fuse(log, calibration, technique, only=names)) if log.truth or log.reference else {}
     report = {

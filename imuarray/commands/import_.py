@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imuarray.commands.options import force_option, json_option, on_terminal, print_json, refuse_existing
+from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
 from imuarray.importers import FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from imuarray.importers import Summary
 
 
@@ -43,21 +39,13 @@ def command(
     if (map_path is None) == (format_name is None):
         raise click.UsageError(f"say either --map MAP.toml or --format {'|'.join(FORMATS)}")
     refuse_existing(output, force)
-    with ExitStack() as stack:
-        progress = _progress(stack, source)
+    size = source.stat().st_size if source.is_file() else 0
+    with progress(size, str(source)) as done:
         if map_path is not None:
-            summary = import_table(source, map_path, output, force=force, progress=progress)
+            summary = import_table(source, map_path, output, force=force, progress=done)
         else:
-            summary = importer(format_name or "")(source, output, force=force, progress=progress)
+            summary = importer(format_name or "")(source, output, force=force, progress=done)
     _tell(summary, output, as_json)
-
-
-def _progress(stack: ExitStack, source: Path) -> Callable[[int], None]:
-    """Told how many bytes are done, moves a bar on standard error if a person watches it."""
-    if not on_terminal() or not source.is_file():
-        return lambda done: None
-    bar = stack.enter_context(click.progressbar(length=source.stat().st_size, label=str(source), file=sys.stderr))
-    return lambda done: bar.update(done - bar.pos)
 
 
 def _tell(summary: Summary, output: Path, as_json: bool) -> None:

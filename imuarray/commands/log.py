@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.axes import UP_AXES
+from imuarray.axes import UP_AXES, face_up
 from imuarray.commands.options import (
     bus_option,
     config_argument,
     find_config,
     force_option,
     json_option,
-    on_terminal,
     print_json,
+    progress,
     refuse_existing,
 )
 from imuarray.errors import ConfigError
@@ -90,12 +90,7 @@ def command(
         if bus.source == "emulated":
             click.echo("imuarray: recording the emulated array, no hardware", err=True)
         stop = stack.enter_context(_Interruptible())
-        length = None if seconds is None else int(seconds * rate_hz)
-        bar = stack.enter_context(
-            click.progressbar(
-                length=length or 0, label=str(output), file=None, hidden=length is None or not on_terminal()
-            )
-        )
+        done = stack.enter_context(progress(int((seconds or 0) * rate_hz), str(output)))
         summary = record(
             array,
             bus,
@@ -104,20 +99,12 @@ def command(
             seconds=seconds,
             phases=() if phase else getattr(bus, "phases", ()),
             phase=phase,
-            up=up or _up_of(phase),
+            up=up or face_up(phase),
             stopped=lambda: stop.asked,
-            progress=lambda frames: bar.update(max(0, min(frames, length or 0) - bar.pos)),
+            progress=done,
             force=force,
         )
     _tell(summary, output, as_json)
-
-
-def _up_of(phase: str) -> str:
-    """The axis that a face phase names: "x_down" means that -X points up; "" for every other phase."""
-    axis, _, way = phase.removesuffix("_check").partition("_")
-    if axis in ("x", "y", "z") and way in ("up", "down"):
-        return ("+" if way == "up" else "-") + axis.upper()
-    return ""
 
 
 def _tell(summary: Summary, output: Path, as_json: bool) -> None:

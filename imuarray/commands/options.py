@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +53,12 @@ def print_json(value: Any) -> None:
     click.echo(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False))
 
 
-def on_terminal() -> bool:
-    """True if a person watches standard error: only then is progress worth showing."""
-    return sys.stderr.isatty()
+@contextmanager
+def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
+    """A bar on standard error; yields a function that moves it to a position.
+
+    Hidden unless a person watches, and where the `length` is not known (0).
+    """
+    hidden = not length or not sys.stderr.isatty()
+    with click.progressbar(length=max(length, 1), label=label, file=sys.stderr, hidden=hidden) as bar:
+        yield lambda done: bar.update(min(done, length) - bar.pos)
