@@ -32,6 +32,10 @@ class ChipSpec:
     fixed_rate_hz: float = 0.0
     bandwidths_hz: Mapping[float, tuple[float, ...]] = field(default_factory=dict)
     default_bandwidth_hz: float = 0.0
+    has_fifo: bool = False
+    has_thermometer: bool = False
+    on_demand: bool = False
+    """It converts only when asked; its driver keeps the pace."""
 
     def rate_hz(self, asked: float | None) -> float:
         """The chip's own update rate under a configuration that asks for `asked` (None: not said)."""
@@ -55,6 +59,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             sensitivity=dict.fromkeys((2.0, 4.0, 8.0, 16.0), 256.0),  # full resolution, whatever the range: ADX-40
             rates_hz=_ADXL345_RATES_HZ,
             default_rate_hz=100.0,
+            has_fifo=True,
         ),
         "bma180": ChipSpec(
             quantity="specific_force",
@@ -65,6 +70,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             fixed_rate_hz=2400.0,  # BMA-93
             bandwidths_hz={0.0: (10.0, 20.0, 40.0, 75.0, 150.0, 300.0, 600.0, 1200.0)},  # BMA-81 ... BMA-88
             default_bandwidth_hz=150.0,  # BMA-85: the factory's
+            has_thermometer=True,
         ),
         "l3g4200d": ChipSpec(
             quantity="angular_rate",
@@ -80,6 +86,8 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
                 800.0: (30.0, 35.0, 50.0, 110.0),
             },
             default_bandwidth_hz=25.0,
+            has_fifo=True,
+            has_thermometer=True,
         ),
         "bmp180": ChipSpec(
             quantity="pressure",
@@ -87,6 +95,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             addresses=bmp180.ADDRESSES,
             rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # how often it is asked; it converts only when asked (BMP-51)
             default_rate_hz=4.0,
+            on_demand=True,
         ),
         "hmc5883l": ChipSpec(
             quantity="magnetic_field",

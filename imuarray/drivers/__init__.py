@@ -4,14 +4,14 @@ line below.
 
 from __future__ import annotations
 
-from imuarray.drivers.adxl345 import Adxl345
+from imuarray.drivers.adxl345 import Adxl345, Adxl345Fifo
 from imuarray.drivers.bma180 import Bma180
 from imuarray.drivers.bmp180 import Bmp180
-from imuarray.drivers.driver import Decoded, Driver
+from imuarray.drivers.driver import Decoded, Driver, FifoDriver, SelfTest
 from imuarray.drivers.hmc5883 import Hmc5883
-from imuarray.drivers.l3g4200d import L3g4200d
+from imuarray.drivers.l3g4200d import L3g4200d, L3g4200dFifo
 
-__all__ = ["DRIVERS", "Decoded", "Driver"]
+__all__ = ["DRIVERS", "FIFO_DRIVERS", "Decoded", "Driver", "FifoDriver", "SelfTest"]
 
 DRIVERS: dict[str, type[Driver]] = {
     "adxl345": Adxl345,
@@ -21,3 +21,6 @@ DRIVERS: dict[str, type[Driver]] = {
     "hmc5883": Hmc5883,
     "hmc5883l": Hmc5883,
 }
+
+FIFO_DRIVERS: dict[str, type[Driver]] = {"adxl345": Adxl345Fifo, "l3g4200d": L3g4200dFifo}
+"""Drivers of chips whose queue is drained (`fifo = true`)."""

@@ -1,8 +1,9 @@
 """ADXL345 accelerometer. Analog Devices data sheet Rev. E (2015); facts ADX-*.
 
-There is no reset (ADX-31), so every register that matters is written. Full resolution: 256 counts per g in every
-range (ADX-40), right-justified, low byte first (ADX-45). One burst carries INT_SOURCE, DATA_FORMAT and the triad,
-0x30 ... 0x37."""
+There is no reset (ADX-31), so every register that matters is written. Full resolution: 256 counts per g in every range
+(ADX-40), right-justified, low byte first (ADX-45). One burst carries INT_SOURCE, DATA_FORMAT and the triad, 0x30 ...
+0x37. The queue gives one set a transaction (ADX-05, ADX-55).
+"""
 
 from __future__ import annotations
 
@@ -10,15 +11,24 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for, saturated
+from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import adxl345 as facts
+from imuarray.facts.registers import Setting
 from imuarray.log.format import STALE
 
 _RANGE_CODES = {2.0: 0b00, 4.0: 0b01, 8.0: 0b10, 16.0: 0b11}  # ADX-26
+_BYPASS, _STREAM = 0b00, 0b10  # ADX-28
+_FIFO_DEPTH = 32  # ADX-51
+_LSB_PER_G = 256.0  # ADX-40
+_SELF_TEST_RATE = 0xC  # 400 Hz, among the rates at which the limits hold: ADX-58
+_SELF_TEST_SAMPLES = 32
+_SELF_TEST_G = ((0.20, 2.10 * 1.77), (-2.10 * 1.77, -0.20), (0.30, 3.40 * 1.47))  # 2.5 V to 3.3 V: ADX-58
 
 
 class Adxl345:
@@ -26,12 +36,25 @@ class Adxl345:
 
     burst: ClassVar[int] = 8
     tells_fresh: ClassVar[bool] = True
+    fifo_mode: ClassVar[int] = _BYPASS
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         self.registers = registers_for(sensor, bus)
         self.clock = clock
         self.range_g = sensor.range or 16.0
         self.rate_hz = sensor.chip_rate_hz
+        rate_code = 15 - round(np.log2(3200.0 / self.rate_hz))  # ADX-36
+        self.settings: tuple[Setting, ...] = (
+            facts.BW_RATE[7:0](facts.RATE(rate_code).value),
+            facts.DATA_FORMAT[7:0]((facts.FULL_RES(1) | facts.RANGE(_RANGE_CODES[self.range_g])).value),
+            facts.FIFO_CTL[7:0](facts.FIFO_MODE(self.fifo_mode).value),
+            facts.INT_ENABLE[7:0](0),
+            facts.OFSX[7:0](0),
+            facts.OFSY[7:0](0),
+            facts.OFSZ[7:0](0),
+        )
+        self.power = facts.POWER_CTL[7:0](facts.MEASURE(1).value)
+        self.watched: tuple[Setting, ...] = (self.power, *self.settings[:3])
 
     def identify(self) -> None:
         """DEVID is 0xE5 (ADX-10)."""
@@ -39,23 +62,33 @@ class Adxl345:
 
     def configure(self) -> None:
         """Standby, settings, measure; wait for the first sample (1/ODR + 1.1 ms, ADX-38)."""
-        rate_code = 15 - round(np.log2(3200.0 / self.rate_hz))  # ADX-36
-        settings = {
-            facts.POWER_CTL: facts.MEASURE(0).value,
-            facts.BW_RATE: facts.RATE(rate_code).value,
-            facts.DATA_FORMAT: (facts.FULL_RES(1) | facts.RANGE(_RANGE_CODES[self.range_g])).value,
-            facts.FIFO_CTL: facts.FIFO_MODE(0b00).value,
-            facts.INT_ENABLE: 0,
-            facts.OFSX: 0,
-            facts.OFSY: 0,
-            facts.OFSZ: 0,
-        }
-        for register, value in settings.items():
-            self.registers.poke(register, value)
-            self.registers.verify(register[7:0](value))
-        self.registers.poke(facts.POWER_CTL, facts.MEASURE(1).value)
-        self.registers.verify(facts.POWER_CTL[7:0](facts.MEASURE(1).value))
+        self.registers.set(facts.POWER_CTL[7:0](0), *self.settings, self.power)
         sleep_for(self.clock, 1 / self.rate_hz + 1.1e-3)
+
+    def self_test(self) -> SelfTest:
+        """Deflection with SELF_TEST set, against the limits of ADX-58 from 2.5 V to 3.3 V."""
+        still = (facts.FULL_RES(1) | facts.RANGE(0b11)).value
+        self.registers.poke(facts.FIFO_CTL, 0)
+        self.registers.poke(facts.BW_RATE, facts.RATE(_SELF_TEST_RATE).value)
+        self.registers.poke(facts.POWER_CTL, facts.MEASURE(1).value)
+        self.registers.poke(facts.DATA_FORMAT, still)
+        before = self._mean_g()
+        self.registers.poke(facts.DATA_FORMAT, still | facts.SELF_TEST.mask)
+        change = self._mean_g() - before
+        self.registers.poke(facts.DATA_FORMAT, still)
+        self.configure()
+        passed = all(low <= value <= high for value, (low, high) in zip(change, _SELF_TEST_G, strict=True))
+        limits = ", ".join(f"{low:+.2f} to {high:+.2f}" for low, high in _SELF_TEST_G)
+        return SelfTest(passed, f"deflects {', '.join(f'{value:+.2f}' for value in change)} g; limits {limits} g")
+
+    def _mean_g(self) -> npt.NDArray[np.float64]:
+        """Mean specific force (3,) in g, after the four samples that the filter needs (ADX-58)."""
+        sleep_for(self.clock, 5 / 400)
+        counts = []
+        for _ in range(_SELF_TEST_SAMPLES):
+            sleep_for(self.clock, 1 / 400)
+            counts.append(np.frombuffer(self.registers.peek(facts.DATAX0, 6), "<i2"))
+        return np.asarray(np.mean(counts, axis=0) / _LSB_PER_G)
 
     def fetch(self) -> bytes:
         """0x30 ... 0x37: what happened, how the data is formatted, x, y, z."""
@@ -63,12 +96,54 @@ class Adxl345:
 
     def decode(self, bursts: Bytes) -> Decoded:
         """Counts at 256 per g; stale where DATA_READY was clear."""
-        counts = np.ascontiguousarray(bursts[:, 2:8]).view("<i2").astype(np.int16)
-        half_span = int(self.range_g * 256)
         fresh = bursts[:, 0] & facts.DATA_READY.mask
-        status = saturated(counts, -half_span, half_span - 1) | np.where(fresh, 0, STALE).astype(np.uint16)
-        return Decoded(counts, None, status)
+        decoded = self._triads(bursts[:, 2:8])
+        return decoded._replace(status=decoded.status | np.where(fresh, 0, STALE).astype(np.uint16))
+
+    def _triads(self, data: Bytes) -> Decoded:
+        """Counts from (n, 6) data bytes."""
+        counts = np.ascontiguousarray(data).view("<i2").astype(np.int16)
+        half_span = int(self.range_g * _LSB_PER_G)
+        return Decoded(counts, None, saturated(counts, -half_span, half_span - 1))
 
     def header(self) -> Mapping[str, int]:
         """Nothing of its own."""
         return {}
+
+
+class Adxl345Fifo(Adxl345):
+    """The same chip with its queue of 32 sets drained: one transaction counts them, one more fetches each."""
+
+    burst: ClassVar[int] = 6
+    fifo_mode: ClassVar[int] = _STREAM
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        super().__init__(bus, sensor, clock)
+        self._fifo_clock = FifoClock(self.rate_hz)
+        self._times: list[int] = []
+        self._overrun = False
+
+    def configure(self) -> None:
+        """As without the queue; its clock starts anew."""
+        super().configure()
+        self._fifo_clock = FifoClock(self.rate_hz)
+
+    def fetch(self) -> bytes:
+        """Every set that is waiting, oldest first."""
+        at_ns = self.clock.now_ns()
+        entries = facts.ENTRIES.of(self.registers.peek(facts.FIFO_STATUS)[0])
+        self._overrun = entries >= _FIFO_DEPTH
+        self._times = self._fifo_clock.times(entries, at_ns, self._overrun)
+        return b"".join(self.registers.peek(facts.DATAX0, self.burst) for _ in range(entries))
+
+    def sample_times(self) -> list[int]:
+        """See `FifoDriver`."""
+        return self._times
+
+    def overrun(self) -> bool:
+        """See `FifoDriver`."""
+        return self._overrun
+
+    def decode(self, bursts: Bytes) -> Decoded:
+        """Counts at 256 per g; a set in the queue is always new."""
+        return self._triads(bursts)

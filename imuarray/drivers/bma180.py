@@ -7,16 +7,18 @@ written (BMA-55). Codes have 14 bits, left-justified, with a new-data flag in bi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for, saturated
 from imuarray.facts import bma180 as facts
+from imuarray.facts.registers import Setting
 from imuarray.log.format import STALE
 
 _RANGE_CODES = {
@@ -31,6 +33,8 @@ _RANGE_CODES = {
 _BANDWIDTH_CODES = {10.0: 0, 20.0: 1, 40.0: 2, 75.0: 3, 150.0: 4, 300.0: 5, 600.0: 6, 1200.0: 7}  # BMA-81 ... BMA-88
 _SOFT_RESET = 0xB6
 _EEPROM_DOWNLOAD_S = 0.020  # the 10 us of the data sheet are not enough: BMA-53
+_SELF_TEST_NS = 12_000_000  # the test lasts less than 10 ms: BMA-104
+_SELF_TEST_LSB = 200
 _SLOWEST_SETTLING_S = 253 / 2400  # samples to settle at 10 Hz, the narrowest low-pass: BMA-81
 
 
@@ -49,6 +53,7 @@ class Bma180:
             facts.SHADOW_DIS(0),  # low and high byte of an axis from one conversion: BMA-99
             facts.RANGE(_RANGE_CODES[sensor.range or 2.0]) | facts.SMP_SKIP(0),
         )
+        self.watched: tuple[Setting, ...] = self.settings
 
     def identify(self) -> None:
         """chip_id is 3 (BMA-10)."""
@@ -56,15 +61,41 @@ class Bma180:
 
     def configure(self) -> None:
         """Reset, wait for the EEPROM download, unlock, change, read back, lock, let the filter settle."""
+        self._set_up(self.settings)
+        self.registers.change(facts.EE_W(0))
+        sleep_for(self.clock, _SLOWEST_SETTLING_S)
+
+    def _set_up(self, settings: Sequence[Setting]) -> None:
+        """From any state to these settings, read back; the image stays unlocked."""
         self.registers.poke(facts.RESET, _SOFT_RESET)
         sleep_for(self.clock, _EEPROM_DOWNLOAD_S)
         self.registers.change(facts.EE_W(1))
-        for setting in self.settings:
+        for setting in settings:
             self.registers.change(setting)
-        for setting in self.settings:
+        for setting in settings:
             self.registers.verify(setting)
-        self.registers.change(facts.EE_W(0))
-        sleep_for(self.clock, _SLOWEST_SETTLING_S)
+
+    def self_test(self) -> SelfTest:
+        """The largest deflection while st0 is set, at 2 g and 1200 Hz: more than 200 counts on every axis (BMA-104)."""
+        self._set_up((facts.BANDWIDTH(_BANDWIDTH_CODES[1200.0]), facts.RANGE(_RANGE_CODES[2.0]) | facts.SMP_SKIP(0)))
+        sleep_for(self.clock, 0.005)
+        rest = np.mean([self._counts() for _ in range(8)], axis=0)
+        self.registers.change(facts.SELF_TEST_0(1))
+        deflection = np.zeros(3)
+        until_ns = self.clock.now_ns() + _SELF_TEST_NS
+        while self.clock.now_ns() < until_ns:
+            deflection = np.maximum(deflection, np.abs(self._counts() - rest))
+            sleep_for(self.clock, 0.0005)
+        self.configure()
+        text = ", ".join(f"{value:.0f}" for value in deflection)
+        return SelfTest(
+            bool((deflection > _SELF_TEST_LSB).all()), f"deflects {text} counts; more than {_SELF_TEST_LSB} wanted"
+        )
+
+    def _counts(self) -> npt.NDArray[np.float64]:
+        """One reading (3,) in counts."""
+        burst = np.frombuffer(self.fetch(), np.uint8).reshape(1, self.burst)
+        return np.asarray(self.decode(burst).counts[0], float)
 
     def fetch(self) -> bytes:
         """0x02 ... 0x08: x, y, z and temperature, low byte first, so that the shadow keeps each axis whole."""

@@ -15,9 +15,10 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, registers_for
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for
 from imuarray.errors import SensorError
 from imuarray.facts import bmp180 as facts
+from imuarray.facts.registers import Setting
 
 _SOFT_RESET = 0xB6
 _START_UP_S = 0.010  # BMP-50
@@ -42,6 +43,7 @@ class Bmp180:
         self.registers = registers_for(sensor, bus)
         self.clock = clock
         self.period_ns = round(1e9 / sensor.chip_rate_hz)
+        self.watched: tuple[Setting, ...] = ()  # it has no setting that lasts: every conversion is asked for anew
         self.words: Words = {}
         self._due_ns = 0
         self._done_ns = 0
@@ -63,6 +65,20 @@ class Bmp180:
                 f"{self.registers.label}: calibration word {bad[0]} reads {self.words[bad[0]]}: no BMP180"
             )
         self._due_ns, self._converting = self.clock.now_ns(), 0
+
+    def self_test(self) -> SelfTest:
+        """It has none: one conversion, whose temperature and pressure must lie within the operating range (BMP-70)."""
+        self.configure()
+        burst, tries = b"", 0
+        while not burst and tries < 100:
+            sleep_for(self.clock, 0.005)
+            burst, tries = self.fetch(), tries + 1
+        if not burst:
+            return SelfTest(False, "no conversion within half a second")
+        values = self.decode(np.frombuffer(burst, np.uint8).reshape(1, self.burst)).compensated
+        temperature_degc, pressure_pa = float(values["temperature"][0]), float(values["pressure"][0])
+        passed = -40 <= temperature_degc <= 85 and 30_000 <= pressure_pa <= 110_000
+        return SelfTest(passed, f"no self-test in the chip; reads {temperature_degc:.1f} degC, {pressure_pa:.0f} Pa")
 
     def fetch(self) -> bytes:
         """UT and UP, five bytes, when a pair is complete; empty otherwise. OSError (EIO) if a conversion is overdue

@@ -1,9 +1,9 @@
-"""What every driver is to the poll loop: configure once, fetch one burst per frame, decode many bursts at once."""
+"""What every driver is to the poll loop: configure once, fetch bursts frame by frame, decode many of them at once."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
 from imuarray.drivers.registers import Registers
+from imuarray.facts.registers import Setting
 from imuarray.log.format import SATURATED
 
 Bytes = npt.NDArray[np.uint8]
@@ -30,13 +31,26 @@ class Decoded(NamedTuple):
     compensated: Mapping[str, npt.NDArray[np.float64]] = {}
 
 
+class SelfTest(NamedTuple):
+    """What a chip's self-test says, in words with numbers."""
+
+    passed: bool
+    text: str
+
+
 class Driver(Protocol):
-    """One chip, as the poll loop sees it."""
+    """One chip, as the poll loop sees it.
+
+    `watched` are the settings that the chip must keep while it measures; reading them back disturbs nothing.
+    """
 
     burst: ClassVar[int]
     """Length of one fetched burst in bytes."""
     tells_fresh: ClassVar[bool]
     """True if the burst says whether the reading is new; otherwise the logger compares with the reading before."""
+
+    watched: tuple[Setting, ...]
+    registers: Registers
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None: ...
 
@@ -46,14 +60,31 @@ class Driver(Protocol):
     def configure(self) -> None:
         """Set the chip up from any state, and read back; SensorError if it does not keep what it was told."""
 
+    def self_test(self) -> SelfTest:
+        """Let the chip deflect its own elements, judge the answer by the data sheet, and configure it again."""
+
     def fetch(self) -> bytes:
-        """One burst, one instant; empty if the chip has nothing to give yet. OSError as the bus gives it."""
+        """One burst, one instant; empty if the chip has nothing to give yet. OSError as the bus gives it.
+
+        A driver that drains a queue (`FifoDriver`) gives any number of bursts.
+        """
 
     def decode(self, bursts: Bytes) -> Decoded:
         """Pure: what (n, burst) bytes say; the chip is not asked."""
 
     def header(self) -> Mapping[str, int]:
         """Attributes of the chip itself that its log needs (the barometer's calibration words)."""
+
+
+@runtime_checkable
+class FifoDriver(Protocol):
+    """A driver whose `fetch` drains a queue: any number of bursts, whose times it works out itself."""
+
+    def sample_times(self) -> list[int]:
+        """When each burst of the last `fetch` was sampled, ns on the bus's clock, strictly increasing."""
+
+    def overrun(self) -> bool:
+        """True if the queue had run over before the last `fetch`: older samples are gone."""
 
 
 def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:

@@ -10,14 +10,20 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for, saturated
 from imuarray.facts import hmc5883 as facts
+from imuarray.facts.registers import Setting
 
 _CONTINUOUS = 0b00
+_SELF_TEST_GAIN = 5
+_SELF_TEST_L = ((243.0, 575.0),) * 3  # HMC-41, at gain code 5
+# The plain HMC5883 answers about +655, +655, -604 at its default 1024 LSB/G (HMC-42), without limits: half to twice.
+_SELF_TEST_PLAIN = tuple((min(v * k, v / k), max(v * k, v / k)) for v, k in ((231.0, 2), (231.0, 2), (-213.0, 2)))
 _READY_S = 0.050  # after power-on: HMC-51
 
 
@@ -36,6 +42,10 @@ class Hmc5883:
             facts.AVERAGING(0) | facts.OUTPUT_RATE(rates.index(self.rate_hz)) | facts.MEASUREMENT_BIAS(0),
             facts.GAIN(ranges.index(sensor.range or ranges[1])),
         )
+        self.watched: tuple[Setting, ...] = (
+            self.settings
+        )  # reading the mode register would lock the data of the L: HMC-34
+        self.is_l = sensor.chip == "hmc5883l"
 
     def identify(self) -> None:
         """The identity registers spell "H43" (HMC-17)."""
@@ -48,13 +58,31 @@ class Hmc5883:
         The mode register is not read back: reading it locks the data registers of the L (HMC-34).
         """
         sleep_for(self.clock, _READY_S)
-        for setting in self.settings:
-            self.registers.poke(setting.register, setting.value)
-            self.registers.verify(setting)
+        self.registers.set(*self.settings)
         self.registers.poke(facts.MODE, facts.OPERATION(_CONTINUOUS).value)
         sleep_for(self.clock, 3 / self.rate_hz)
         self.fetch()
         sleep_for(self.clock, 1 / self.rate_hz)
+
+    def self_test(self) -> SelfTest:
+        """Answer to the chip's own field at gain code 5; the chip subtracts the earth's by itself (HMC-41, HMC-42)."""
+        biased = facts.AVERAGING(0) | facts.OUTPUT_RATE(0b110) | facts.MEASUREMENT_BIAS(0b01)
+        self.registers.set(biased, facts.GAIN(_SELF_TEST_GAIN))
+        self.registers.poke(facts.MODE, facts.OPERATION(_CONTINUOUS).value)
+        change = self._settled()
+        self.configure()
+        limits = _SELF_TEST_L if self.is_l else _SELF_TEST_PLAIN
+        passed = all(low <= value <= high for value, (low, high) in zip(change, limits, strict=True))
+        wanted = ", ".join(f"{low:+.0f} to {high:+.0f}" for low, high in limits)
+        return SelfTest(passed, f"answers {', '.join(f'{value:+.0f}' for value in change)} counts; limits {wanted}")
+
+    def _settled(self) -> npt.NDArray[np.float64]:
+        """The mean of a few readings (3,) in counts, the first of them thrown away."""
+        readings = []
+        for _ in range(7):
+            sleep_for(self.clock, 2 / 75)
+            readings.append(self.decode(np.frombuffer(self.fetch(), np.uint8).reshape(1, self.burst)).counts[0])
+        return np.asarray(np.mean(readings[3:], axis=0))
 
     def fetch(self) -> bytes:
         """0x03 ... 0x08, all six bytes, so that the data registers unlock again (HMC-33)."""

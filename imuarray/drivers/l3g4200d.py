@@ -10,17 +10,23 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for, saturated
+from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
+from imuarray.facts.registers import Register, Setting
 from imuarray.log.format import STALE
 
 _COUNT_ON = 0x80  # sub-address bit 7: L3G-03
 _RATE_CODES = {100.0: 0b00, 200.0: 0b01, 400.0: 0b10, 800.0: 0b11}  # L3G-30 ... L3G-33
 _RANGE_CODES = {250.0: 0b00, 500.0: 0b01, 2000.0: 0b10}  # L3G-40 ... L3G-42
+_BYPASS, _STREAM = 0b000, 0b010  # L3G-20
+_SELF_TEST_DPS = {250.0: 130.0, 500.0: 200.0, 2000.0: 530.0}  # L3G-62
+_SELF_TEST_SAMPLES = 32
 _TURN_ON_S = 0.3  # from power-down; not in the data sheet: L3G-65
 
 
@@ -29,15 +35,19 @@ class L3g4200d:
 
     burst: ClassVar[int] = 8
     tells_fresh: ClassVar[bool] = True
+    fifo: ClassVar[bool] = False
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         self.registers = registers_for(sensor, bus)
         self.clock = clock
-        bandwidths = sensor.spec.allowed_bandwidths_hz(sensor.chip_rate_hz)
+        self.rate_hz = sensor.chip_rate_hz
+        self.range_dps = sensor.range or 250.0
+        self.sensitivity = sensor.spec.sensitivity[self.range_dps]
+        bandwidths = sensor.spec.allowed_bandwidths_hz(self.rate_hz)
         # At 100 Hz three of the four codes mean 25 Hz; the first will do.
         bandwidth_code = bandwidths.index(sensor.chip_bandwidth_hz) if sensor.chip_bandwidth_hz in bandwidths else 0
         self.power = (
-            facts.DATA_RATE(_RATE_CODES[sensor.chip_rate_hz])
+            facts.DATA_RATE(_RATE_CODES[self.rate_hz])
             | facts.BANDWIDTH(bandwidth_code)
             | facts.POWER_ON(1)
             | facts.AXES_ON(0b111)
@@ -47,11 +57,12 @@ class L3g4200d:
             facts.CTRL_REG3[7:0](0),
             facts.BLOCK_DATA_UPDATE(1)
             | facts.BIG_ENDIAN(0)
-            | facts.FULL_SCALE(_RANGE_CODES[sensor.range or 250.0])
+            | facts.FULL_SCALE(_RANGE_CODES[self.range_dps])
             | facts.SELF_TEST(0),
-            facts.FIFO_EN(0) | facts.HIGH_PASS_EN(0) | facts.OUT_SELECT(0b10),
-            facts.FIFO_MODE(0b000) | facts.FIFO_WATERMARK(0),
+            facts.FIFO_EN(int(self.fifo)) | facts.HIGH_PASS_EN(0) | facts.OUT_SELECT(0b10),
+            facts.FIFO_MODE(_STREAM if self.fifo else _BYPASS) | facts.FIFO_WATERMARK(0),
         )
+        self.watched: tuple[Setting, ...] = (self.power, *self.settings[2:])
 
     def identify(self) -> None:
         """WHO_AM_I is 0xD3 (L3G-10)."""
@@ -59,26 +70,104 @@ class L3g4200d:
 
     def configure(self) -> None:
         """There is no reset: every control register is written, then the power bit; wait out the turn-on."""
-        for setting in (*self.settings, self.power):
-            self.registers.poke(setting.register, setting.value)
-            self.registers.verify(setting)
+        self.registers.set(*self.settings, self.power)
         sleep_for(self.clock, _TURN_ON_S)
+
+    def self_test(self) -> SelfTest:
+        """Output change with the self-test on, positive sign: a third to three times the typical one (L3G-62)."""
+        normal = self.settings[2]
+        self.registers.set(*self.settings[:2], facts.OUT_SELECT(0b00), normal, facts.FIFO_MODE(_BYPASS), self.power)
+        sleep_for(self.clock, _TURN_ON_S)
+        before = self._mean_dps()
+        self.registers.poke(normal.register, (normal.value & ~facts.SELF_TEST.mask) | facts.SELF_TEST(0b01).value)
+        change = self._mean_dps() - before
+        self.configure()
+        typical = _SELF_TEST_DPS[self.range_dps]
+        passed = bool((change > typical / 3).all() and (change < typical * 3).all())
+        return SelfTest(
+            passed, f"changes by {', '.join(f'{value:+.0f}' for value in change)} dps; {typical:+.0f} is typical"
+        )
+
+    def _mean_dps(self) -> npt.NDArray[np.float64]:
+        """Mean angular rate (3,) in dps, once the filter has settled."""
+        sleep_for(self.clock, 0.1)
+        counts = []
+        for _ in range(_SELF_TEST_SAMPLES):
+            sleep_for(self.clock, 1 / self.rate_hz)
+            block = self._read(facts.OUT_X_L, 6)
+            counts.append(np.frombuffer(block, "<i2"))
+        return np.asarray(np.mean(counts, axis=0) / self.sensitivity)
+
+    def _read(self, register: Register, count: int) -> bytes:
+        """`count` registers from `register` on."""
+        return self.registers.bus.transfer(self.registers.address, bytes([register.address | _COUNT_ON]), count)
 
     def fetch(self) -> bytes:
         """0x26 ... 0x2D with the count-on bit: temperature, status, x, y, z."""
-        return self.registers.bus.transfer(
-            self.registers.address, bytes([facts.OUT_TEMP.address | _COUNT_ON]), self.burst
-        )
+        return self._read(facts.OUT_TEMP, self.burst)
 
     def decode(self, bursts: Bytes) -> Decoded:
         """Counts of 16 bits, low byte first; temperature falls by one count per degC (L3G-60); stale where ZYXDA was
         clear.
         """
-        counts = np.ascontiguousarray(bursts[:, 2:8]).view("<i2").astype(np.int16)
         fresh = bursts[:, 1] & facts.ZYX_AVAILABLE.mask
-        status = saturated(counts, -32768, 32767) | np.where(fresh, 0, STALE).astype(np.uint16)
-        return Decoded(counts, bursts[:, 0].view(np.int8).astype(np.int16), status)
+        triads = _triads(bursts[:, 2:8])
+        return Decoded(
+            triads.counts,
+            bursts[:, 0].view(np.int8).astype(np.int16),
+            triads.status | np.where(fresh, 0, STALE).astype(np.uint16),
+        )
 
     def header(self) -> Mapping[str, int]:
         """Nothing of its own."""
         return {}
+
+
+class L3g4200dFifo(L3g4200d):
+    """The same chip with its queue of 32 sets drained: one transaction says how many there are, one fetches them all.
+
+    The address wraps from 0x2D to 0x28 (L3G-05), so that a drain is one burst. The thermometer sits before the wrap and
+    is left alone.
+    """
+
+    burst: ClassVar[int] = 6
+    fifo: ClassVar[bool] = True
+
+    def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
+        super().__init__(bus, sensor, clock)
+        self._fifo_clock = FifoClock(self.rate_hz)
+        self._times: list[int] = []
+        self._overrun = False
+
+    def configure(self) -> None:
+        """As without the queue, then through bypass, which empties it (L3G-54); its clock starts anew."""
+        super().configure()
+        self.registers.set(facts.FIFO_MODE(_BYPASS), self.settings[-1])
+        self._fifo_clock = FifoClock(self.rate_hz)
+
+    def fetch(self) -> bytes:
+        """Every set that is waiting, oldest first."""
+        at_ns = self.clock.now_ns()
+        source = self.registers.peek(facts.FIFO_SRC_REG)[0]
+        self._overrun = bool(facts.FIFO_OVERRUN.of(source))
+        level = facts.FIFO_LEVEL.of(source) + self._overrun  # five bits can't say 32: L3G-58
+        self._times = self._fifo_clock.times(level, at_ns, self._overrun)
+        return self._read(facts.OUT_X_L, self.burst * level) if level else b""
+
+    def sample_times(self) -> list[int]:
+        """See `FifoDriver`."""
+        return self._times
+
+    def overrun(self) -> bool:
+        """See `FifoDriver`."""
+        return self._overrun
+
+    def decode(self, bursts: Bytes) -> Decoded:
+        """Counts of 16 bits, low byte first; a set in the queue is always new."""
+        return _triads(bursts)
+
+
+def _triads(data: Bytes) -> Decoded:
+    """Counts from (n, 6) data bytes."""
+    counts = np.ascontiguousarray(data).view("<i2").astype(np.int16)
+    return Decoded(counts, None, saturated(counts, -32768, 32767))

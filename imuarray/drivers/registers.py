@@ -31,6 +31,12 @@ class Registers:
         """Read-modify-write: bits beside the setting (a factory trim, say) keep their value."""
         self.poke(setting.register, setting.into(self.peek(setting.register)[0]))
 
+    def set(self, *settings: Setting) -> None:
+        """Write each setting as a whole register and read it back, one after the other; SensorError as `verify`."""
+        for setting in settings:
+            self.poke(setting.register, setting.value)
+            self.verify(setting)
+
     def verify(self, setting: Setting) -> None:
         """SensorError if the chip did not keep `setting`."""
         kept = self.peek(setting.register)[0]

@@ -1,0 +1,75 @@
+"""Times of queued samples: against a chip whose true sampling instants are known because the test makes them."""
+
+from __future__ import annotations
+
+import math
+import random
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.drivers.fifo_clock import FifoClock
+
+
+def drained(
+    rate_hz: float, error: float, poll_s: float, jitter_s: float, polls: int, seed: int
+) -> list[tuple[int, float]]:
+    """(estimated, true) ns of every sample of a chip that runs `error` fast and is drained about every `poll_s`."""
+    randomness = random.Random(seed)
+    true_period_ns = 1e9 / rate_hz / (1 + error)
+    phase_ns = randomness.random() * true_period_ns
+    clock, pairs, taken, at_ns = FifoClock(rate_hz), [], 0, 0.0
+    for _ in range(polls):
+        at_ns += (poll_s + randomness.random() * jitter_s) * 1e9
+        have = math.floor((at_ns - phase_ns) / true_period_ns) + 1
+        level = have - taken
+        times = clock.times(level, round(at_ns))
+        true = [phase_ns + index * true_period_ns for index in range(taken, have)]
+        pairs += list(zip(times, true, strict=True))
+        taken = have
+    return pairs
+
+
+@given(
+    rate_hz=st.sampled_from([100.0, 400.0, 800.0]),
+    error=st.floats(-0.1, 0.1),
+    poll_s=st.floats(0.005, 0.03),
+    seed=st.integers(0, 1000),
+)
+def test_never_more_than_about_a_period_off_and_always_in_order(
+    rate_hz: float, error: float, poll_s: float, seed: int
+) -> None:
+    pairs = drained(rate_hz, error, poll_s, 0.002, 200, seed)
+    period_ns = 1e9 / rate_hz / (1 + error)
+    estimated = [estimate for estimate, _ in pairs]
+    assert all(after > before for before, after in pairwise(estimated))
+    settled = pairs[len(pairs) // 4 :]
+    assert max(abs(estimate - true) for estimate, true in settled) <= 1.3 * period_ns
+
+
+@pytest.mark.parametrize("error", [-0.08, 0.0, 0.08])
+def test_spacing_converges_to_the_chips_own_period(error: float) -> None:
+    """Not to the nominal one: 8 % off would bend a second of samples by 80 ms."""
+    pairs = drained(800.0, error, 0.02, 0.001, 500, seed=1)
+    estimated = [estimate for estimate, _ in pairs[-4000:]]
+    spacing_ns = (estimated[-1] - estimated[0]) / (len(estimated) - 1)
+    assert spacing_ns == pytest.approx(1e9 / 800 / (1 + error), rel=2e-3)
+
+
+def test_the_first_drain_ends_half_a_period_before_the_count() -> None:
+    assert FifoClock(100.0).times(3, 1_000_000_000) == [975_000_000, 985_000_000, 995_000_000]
+
+
+def test_an_empty_queue_has_no_times() -> None:
+    assert FifoClock(100.0).times(0, 5) == []
+
+
+def test_after_an_overrun_time_jumps_and_order_is_kept() -> None:
+    clock = FifoClock(100.0)
+    first = clock.times(4, 100_000_000)
+    after = clock.times(32, 5_000_000_000, overrun=True)
+    assert after[-1] == 4_995_000_000
+    assert after[0] == 4_995_000_000 - 31 * 10_000_000
+    assert after[0] > first[-1]
