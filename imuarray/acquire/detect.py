@@ -1,13 +1,14 @@
-"""What answers on a bus, and is it what the configuration says: every sensor is asked, none is changed."""
+"""What answers on a bus, and is it what the configuration says; nothing is changed unless a self-test is asked for."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from imuarray.acquire.stations import route
+from imuarray.acquire.stations import Station, route
 from imuarray.array import ArrayConfig
 from imuarray.bus.mux import Pca9544a
 from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.drivers import SelfTest
 from imuarray.errors import SensorError
 from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d, pca9544a
 from imuarray.facts.registers import Register
@@ -35,19 +36,29 @@ class Found:
     expected: str
     found: str
     ok: bool
+    self_test: str = ""
+    """What the chip's self-test said, if it was asked for."""
 
 
-def detect(array: ArrayConfig, bus: OpenBus) -> list[Found]:
-    """Ask for every sensor of `array`, then look for chips that the configuration does not name."""
+def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list[Found]:
+    """Ask for every sensor of `array` (and let it test itself), then look for chips that it does not name."""
     found = [_ask_mux(array, bus)] if array.mux else []
-    for station in route(array, bus):
-        sensor = station.sensor
-        try:
-            station.driver.identify()
-            found.append(Found(sensor.place, sensor.name, sensor.chip, sensor.chip, True))
-        except SensorError as error:
-            found.append(Found(sensor.place, sensor.name, sensor.chip, str(error).partition(": ")[2], False))
+    found += [_ask(station, self_test) for station in route(array, bus)]
     return found + _strangers(array, bus)
+
+
+def _ask(station: Station, self_test: bool) -> Found:
+    """Is it the chip that the configuration says, and does it pass its self-test?"""
+    sensor = station.sensor
+    try:
+        station.driver.identify()
+        result = station.driver.self_test() if self_test else SelfTest(True, "")
+    except SensorError as error:
+        return Found(sensor.place, sensor.name, sensor.chip, str(error).partition(": ")[2], False)
+    except OSError as error:
+        return Found(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
+    verdict = f"self-test {'passed' if result.passed else 'FAILED'}: {result.text}" if self_test else ""
+    return Found(sensor.place, sensor.name, sensor.chip, sensor.chip, result.passed, verdict)
 
 
 def _ask_mux(array: ArrayConfig, bus: OpenBus) -> Found:

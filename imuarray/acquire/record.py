@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -9,13 +10,14 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.acquire.pending import Pending
 from imuarray.acquire.stations import Station, connect, there_and_back
+from imuarray.acquire.watch import Watch
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
-from imuarray.log.format import LOST_BEFORE, STALE, Event, Phase, SensorHeader
-from imuarray.log.writer import Block, LogWriter, Stimulus
+from imuarray.log.format import Event, Phase, SensorHeader
+from imuarray.log.writer import LogWriter, Stimulus
 
 BATCH = 1024
 """Frames between two writes."""
@@ -31,42 +33,6 @@ class Summary:
     lost: dict[str, int] = field(default_factory=dict)
     """Readings that never arrived, by sensor."""
     seconds: float = 0.0
-
-
-@dataclass
-class _Pending:
-    """Bursts of one station that wait to be decoded and written."""
-
-    station: Station
-    times_ns: list[int] = field(default_factory=list)
-    bursts: bytearray = field(default_factory=bytearray)
-    lost_before: list[int] = field(default_factory=list)
-    last: npt.NDArray[Any] | None = None
-    missing: bool = False
-
-    def block(self, epoch_ns: int) -> Block:
-        """Decode everything that waits, and forget it."""
-        driver = self.station.driver
-        decoded = driver.decode(np.frombuffer(self.bursts, np.uint8).reshape(-1, driver.burst))
-        status = decoded.status.copy()
-        status[self.lost_before] |= LOST_BEFORE
-        if not driver.tells_fresh:
-            status |= self._repeated(decoded.counts)
-        block = Block(
-            np.array(self.times_ns, np.int64) - epoch_ns,
-            decoded.counts,
-            status,
-            decoded.temperature_counts,
-            decoded.compensated,
-        )
-        self.times_ns, self.bursts, self.lost_before = [], bytearray(), []
-        return block
-
-    def _repeated(self, counts: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
-        """STALE where a triad equals the one before it; all a chip without a ready bit lets us know."""
-        before = np.concatenate([counts[:1] - 1 if self.last is None else self.last, counts[:-1]])
-        self.last = counts[-1:]
-        return np.where((counts == before).all(axis=1), STALE, 0).astype(np.uint16)
 
 
 def record(
@@ -94,8 +60,8 @@ def record(
     epoch = wall_time or datetime.now(UTC)
     headers = [_header(station) for station in stations]
     with LogWriter(path, headers, source=bus.source, epoch=_iso(epoch), config=array.text, force=force) as log:
-        poll = _Poll(stations, bus, log, start_ns, progress)
-        poll.run(rate_hz, seconds, stopped)
+        poll = _Poll(stations, bus, log, rate_hz, start_ns, progress)
+        poll.run(seconds, stopped)
         end_ns = bus.clock.now_ns() - start_ns
         if phase:
             log.phase(Phase(0, end_ns, phase, up))
@@ -112,11 +78,20 @@ class _Poll:
     """The state of one recording."""
 
     def __init__(
-        self, stations: Sequence[Station], bus: OpenBus, log: LogWriter, epoch_ns: int, progress: Callable[[int], None]
+        self,
+        stations: Sequence[Station],
+        bus: OpenBus,
+        log: LogWriter,
+        rate_hz: float,
+        epoch_ns: int,
+        progress: Callable[[int], None],
     ) -> None:
-        self.pending = {id(station): _Pending(station) for station in stations}
-        self.orders = there_and_back(stations)
-        self.bus = bus
+        self.pending = {id(station): Pending(station) for station in stations}
+        self.orders = [
+            [[self.pending[id(station)] for station in part] for part in order] for order in there_and_back(stations)
+        ]
+        self.watch = Watch([item for segment in self.orders[0] for item in segment], rate_hz, self.lost_configuration)
+        self.rate_hz = rate_hz
         self.clock = bus.clock
         self.log = log
         self.epoch_ns = epoch_ns
@@ -125,68 +100,81 @@ class _Poll:
         self.truth: Callable[[int], Any] | None = getattr(bus, "truth", None)
         self.truth_rows: list[tuple[int, Any]] = []
 
-    def run(self, rate_hz: float, seconds: float | None, stopped: Callable[[], bool]) -> None:
+    def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Frame after frame; a frame that can't start in time is counted late, and none is skipped silently."""
-        period_ns = round(1e9 / rate_hz)
+        period_ns = round(1e9 / self.rate_hz)
         due_ns = self.clock.now_ns()
         end_ns = None if seconds is None else due_ns + round(seconds * 1e9)
-        visits = [[self.pending[id(station)] for station in order] for order in self.orders]
         self.log.keep()
+        for pending in self.pending.values():
+            if pending.fifo is not None:  # its queue ran over while the others were configured
+                self.drain(pending)
         while (end_ns is None or due_ns < end_ns) and not stopped():
-            self.frame(visits[self.summary.frames % 2])
+            self.frame()
             due_ns += period_ns
             if self.clock.now_ns() > due_ns:
                 self.summary.late += 1
                 due_ns = self.clock.now_ns()
             else:
                 self.clock.sleep_until(due_ns)
+        self.watch.finish()
         self.write()
 
-    def frame(self, visits: Sequence[_Pending]) -> None:
-        """Read every sensor once."""
-        now_ns = self.clock.now_ns
+    def frame(self) -> None:
+        """Read every sensor that is due once, and check whose turn it is while its segment is selected."""
         if self.truth is not None:
-            self.truth_rows.append((now_ns(), self.truth(now_ns())))
-        for pending in visits:
-            at_ns = now_ns()
-            try:
-                burst = pending.station.driver.fetch()
-            except OSError as error:
-                at_ns = now_ns()
-                retried = self.retry(pending, error)
-                if retried is None:
-                    continue
-                burst = retried
-            if burst:
-                if pending.missing:
-                    pending.lost_before.append(len(pending.times_ns))
-                    pending.missing = False
-                pending.times_ns.append(at_ns)
-                pending.bursts += burst
+            now_ns = self.clock.now_ns()
+            self.truth_rows.append((now_ns, self.truth(now_ns)))
+        due = self.watch.due()
+        for segment in self.orders[self.summary.frames % 2]:
+            for pending in segment:
+                if pending.due(self.clock.now_ns(), self.rate_hz):
+                    self.visit(pending)
+            for check in due:
+                if check.pending.station.segment == segment[0].station.segment:
+                    self.watch.run(check)
         self.summary.frames += 1
         if self.summary.frames % BATCH == 0:
             self.write()
 
-    def retry(self, pending: _Pending, error: OSError) -> bytes | None:
-        """Ask once more; if that fails too the reading is missing: no row, and an event when the silence begins."""
-        try:
-            return pending.station.driver.fetch()
-        except OSError:
-            name = pending.station.sensor.name
-            self.summary.lost[name] += 1
-            if not pending.missing:
-                at_ns = self.clock.now_ns() - self.epoch_ns
-                self.log.event(
-                    Event(at_ns, name, "lost", f"no reading: {error.strerror or error} (errno {error.errno})")
-                )
-            pending.missing = True
-            return None
+    def drain(self, pending: Pending) -> None:
+        """Empty a queue of samples from before the log."""
+        with contextlib.suppress(OSError):
+            pending.driver.fetch()
+
+    def visit(self, pending: Pending) -> None:
+        """Fetch; once more if the bus fails; then the reading is missing: no row, an event when the silence begins."""
+        for retry in (False, True):
+            at_ns = self.clock.now_ns()
+            try:
+                pending.add(pending.driver.fetch(), at_ns)
+                return
+            except OSError as error:
+                if retry:
+                    self.lost(pending, at_ns, error)
+
+    def lost(self, pending: Pending, at_ns: int, error: OSError) -> None:
+        """A reading did not arrive."""
+        self.summary.lost[pending.station.sensor.name] += 1
+        if not pending.missing:
+            self.event(pending, at_ns, "lost", f"no reading: {error.strerror or error} (errno {error.errno})")
+        pending.missing = True
+
+    def lost_configuration(self, pending: Pending, text: str) -> None:
+        """The watch found that a chip is not configured as it was, or is again."""
+        self.event(pending, self.clock.now_ns(), "configuration", text)
+
+    def event(self, pending: Pending, at_ns: int, kind: str, text: str) -> None:
+        """Note that something happened to a sensor."""
+        self.log.event(Event(at_ns - self.epoch_ns, pending.station.sensor.name, kind, text))
 
     def write(self) -> None:
-        """Decode and write what waits."""
+        """Decode and write what waits and is trusted."""
         for pending in self.pending.values():
-            if pending.times_ns:
-                self.log.append(pending.station.sensor.name, pending.block(self.epoch_ns))
+            count = self.watch.trusted_rows(pending)
+            if count:
+                self.log.append(pending.station.sensor.name, pending.take(count, self.epoch_ns))
+                self.watch.taken(pending, count)
         if self.truth_rows:
             self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))
             self.truth_rows = []
@@ -219,7 +207,7 @@ def _header(station: Station) -> SensorHeader:
         axes=sensor.axes,
         position_mm=(sensor.position_mm[0], sensor.position_mm[1], sensor.position_mm[2]),
         columns=("ut", "up") if barometer else ("x", "y", "z"),
-        has_temperature=sensor.chip in ("bma180", "l3g4200d"),
+        has_temperature=spec.has_thermometer and not sensor.fifo,
         compensated=("temperature", "pressure") if barometer else (),
         extra=station.driver.header(),
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.bus.mux import Pca9544a
 from imuarray.bus.protocol import Bus, OpenBus
-from imuarray.drivers import DRIVERS, Driver
+from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
 from imuarray.errors import SensorError
 
 
@@ -31,7 +31,8 @@ def route(array: ArrayConfig, bus: OpenBus) -> list[Station]:
             segment = bus.channel_bus(sensor.bus)
         elif mux is not None and sensor.channel is not None:
             segment = mux.channel(sensor.channel)
-        driver = DRIVERS[sensor.chip](segment, sensor, bus.clock)
+        drivers = FIFO_DRIVERS if sensor.fifo else DRIVERS
+        driver = drivers[sensor.chip](segment, sensor, bus.clock)
         stations.append(Station(sensor, driver, sensor.bus or sensor.channel))
     return stations
 
@@ -54,16 +55,15 @@ def connect(array: ArrayConfig, bus: OpenBus) -> list[Station]:
     return stations
 
 
-def there_and_back(stations: Sequence[Station]) -> tuple[list[Station], list[Station]]:
-    """The visiting order of even and of odd frames: segment by segment, forth and back, so that a frame ends where
-    the next begins.
+def there_and_back(stations: Sequence[Station]) -> tuple[list[list[Station]], list[list[Station]]]:
+    """The visiting order of even and of odd frames, segment by segment, forth and back: a frame ends where the next
+    begins.
 
-    With k segments behind a mux a frame then needs k - 1 switches, the fewest there are. Inside a segment the order
-    of the configuration is kept in both directions, so that each sensor's readings stay evenly spaced."""
+    With k segments behind a mux a frame then needs k - 1 switches, the fewest there are. Inside a segment the order of
+    the configuration is kept in both directions, so that each sensor's readings stay evenly spaced.
+    """
     segments: dict[int | str | None, list[Station]] = {}
     for station in stations:
         segments.setdefault(station.segment, []).append(station)
-    groups = list(segments.values())
-    return [station for group in groups for station in group], [
-        station for group in reversed(groups) for station in group
-    ]
+    forth = list(segments.values())
+    return forth, forth[::-1]
