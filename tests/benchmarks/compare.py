@@ -1,0 +1,80 @@
+"""Figures beside their peers, both sides measured in one run: `python tests/benchmarks/compare.py [--json]`.
+
+Each row is {name, ours, peer, unit, ratio, target, better}: `ratio` is ours over the peer's, `target` is meant for the
+ratio, `better` says which way it should go. Exits 1 if a target is missed. Nothing here is a test: times depend on the
+machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+HERE = Path(__file__).parent
+
+SOURCES = ("bus_arithmetic", "emulated_speed", "linux_path")
+"""Files beside this one; each has a function `rows() -> list[Row]`."""
+
+
+def row(name: str, ours: float, peer: float, unit: str, target: float, better: str) -> Row:
+    """One row; the ratio is ours over the peer's."""
+    return {
+        "name": name,
+        "ours": ours,
+        "peer": peer,
+        "unit": unit,
+        "ratio": ours / peer,
+        "target": target,
+        "better": better,
+    }
+
+
+def rows_of(source: str) -> Callable[[], list[Row]]:
+    """The `rows` function of a file beside this one."""
+    spec = importlib.util.spec_from_file_location(f"benchmark_{source}", HERE / f"{source}.py")
+    if spec is None or spec.loader is None:
+        raise FileNotFoundError(HERE / f"{source}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found: Callable[[], list[Row]] = module.rows
+    return found
+
+
+def met(found: Row) -> bool:
+    """Is the target met?"""
+    reached: bool = (
+        found["ratio"] <= found["target"] if found["better"] == "lower" else found["ratio"] >= found["target"]
+    )
+    return reached
+
+
+def main() -> int:
+    """Measure everything; exit code."""
+    parser = argparse.ArgumentParser(description="measure figures beside their peers")
+    parser.add_argument("--json", action="store_true", help="print a list of rows as JSON")
+    parser.add_argument("--only", metavar="NAME", choices=SOURCES, help="one source alone")
+    arguments = parser.parse_args()
+    sys.path.insert(0, str(HERE))
+    rows = [found for source in SOURCES if arguments.only in (None, source) for found in rows_of(source)()]
+    if arguments.json:
+        print(json.dumps(rows, indent=1))
+    else:
+        for found in rows:
+            sign = "<=" if found["better"] == "lower" else ">="
+            verdict = "ok  " if met(found) else "MISS"
+            figures = f"{found['ours']:10.4g} against {found['peer']:10.4g} {found['unit']:16}"
+            print(
+                f"{verdict} {found['name']:66} {figures} ratio {found['ratio']:8.4g} (target {sign} {found['target']:g})"
+            )
+    return 0 if all(met(found) for found in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
