@@ -1,57 +1,147 @@
-"""A bus of Linux: /dev/i2c-N through I2C_RDWR, by smbus2.
+"""A bus of Linux: /dev/i2c-N through I2C_RDWR. Facts LNX-*.
 
-One call is one transaction with one STOP at its end (LNX-06). Only one read message per call, and last: i2c-bcm2835,
-the Raspberry Pi's adapter, refuses anything else (LNX-10). I2C_RDWR does not ask whether a kernel driver owns an
-address (LNX-12)."""
+One call is one transaction with one STOP at its end (LNX-06), one read message at most, and last: i2c-bcm2835, the
+Raspberry Pi's adapter, refuses anything else (LNX-10). The poll loop repeats the same few transactions for ever, so
+their C structures are kept: a transaction is one ioctl on a block built long before. smbus2 opens the device and knows
+the structures.
+
+I2C_RDWR asks neither whether a kernel driver owns an address (LNX-12) nor whether another program is on the bus:
+`claim` asks the one, a lock on the device keeps out the other. A bus belongs to one thread.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import errno
+import fcntl
+import os
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, NamedTuple, Self
 
-from smbus2 import SMBus, i2c_msg
+from smbus2 import I2cFunc, SMBus, i2c_msg
+from smbus2.smbus2 import I2C_RDWR, I2C_SLAVE, i2c_rdwr_ioctl_data
 
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, MonotonicClock
-from imuarray.errors import BusUrlError
+from imuarray.errors import BusUrlError, SensorError
 
 MAX_MESSAGE = 8192
 """Bytes that one message may carry (LNX-05)."""
+MAX_MESSAGES = 42
+"""Messages in one call (LNX-04)."""
+KEPT = 256
+"""Transactions whose structures are kept; an array of a dozen chips uses about as many dozens."""
+TIMEOUT_S = 0.03
+"""The kernel's own is 1 s a transfer: a hung bus would stop the log for as long, sensor after sensor."""
+I2C_TIMEOUT = 0x0702  # in units of 10 ms (LNX-03); smbus2 does not name it
+DEVICES = Path("/sys/bus/i2c/devices")
+"""Where the kernel shows who drives what (LNX-21)."""
+
+Request = tuple[int, bytes, int]
+"""Address, bytes to write, count to read: the arguments of `transfer`."""
 
 
 class LinuxBus:
-    """An I2C adapter of this machine."""
+    """An I2C adapter of this machine, locked for this object alone; BusUrlError when it can't be had.
+
+    `timeout_s` is set on the adapter itself and stays there (LNX-03); `devices` is the kernel's list of devices.
+    """
 
     source = "i2c"
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, *, timeout_s: float = TIMEOUT_S, devices: Path | None = None) -> None:
         self.path = path
         self.clock: Clock = MonotonicClock()
+        self._timeout_s = timeout_s
+        self._devices = DEVICES if devices is None else devices
         self._others: dict[str, LinuxBus] = {}
+        self._one = lru_cache(KEPT)(lambda address, write, read: _Block.of(((address, write, read),)))
+        self._many = lru_cache(KEPT)(_Block.of)
+        self._grouping = True
+        self._adapter: Any = SMBus()
         try:
-            self._adapter = SMBus(path)
+            self._open()
         except OSError as error:
+            self._adapter.close()
             raise BusUrlError(
                 f"i2c:{path}: {error.strerror or error}; buses are /dev/i2c-*, open to group i2c"
             ) from error
+        except BusUrlError:
+            self._adapter.close()
+            raise
+
+    def _open(self) -> None:
+        self._adapter.open(self.path)
+        self._file: int = self._adapter.fd
+        if not self._adapter.funcs & I2cFunc.I2C:
+            raise BusUrlError(f"i2c:{self.path}: this adapter speaks SMBus only, plain I2C messages are needed")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BusUrlError(
+                f"i2c:{self.path}: another program has locked this bus; two on one bus would mix their transactions"
+            ) from None
+        fcntl.ioctl(self._file, I2C_TIMEOUT, max(1, round(self._timeout_s * 100)))
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """See `Bus.transfer`; ValueError for more than a message can carry (the kernel's field is 16 bits wide:
         LNX-33).
         """
-        if len(write) > MAX_MESSAGE or read > MAX_MESSAGE:
-            raise ValueError(
-                f"address {address:#04x}: {max(len(write), read)} bytes, a message carries at most {MAX_MESSAGE}"
-            )
-        answer = i2c_msg.read(address, read)
-        messages = [i2c_msg.write(address, write)] if write or not read else []
-        self._adapter.i2c_rdwr(*messages, *([answer] if read else []))
-        return bytes(answer) if read else b""
+        block = self._one(address, write, read)
+        fcntl.ioctl(self._file, I2C_RDWR, block.structure)
+        return block.answers[0].raw
+
+    def transfer_all(self, requests: Sequence[Request]) -> list[bytes]:
+        """What `transfer` gives for each of `requests`, in one transaction where the adapter allows it, joined by
+        repeated STARTs; otherwise one after the other.
+
+        When one fails nothing comes back, and which it was is not known (LNX-13). What depends on a STOP, the
+        multiplexer's channel for one (LNX-07), must not be among them.
+        """
+        if self._grouping and 1 < len(requests) <= MAX_MESSAGES // 2:
+            block = self._many(tuple(requests))
+            try:
+                fcntl.ioctl(self._file, I2C_RDWR, block.structure)
+                return [answer.raw for answer in block.answers]
+            except OSError as error:
+                if error.errno != errno.EOPNOTSUPP:
+                    raise
+                self._grouping = False
+        return [self.transfer(*request) for request in requests]
+
+    def claim(self, address: int, path: str | None = None) -> None:
+        """SensorError if a driver of the kernel owns `address` of this bus (of the channel bus at `path`): two
+        drivers of one chip undo each other's work, and of a multiplexer reroute each other's transactions (LNX-24).
+        """
+        bus = self if path is None else self._other(path)
+        try:
+            fcntl.ioctl(bus._file, I2C_SLAVE, address)
+        except OSError as error:
+            if error.errno != errno.EBUSY:
+                raise
+            raise SensorError(
+                f"{bus.path}: address {address:#04x} belongs to {bus._owner(address)}; unbind that driver, or, if it"
+                ' drives the multiplexer, leave out mux and give each sensor bus = "/dev/i2c-N" of its channel'
+            ) from error
+
+    def _owner(self, address: int) -> str:
+        """The kernel driver of `address`, by name if the kernel tells."""
+        number = os.path.realpath(self.path).rpartition("-")[2]
+        link = self._devices / f"{number}-{address:04x}" / "driver"
+        return f"the kernel's driver {link.readlink().name!r}" if link.is_symlink() else "a driver of the kernel"
 
     def channel_bus(self, path: str) -> Bus:
         """The adapter at `path`, opened once."""
+        return self._other(path)
+
+    def _other(self, path: str) -> LinuxBus:
+        if os.path.realpath(path) == os.path.realpath(self.path):
+            return self
         if path not in self._others:
-            self._others[path] = LinuxBus(path)
+            self._others[path] = LinuxBus(path, timeout_s=self._timeout_s, devices=self._devices)
         return self._others[path]
 
     def __enter__(self) -> Self:
@@ -63,3 +153,27 @@ class LinuxBus:
         for bus in self._others.values():
             bus._adapter.close()
         self._adapter.close()
+
+
+class _Block(NamedTuple):
+    """The structures of one I2C_RDWR; the kernel leaves what was read in `answers`, one for each request."""
+
+    structure: Any
+    answers: list[ctypes.Array[ctypes.c_char]]
+
+    @classmethod
+    def of(cls, requests: Sequence[Request]) -> _Block:
+        """ValueError for a message that is too long."""
+        messages: list[Any] = []
+        answers = []
+        for address, write, read in requests:
+            if len(write) > MAX_MESSAGE or read > MAX_MESSAGE:
+                raise ValueError(
+                    f"address {address:#04x}: {max(len(write), read)} bytes, a message carries at most {MAX_MESSAGE}"
+                )
+            if write or not read:
+                messages.append(i2c_msg.write(address, write))
+            answers.append((ctypes.c_char * read)())
+            if read:
+                messages.append(i2c_msg(addr=address, flags=1, len=read, buf=answers[-1]))
+        return cls(i2c_rdwr_ioctl_data.create(*messages), answers)

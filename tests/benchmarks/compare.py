@@ -70,9 +70,8 @@ def main() -> int:
             sign = "<=" if found["better"] == "lower" else ">="
             verdict = "ok  " if met(found) else "MISS"
             figures = f"{found['ours']:10.4g} against {found['peer']:10.4g} {found['unit']:16}"
-            print(
-                f"{verdict} {found['name']:66} {figures} ratio {found['ratio']:8.4g} (target {sign} {found['target']:g})"
-            )
+            ratio = f"ratio {found['ratio']:.4g} (target {sign} {found['target']:g})"
+            print(f"{verdict} {found['name']:66} {figures} {ratio}")
     return 0 if all(met(found) for found in rows) else 1
 
 
