@@ -36,12 +36,12 @@ class Pending:
     def __post_init__(self) -> None:
         self.driver = self.station.driver
         self._due_ns = 0
-        self.fifo = self.driver if isinstance(self.driver, FifoDriver) else None
+        self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
 
     def due(self, now_ns: int, rate_hz: float) -> bool:
         """False for a chip slower than `rate_hz` frames a second until it can have something new."""
         sensor = self.station.sensor
-        if self.fifo is not None or sensor.spec.on_demand or sensor.chip_rate_hz >= rate_hz:
+        if self.queue is not None or sensor.spec.on_demand or sensor.chip_rate_hz >= rate_hz:
             return True
         if now_ns < self._due_ns:
             return False
@@ -56,12 +56,12 @@ class Pending:
         if self.missing:
             self.lost_before.append(len(self.times_ns))
             self.missing = False
-        if self.fifo is None:
+        if self.queue is None:
             self.times_ns.append(at_ns)
         else:
-            if self.fifo.overrun():
+            if self.queue.overrun:
                 self.overrun.append(len(self.times_ns))
-            self.times_ns += self.fifo.sample_times()
+            self.times_ns += self.queue.drained
         self.bursts += burst
 
     def distrust(self, row: int) -> None:

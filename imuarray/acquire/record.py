@@ -107,7 +107,7 @@ class _Poll:
         end_ns = None if seconds is None else due_ns + round(seconds * 1e9)
         self.log.keep()
         for pending in self.pending.values():
-            if pending.fifo is not None:  # its queue ran over while the others were configured
+            if pending.queue is not None:  # its queue ran over while the others were configured
                 self.drain(pending)
         while (end_ns is None or due_ns < end_ns) and not stopped():
             self.frame()

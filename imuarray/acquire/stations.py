@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from imuarray.array import ArrayConfig, SensorConfig
@@ -38,10 +38,11 @@ def route(array: ArrayConfig, bus: OpenBus) -> list[Station]:
 
 
 def connect(array: ArrayConfig, bus: OpenBus) -> list[Station]:
-    """Identify and configure every sensor; SensorError names the first that is missing, wrong or refuses its
-    configuration.
+    """Identify and configure every sensor; SensorError names the first that belongs to somebody else, is missing, wrong
+    or refuses its configuration.
     """
     stations = route(array, bus)
+    _claim(array, bus)
     for station in stations:
         station.driver.identify()
     for station in stations:
@@ -53,6 +54,22 @@ def connect(array: ArrayConfig, bus: OpenBus) -> list[Station]:
                 f"{name} at {place}: the bus fails while it is configured: {error.strerror or error}"
             ) from error
     return stations
+
+
+def _claim(array: ArrayConfig, bus: OpenBus) -> None:
+    """Where the bus can tell who else drives an address, ask for each that will be driven: SensorError for a chip of
+    the kernel's own (LNX-12). Behind a multiplexer the root bus is asked.
+    """
+    claim: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
+    if claim is None:
+        return
+    if array.mux is not None:
+        claim(array.mux.address, None)
+    for sensor in array.sensors:
+        try:
+            claim(sensor.address, sensor.bus)
+        except SensorError as error:
+            raise SensorError(f"{sensor.name} ({sensor.chip}): {error}") from error
 
 
 def there_and_back(stations: Sequence[Station]) -> tuple[list[list[Station]], list[list[Station]]]:

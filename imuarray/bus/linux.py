@@ -160,13 +160,17 @@ class _Block(NamedTuple):
 
     structure: Any
     answers: list[ctypes.Array[ctypes.c_char]]
+    messages: list[Any]
+    """Held because the structure points into them."""
 
     @classmethod
     def of(cls, requests: Sequence[Request]) -> _Block:
-        """ValueError for a message that is too long."""
+        """ValueError for a message that is too long or an address of more than seven bits."""
         messages: list[Any] = []
         answers = []
         for address, write, read in requests:
+            if not 0 <= address <= 0x7F:
+                raise ValueError(f"address {address:#x}: addresses have seven bits")
             if len(write) > MAX_MESSAGE or read > MAX_MESSAGE:
                 raise ValueError(
                     f"address {address:#04x}: {max(len(write), read)} bytes, a message carries at most {MAX_MESSAGE}"
@@ -176,4 +180,4 @@ class _Block(NamedTuple):
             answers.append((ctypes.c_char * read)())
             if read:
                 messages.append(i2c_msg(addr=address, flags=1, len=read, buf=answers[-1]))
-        return cls(i2c_rdwr_ioctl_data.create(*messages), answers)
+        return cls(i2c_rdwr_ioctl_data.create(*messages), answers, messages)

@@ -165,7 +165,7 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
     """Read a calibration file; CalibrationError names the file, the sensor and the key."""
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CalibrationError(
             f"{path}: {getattr(error, 'strerror', None) or f'no calibration file: {error}'}"
         ) from None
@@ -224,7 +224,7 @@ def _from_table(entry: Any, where: str) -> SensorCalibration:
 def _array(value: Any, key: str, where: str) -> Floats:
     try:
         array = np.asarray(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.array([np.nan])
     if array.shape != _SHAPES[key] or not np.isfinite(array).all():
         raise CalibrationError(f"{where}: {key} wants {' x '.join(map(str, _SHAPES[key]))} finite numbers")

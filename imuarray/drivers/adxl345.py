@@ -119,30 +119,19 @@ class Adxl345Fifo(Adxl345):
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
-        self._fifo_clock = FifoClock(self.rate_hz)
-        self._times: list[int] = []
-        self._overrun = False
+        self.queue = FifoClock(self.rate_hz)
 
     def configure(self) -> None:
         """As without the queue; its clock starts anew."""
         super().configure()
-        self._fifo_clock = FifoClock(self.rate_hz)
+        self.queue.restart()
 
     def fetch(self) -> bytes:
         """Every set that is waiting, oldest first."""
         at_ns = self.clock.now_ns()
         entries = facts.ENTRIES.of(self.registers.peek(facts.FIFO_STATUS)[0])
-        self._overrun = entries >= _FIFO_DEPTH
-        self._times = self._fifo_clock.times(entries, at_ns, self._overrun)
+        self.queue.times(entries, at_ns, overrun=entries >= _FIFO_DEPTH)
         return b"".join(self.registers.peek(facts.DATAX0, self.burst) for _ in range(entries))
-
-    def sample_times(self) -> list[int]:
-        """See `FifoDriver`."""
-        return self._times
-
-    def overrun(self) -> bool:
-        """See `FifoDriver`."""
-        return self._overrun
 
     def decode(self, bursts: Bytes) -> Decoded:
         """Counts at 256 per g; a set in the queue is always new."""

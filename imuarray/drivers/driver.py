@@ -11,6 +11,7 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock
+from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.drivers.registers import Registers
 from imuarray.facts.registers import Setting
 from imuarray.log.format import SATURATED
@@ -78,13 +79,9 @@ class Driver(Protocol):
 
 @runtime_checkable
 class FifoDriver(Protocol):
-    """A driver whose `fetch` drains a queue: any number of bursts, whose times it works out itself."""
+    """A driver whose `fetch` drains a queue: any number of bursts, whose times `queue` works out."""
 
-    def sample_times(self) -> list[int]:
-        """When each burst of the last `fetch` was sampled, ns on the bus's clock, strictly increasing."""
-
-    def overrun(self) -> bool:
-        """True if the queue had run over before the last `fetch`: older samples are gone."""
+    queue: FifoClock
 
 
 def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:

@@ -13,11 +13,20 @@ TOLERANCE = 0.15
 
 
 class FifoClock:
-    """Times of consecutive samples of one chip of nominal rate `rate_hz`."""
+    """Times of consecutive samples of one chip of nominal rate `rate_hz`.
+
+    `drained` and `overrun` tell of the last count: the times of its samples, and whether the queue had run over.
+    """
 
     def __init__(self, rate_hz: float) -> None:
         self.nominal_ns = 1e9 / rate_hz
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the chip was set up again."""
         self.period_ns = self.nominal_ns
+        self.drained: list[int] = []
+        self.overrun = False
         self._newest_ns: float | None = None
         self._start_ns = 0.0
         self._count = 0
@@ -27,9 +36,12 @@ class FifoClock:
 
         After an overrun samples are missing before them, and the estimate of the period starts anew.
         """
-        if level == 0:
-            return []
-        if self._newest_ns is None or overrun:
+        self.overrun = overrun
+        self.drained = self._times(level, at_ns) if level else []
+        return self.drained
+
+    def _times(self, level: int, at_ns: int) -> list[int]:
+        if self._newest_ns is None or self.overrun:
             return self._begin(level, at_ns)
         self._count += level
         measured_ns = (at_ns - self._start_ns) / self._count

@@ -135,32 +135,22 @@ class L3g4200dFifo(L3g4200d):
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
-        self._fifo_clock = FifoClock(self.rate_hz)
-        self._times: list[int] = []
-        self._overrun = False
+        self.queue = FifoClock(self.rate_hz)
 
     def configure(self) -> None:
         """As without the queue, then through bypass, which empties it (L3G-54); its clock starts anew."""
         super().configure()
         self.registers.set(facts.FIFO_MODE(_BYPASS), self.settings[-1])
-        self._fifo_clock = FifoClock(self.rate_hz)
+        self.queue.restart()
 
     def fetch(self) -> bytes:
         """Every set that is waiting, oldest first."""
         at_ns = self.clock.now_ns()
         source = self.registers.peek(facts.FIFO_SRC_REG)[0]
-        self._overrun = bool(facts.FIFO_OVERRUN.of(source))
-        level = facts.FIFO_LEVEL.of(source) + self._overrun  # five bits can't say 32: L3G-58
-        self._times = self._fifo_clock.times(level, at_ns, self._overrun)
+        overrun = facts.FIFO_OVERRUN.of(source)
+        level = facts.FIFO_LEVEL.of(source) + overrun  # five bits can't say 32: L3G-58
+        self.queue.times(level, at_ns, overrun=bool(overrun))
         return self._read(facts.OUT_X_L, self.burst * level) if level else b""
-
-    def sample_times(self) -> list[int]:
-        """See `FifoDriver`."""
-        return self._times
-
-    def overrun(self) -> bool:
-        """See `FifoDriver`."""
-        return self._overrun
 
     def decode(self, bursts: Bytes) -> Decoded:
         """Counts of 16 bits, low byte first; a set in the queue is always new."""

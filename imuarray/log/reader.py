@@ -24,6 +24,14 @@ from imuarray.units import QUANTITIES, SI_PER_UNIT
 
 _FILTERS = frozenset({"gzip", "lzf", None})
 _MAX_DEPTH = 4
+_DAMAGE = (
+    OSError,
+    KeyError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    AttributeError,
+)  # what h5py raises on what it can't make sense of
 
 
 class SensorLog:
@@ -183,8 +191,10 @@ class Log:
             self.sensors: Mapping[str, SensorLog] = {
                 name: SensorLog(group, f"{path}, sensor {name}") for name, group in self._file["sensors"].items()
             }
-        except BaseException:
+        except BaseException as error:
             self._file.close()
+            if isinstance(error, _DAMAGE):
+                raise LogError(f"{path}: damaged or malformed: {' '.join(str(error).split())}") from None
             raise
 
     def _check(self) -> None:
@@ -250,7 +260,7 @@ class Log:
             return [[] for _ in columns]
         try:
             values = [[_plain(value) for value in group[column][:].tolist()] for column in columns]
-        except (KeyError, AttributeError, TypeError):
+        except _DAMAGE:
             raise LogError(f"{self.path}: group {name} lacks one of the columns {', '.join(columns)}") from None
         if len({len(column) for column in values}) != 1:
             raise LogError(f"{self.path}: group {name} has columns of different lengths")
@@ -270,7 +280,7 @@ class Log:
         group = self._file.get(name)
         if group is None:
             return None
-        if "time" not in group:
+        if not isinstance(group, h5py.Group) or "time" not in group:
             raise LogError(f"{self.path}: group {name} has no time")
         return Track(
             group["time"], *(group.get(column) for column in ("specific_force", "angular_rate", "temperature"))
