@@ -1,0 +1,127 @@
+"""Perfect chips on an emulated wire, and what other people's drivers expect of the machine around them.
+
+The drivers come from the package index and run unmodified. Their chips are ideal units: whatever a reading misses, the
+driver misses.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import pytest
+import smbus2
+
+from firmware_emulator.adapter import Adapter
+from firmware_emulator.chip import Chip
+from firmware_emulator.chips import CHIPS
+from firmware_emulator.clock import RealClock, VirtualClock
+from firmware_emulator.device_file import device_files
+from firmware_emulator.element import IDENTITY, SensingElement, Unit
+from firmware_emulator.wire import Wire
+from firmware_emulator.world import Stimulus
+
+
+class Board(NamedTuple):
+    """One chip on one wire; what is put into `felt` is what it feels from then on."""
+
+    wire: Wire
+    chip: Chip
+    felt: list[Stimulus]
+
+    def feel(self, stimulus: Stimulus, settle_ns: int = 100_000_000) -> None:
+        """Change the world and let the chip see it."""
+        self.felt[0] = stimulus
+        self.wire.clock.sleep_until(self.wire.clock.now_ns() + settle_ns)
+
+
+def board_with(chip: str, address: int, clock: VirtualClock | RealClock | None = None) -> Board:
+    """An ideal, noiseless `chip` that was powered up a second ago."""
+    felt = [Stimulus()]
+    clock = clock or VirtualClock(10**9)
+    wire = Wire(clock)
+    element = SensingElement(lambda at_ns: felt[0], chip, "A", IDENTITY, Unit())
+    soldered = CHIPS[chip](address, element, clock.now_ns() - 10**9)
+    wire.connect(soldered)
+    return Board(wire, soldered, felt)
+
+
+@pytest.fixture
+def boards() -> Any:
+    """`board_with`."""
+    return board_with
+
+
+@pytest.fixture
+def serve() -> Iterator[Any]:
+    """A function that serves a board as /dev/i2c-1, by an adapter as particular as the Raspberry Pi's."""
+    with ExitStack() as stack:
+
+        def as_device(board: Board) -> None:
+            stack.enter_context(device_files({"/dev/i2c-1": Adapter(board.wire, "bcm2835")}))
+
+        yield as_device
+
+
+@pytest.fixture
+def smbus(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The C extension smbus, for which smbus2 says it stands in."""
+    monkeypatch.setitem(sys.modules, "smbus", smbus2)
+    return smbus2
+
+
+class I2C:
+    """CircuitPython's busio.I2C over a wire; a write and a read are two transactions, as that interface has it."""
+
+    def __init__(self, wire: Wire) -> None:
+        self.wire = wire
+        self.locked = False
+
+    def try_lock(self) -> bool:
+        if self.locked:
+            return False
+        self.locked = True
+        return True
+
+    def unlock(self) -> None:
+        self.locked = False
+
+    def writeto(self, address: int, buffer: bytes, *, start: int = 0, end: int | None = None) -> None:
+        self.wire.transfer(address, bytes(buffer[start:end]))
+
+    def readfrom_into(self, address: int, buffer: bytearray, *, start: int = 0, end: int | None = None) -> None:
+        wanted = len(buffer[start:end])
+        buffer[start : start + wanted] = self.wire.transfer(address, read=wanted)
+
+    def writeto_then_readfrom(
+        self,
+        address: int,
+        out_buffer: bytes,
+        in_buffer: bytearray,
+        *,
+        out_start: int = 0,
+        out_end: int | None = None,
+        in_start: int = 0,
+        in_end: int | None = None,
+    ) -> None:
+        wanted = len(in_buffer[in_start:in_end])
+        answer = self.wire.transfer(address, bytes(out_buffer[out_start:out_end]), wanted)
+        in_buffer[in_start : in_start + wanted] = answer
+
+
+@pytest.fixture
+def busio(monkeypatch: pytest.MonkeyPatch) -> type[I2C]:
+    """What CircuitPython's drivers import of CircuitPython, so that its whole layer for hardware is not needed."""
+    offered = {
+        "busio": {"I2C": I2C},
+        "micropython": {"const": lambda value: value},
+        "circuitpython_typing": {"ReadableBuffer": Any, "WriteableBuffer": Any},
+    }
+    for name, names in offered.items():
+        module = ModuleType(name)
+        vars(module).update(names)
+        monkeypatch.setitem(sys.modules, name, module)
+    return I2C
