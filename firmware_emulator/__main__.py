@@ -1,0 +1,81 @@
+"""`python -m firmware_emulator CONFIG --usbip`: the emulated array as an I2C adapter of this or another Linux machine.
+
+The only file of the emulator that reads a configuration; everything else is handed one. Exit codes as of `imuarray`: 2
+for bad input, with one line that names the place and what is allowed; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from urllib.parse import parse_qsl
+
+import click
+
+from firmware_emulator.array import EmulatedBus, open_bus
+from firmware_emulator.serve import DEFAULT_HOST, DEFAULT_PORT, UsbipServer
+from imuarray.array import ArrayConfig, load_array
+from imuarray.commands.options import find_config
+from imuarray.errors import ImuArrayError
+
+PROGRAM = "firmware_emulator"
+
+
+@click.command(PROGRAM, context_settings={"help_option_names": ["-h", "--help"]})
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("--usbip", is_flag=True, help="as a USB/IP device that Linux's module i2c-tiny-usb drives")
+@click.option("--host", default=DEFAULT_HOST, show_default=True, help="address to listen on; there is no password")
+@click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0: any free one")
+@click.option("--query", default="", metavar="TEXT", help="as after emulated:? in a bus URL: world=tumble&face_s=10")
+def program(config: Path, usbip: bool, host: str, port: int, query: str) -> None:
+    """Serve the emulated array of CONFIG outside this process, in real time.
+
+    Then, as root: modprobe -a vhci-hcd i2c-tiny-usb i2c-dev; usbip attach -r 127.0.0.1 -b 1-1
+    """
+    if not usbip:
+        raise click.UsageError("say how to serve it; allowed is --usbip")
+    array = load_array(find_config(config))
+    serve_usbip(array, real_time_bus(query, array), host, port)
+
+
+def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
+    """The emulated bus with these parameters of a URL, on the real clock: kernels and other people's drivers sleep."""
+    asked = {"clock": "real", **dict(parse_qsl(query, keep_blank_values=True))}
+    try:
+        if asked["clock"] != "real":
+            raise ValueError(f"clock={asked['clock']}; allowed is real")
+        return open_bus(asked, array)
+    except ValueError as error:
+        raise click.UsageError(f"--query {query!r}: {error}") from None
+
+
+def serve_usbip(array: ArrayConfig, bus: EmulatedBus, host: str, port: int) -> None:
+    """Say where it is, and serve until interrupted."""
+    try:
+        server = UsbipServer(bus.wires, array.name, host, port, log=lambda line: click.echo(line, err=True))
+    except OSError as error:
+        raise click.UsageError(f"{host} port {port}: {error.strerror or error}") from error
+    with server:
+        host, port = server.address
+        for busid, title in server.titles.items():
+            click.echo(f"{title}: usbip --tcp-port {port} attach -r {host} -b {busid}")
+        server.serve_forever()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; what it returns is the exit code."""
+    try:
+        program.main(args=None if arguments is None else list(arguments), prog_name=PROGRAM, standalone_mode=False)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo(f"{PROGRAM}: interrupted", err=True)
+        return 130
+    except (click.ClickException, ImuArrayError) as error:
+        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        click.echo(f"{PROGRAM}: {' '.join(text.split())}", err=True)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
