@@ -53,7 +53,10 @@ class RealClock:
         return time.monotonic_ns()
 
     def advance(self, ns: int) -> None:
-        """Nothing: real time passes by itself."""
+        """Sleep for `ns`, as a program waits for its adapter; ValueError when negative."""
+        if ns < 0:
+            raise ValueError(f"time can't go back: {ns} ns")
+        time.sleep(ns * 1e-9)
 
     def sleep_until(self, ns: int) -> None:
         """Sleep in earnest; a time that has passed returns at once."""

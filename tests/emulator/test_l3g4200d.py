@@ -52,7 +52,7 @@ def codes(chip, at=READY):
 
 def running(table=None, ctrl1=ODR_100, ctrl4=0x80, ctrl5=0x00, ctrl2=0x00, **switches):
     """A gyroscope set up at 0 and switched on at SWITCH_ON, whose first conversion is at READY."""
-    chip = L3g4200d(0x69, table or Table(), **switches)
+    chip = L3g4200d(0x69, table or Table(), **{"start_up_ns": READY - SWITCH_ON, **switches})
     poke(chip, 0x21, ctrl2, 0x00, ctrl4, ctrl5, at=0)
     poke(chip, 0x20, ctrl1, at=SWITCH_ON)
     return chip
