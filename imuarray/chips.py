@@ -93,7 +93,7 @@ CHIPS: Mapping[str, ChipSpec] = MappingProxyType(
             quantity="pressure",
             unit="Pa",
             addresses=bmp180.ADDRESSES,
-            rates_hz=(1.0, 2.0, 4.0, 8.0, 16.0),  # how often it is asked; it converts only when asked (BMP-51)
+            rates_hz=(1.0, 2.0, 4.0, 8.0),  # how often it is asked; it converts only when asked (BMP-51)
             default_rate_hz=4.0,
             on_demand=True,
         ),

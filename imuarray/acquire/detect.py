@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imuarray.acquire.stations import Station, route
@@ -72,19 +74,39 @@ def _ask_mux(array: ArrayConfig, bus: OpenBus) -> Found:
 
 
 def _strangers(array: ArrayConfig, bus: OpenBus) -> list[Found]:
-    """Known chips at places of which the configuration says nothing; a chip on the trunk answers on every channel."""
-    segments: list[tuple[int | None, Bus]] = [(None, bus)]
-    if array.mux:
-        mux = Pca9544a(bus, array.mux.address)
-        segments = [(channel, mux.channel(channel)) for channel in pca9544a.CHANNELS]
+    """Known chips at places of which the configuration says nothing.
+
+    The trunk is asked while no channel is connected; what answers there answers on every channel, and is not asked
+    again. Nothing is sent to the mux's own address but its control byte.
+    """
     taken = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
+    if array.mux is None:
+        return _look(bus, None, {address for _, address in taken})
+    with contextlib.suppress(OSError):
+        bus.transfer(array.mux.address, b"\x00")  # no channel: PCA-03
+    upstream = {array.mux.address} | {address for channel, address in taken if channel is None}
+    found = _look(bus, None, upstream)
+    upstream |= {address for _, addresses, _ in _IDENTITIES for address in addresses if _is_found(found, address)}
+    mux = Pca9544a(bus, array.mux.address)
+    for channel in pca9544a.CHANNELS:
+        here = {address for number, address in taken if number == channel}
+        found += _look(mux.channel(channel), channel, upstream | here)
+    return found
+
+
+def _look(segment: Bus, channel: int | None, known: set[int]) -> list[Found]:
+    """Chips that answer on one segment at addresses that are not `known`."""
+    where = "trunk" if channel is None else f"channel {channel}"
     return [
-        Found(f"{'trunk' if channel is None else f'channel {channel}'} address {address:#04x}", "", "", chip, True)
-        for channel, segment in segments
+        Found(f"{where} address {address:#04x}", "", "", chip, True)
         for chip, addresses, register in _IDENTITIES
         for address in addresses
-        if not taken & {(channel, address), (None, address)} and _answers(segment, address, register)
+        if address not in known and _answers(segment, address, register)
     ]
+
+
+def _is_found(found: Sequence[Found], address: int) -> bool:
+    return any(line.place.endswith(f" {address:#04x}") for line in found)
 
 
 def _answers(segment: Bus, address: int, register: Register) -> bool:

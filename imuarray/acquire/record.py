@@ -15,12 +15,15 @@ from imuarray.acquire.pending import Pending
 from imuarray.acquire.stations import Station, connect, there_and_back
 from imuarray.acquire.watch import Watch
 from imuarray.array import ArrayConfig
+from imuarray.bus.mux import MuxChannel
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.writer import LogWriter, Stimulus
 
 BATCH = 1024
 """Frames between two writes."""
+
+_NAP_NS = 200_000_000
 
 
 @dataclass
@@ -109,16 +112,25 @@ class _Poll:
         for pending in self.pending.values():
             if pending.queue is not None:  # its queue ran over while the others were configured
                 self.drain(pending)
-        while (end_ns is None or due_ns < end_ns) and not stopped():
-            self.frame()
-            due_ns += period_ns
-            if self.clock.now_ns() > due_ns:
-                self.summary.late += 1
-                due_ns = self.clock.now_ns()
-            else:
-                self.clock.sleep_until(due_ns)
-        self.watch.finish()
-        self.write()
+        try:
+            while (end_ns is None or due_ns < end_ns) and not stopped():
+                self.frame()
+                due_ns += period_ns
+                if self.clock.now_ns() > due_ns:
+                    self.summary.late += 1
+                    due_ns = self.clock.now_ns()
+                else:
+                    self.wait(due_ns, stopped)
+        finally:  # whatever ended it: what was read is vouched for and written
+            self.watch.finish()
+            self.write()
+
+    def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
+        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop."""
+        while (now_ns := self.clock.now_ns()) < due_ns:
+            self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS))
+            if self.clock.now_ns() < due_ns and stopped():
+                return
 
     def frame(self) -> None:
         """Read every sensor that is due once, and check whose turn it is while its segment is selected."""
@@ -127,6 +139,7 @@ class _Poll:
             self.truth_rows.append((now_ns, self.truth(now_ns)))
         due = self.watch.due()
         for segment in self.orders[self.summary.frames % 2]:
+            self.select(segment[0])
             for pending in segment:
                 if pending.due(self.clock.now_ns(), self.rate_hz):
                     self.visit(pending)
@@ -136,6 +149,13 @@ class _Poll:
         self.summary.frames += 1
         if self.summary.frames % BATCH == 0:
             self.write()
+
+    def select(self, pending: Pending) -> None:
+        """Connect a segment before its first reading is timed; if that fails the reading will fail too, and say so."""
+        bus = pending.driver.registers.bus
+        if isinstance(bus, MuxChannel):
+            with contextlib.suppress(OSError):
+                bus.select()
 
     def drain(self, pending: Pending) -> None:
         """Empty a queue of samples from before the log."""

@@ -9,7 +9,7 @@ from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.bus.mux import Pca9544a
 from imuarray.bus.protocol import Bus, OpenBus
 from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
-from imuarray.errors import SensorError
+from imuarray.errors import BusUrlError, SensorError
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,21 @@ def route(array: ArrayConfig, bus: OpenBus) -> list[Station]:
     for sensor in array.sensors:
         segment: Bus = bus
         if sensor.bus is not None:
-            segment = bus.channel_bus(sensor.bus)
+            segment = _channel_bus(bus, sensor.bus, sensor.name)
         elif mux is not None and sensor.channel is not None:
             segment = mux.channel(sensor.channel)
         drivers = FIFO_DRIVERS if sensor.fifo else DRIVERS
         driver = drivers[sensor.chip](segment, sensor, bus.clock)
         stations.append(Station(sensor, driver, sensor.bus or sensor.channel))
     return stations
+
+
+def _channel_bus(bus: OpenBus, path: str, name: str) -> Bus:
+    """The bus at `path`; BusUrlError names the sensor that wants it."""
+    try:
+        return bus.channel_bus(path)
+    except OSError as error:
+        raise BusUrlError(f"{name}: bus {path}: {error.strerror or error}") from error
 
 
 def connect(array: ArrayConfig, bus: OpenBus) -> list[Station]:
@@ -77,7 +85,8 @@ def there_and_back(stations: Sequence[Station]) -> tuple[list[list[Station]], li
     begins.
 
     With k segments behind a mux a frame then needs k - 1 switches, the fewest there are. Inside a segment the order of
-    the configuration is kept in both directions, so that each sensor's readings stay evenly spaced.
+    the configuration is kept in both directions; the spacing of a sensor's readings alternates by the time that the
+    other segments take, and each reading has its own time.
     """
     segments: dict[int | str | None, list[Station]] = {}
     for station in stations:

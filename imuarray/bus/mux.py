@@ -39,6 +39,10 @@ class MuxChannel:
         self.mux = mux
         self.number = channel
 
+    def select(self) -> None:
+        """Connect this channel now, so that the next transaction starts at once; OSError if the mux is silent."""
+        self.mux.select(self.number)
+
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """See `Bus.transfer`; a failed transaction makes the next one select anew."""
         self.mux.select(self.number)

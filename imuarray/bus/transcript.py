@@ -1,8 +1,9 @@
 """Transcripts: every transaction of a bus as one line of JSON, and a bus that plays them back.
 
-A line is ``{"to": "53", "write": "00", "read": "e5", "at_ns": 1200}``, bytes as hexadecimal digits; a transaction
-that failed has ``"errno": 121`` in place of ``"read"``. A replayed bus refuses the first transaction that differs,
-naming the line, so that a user's transcript can become a test."""
+A line is ``{"to": "53", "write": "00", "read": "e5", "at_ns": 1200, "end_ns": 94950}``, bytes as hexadecimal digits;
+a transaction that failed has ``"errno": 121`` in place of ``"read"``. A replayed bus refuses the first transaction
+that differs, naming the line, so that a user's transcript can become a test.
+"""
 
 from __future__ import annotations
 
@@ -59,6 +60,7 @@ class RecordingBus:
             raise
         finally:
             if "read" in line or "errno" in line:  # a request that no adapter can send never went over the wire
+                line["end_ns"] = self.clock.now_ns()
                 self._file.write(json.dumps(line) + "\n")
 
     def __getattr__(self, name: str) -> Any:
@@ -125,6 +127,7 @@ class ReplayBus:
                 parsed["to"], parsed["write"] = int(parsed["to"], 16), bytes.fromhex(parsed["write"])
                 parsed["read"] = bytes.fromhex(parsed.get("read", ""))
                 parsed["at_ns"], parsed["errno"] = int(parsed.get("at_ns", 0)), int(parsed.get("errno", 0))
+                parsed["end_ns"] = int(parsed.get("end_ns", parsed["at_ns"]))
             except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
                 raise BusUrlError(f"{self.path}, line {number}: not a transaction of a transcript") from None
             yield parsed
@@ -150,7 +153,7 @@ class ReplayBus:
         )
         if asked != then:
             raise SensorError(f"{self.path}, line {self._at}: recorded {_words(*then)}, now {_words(*asked)}")
-        self._clock.sleep_until(recorded["at_ns"])
+        self._clock.sleep_until(recorded["end_ns"])
         if recorded["errno"]:
             raise OSError(recorded["errno"], os.strerror(recorded["errno"]))
         answer: bytes = recorded["read"]

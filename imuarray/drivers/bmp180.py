@@ -6,6 +6,7 @@ compensation uses floor division throughout, which reproduces every printed inte
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -27,6 +28,7 @@ _PRESSURE = 0xF4  # eight samples, the quietest: BMP-44
 _OVERSAMPLING = 3
 _TEMPERATURE_NS = 4_500_000  # longest conversions: BMP-40, BMP-44
 _PRESSURE_NS = 25_500_000
+_GIVE_UP_NS = 100_000_000  # a result that is older than that is not waited for, nor taken for a new one
 _UNSIGNED = ("AC4", "AC5", "AC6")  # BMP-23 ... BMP-25
 
 Words = Mapping[str, int]
@@ -81,23 +83,28 @@ class Bmp180:
         return SelfTest(passed, f"no self-test in the chip; reads {temperature_degc:.1f} degC, {pressure_pa:.0f} Pa")
 
     def fetch(self) -> bytes:
-        """UT and UP, five bytes, when a pair is complete; empty otherwise. OSError (EIO) if a conversion is overdue
-        (BMP-46).
+        """UT and UP, five bytes, when a pair is complete; empty otherwise.
+
+        A call that fails with OSError changes nothing and can be repeated; EIO if a conversion is overdue (BMP-46).
         """
         now_ns = self.clock.now_ns()
+        if now_ns > self._done_ns + _GIVE_UP_NS:
+            self._converting = 0
         if self._converting == 0:
             if now_ns >= self._due_ns:
-                self._due_ns = max(self._due_ns + self.period_ns, now_ns)
                 self._start(_TEMPERATURE, now_ns + _TEMPERATURE_NS)
+                self._due_ns = max(self._due_ns + self.period_ns, now_ns)
             return b""
         if now_ns < self._done_ns:
             return b""
-        started, self._converting = self._converting, 0
-        if started == _TEMPERATURE:
-            self._temperature = self._result(2)
+        if self._converting == _TEMPERATURE:
+            temperature = self._result(2)
             self._start(_PRESSURE, self.clock.now_ns() + _PRESSURE_NS)
+            self._temperature = temperature
             return b""
-        return self._temperature + self._result(3)
+        pressure = self._result(3)
+        self._converting = 0
+        return self._temperature + pressure
 
     def _start(self, command: int, done_ns: int) -> None:
         self.registers.poke(facts.CTRL_MEAS, command)
@@ -107,7 +114,7 @@ class Bmp180:
         """`count` bytes of result, with the register in one burst that says whether the conversion is over."""
         block = self.registers.peek(facts.CTRL_MEAS, 2 + count)
         if facts.CONVERTING.of(block[0]):
-            raise OSError(5, f"{self.registers.label}: conversion not finished in time")
+            raise OSError(errno.EIO, f"{self.registers.label}: conversion not finished in time")
         return block[2:]
 
     def decode(self, bursts: Bytes) -> Decoded:

@@ -52,14 +52,13 @@ class Hmc5883:
         self.registers.expect(facts.IDENTITY_A, facts.IDENTITY_B, facts.IDENTITY_C)
 
     def configure(self) -> None:
-        """Rate, gain, continuous mode; read back; throw away the first set, which still has the old gain (HMC-36,
-        HMC-37).
+        """Rate, gain, continuous mode, read back; the first set still has the old gain and is thrown away (HMC-36).
 
-        The mode register is not read back: reading it locks the data registers of the L (HMC-34).
+        Reading the mode register locks the data registers of the L (HMC-34); reading the set that is thrown away
+        unlocks them.
         """
         sleep_for(self.clock, _READY_S)
-        self.registers.set(*self.settings)
-        self.registers.poke(facts.MODE, facts.OPERATION(_CONTINUOUS).value)
+        self.registers.set(*self.settings, facts.HIGH_SPEED(0) | facts.OPERATION(_CONTINUOUS))
         sleep_for(self.clock, 3 / self.rate_hz)
         self.fetch()
         sleep_for(self.clock, 1 / self.rate_hz)

@@ -149,8 +149,9 @@ class L3g4200dFifo(L3g4200d):
         source = self.registers.peek(facts.FIFO_SRC_REG)[0]
         overrun = facts.FIFO_OVERRUN.of(source)
         level = facts.FIFO_LEVEL.of(source) + overrun  # five bits can't say 32: L3G-58
+        sets = self._read(facts.OUT_X_L, self.burst * level) if level else b""
         self.queue.times(level, at_ns, overrun=bool(overrun))
-        return self._read(facts.OUT_X_L, self.burst * level) if level else b""
+        return sets
 
     def decode(self, bursts: Bytes) -> Decoded:
         """Counts of 16 bits, low byte first; a set in the queue is always new."""

@@ -1,0 +1,431 @@
+"""The poll loop over the emulated bus: what goes over the wire and what is in the log, also when readings get lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imuarray.acquire import connect, record
+from imuarray.acquire.stations import route, there_and_back
+from imuarray.array import load_array, parse_array
+from imuarray.bus import open_bus
+from imuarray.errors import OutputExistsError, SensorError
+from imuarray.log import open_log
+from imuarray.log.format import Phase
+
+MS = 1_000_000
+SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
+STALE, LOST = 1, 8
+
+
+def logged(path: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    with open_log(path) as log:
+        sensor = log[name]
+        return sensor.time[:], sensor.counts[:], np.asarray(sensor.status[:])
+
+
+def test_there_and_back(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
+    array = an_array(A=0, B=1, G=0, M=1, P=None)
+    there, back = there_and_back(route(array, tapped(array)))
+    names = [[[station.sensor.name for station in segment] for segment in order] for order in (there, back)]
+    assert names == [[["A", "G"], ["B", "M"], ["P"]], [["P"], ["B", "M"], ["A", "G"]]]
+
+
+@pytest.mark.parametrize(("channels", "switches"), [((0, 1), 1), ((0, 1, 2), 2), ((3, 1, 2, 0), 3), ((2,), 0)])
+def test_switches_a_frame(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, channels: tuple[int, ...], switches: int
+) -> None:
+    array = an_array(**{f"A{channel}": channel for channel in channels})
+    bus = tapped(array)
+    configured: list[int] = []
+    record(
+        array, bus, tmp_path / "r.h5", rate_hz=100, seconds=1, stopped=lambda: bool(configured.append(len(bus.calls)))
+    )
+    polled = bus.calls[configured[0] :]
+    selects = [call for call in polled if call.address == 0x70]
+    assert abs(len(selects) - 100 * switches) <= 2 * len(channels)  # the first frame finds its way, the last looks back
+    assert all(call.write[0] in (4, 5, 6, 7) and len(call.write) == 1 and call.read == 0 for call in selects)
+    assert len([call for call in polled if call.read > 1]) == 100 * len(channels)
+    assert len([call for call in polled if call.read == 1]) <= 110 + 10 * len(
+        channels
+    )  # one register a frame is checked
+
+
+def test_scl_clocks_of_a_frame_of_the_papers_array(tmp_path: Path) -> None:
+    """A burst a sensor, one switch, a register or two read back: 9 (n + 3) clocks, 18 for a switch (BUS-02, BUS-04)."""
+    array = load_array(SHIPPED)
+    array = array.only(tuple(sensor.name for sensor in array.sensors if sensor.chip not in ("bmp180", "hmc5883")))
+    with open_bus("emulated:", array) as bus:
+        marks: list[int] = []
+        record(
+            array,
+            bus,
+            tmp_path / "r.h5",
+            rate_hz=50,
+            seconds=1,
+            stopped=lambda: bool(marks.append(bus.wire.scl_clocks)),
+        )
+    bursts = 4 * 90 + 5 * 99 + 18  # 4 BMA180 of 7 bytes, 2 ADXL345 and 3 L3G4200D of 8
+    assert set(np.diff(marks[1:])) <= {bursts, bursts + 36, bursts + 2 * 36}
+
+
+def test_a_steady_rate_and_every_reading(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0, G=0)
+    bus = tapped(array, "world=shaking&still_s=0.2&motion_s=5")
+    done = record(array, bus, tmp_path / "r.h5", rate_hz=200, seconds=12)
+    assert (done.frames, done.late, done.lost) == (2400, 0, {"A": 0, "G": 0})  # more than two batches of 1024
+    assert done.seconds == pytest.approx(12, abs=0.01)
+    for name in "AG":
+        time, counts, status = logged(tmp_path / "r.h5", name)
+        assert len(time) == len(counts) == 2400
+        np.testing.assert_allclose(np.diff(time), 5 * MS, atol=1)
+        assert not (status & STALE).any()
+        assert not (status & LOST).any()
+
+
+def test_time_is_when_the_burst_started(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0, G=0)
+    bus = tapped(array)
+    start: list[int] = []
+    record(
+        array, bus, tmp_path / "r.h5", rate_hz=100, seconds=1, stopped=lambda: bool(start.append(bus.clock.now_ns()))
+    )
+    for name, address in (("A", 0x53), ("G", 0x68)):
+        bursts = [
+            call.at_ns for call in bus.calls if call.address == address and call.read == 8 and call.at_ns >= start[0]
+        ]
+        np.testing.assert_array_equal(logged(tmp_path / "r.h5", name)[0], np.array(bursts) - start[0])
+
+
+def test_time_is_when_the_burst_started_after_a_switch_too(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0, G=1)
+    bus = tapped(array)
+    start: list[int] = []
+    record(
+        array, bus, tmp_path / "r.h5", rate_hz=100, seconds=1, stopped=lambda: bool(start.append(bus.clock.now_ns()))
+    )
+    bursts = [call.at_ns for call in bus.calls if call.address == 0x68 and call.read == 8 and call.at_ns >= start[0]]
+    np.testing.assert_array_equal(logged(tmp_path / "r.h5", "G")[0], np.array(bursts) - start[0])
+
+
+def silence(address: int, start_ms: float, end_ms: float) -> Callable[[Any], bool]:
+    """Nobody acknowledges `address` between these times after the chips have been set up, 2 s after power-on."""
+    return lambda call: call.address == address and 2000 + start_ms <= call.at_ns / MS < 2000 + end_ms
+
+
+class TestLostReadings:
+    """A BMA180 that is silent from 100 ms to 200 ms, in a box that is shaken all the time."""
+
+    @pytest.fixture
+    def lost(self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> Any:
+        array = an_array(A=0, B=1)
+        bus = tapped(array, "world=shaking&still_s=0.1&motion_s=60&peak_g=0.6", silence(0x40, 100, 200))
+        bus.clock.sleep_until(1500 * MS)
+        connect(array, bus)
+        bus.clock.sleep_until(2000 * MS - 300 * MS)
+        done = record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=1)
+        return done, bus, tmp_path / "r.h5"
+
+    def test_no_row_in_the_silence(self, lost: Any) -> None:
+        done, bus, path = lost
+        assert len(bus.failed) > 0
+        time, _, _ = logged(path, "B")
+        assert done.frames == 100
+        assert done.lost["B"] == 100 - len(time) == 10
+        gaps = np.diff(time)
+        assert np.count_nonzero(gaps > 15 * MS) == 1
+        assert gaps.max() == pytest.approx(110 * MS, abs=2 * MS)
+
+    def test_the_next_row_says_so(self, lost: Any) -> None:
+        _, _, path = lost
+        time, _, status = logged(path, "B")
+        (flagged,) = np.flatnonzero(status & LOST)
+        assert flagged == np.argmax(np.diff(time)) + 1
+
+    def test_one_event_tells_why(self, lost: Any) -> None:
+        _, _, path = lost
+        with open_log(path) as log:
+            (event,) = log.events
+            time = log["B"].time[:]
+        assert (event.sensor, event.kind) == ("B", "lost")
+        assert "errno 121" in event.message
+        before = time[np.argmax(np.diff(time))]
+        assert before < event.time_ns <= before + 12 * MS
+
+    def test_nothing_is_repeated(self, lost: Any) -> None:
+        _, _, path = lost
+        time, counts, _ = logged(path, "B")
+        assert (np.diff(time) > 0).all()
+        assert (np.diff(counts.astype(int), axis=0) != 0).any(axis=1).mean() > 0.95
+
+    def test_the_others_are_not_concerned(self, lost: Any) -> None:
+        done, _, path = lost
+        time, _, status = logged(path, "A")
+        assert len(time) == 100
+        assert done.lost["A"] == 0
+        assert not (status & LOST).any()
+
+
+def test_one_failure_is_asked_again_and_not_lost(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0)
+    count = [0]
+
+    def every_seventh(call: Any) -> bool:
+        count[0] += call.address == 0x53 and call.read == 8
+        return bool(call.address == 0x53 and call.read == 8 and count[0] % 7 == 0)
+
+    bus = tapped(array, "", every_seventh)
+    done = record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=1)
+    assert bus.failed
+    assert done.lost == {"A": 0}
+    time, _, status = logged(tmp_path / "r.h5", "A")
+    assert len(time) == 100
+    assert not (status & LOST).any()
+
+
+def test_a_silent_mux_loses_everything_behind_it_and_comes_back(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0, B=1, G=None)
+    bus = tapped(array, "")
+    bus.clock.sleep_until(1500 * MS)
+    begun: list[int] = []
+    bus.fails = lambda call: bool(begun) and call.address != 0x68 and 200 * MS <= call.at_ns - begun[0] < 300 * MS
+    done = record(
+        array, bus, tmp_path / "r.h5", rate_hz=100, seconds=1, stopped=lambda: bool(begun.append(bus.clock.now_ns()))
+    )
+    assert done.lost["G"] == 0
+    assert 9 <= done.lost["A"] <= 10
+    assert 9 <= done.lost["B"] <= 10
+    with open_log(tmp_path / "r.h5") as log:
+        assert sorted(event.sensor for event in log.events) == ["A", "B"]
+
+
+def test_a_lost_reading_of_the_barometer_is_told_too(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(P=0)
+    bus = tapped(array)
+    begun: list[int] = []
+    bus.fails = lambda call: bool(begun) and call.address == 0x77 and 1000 * MS <= call.at_ns - begun[0] < 2000 * MS
+    done = record(
+        array, bus, tmp_path / "r.h5", rate_hz=100, seconds=3, stopped=lambda: bool(begun.append(bus.clock.now_ns()))
+    )
+    time, _, status = logged(tmp_path / "r.h5", "P")
+    assert np.diff(time).max() > 900 * MS
+    assert done.lost["P"] > 0
+    assert (status & LOST).any()
+
+
+def test_stale_is_a_triad_that_equals_the_one_before(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = parse_array(an_array(M=0).text.replace("range=1.2", "range=7.9"))  # no ready bit in its burst
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=70, seconds=60)
+    _, counts, status = logged(tmp_path / "r.h5", "M")
+    same = (np.diff(counts.astype(int), axis=0) == 0).all(axis=1)
+    assert len(counts) > 3000
+    assert 0 < same.sum() < 300
+    np.testing.assert_array_equal((status[1:] & STALE).astype(bool), same)  # across the batches of 1024, too
+
+
+def test_saturation_at_1600_hz_is_flagged_on_both_sides(tmp_path: Path) -> None:
+    array = parse_array(
+        '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nrate_hz=1600\n'
+    )
+    with open_bus("emulated:?world=shaking&still_s=0.1&peak_g=8", array) as bus:
+        record(array, bus, tmp_path / "r.h5", rate_hz=100, seconds=10)
+    _, counts, status = logged(tmp_path / "r.h5", "A")
+    at_end = ((counts == -512) | (counts == 510)).any(axis=1)  # 2 g, even codes only: ADX-46, ADX-47
+    assert (counts == 510).any()
+    assert (counts == -512).any()
+    np.testing.assert_array_equal((status & 4).astype(bool), at_end)
+
+
+def test_phases_and_truth_of_the_world(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(B=0)
+    bus = tapped(array, "world=tumble&face_s=2&turn_s=0.5")
+    record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=6, phases=bus.phases)
+    with open_log(tmp_path / "r.h5") as log:
+        assert log.source == "emulated"
+        assert [(phase.name, phase.up) for phase in log.phases] == [("z_up", "+Z"), ("x_up", "+X"), ("y_up", "+Y")]
+        set_up_ns = log.phases[1].start_ns - 2500 * MS  # the clock ran while the chip was set up
+        assert -1000 * MS < set_up_ns < 0
+        assert log.phases[0].start_ns == 0
+        assert log.phases[0].end_ns == 2000 * MS + set_up_ns
+        assert log.phases[2].end_ns == pytest.approx(6000 * MS, abs=20 * MS)
+        truth = log.truth
+        assert truth is not None
+        assert truth.specific_force is not None
+        assert len(truth.time) == 300
+        resting = (truth.time[:] > log.phases[1].start_ns) & (truth.time[:] < log.phases[1].end_ns)
+        np.testing.assert_allclose(truth.specific_force[:][resting], [[9.80665, 0, 0]] * resting.sum(), atol=1e-12)
+        # and the sensor felt it: x up, axes as the box's, 4096 counts per g within 5 % and 60 mg
+        rows = log["B"].between(log.phases[1].start_ns + 100 * MS, log.phases[1].end_ns)
+        np.testing.assert_allclose(log["B"].counts[rows].mean(axis=0), [4096, 0, 0], atol=500)
+
+
+def test_a_named_phase_covers_the_log(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+    array = an_array(A=None)
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=50, seconds=1, phase="x_down", up="-X")
+    with open_log(tmp_path / "r.h5") as log:
+        (phase,) = log.phases
+        assert phase == Phase(0, phase.end_ns, "x_down", "-X")
+        assert phase.end_ns == pytest.approx(1000 * MS, abs=20 * MS)
+        assert log["A"].time[-1] < phase.end_ns
+
+
+def test_late_frames_are_counted_and_not_skipped(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0, B=0, G=0)  # 99 + 90 + 99 clocks at 10 kHz: 29 ms and more a frame
+    done = record(array, tapped(array, "bit_rate=10000"), tmp_path / "r.h5", rate_hz=100, seconds=1)
+    assert 25 <= done.frames <= 35
+    assert done.frames - 1 <= done.late <= done.frames
+    for name in "ABG":
+        assert len(logged(tmp_path / "r.h5", name)[0]) == done.frames
+
+
+def test_stopped(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+    array = an_array(A=0)
+    asked = [0]
+
+    def stop() -> bool:
+        asked[0] += 1
+        return asked[0] > 7
+
+    done = record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, stopped=stop)
+    assert done.frames == 7
+    assert len(logged(tmp_path / "r.h5", "A")[0]) == 7
+
+
+def test_stopped_before_the_first_frame_is_an_empty_log(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0)
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, stopped=lambda: True)
+    assert len(logged(tmp_path / "r.h5", "A")[0]) == 0
+
+
+def test_progress(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+    array, told = an_array(A=0), list[int]()
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=800, seconds=3, progress=told.append)
+    assert told == [1024, 2048, 2400]
+
+
+def test_the_epoch_is_the_wall_time_of_the_start(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0)
+    start = datetime(2026, 3, 1, 12, 0, 0, 5, tzinfo=timezone(timedelta(hours=2)))
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, seconds=0.1, wall_time=start)
+    with open_log(tmp_path / "r.h5") as log:
+        assert log.epoch == "2026-03-01T10:00:00.000005Z"
+        assert log["A"].time[0] == 0
+    begun = datetime.now(UTC)
+    record(array, tapped(array), tmp_path / "s.h5", rate_hz=100, seconds=0.1)
+    with open_log(tmp_path / "s.h5") as log:
+        assert begun <= datetime.fromisoformat(log.epoch) <= datetime.now(UTC)
+
+
+def test_what_the_log_says_of_its_sensors(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0, B=0, G=1, M=1, P=0)
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=50, seconds=1)
+    with open_log(tmp_path / "r.h5") as log:
+        assert log.config == array.text
+        said = {
+            name: (sensor.chip, sensor.quantity, sensor.unit, sensor.range, sensor.rate_hz, sensor.bandwidth_hz)
+            for name, sensor in log.sensors.items()
+        }
+        assert said == {
+            "A": ("adxl345", "specific_force", "g", 4, 800, 0),
+            "B": ("bma180", "specific_force", "g", 2, 2400, 150),
+            "G": ("l3g4200d", "angular_rate", "dps", 250, 800, 110),
+            "M": ("hmc5883", "magnetic_field", "gauss", 1.2, 75, 0),
+            "P": ("bmp180", "pressure", "Pa", 0, 8, 0),
+        }
+        assert {name: sensor.temperature_counts is not None for name, sensor in log.sensors.items()} == {
+            "A": False, "B": True, "G": True, "M": False, "P": False,
+        }  # fmt: skip
+        assert log["P"].attributes["AC1"] == 408
+        assert log["P"].compensated("pressure")[:].mean() == pytest.approx(101325, abs=500)
+        assert log["P"].compensated("temperature")[:].mean() == pytest.approx(25, abs=2.5)
+
+
+class TestNothingIsWritten:
+    @pytest.mark.parametrize("number", [6, 121])
+    def test_a_missing_chip(self, an_array: Callable[..., Any], tmp_path: Path, number: int) -> None:
+        array, board = an_array(A=0, B=1), an_array(A=0)
+        (tmp_path / "board.toml").write_text(board.text)
+        with (
+            open_bus(f"emulated:?errno={number}&board={tmp_path / 'board.toml'}", array) as bus,
+            pytest.raises(
+                SensorError, match=r"^B \(bma180\) at channel 1 address 0x40: nobody acknowledges this address$"
+            ),
+        ):
+            record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=1)
+        assert [path.name for path in tmp_path.iterdir()] == ["board.toml"]
+
+    def test_a_wrong_chip(self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+        array = an_array(A=0, B=1)
+        bus = tapped(array)
+        bus.chips["B"].page[0] = 0x42
+        with pytest.raises(SensorError, match=r"^B \(bma180\) at channel 1 address 0x40: identity 42, expected 03$"):
+            record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=1)
+        assert list(tmp_path.iterdir()) == []
+        assert not [call for call in bus.calls if len(call.write) > 1]  # nobody was configured
+
+    def test_a_chip_that_dies_while_it_is_set_up(
+        self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+    ) -> None:
+        array = an_array(A=0, B=1)
+        bus = tapped(array, "", lambda call: call.address == 0x40 and call.write[:1] == b"\x35")
+        with pytest.raises(
+            SensorError, match=r"^B at channel 1 address 0x40: the bus fails while it is configured: Remote I/O error$"
+        ):
+            record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=1)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_an_output_that_exists(
+        self, an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+    ) -> None:
+        (tmp_path / "r.h5").write_text("precious")
+        array = an_array(A=0)
+        with pytest.raises(OutputExistsError):
+            record(array, tapped(array), tmp_path / "r.h5", rate_hz=50, seconds=1)
+        assert (tmp_path / "r.h5").read_text() == "precious"
+
+
+def test_an_error_in_the_midst_keeps_what_was_read(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0)
+    asked = [0]
+
+    def stop() -> bool:
+        asked[0] += 1
+        if asked[0] > 1500:
+            raise RuntimeError("mine")
+        return False
+
+    with pytest.raises(RuntimeError, match="mine"):
+        record(array, tapped(array), tmp_path / "r.h5", rate_hz=800, stopped=stop)
+    assert len(logged(tmp_path / "r.h5", "A")[0]) > 1000
+    assert len(list(tmp_path.iterdir())) == 1

@@ -1,0 +1,262 @@
+"""Transcripts: what was recorded is played back, errors included, and the first difference is refused with its line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Self
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.acquire import record
+from imuarray.array import parse_array
+from imuarray.bus import open_bus
+from imuarray.bus.transcript import RecordingBus, ReplayBus
+from imuarray.errors import BusUrlError, OutputExistsError, SensorError
+from imuarray.log import open_log
+
+
+class Script:
+    """A bus that gives the answers of a list: bytes, or an errno."""
+
+    source = "i2c"
+
+    def __init__(self, answers: list[bytes | int]) -> None:
+        self.answers = list(answers)
+        self.clock = self
+        self.now = 0
+        self.closed = 0
+
+    def now_ns(self) -> int:
+        self.now += 1000
+        return self.now
+
+    def sleep_until(self, at_ns: int) -> None:
+        self.now = max(self.now, at_ns)
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        answer = self.answers.pop(0)
+        if isinstance(answer, int):
+            raise OSError(answer, "no")
+        return answer
+
+    def channel_bus(self, path: str) -> Script:
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.closed += 1
+
+
+def lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def transcript(tmp_path: Path, *rows: dict[str, Any] | str) -> Path:
+    path = tmp_path / "t.jsonl"
+    path.write_text("".join((row if isinstance(row, str) else json.dumps(row)) + "\n" for row in rows))
+    return path
+
+
+def test_lines_are_as_documented(tmp_path: Path) -> None:
+    path = tmp_path / "t.jsonl"
+    with RecordingBus(Script([b"\xe5", 121, b""]), path) as bus:
+        bus.transfer(0x53, b"\x00", 1)
+        with pytest.raises(OSError, match="no"):
+            bus.transfer(0x1D, b"\x00", 6)
+        bus.channel_bus("/dev/i2c-5").transfer(0x70, b"\x04")
+    assert lines(path) == [
+        {"to": "53", "write": "00", "at_ns": 1000, "read": "e5", "end_ns": 2000},
+        {"to": "1d", "write": "00", "at_ns": 3000, "count": 6, "errno": 121, "end_ns": 4000},
+        {"to": "70", "write": "04", "at_ns": 5000, "bus": "/dev/i2c-5", "read": "", "end_ns": 6000},
+    ]
+
+
+TRANSACTIONS = st.tuples(
+    st.sampled_from(["", "/dev/i2c-11", "/dev/i2c-12"]),
+    st.integers(0, 127),
+    st.binary(max_size=20),
+    st.one_of(st.binary(max_size=30), st.sampled_from([5, 6, 110, 121])),
+    st.integers(0, 40),
+)
+
+
+@given(st.lists(TRANSACTIONS, max_size=12))
+def test_round_trip(
+    tmp_path_factory: pytest.TempPathFactory, talk: list[tuple[str, int, bytes, bytes | int, int]]
+) -> None:
+    path = tmp_path_factory.mktemp("t") / "t.jsonl"
+
+    def say(bus: Any) -> list[bytes | int | None]:
+        heard: list[bytes | int | None] = []
+        for device, address, write, answer, count in talk:
+            target = bus.channel_bus(device) if device else bus
+            try:
+                heard.append(target.transfer(address, write, len(answer) if isinstance(answer, bytes) else count))
+            except OSError as error:
+                heard.append(error.errno)
+        return heard
+
+    with RecordingBus(Script([answer for *_, answer, _ in talk]), path) as recording:
+        first = say(recording)
+    with ReplayBus(path) as replay:
+        assert say(replay) == first == [answer for *_, answer, _ in talk]
+        replay.finished()
+        with pytest.raises(SensorError, match=f"ends after {len(talk)} transactions"):
+            replay.transfer(0x53)
+
+
+GOOD = {"to": "53", "write": "00", "read": "e5", "at_ns": 5}
+
+
+@pytest.mark.parametrize(
+    ("address", "write", "read", "said"),
+    [
+        (0x1D, b"\x00", 1, "recorded 0x53 write 00 read 1, now 0x1d write 00 read 1"),
+        (0x53, b"\x01", 1, "recorded 0x53 write 00 read 1, now 0x53 write 01 read 1"),
+        (0x53, b"\x00", 2, "recorded 0x53 write 00 read 1, now 0x53 write 00 read 2"),
+        (0x53, b"", 0, "recorded 0x53 write 00 read 1, now 0x53 write nothing read 0"),
+    ],
+)
+def test_the_first_difference_is_refused_with_its_line(
+    tmp_path: Path, address: int, write: bytes, read: int, said: str
+) -> None:
+    path = transcript(tmp_path, GOOD, GOOD, GOOD)
+    with ReplayBus(path) as bus:
+        assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
+        with pytest.raises(SensorError) as refused:
+            bus.transfer(address, write, read)
+    assert str(refused.value) == f"{path}, line 2: {said}"
+
+
+def test_another_bus_is_a_difference(tmp_path: Path) -> None:
+    path = transcript(tmp_path, {**GOOD, "bus": "/dev/i2c-11"}, {**GOOD, "bus": "/dev/i2c-11"})
+    with ReplayBus(path) as bus:
+        assert bus.channel_bus("/dev/i2c-11").transfer(0x53, b"\x00", 1) == b"\xe5"
+        with pytest.raises(SensorError, match="line 2: recorded /dev/i2c-11 0x53"):
+            bus.channel_bus("/dev/i2c-12").transfer(0x53, b"\x00", 1)
+
+
+def test_an_unfinished_transcript_is_told(tmp_path: Path) -> None:
+    with ReplayBus(transcript(tmp_path, GOOD, GOOD, GOOD)) as bus:
+        bus.transfer(0x53, b"\x00", 1)
+        with pytest.raises(SensorError, match="2 recorded transactions were not repeated"):
+            bus.finished()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "nonsense",
+        "5",
+        "null",
+        "[]",
+        "{}",
+        '{"to": "53"}',
+        '{"to": 83, "write": ""}',
+        '{"to": "zz", "write": ""}',
+        '{"to": "53", "write": "0"}',
+        '{"to": "53", "write": "00", "read": "e"}',
+        '{"to": "53", "write": "00", "read": 5}',
+        '{"to": "53", "write": "00", "errno": "x", "count": 1}',
+        '{"to": "53", "write": "00", "errno": null, "count": 1}',
+        '{"to": "53", "write": "00", "read": "e5", "at_ns": "soon"}',
+        '{"to": "53", "write": "00", "read": "e5", "at_ns": null}',
+        '{"to": "53", "write": "00", "read": "e5", "at_ns": 1e400}',
+    ],
+)
+def test_a_malformed_line_is_named(tmp_path: Path, line: str) -> None:
+    path = transcript(tmp_path, GOOD, line, GOOD)
+    with ReplayBus(path) as bus:
+        bus.transfer(0x53, b"\x00", 1)
+        with pytest.raises(BusUrlError) as refused:
+            bus.transfer(0x53, b"\x00", 1)
+    assert str(refused.value) == f"{path}, line 2: not a transaction of a transcript"
+
+
+def test_what_is_no_file_or_no_text(tmp_path: Path) -> None:
+    (tmp_path / "b").write_bytes(b"\xff\xfe\x00")
+    for path in (tmp_path / "none.jsonl", tmp_path, tmp_path / "b"):
+        with pytest.raises(BusUrlError, match="replay:"):
+            ReplayBus(path)
+
+
+def test_a_transcript_is_not_overwritten_unless_told(tmp_path: Path) -> None:
+    path = transcript(tmp_path, GOOD)
+    with pytest.raises(OutputExistsError):
+        RecordingBus(Script([]), path)
+    assert lines(path) == [GOOD]
+    with RecordingBus(Script([b""]), path, force=True) as bus:
+        bus.transfer(0x20)
+    assert [line["to"] for line in lines(path)] == ["20"]
+
+
+def test_what_never_went_over_the_wire_is_not_in_the_transcript(tmp_path: Path) -> None:
+    class Refusing(Script):
+        def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+            raise ValueError("too long")
+
+    path = tmp_path / "t.jsonl"
+    with RecordingBus(Refusing([]), path) as bus, pytest.raises(ValueError, match="too long"):
+        bus.transfer(0x53, b"\x00", 9000)
+    assert lines(path) == []
+
+
+def test_recording_hands_through_clock_source_and_whatever_else_there_is() -> None:
+    array = parse_array('[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n')
+    with open_bus("emulated:", array) as inner:
+        bus = RecordingBus(inner, "/dev/null", force=True)
+        with bus:
+            assert bus.source == "emulated"
+            assert bus.clock is inner.clock
+            assert bus.truth(0).force_box == (0.0, 0.0, 9.80665)
+            assert not hasattr(bus, "no_such_thing")
+
+
+def test_the_inner_bus_is_closed(tmp_path: Path) -> None:
+    inner = Script([])
+    with RecordingBus(inner, tmp_path / "t.jsonl"):
+        pass
+    assert inner.closed == 1
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "bit_rate"),
+    [
+        (100, 400_000),
+        pytest.param(
+            125,
+            100_000,
+        ),
+        pytest.param(
+            350,
+            100_000,
+        ),
+    ],
+)
+def test_a_replayed_recording_gives_the_same_log(tmp_path: Path, rate_hz: int, bit_rate: int) -> None:
+    text = '[array]\nname="a"\nmux={chip="pca9544a",address=0x70}\n'
+    for name, chip, channel, address, extra in (
+        ("A", "adxl345", 0, 0x53, "range=4"),
+        ("B", "bma180", 1, 0x40, "range=2"),
+        ("P", "bmp180", 1, 0x77, "rate_hz=8"),
+        ("G", "l3g4200d", 0, 0x68, "range=250"),
+    ):
+        text += f'[[sensor]]\nname="{name}"\nchip="{chip}"\nchannel={channel}\naddress={address}\n{extra}\n'
+    array = parse_array(text)
+    with RecordingBus(open_bus(f"emulated:?bit_rate={bit_rate}", array), tmp_path / "t.jsonl") as bus:
+        record(array, bus, tmp_path / "live.h5", rate_hz=rate_hz, seconds=2)
+    with ReplayBus(tmp_path / "t.jsonl") as replay:
+        record(array, replay, tmp_path / "again.h5", rate_hz=rate_hz, seconds=2)
+        replay.finished()
+    with open_log(tmp_path / "live.h5") as live, open_log(tmp_path / "again.h5") as again:
+        assert again.source == "replay"
+        for name in "ABPG":
+            assert len(live[name]) == len(again[name]) > 5
+            assert (live[name].counts[:] == again[name].counts[:]).all()
+            assert (live[name].status[:] == again[name].status[:]).all()

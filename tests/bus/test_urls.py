@@ -1,0 +1,118 @@
+"""Bus URLs: what each one opens, and that what names no bus is refused in one line that says what is allowed."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import smbus2.smbus2
+
+from firmware_emulator.adapter import Adapter
+from firmware_emulator.clock import VirtualClock
+from firmware_emulator.device_file import device_files
+from firmware_emulator.wire import Wire
+from imuarray.array import parse_array
+from imuarray.bus import open_bus
+from imuarray.bus.linux import LinuxBus
+from imuarray.bus.transcript import ReplayBus
+from imuarray.errors import BusUrlError, ConfigError
+
+SENSOR = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
+ARRAY = parse_array(SENSOR)
+
+
+def refusal(url: str) -> str:
+    with pytest.raises(BusUrlError) as refused:
+        open_bus(url, ARRAY)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "url", ["", ":", "i2c", "/dev/i2c-1", "usb:1", "EMULATED:", "emulated", "serial:/dev/ttyACM0 "]
+)
+def test_no_bus_at_all(url: str) -> None:
+    assert refusal(url).startswith(f"bus {url!r}: allowed are i2c:/dev/i2c-1, replay:T.jsonl")
+
+
+@pytest.mark.parametrize(
+    ("query", "said"),
+    [
+        ("?colour=red", "colour: no such parameter; allowed are clock, world, seed"),
+        ("?world=moon", "world 'moon'; allowed are still, tumble, heating, shaking"),
+        ("?clock=sundial", "clock 'sundial'; allowed are virtual, real"),
+        ("?errno=5", "errno=5; allowed are 6, 121"),
+        ("?seed=-1", "seed=-1; allowed is a whole number"),
+        ("?bit_rate=0", "bit_rate_hz: 0"),
+        ("?world=tumble&face_s=x", "face_s=x; allowed is a number"),
+        ("?world=tumble&face_s=0", "face_s: 0"),
+        ("?world=still&up=up", "up: "),
+        ("colour", "colour: no such parameter"),
+    ],
+)
+def test_emulated_parameters(query: str, said: str) -> None:
+    assert refusal(f"emulated:{query}").startswith(f"bus 'emulated:{query}': {said}")
+
+
+def test_emulated() -> None:
+    with open_bus("emulated:", ARRAY) as bus:
+        assert bus.source == "emulated"
+        assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
+        assert bus.clock.now_ns() == 93_700  # 36 clocks at 400 kHz and one repeated START: BUS-07
+
+
+def test_emulated_board_from_another_file(tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    other.write_text(SENSOR.replace("0x53", "0x1D"))
+    with open_bus(f"emulated:?board={other}&seed=3", ARRAY) as bus:
+        assert bus.transfer(0x1D, b"\x00", 1) == b"\xe5"
+        with pytest.raises(OSError, match="no acknowledge from 0x53"):
+            bus.transfer(0x53)
+    with pytest.raises(ConfigError, match=r"none\.toml: No such file"):
+        open_bus(f"emulated:?board={tmp_path / 'none.toml'}", ARRAY)
+
+
+def test_a_kernel_bus_that_the_board_lacks_is_no_device(tmp_path: Path) -> None:
+    with open_bus("emulated:", ARRAY) as bus, pytest.raises((OSError, BusUrlError)):
+        bus.channel_bus("/dev/i2c-11")
+
+
+def test_replay(tmp_path: Path) -> None:
+    (tmp_path / "t.jsonl").write_text('{"to": "53", "write": "00", "read": "e5"}\n')
+    with open_bus(f"replay:{tmp_path / 't.jsonl'}", ARRAY) as bus:
+        assert isinstance(bus, ReplayBus)
+        assert bus.source == "replay"
+        assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
+    assert refusal(f"replay:{tmp_path / 'none.jsonl'}").endswith("none.jsonl: No such file or directory")
+
+
+def test_i2c_that_is_not_there() -> None:
+    assert refusal("i2c:/dev/no-such-bus").startswith(
+        "i2c:/dev/no-such-bus: No such file or directory; buses are /dev/i2c-*"
+    )
+
+
+def test_i2c_that_is_no_i2c() -> None:
+    assert refusal("i2c:/dev/null").startswith("i2c:/dev/null: Inappropriate ioctl for device")
+
+
+def test_i2c_that_is_forbidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(path: str, flags: int) -> int:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)  # LNX-48
+
+    monkeypatch.setattr(smbus2.smbus2, "os", SimpleNamespace(open=forbidden, close=os.close, O_RDWR=os.O_RDWR))
+    assert refusal("i2c:/dev/i2c-1") == "i2c:/dev/i2c-1: Permission denied; buses are /dev/i2c-*, open to group i2c"
+
+
+def test_i2c_without_a_path_needs_a_sensor_that_names_one() -> None:
+    assert refusal("i2c:") == "bus 'i2c:': name the device, as in i2c:/dev/i2c-1"
+    with (
+        device_files({"/dev/i2c-11": Adapter(Wire(VirtualClock()))}),
+        open_bus("i2c:", parse_array(SENSOR + 'bus="/dev/i2c-11"\n')) as bus,
+    ):
+        assert isinstance(bus, LinuxBus)
+        assert bus.path == "/dev/i2c-11"
+        assert bus.channel_bus("/dev/i2c-11") is bus
