@@ -20,10 +20,10 @@ import numpy.typing as npt
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, Event, Phase
+from imuarray.log.guard import open_file, refuse_hostile
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
-_FILTERS = frozenset({"gzip", "lzf", None})
-_MAX_DEPTH = 4
+_EDGE_ROWS = 4096
 _DAMAGE = (
     OSError,
     KeyError,
@@ -51,7 +51,7 @@ class SensorLog:
         self.rate_hz = self._number("rate_hz", 0.0)
         self.bandwidth_hz = self._number("bandwidth_hz", 0.0)
         self.axes = self._text("axes")
-        self.position_mm = np.asarray(group.attrs.get("position_mm", (0.0, 0.0, 0.0)), float)
+        self.position_mm = self._numbers("position_mm", np.zeros(3))
         self.orientation = self._orientation()
         self._check_columns()
 
@@ -75,18 +75,26 @@ class SensorLog:
             raise LogError(f"{self.where}: attribute {attribute} is {number}, a finite number is wanted")
         return number
 
+    def _numbers(self, attribute: str, default: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """An attribute of several numbers, shaped as its default."""
+        value = self._group.attrs.get(attribute, default)
+        try:
+            numbers = np.asarray(value, float)
+        except (TypeError, ValueError):
+            numbers = np.array([])
+        if numbers.shape != default.shape or not np.isfinite(numbers).all():
+            kind = "a 3x3 rotation" if default.ndim == 2 else "three finite numbers"
+            raise LogError(f"{self.where}: attribute {attribute} is not {kind}")
+        return numbers
+
     def _orientation(self) -> npt.NDArray[np.float64]:
         """The stored matrix if there is one (a fused or foreign log may have finer ones), else that of `axes`."""
         try:
             named = np.array(orientation_of(self.axes))
         except ValueError as error:
             raise LogError(f"{self.where}: {error}") from None
-        stored = np.asarray(self._group.attrs.get("orientation", named), float)
-        if (
-            stored.shape != (3, 3)
-            or not np.allclose(stored @ stored.T, np.eye(3), atol=1e-6)
-            or np.linalg.det(stored) < 0
-        ):
+        stored = self._numbers("orientation", named)
+        if not np.allclose(stored @ stored.T, np.eye(3), atol=1e-6) or np.linalg.det(stored) < 0:
             raise LogError(f"{self.where}: attribute orientation is not a 3x3 rotation")
         return stored
 
@@ -104,6 +112,9 @@ class SensorLog:
                 raise LogError(f"{self.where}: column {name} has another length than time")
         if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
             raise LogError(f"{self.where}: column counts is no (n, 3) table")
+        for edge in (self.time[:_EDGE_ROWS], self.time[-_EDGE_ROWS:]):  # all of it is for `verify` to read
+            if (np.diff(edge) <= 0).any():
+                raise LogError(f"{self.where}: column time does not increase")
 
     @property
     def is_triad(self) -> bool:
@@ -185,7 +196,7 @@ class Log:
     def __init__(self, path: str | PathLike[str]) -> None:
         """Open and check `path`; LogError says what is missing or wrong with it."""
         self.path = Path(path)
-        self._file = _open(self.path)
+        self._file = open_file(self.path)
         try:
             self._check()
             self.sensors: Mapping[str, SensorLog] = {
@@ -199,12 +210,12 @@ class Log:
 
     def _check(self) -> None:
         attributes = self._file.attrs
-        if _plain(attributes.get("format")) != FORMAT:
+        if str(_plain(attributes.get("format"))) != FORMAT:
             raise LogError(f"{self.path}: an HDF5 file, but no log: attribute format is not {FORMAT!r}")
         version = attributes.get("format_version")
-        if version != FORMAT_VERSION:
+        if str(version) != str(FORMAT_VERSION):
             raise LogError(f"{self.path}: log format {version}; this software reads format {FORMAT_VERSION}")
-        _refuse_hostile(self._file, str(self.path))
+        refuse_hostile(self._file, str(self.path))
         if _plain(attributes.get("source")) not in SOURCES:
             raise LogError(
                 f"{self.path}: attribute source is {attributes.get('source')!r}; allowed are {', '.join(SOURCES)}"
@@ -245,16 +256,17 @@ class Log:
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
         """Named stretches, in file order."""
-        columns = self._columns("phases", ("start", "end", "name", "up"))
-        return tuple(Phase(int(start), int(end), name, up) for start, end, name, up in zip(*columns, strict=True))
+        columns = self._columns("phases", ("start", "end", "name", "up"), numbers=2)
+        return tuple(Phase(start, end, name, up) for start, end, name, up in zip(*columns, strict=True))
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
         """What happened, in file order."""
-        columns = self._columns("events", ("time", "sensor", "kind", "message"))
-        return tuple(Event(int(time), *texts) for time, *texts in zip(*columns, strict=True))
+        columns = self._columns("events", ("time", "sensor", "kind", "message"), numbers=1)
+        return tuple(Event(*row) for row in zip(*columns, strict=True))
 
-    def _columns(self, name: str, columns: tuple[str, ...]) -> list[list[Any]]:
+    def _columns(self, name: str, columns: tuple[str, ...], numbers: int) -> list[list[Any]]:
+        """Equally long columns: the first `numbers` of them whole numbers, the others text."""
         group = self._file.get(name)
         if group is None:
             return [[] for _ in columns]
@@ -264,6 +276,10 @@ class Log:
             raise LogError(f"{self.path}: group {name} lacks one of the columns {', '.join(columns)}") from None
         if len({len(column) for column in values}) != 1:
             raise LogError(f"{self.path}: group {name} has columns of different lengths")
+        for index, column in enumerate(values):
+            if not all(isinstance(value, int if index < numbers else str) for value in column):
+                kind = "whole numbers" if index < numbers else "text"
+                raise LogError(f"{self.path}: group {name}: column {columns[index]} holds no {kind}")
         return values
 
     @property
@@ -282,9 +298,11 @@ class Log:
             return None
         if not isinstance(group, h5py.Group) or "time" not in group:
             raise LogError(f"{self.path}: group {name} has no time")
-        return Track(
-            group["time"], *(group.get(column) for column in ("specific_force", "angular_rate", "temperature"))
-        )
+        columns = [group.get(column) for column in ("specific_force", "angular_rate", "temperature")]
+        for column, tail in zip(columns, ((3,), (3,), ()), strict=True):
+            if column is not None and column.shape != (*group["time"].shape, *tail):
+                raise LogError(f"{self.path}: group {name}: a column has another shape than time")
+        return Track(group["time"], *columns)
 
     def close(self) -> None:
         """Close the file; its datasets can't be read any more."""
@@ -304,16 +322,6 @@ def open_log(path: str | PathLike[str]) -> Log:
     return Log(path)
 
 
-def _open(path: Path) -> h5py.File:
-    if not path.is_file():
-        raise LogError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        kind = "is truncated" if "truncated" in str(error) else "is no HDF5 file or is damaged"
-        raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}") from None
-
-
 def _plain(value: Any) -> Any:
     """Text as str whichever way HDF5 stored it."""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
@@ -322,20 +330,3 @@ def _plain(value: Any) -> Any:
 def _text(value: Any) -> str:
     """An attribute as text."""
     return str(_plain(value))
-
-
-def _refuse_hostile(group: h5py.Group, where: str, depth: int = 0) -> None:
-    """LogError for anything that leads outside the file or declares what it does not hold."""
-    if depth > _MAX_DEPTH:
-        raise LogError(f"{where}: groups nested deeper than {_MAX_DEPTH}")
-    for name in group:
-        place = f"{where}: {group.name.rstrip('/')}/{name}"
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            raise LogError(f"{place}: a link that leads elsewhere; a log holds its own data")
-        item = group[name]
-        if isinstance(item, h5py.Group):
-            _refuse_hostile(item, where, depth + 1)
-        elif not isinstance(item, h5py.Dataset):
-            raise LogError(f"{place}: neither group nor dataset")
-        elif item.external or item.is_virtual or item.compression not in _FILTERS:
-            raise LogError(f"{place}: data stored outside the file or behind an unknown filter")

@@ -71,6 +71,9 @@ class _Columns:
             )
 
     def append(self, **columns: npt.NDArray[Any]) -> None:
+        if columns.keys() != self.pending.keys() or len({len(rows) for rows in columns.values()}) != 1:
+            came = ", ".join(f"{name} {len(rows)}" for name, rows in columns.items())
+            raise ValueError(f"{self.group.name}: columns {', '.join(self.pending)} of one length; came {came}")
         for name, rows in columns.items():
             self.pending[name].append(rows)
         self.waiting += len(next(iter(columns.values())))
@@ -108,6 +111,8 @@ class LogWriter:
         """Create `path` for `sensors`; `epoch` is the ISO 8601 UTC wall time of time 0. OutputExistsError, LogError."""
         self.path = Path(path)
         self.epoch = epoch
+        if self.path.is_dir():
+            raise LogError(f"{path}: is a folder; a log is a file")
         if self.path.exists() and not force:
             raise OutputExistsError(path)
         self._part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
@@ -119,10 +124,19 @@ class LogWriter:
         self._phases: list[Phase] = []
         self._events: list[Event] = []
         self._stimuli: dict[str, _Columns] = {}
+        try:
+            self._begin(sensors, source, config)
+        except BaseException:
+            self._file.close()
+            self._part.unlink(missing_ok=True)
+            raise
+
+    def _begin(self, sensors: Sequence[SensorHeader], source: str, config: str) -> None:
+        """Attributes and empty columns."""
         self._file.attrs.update(
             format=FORMAT,
             format_version=FORMAT_VERSION,
-            epoch=epoch,
+            epoch=self.epoch,
             source=source,
             config=config,
             software=f"imuarray {__version__}",
@@ -131,7 +145,7 @@ class LogWriter:
         )
         parent = self._file.create_group("sensors")
         self._last_ns = {header.name: -(2**63) for header in sensors}
-        self._sensors = {header.name: _sensor_group(parent, header, epoch) for header in sensors}
+        self._sensors = {header.name: _sensor_group(parent, header, self.epoch) for header in sensors}
 
     def append(self, sensor: str, block: Block) -> None:
         """Add rows of one sensor; ValueError unless time is strictly increasing, across blocks too."""
@@ -187,7 +201,7 @@ class LogWriter:
 
     def _finish(self) -> None:
         self.flush()
-        for columns in self._sensors.values():
+        for columns in (*self._sensors.values(), *self._stimuli.values()):
             _attach_scales(columns.group)
         _table(self._file, "phases", Phase._fields, self._phases, {"start_ns": "start", "end_ns": "end"})
         _table(self._file, "events", Event._fields, self._events, {"time_ns": "time"})
@@ -257,6 +271,7 @@ def _stimulus_group(file: h5py.File, name: str, epoch: str) -> _Columns:
     }
     for column, unit in units.items():
         group[column].attrs["units"] = unit
+    group.create_dataset("axis", data=["X", "Y", "Z"], dtype=_TEXT)
     return grown
 
 

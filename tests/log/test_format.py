@@ -1,0 +1,147 @@
+"""The file itself, looked at with h5py alone: names, types and attributes as the format is described; and in xarray."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+EPOCH = "2013-09-16T08:30:00.000000Z"
+
+
+def test_root(small: Path) -> None:
+    with h5py.File(small) as file:
+        attrs = dict(file.attrs)
+        assert (attrs["format"], attrs["format_version"], attrs["epoch"], attrs["source"]) == (
+            "imuarray-log",
+            1,
+            EPOCH,
+            "simulated",
+        )
+        assert attrs["config"] == "# toml"
+        assert attrs["software"].startswith("imuarray ")
+        assert set(file) == {"sensors", "events", "phases", "truth"}
+        assert set(file["sensors"]) == {"Acc", "Gyro", "Baro"}
+
+
+def test_a_triads_attributes(small: Path) -> None:
+    with h5py.File(small) as file:
+        attrs = dict(file["sensors/Acc"].attrs)
+        assert (attrs["chip"], attrs["quantity"], attrs["unit"]) == ("bma180", "specific_force", "g")
+        assert (attrs["range"], attrs["sensitivity"], attrs["rate_hz"], attrs["bandwidth_hz"]) == (16, 512, 2400, 150)
+        assert attrs["axes"] == "+Y+X-Z"
+        np.testing.assert_array_equal(attrs["orientation"], [[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+        np.testing.assert_array_equal(attrs["position_mm"], [1.0, -2.0, 3.5])
+        assert list(attrs["columns"]) == ["x", "y", "z"]
+        assert "delay_ns" not in attrs
+        assert file["sensors/Gyro"].attrs["delay_ns"] == 1_500_000
+
+
+def test_columns(small: Path) -> None:
+    with h5py.File(small) as file:
+        shapes = {
+            name: {
+                column: (dataset.dtype, dataset.shape)
+                for column, dataset in file["sensors"][name].items()
+                if column != "axis"
+            }
+            for name in ("Acc", "Gyro", "Baro")
+        }
+        i2, i4, i8, u2, f8 = (np.dtype(kind) for kind in ("int16", "int32", "int64", "uint16", "float64"))
+        assert shapes["Acc"] == {
+            "time": (i8, (5,)),
+            "counts": (i2, (5, 3)),
+            "status": (u2, (5,)),
+            "temperature_counts": (i2, (5,)),
+        }
+        assert shapes["Gyro"] == {"time": (i8, (3,)), "counts": (i2, (3, 3)), "status": (u2, (3,))}
+        assert shapes["Baro"] == {
+            "time": (i8, (2,)),
+            "counts": (i4, (2, 2)),
+            "status": (u2, (2,)),
+            "temperature": (f8, (2,)),
+            "pressure": (f8, (2,)),
+        }
+        assert file["sensors/Acc/time"].attrs["units"] == f"nanoseconds since {EPOCH}"
+
+
+def test_the_barometers_words(small: Path) -> None:
+    with h5py.File(small) as file:
+        attrs = file["sensors/Baro"].attrs
+        assert list(attrs["columns"]) == ["ut", "up"]
+        assert (attrs["AC1"], attrs["MD"]) == (408, 2868)
+
+
+def test_tables(small: Path) -> None:
+    with h5py.File(small) as file:
+        assert {name: file["phases"][name][:].tolist() for name in file["phases"]} == {
+            "start": [0, 20_000_000],
+            "end": [20_000_000, 50_000_000],
+            "name": [b"z_up", b"motion"],
+            "up": [b"+Z", b""],
+        }
+        assert file["events"]["time"][:].tolist() == [30_000_000]
+        assert set(file["events"]) == {"time", "sensor", "kind", "message"}
+        assert file["phases"]["start"].dtype == file["events"]["time"].dtype == np.dtype("int64")
+
+
+def test_truth(small: Path) -> None:
+    with h5py.File(small) as file:
+        assert {name: dataset.shape for name, dataset in file["truth"].items()} == {
+            "time": (5,),
+            "specific_force": (5, 3),
+            "angular_rate": (5, 3),
+            "temperature": (5,),
+            "axis": (3,),
+        }
+
+
+def test_long_logs_are_compressed_in_chunks(small: Path) -> None:
+    with h5py.File(small) as file:
+        counts = file["sensors/Acc/counts"]
+        assert counts.compression == "gzip"
+        assert counts.chunks is not None
+        assert counts.maxshape[0] is None
+
+
+class TestXarray:
+    @pytest.fixture(autouse=True)
+    def _needs(self) -> None:
+        pytest.importorskip("xarray")
+        pytest.importorskip("h5netcdf")
+
+    def test_opens_in_physical_units_and_datetimes(self, small: Path) -> None:
+        import xarray
+
+        with xarray.open_dataset(small, engine="h5netcdf", group="sensors/Acc") as acc:
+            assert acc.counts.dims == ("time", "axis")
+            np.testing.assert_allclose(acc.counts[0], [9.80665, -4.903325, 0.0])  # 512 counts are one g
+            assert acc.counts.attrs["units"] == "m s-2"
+            assert acc.time.dtype == np.dtype("datetime64[ns]")
+            assert acc.time.values[1] == np.datetime64("2013-09-16T08:30:00.010000000")
+            assert list(acc.axis.values) == ["x", "y", "z"]
+            assert acc.status.dims == ("time",)
+        with xarray.open_dataset(small, engine="h5netcdf", group="sensors/Gyro") as gyro:
+            np.testing.assert_allclose(gyro.counts[0], np.radians([8.75, 0.0, -8.75]))  # 8.75 mdps per count: L3G-40
+            assert gyro.counts.attrs["units"] == "rad s-1"
+        with xarray.open_dataset(small, engine="h5netcdf", group="sensors/Baro") as baro:
+            np.testing.assert_array_equal(baro.pressure, [69963.0, 69970.0])
+            np.testing.assert_array_equal(baro.counts, [[27898, 190744], [27900, 190750]])
+            assert (baro.pressure.attrs["units"], baro.temperature.attrs["units"]) == ("Pa", "degC")
+
+    def test_is_sliced_lazily(self, small: Path) -> None:
+        import xarray
+
+        with xarray.open_dataset(small, engine="h5netcdf", group="sensors/Acc") as acc:
+            assert not acc.counts.variable._in_memory
+            part = acc.sel(time=slice("2013-09-16T08:30:00.010", "2013-09-16T08:30:00.030"))
+            assert part.sizes["time"] == 3
+            assert not acc.counts.variable._in_memory
+
+    def test_truth_opens_with_its_times(self, small: Path) -> None:
+        import xarray
+
+        with xarray.open_dataset(small, engine="h5netcdf", group="truth") as truth:
+            assert truth.specific_force.dims[0] == "time"

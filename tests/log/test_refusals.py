@@ -1,0 +1,303 @@
+"""Files that are no logs, spoilt logs and logs built to do harm: each a `LogError` of one line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from imuarray.errors import LogError
+from imuarray.log import open_log
+
+Spoil = Callable[[h5py.File], None]
+
+
+def refusal(path: Path) -> str:
+    """The one line with which a file is refused; reading everything that it says counts as opening it."""
+    with pytest.raises(LogError) as refused, open_log(path) as log:
+        _ = log.phases, log.events, log.truth, log.reference, log.epoch
+    message = str(refused.value)
+    assert message.startswith(str(path))
+    assert len(message.splitlines()) == 1
+    return message.removeprefix(str(path)).lstrip(":, ")
+
+
+def spoilt(path: Path, spoil: Spoil) -> Path:
+    with h5py.File(path, "r+") as file:
+        spoil(file)
+    return path
+
+
+def test_a_good_log_is_not_refused(small: Path) -> None:
+    with open_log(small) as log:
+        assert list(log.sensors) == ["Acc", "Baro", "Gyro"]
+        assert [sensor.name for sensor in log.of("angular_rate")] == ["Gyro"]
+        assert log["Acc"].counts[1:3].tolist() == [[-8192, 8191, 1], [0, 0, 0]]
+        assert log["Acc"].between(10_000_000, 30_000_000) == slice(1, 3)
+        assert [(part.start, part.stop) for part in log["Acc"].blocks(2)] == [(0, 2), (2, 4), (4, 5)]
+        with pytest.raises(LogError, match="no sensor 'acc'; it has Acc, Baro, Gyro"):
+            log["acc"]
+        with pytest.raises(LogError, match="column pressure is missing"):
+            log["Acc"].compensated("pressure")
+        assert log["Baro"].compensated("pressure")[0] == 69963.0
+
+
+def test_missing_and_folder(tmp_path: Path) -> None:
+    assert refusal(tmp_path / "none.h5") == "no such file"
+    assert refusal(tmp_path) == "is a folder"
+
+
+@pytest.mark.parametrize("content", [b"", b"time,x,y,z\n0,1,2,3\n", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", bytes(4096)])
+def test_not_hdf5(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.h5").write_bytes(content)
+    assert "a log is an HDF5 file of format 'imuarray-log'" in refusal(tmp_path / "x.h5")
+
+
+def test_truncated_anywhere(tmp_path: Path, small_bytes: bytes) -> None:
+    path = tmp_path / "cut.h5"
+    for kept in [*range(0, 100, 7), *np.linspace(100, len(small_bytes) - 1, 60).astype(int)]:
+        path.write_bytes(small_bytes[:kept])
+        refusal(path)
+
+
+def test_damaged_metadata(tmp_path: Path, small_bytes: bytes) -> None:
+    """One wrong byte in each object header and heap; always the same, for some damage sends HDF5 itself astray."""
+    path = tmp_path / "damaged.h5"
+    places = [match.start() for match in re.finditer(rb"OHDR|OCHK|FRHP|FHDB|BTHD|BTLF|GCOL", small_bytes)]
+    assert len(places) > 20
+    refused = 0
+    for place in places:
+        spoilt_bytes = bytearray(small_bytes)
+        spoilt_bytes[place + 6] ^= 0x21
+        path.write_bytes(spoilt_bytes)
+        try:
+            with open_log(path) as log:
+                _ = log.phases, log.events, log.truth, log.epoch
+        except LogError as error:
+            refused += 1
+            assert len(str(error).splitlines()) == 1
+    assert refused > 10
+
+
+def test_foreign_hdf5(tmp_path: Path) -> None:
+    for attribute in (None, "netcdf", b"imuarray", 5, [1, 2], ["a", "b"], h5py.Empty("f")):
+        with h5py.File(tmp_path / "x.h5", "w") as file:
+            if attribute is not None:
+                file.attrs["format"] = attribute
+        assert refusal(tmp_path / "x.h5").startswith("an HDF5 file, but no log")
+
+
+@pytest.mark.parametrize("version", [0, 2, "1.0", -1, None, [1, 1]])
+def test_other_versions(small: Path, version: Any) -> None:
+    def spoil(file: h5py.File) -> None:
+        del file.attrs["format_version"]
+        if version is not None:
+            file.attrs["format_version"] = version
+
+    assert "reads format 1" in refusal(spoilt(small, spoil))
+
+
+def delete(name: str) -> Spoil:
+    return lambda file: file.__delitem__(name)
+
+
+def replace(name: str, data: Any) -> Spoil:
+    def spoil(file: h5py.File) -> None:
+        del file[name]
+        file[name] = data
+
+    return spoil
+
+
+def attribute(name: str, key: str, value: Any) -> Spoil:
+    def spoil(file: h5py.File) -> None:
+        if value is None:
+            del file[name].attrs[key]
+        else:
+            file[name].attrs[key] = value
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (delete("sensors"), "group sensors is missing or empty"),
+        (replace("sensors", 5), "group sensors is missing or empty"),
+        (attribute("/", "source", "dream"), "attribute source is 'dream'; allowed are i2c"),
+        (attribute("/", "source", None), "attribute source is None"),
+        (delete("sensors/Acc/time"), "sensor Acc: column time is missing"),
+        (delete("sensors/Acc/counts"), "sensor Acc: column counts is missing"),
+        (
+            replace("sensors/Acc/counts", np.zeros((4, 3), np.int16)),
+            "sensor Acc: column counts has another length than time",
+        ),
+        (
+            replace("sensors/Acc/status", np.zeros(6, np.uint16)),
+            "sensor Acc: column status has another length than time",
+        ),
+        (
+            replace("sensors/Acc/temperature_counts", np.zeros(4, np.int16)),
+            "sensor Acc: column temperature_counts has another length",
+        ),
+        (replace("sensors/Acc/counts", np.zeros((5, 2), np.int16)), r"sensor Acc: column counts is no \(n, 3\) table"),
+        (replace("sensors/Acc/counts", np.zeros(5, np.int16)), r"sensor Acc: column counts is no \(n, 3\) table"),
+        (replace("sensors/Acc/counts", np.zeros((5, 3))), "sensor Acc: column counts is no column of whole numbers"),
+        (replace("sensors/Acc/time", np.arange(5.0)), "sensor Acc: column time is no column of whole numbers"),
+        (replace("sensors/Acc/status", np.full(5, -1)), "sensor Acc: column status is no column of whole numbers"),
+        (attribute("sensors/Acc", "chip", None), "sensor Acc: attribute chip is missing"),
+        (attribute("sensors/Acc", "quantity", "speed"), "sensor Acc: attribute quantity is 'speed'; allowed are "),
+        (attribute("sensors/Acc", "unit", "m"), "sensor Acc: attribute unit is 'm'; allowed are g, dps"),
+        (attribute("sensors/Acc", "range", "wide"), "sensor Acc: attribute range is 'wide', a number is wanted"),
+        (attribute("sensors/Acc", "sensitivity", np.nan), "sensor Acc: attribute sensitivity is nan, a finite number"),
+        (
+            attribute("sensors/Acc", "sensitivity", None),
+            "sensor Acc: attribute sensitivity is None, a number is wanted",
+        ),
+        (attribute("sensors/Acc", "rate_hz", [1.0, 2.0]), "sensor Acc: attribute rate_hz is .* a number is wanted"),
+        (attribute("sensors/Acc", "axes", "+X+Y-Z"), r"sensor Acc: axes '\+X\+Y-Z': this triad is left-handed"),
+        (attribute("sensors/Acc", "axes", 5), "sensor Acc: attribute axes is"),
+        (
+            attribute("sensors/Acc", "orientation", np.diag([1.0, 1.0, -1.0])),
+            "sensor Acc: attribute orientation is not a 3x3 rotation",
+        ),
+        (
+            attribute("sensors/Acc", "orientation", 2 * np.eye(3)),
+            "sensor Acc: attribute orientation is not a 3x3 rotation",
+        ),
+        (
+            attribute("sensors/Acc", "orientation", np.full((3, 3), np.nan)),
+            "sensor Acc: attribute orientation is not a 3x3 rotation",
+        ),
+        (attribute("sensors/Acc", "orientation", np.eye(2)), "sensor Acc: attribute orientation is not a 3x3 rotation"),
+        pytest.param(
+            attribute("sensors/Acc", "orientation", "upright"),
+            "sensor Acc: attribute orientation",
+        ),
+        pytest.param(
+            attribute("sensors/Acc", "position_mm", "left"),
+            "sensor Acc: attribute position_mm",
+        ),
+        (replace("sensors/Acc", np.arange(3)), "sensor Acc: "),
+        (delete("phases/name"), "group phases lacks one of the columns start, end, name, up"),
+        (replace("events/time", [1, 2]), "group events has columns of different lengths"),
+        (replace("phases", 5), "group phases"),
+        (replace("phases/start", 5), "group phases"),
+        pytest.param(
+            replace("phases/start", np.array([b"soon", b"now"])),
+            "group phases",
+        ),
+        (delete("truth/time"), "group truth has no time"),
+        (replace("truth", 5), "group truth"),
+        pytest.param(
+            replace("truth/specific_force", np.zeros((4, 3))),
+            "group truth",
+        ),
+        pytest.param(
+            replace("sensors/Acc/time", np.array([4, 3, 2, 1, 0])),
+            "sensor Acc: ",
+        ),
+    ],
+)
+def test_malformed(small: Path, spoil: Spoil, said: str) -> None:
+    message = refusal(spoilt(small, spoil))
+    assert re.search(said, message), message
+
+
+def test_a_sensor_that_is_a_table_with_attributes(small: Path) -> None:
+    def spoil(file: h5py.File) -> None:
+        attributes = dict(file["sensors/Acc"].attrs)
+        del file["sensors/Acc"]
+        file["sensors/Acc"] = np.arange(3)
+        file["sensors/Acc"].attrs.update(attributes)
+
+    refusal(spoilt(small, spoil))
+
+
+def nested(file: h5py.File) -> None:
+    file.create_group("/".join(["a"] * 40))
+
+
+def circular(file: h5py.File) -> None:
+    file["sensors/Acc/again"] = file["sensors"]
+
+
+def virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((5, 3), "i2")
+    layout[:] = h5py.VirtualSource("/etc/passwd", "x", (5, 3))
+    del file["sensors/Acc/counts"]
+    file["sensors/Acc"].create_virtual_dataset("counts", layout)
+
+
+def outside(file: h5py.File) -> None:
+    del file["sensors/Acc/counts"]
+    file["sensors/Acc"].create_dataset("counts", (5, 3), "i2", external=[("/etc/passwd", 0, 30)])
+
+
+def unknown_filter(file: h5py.File) -> None:
+    del file["sensors/Acc/counts"]
+    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    creation.set_chunk((5, 3))
+    creation.set_filter(32100, h5py.h5z.FLAG_OPTIONAL, ())
+    h5py.h5d.create(file["sensors/Acc"].id, b"counts", h5py.h5t.STD_I16LE, h5py.h5s.create_simple((5, 3)), creation)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            replace("sensors/Acc/counts", h5py.ExternalLink("/etc/passwd", "/x")),
+            "sensors/Acc/counts: a link that leads elsewhere",
+        ),
+        (replace("sensors/Acc", h5py.ExternalLink("other.h5", "/x")), "sensors/Acc: a link that leads elsewhere"),
+        (
+            replace("sensors/Acc/counts", h5py.SoftLink("/sensors/Gyro/counts")),
+            "sensors/Acc/counts: a link that leads elsewhere",
+        ),
+        (replace("sensors/Acc/counts", h5py.SoftLink("/nowhere")), "sensors/Acc/counts: a link that leads elsewhere"),
+        (lambda file: file.__setitem__("type", np.dtype("f8")), "type: neither group nor dataset"),
+        (virtual, "sensors/Acc/counts: data stored outside"),
+        (outside, "sensors/Acc/counts: data stored outside"),
+        (unknown_filter, "sensors/Acc/counts: .*unknown filter"),
+        (nested, "nested deeper than"),
+        (circular, "nested deeper than"),
+    ],
+)
+def test_hostile(small: Path, spoil: Spoil, said: str) -> None:
+    message = refusal(spoilt(small, spoil))
+    assert re.search(said, message), message
+
+
+def test_extra_things_do_no_harm(small: Path) -> None:
+    def spoil(file: h5py.File) -> None:
+        file["sensors/Acc"].attrs["colour"] = "red"
+        file["sensors/Acc/more"] = np.arange(7)
+        file.create_group("notes")["a"] = "text"
+        del file["sensors/Acc/status"], file["events"], file["truth"]
+        del (
+            file["sensors/Acc"].attrs["orientation"],
+            file["sensors/Acc"].attrs["position_mm"],
+            file["sensors/Acc"].attrs["rate_hz"],
+        )
+        file["sensors/Acc"].attrs["chip"] = np.bytes_("bma180")
+
+    with open_log(spoilt(small, spoil)) as log:
+        acc = log["Acc"]
+        assert acc.chip == "bma180"
+        assert np.asarray(acc.status).tolist() == [0] * 5
+        np.testing.assert_array_equal(acc.orientation, [[0, 1, 0], [1, 0, 0], [0, 0, -1]])
+        assert (acc.rate_hz, acc.position_mm.tolist()) == (0.0, [0.0, 0.0, 0.0])
+        assert log.events == ()
+        assert log.truth is None
+
+
+def test_a_finer_orientation_than_axes_can_say(small: Path) -> None:
+    angle = np.radians(1.5)
+    turned = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    with open_log(spoilt(small, attribute("sensors/Gyro", "orientation", turned))) as log:
+        np.testing.assert_array_equal(log["Gyro"].orientation, turned)
