@@ -79,13 +79,24 @@ def _drift(sensor: SensorLog, poses: Sequence[Pose]) -> Floats:
     return np.zeros(3)
 
 
+def _misfit(sensor: SensorLog, faces: Sequence[Pose]) -> tuple[int, float]:
+    """The face that fits its label least, and by how much (g): what the log's own axes say that each should have read.
+
+    A least-squares residual would not tell: it spreads evenly over a face and its opposite.
+    """
+    means = np.array([read_pose(sensor, pose).mean_lsb for pose in faces])
+    promised = np.array([pose.up_box for pose in faces]) @ sensor.orientation * sensor.sensitivity
+    off = np.linalg.norm(means - promised - np.median(means - promised, axis=0), axis=1) / sensor.sensitivity
+    return int(off.argmax()), float(off.max())
+
+
 def _check_faces(sensor: SensorLog, faces: Sequence[Pose], residual: Floats, response: Floats) -> None:
     """Refuse a face that does not fit, and axes that point elsewhere than the log says."""
     error_g = np.linalg.norm(residual, axis=1) / sensor.sensitivity
     if error_g.max() > _WORST_RESIDUAL_G:
-        worst = int(error_g.argmax())
+        wrong, off_g = _misfit(sensor, faces)
         raise CalibrationError(
-            f"{sensor.where}: phase {faces[worst].phase.name!r} is {error_g[worst]:.2f} g off the other faces:"
+            f"{sensor.where}: phase {faces[wrong].phase.name!r} is {off_g:.2f} g off the other faces:"
             " mislabelled, or moved while it was read"
         )
     rows = response / np.linalg.norm(response, axis=1)[:, None]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,36 +40,48 @@ def fit_gravity(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> tuple[li
     turns = _common_frame([orient @ gravity for orient, gravity in _nominal_directions(sensors, ellipsoids)])
     fitted, residuals = [], []
     for sensor, ellipsoid, turn in zip(sensors, ellipsoids, turns, strict=True):
-        bias, shape, bias_sem, gravity_g = ellipsoid
         # gravity_sensor = shape @ (counts - bias); gravity_box = turn @ orientation @ gravity_sensor
-        response = np.asarray(np.linalg.inv(turn @ sensor.orientation @ shape), float)
-        scale_sem = bias_sem  # a pose error of e counts moves bias and scale alike, by e / sqrt(poses)
+        response = np.asarray(np.linalg.inv(turn @ sensor.orientation @ ellipsoid.shape), float)
         fitted.append(
             replace(
                 nominal(sensor),
-                bias_lsb=bias,
-                bias_sem_lsb=bias_sem,
+                bias_lsb=ellipsoid.bias_lsb,
+                bias_sem_lsb=ellipsoid.bias_sem_lsb,
                 response_lsb_per_unit=response,
-                response_sem_lsb_per_unit=scale_sem,
+                response_sem_lsb_per_unit=ellipsoid.response_sem,
             )
         )
-        residuals.append(float(np.sqrt(np.mean((np.linalg.norm(gravity_g, axis=0) - 1) ** 2))))
+        residuals.append(float(np.sqrt(np.mean((np.linalg.norm(ellipsoid.gravity_g, axis=0) - 1) ** 2))))
     return fitted, np.array(residuals)
 
 
-_Ellipsoid = tuple[Floats, Floats, Floats, Floats]
+class _Ellipsoid(NamedTuple):
+    """One sensor's fit.
+
+    Bias (3,) in counts and its standard error, shape (3, 3) in g per count, the standard error of the response (3,) in
+    counts per g (the largest entry of each row), gravity (3, k) in g in the sensor frame.
+    """
+
+    bias_lsb: Floats
+    bias_sem_lsb: Floats
+    shape: Floats
+    response_sem: Floats
+    gravity_g: Floats
+
+
+def _shape_of(parameters: Floats) -> Floats:
+    """The upper triangle (3, 3) from the nine parameters."""
+    shape = np.zeros((3, 3))
+    shape[_TRIANGLE] = parameters[3:]
+    return shape
 
 
 def _ellipsoid(sensor: SensorLog, readings: Sequence[Reading]) -> _Ellipsoid:
-    """Bias (3,), shape (3, 3) in g per count, standard error of the bias (3,), gravity (3, k) in g in the sensor
-    frame.
-    """
+    """Fit one sensor; CalibrationError if the poses do not tell bias from scale."""
     means = np.array([reading.mean_lsb for reading in readings]) / sensor.sensitivity
 
     def gravity(parameters: Floats) -> Floats:
-        shape = np.zeros((3, 3))
-        shape[_TRIANGLE] = parameters[3:]
-        return np.asarray(shape @ (means - parameters[:3]).T)
+        return np.asarray(_shape_of(parameters) @ (means - parameters[:3]).T)
 
     start = np.concatenate([np.zeros(3), np.eye(3)[_TRIANGLE]])
     fit = least_squares(lambda parameters: np.linalg.norm(gravity(parameters), axis=0) - 1, start)
@@ -77,23 +90,42 @@ def _ellipsoid(sensor: SensorLog, readings: Sequence[Reading]) -> _Ellipsoid:
         raise CalibrationError(
             f"{sensor.where}: the poses do not tell bias from scale; put the box on more different sides"
         )
-    freedom = max(1, len(readings) - 9)
-    covariance = np.linalg.inv(information) * (2 * fit.cost / freedom)
-    shape = np.zeros((3, 3))
-    shape[_TRIANGLE] = fit.x[3:]
-    return (
-        fit.x[:3] * sensor.sensitivity,
-        shape / sensor.sensitivity,
-        np.sqrt(np.diag(covariance)[:3]) * sensor.sensitivity,
-        gravity(fit.x),
+    covariance = np.linalg.inv(information) * _variance(sensor, readings, 2 * fit.cost)
+    changes = np.array([_response_change(fit.x, index) for index in range(len(fit.x))])
+    response_variance = np.einsum("pij,pq,qij->ij", changes, covariance, changes)
+    return _Ellipsoid(
+        bias_lsb=fit.x[:3] * sensor.sensitivity,
+        bias_sem_lsb=np.sqrt(np.diag(covariance)[:3]) * sensor.sensitivity,
+        shape=_shape_of(fit.x) / sensor.sensitivity,
+        response_sem=np.sqrt(response_variance).max(axis=1) * sensor.sensitivity,
+        gravity_g=gravity(fit.x),
     )
+
+
+def _variance(sensor: SensorLog, readings: Sequence[Reading], squares: float) -> float:
+    """Variance of one pose's specific force in g^2: from the residuals, but never far below what the readings' scatter
+    says: with nine poses there are no residuals, and with few of them they can be small by luck.
+    """
+    freedom = len(readings) - MIN_POSES
+    scatter = float(np.mean([np.mean(reading.sem_lsb**2) for reading in readings])) / sensor.sensitivity**2
+    return scatter if freedom == 0 else max(squares / freedom, scatter / 4)
+
+
+def _response_change(parameters: Floats, index: int) -> Floats:
+    """Derivative (3, 3) of the response, in the sensor's own frame, by one parameter: -inverse @ change @ inverse."""
+    if index < 3:
+        return np.zeros((3, 3))
+    change = np.zeros(9)
+    change[index] = 1.0
+    inverse = np.linalg.inv(_shape_of(parameters))
+    return np.asarray(-inverse @ _shape_of(change) @ inverse)
 
 
 def _nominal_directions(sensors: Sequence[SensorLog], ellipsoids: Sequence[_Ellipsoid]) -> list[tuple[Floats, Floats]]:
     """Each sensor's orientation and its gravity directions (3, k), unit length, in its own frame."""
     return [
-        (sensor.orientation, gravity / np.linalg.norm(gravity, axis=0))
-        for sensor, (_, _, _, gravity) in zip(sensors, ellipsoids, strict=True)
+        (sensor.orientation, ellipsoid.gravity_g / np.linalg.norm(ellipsoid.gravity_g, axis=0))
+        for sensor, ellipsoid in zip(sensors, ellipsoids, strict=True)
     ]
 
 

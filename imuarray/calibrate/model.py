@@ -12,7 +12,6 @@ in it.
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -33,6 +32,9 @@ from imuarray.units import SI_PER_UNIT
 Floats = npt.NDArray[np.float64]
 
 FORMAT_VERSION = 1
+
+_UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
+_HUGE = 1e6
 
 _SHAPES = {
     "bias_lsb": (3,),
@@ -62,6 +64,8 @@ class SensorCalibration:
     g_sensitivity_lsb_per_g: Floats | None = None
     noise_lsb: Floats | None = None
     temperature_degc: float | None = None
+    range: float | None = None
+    """The measuring range, in `unit`, at which this holds."""
 
     @property
     def scale_lsb_per_unit(self) -> Floats:
@@ -122,6 +126,16 @@ class Calibration:
             raise CalibrationError(
                 f"{sensor.where}: calibrated as {known.quantity} in {known.unit}, logged as {sensor.quantity}"
             )
+        if known.range not in (None, sensor.range):
+            raise CalibrationError(
+                f"{sensor.where}: calibrated at a range of {known.range:g} {known.unit}, logged at {sensor.range:g}"
+            )
+        ratio = known.scale_lsb_per_unit / (sensor.sensitivity or np.nan)
+        if (np.abs(np.log2(ratio)) > 1).any():  # no chip is off by a factor of two; another range is
+            raise CalibrationError(
+                f"{sensor.where}: calibrated at {known.scale_lsb_per_unit[0]:.4g} counts per {known.unit}, logged at"
+                f" {sensor.sensitivity:.4g}: another range"
+            )
         return known
 
     def to_toml(self) -> str:
@@ -158,6 +172,7 @@ def nominal(sensor: SensorLog) -> SensorCalibration:
         unit=sensor.unit,
         bias_lsb=np.zeros(3),
         response_lsb_per_unit=sensor.sensitivity * sensor.orientation.T,
+        range=sensor.range,
     )
 
 
@@ -169,17 +184,28 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         raise CalibrationError(
             f"{path}: {getattr(error, 'strerror', None) or f'no calibration file: {error}'}"
         ) from None
-    version = table.get("calibration", {}).get("format_version") if isinstance(table.get("calibration"), dict) else None
-    if version != FORMAT_VERSION:
+    head = table.get("calibration")
+    version = head.get("format_version") if isinstance(head, dict) else None
+    if version != FORMAT_VERSION or not isinstance(head, dict):
         raise CalibrationError(f"{path}: calibration format_version is {version}; this software reads {FORMAT_VERSION}")
-    sensors = [
-        _from_table(entry, f"{path}, sensor {index}") for index, entry in enumerate(table.get("sensor", []), start=1)
-    ]
-    return Calibration({sensor.name: sensor for sensor in sensors}, tuple(table["calibration"].get("sources", [])))
+    sources, entries = head.get("sources", []), table.get("sensor", [])
+    if not isinstance(entries, list) or not isinstance(sources, list) or not all(isinstance(s, str) for s in sources):
+        raise CalibrationError(f"{path}: a list of [[sensor]] and a list of texts as calibration.sources are wanted")
+    sensors: dict[str, SensorCalibration] = {}
+    for index, entry in enumerate(entries, start=1):
+        sensor = _from_table(entry, f"{path}, sensor {index}")
+        if sensor.name in sensors:
+            raise CalibrationError(f"{path}, sensor {index}: {sensor.name!r} stands in it twice")
+        sensors[sensor.name] = sensor
+    return Calibration(sensors, tuple(sources))
 
 
 def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibration:
     """`newer` where it measured something, else `older`. A bias without an uncertainty was not measured."""
+    if (older.quantity, older.unit) != (newer.quantity, newer.unit):
+        raise CalibrationError(
+            f"sensor {newer.name}: calibrated as {older.quantity} before, as {newer.quantity} now: two of one name"
+        )
     kept = {item.name: getattr(older, item.name) for item in fields(newer) if getattr(newer, item.name) is None}
     if newer.bias_sem_lsb is None:
         kept["bias_lsb"] = older.bias_lsb
@@ -207,14 +233,21 @@ def _from_table(entry: Any, where: str) -> SensorCalibration:
         raise CalibrationError(f"{where}: name, quantity, unit, bias_lsb and response_lsb_per_unit are wanted")
     if unknown := set(entry) - known:
         raise CalibrationError(f"{where}: unknown key {sorted(unknown)[0]!r}; allowed are {', '.join(sorted(known))}")
-    if entry["unit"] not in SI_PER_UNIT:
-        raise CalibrationError(f"{where}: unit {entry['unit']!r}; allowed are {', '.join(SI_PER_UNIT)}")
+    if not isinstance(entry["name"], str) or not entry["name"]:
+        raise CalibrationError(f"{where}: name {entry['name']!r}; a text is wanted")
+    if (entry["quantity"], entry["unit"]) not in list(_UNITS.items()):
+        allowed = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())
+        raise CalibrationError(f"{where}: {entry['quantity']!r} in {entry['unit']!r}; allowed are {allowed}")
     values: dict[str, Any] = {
         key: _array(value, key, where) if key in _SHAPES else value for key, value in entry.items()
     }
-    temperature = values.get("temperature_degc")
-    if temperature is not None and not (isinstance(temperature, int | float) and math.isfinite(temperature)):
-        raise CalibrationError(f"{where}: temperature_degc is {temperature!r}, a number is wanted")
+    for key in ("temperature_degc", "range"):
+        number = values.get(key)
+        if number is not None and not (isinstance(number, int | float) and abs(number) < _HUGE):
+            raise CalibrationError(f"{where}: {key} is no number that a sensor could have")
+    for key in ("noise_lsb", "bias_sem_lsb", "response_sem_lsb_per_unit"):
+        if key in values and (values[key] < 0).any():
+            raise CalibrationError(f"{where}: {key} is negative")
     sensor = SensorCalibration(**values)
     if not np.linalg.cond(sensor.response_lsb_per_unit) < 1e3:
         raise CalibrationError(f"{where}: response_lsb_per_unit can't be inverted")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.axes import face_up, up_vector
+from imuarray.axes import UP_AXES, face_up, up_vector
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
@@ -22,6 +22,9 @@ WINDOW_S = 0.5
 MIN_POSE_S = 1.5
 SAME_POSE_G = 0.02
 """Neighbouring windows whose means differ by more belong to two poses."""
+
+_CLIPPED_SHARE = 1e-3
+"""A mean of readings whose tail is cut off is wrong by more than its standard error long before it looks wrong."""
 
 _BATCHES = 16
 
@@ -49,21 +52,32 @@ class Reading:
 
 
 def named_faces(log: Log) -> list[Pose]:
-    """The poses that the log's own phases name, in file order."""
-    return [Pose(phase, up_vector(phase.up)) for phase in log.phases if phase.up and face_up(phase.name)]
+    """The poses that the log's own phases name, in file order; CalibrationError for an `up` that names no axis."""
+    faces = [phase for phase in log.phases if phase.up and face_up(phase.name)]
+    for phase in faces:
+        if phase.up not in UP_AXES:
+            raise CalibrationError(
+                f"{log.path}: phase {phase.name!r}: up {phase.up!r}; allowed are {', '.join(UP_AXES)}"
+            )
+    return [Pose(phase, up_vector(phase.up)) for phase in faces]
 
 
 def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
     """What `sensor` read in `pose`; CalibrationError if it read nothing there.
 
     The standard error comes from the means of batches, which neighbouring readings of one batch do not make too small.
-    Saturated and suspect readings are left out.
+    Saturated and suspect readings are left out; CalibrationError if more than one in a thousand is saturated.
     """
     rows = sensor.between(pose.phase.start_ns, pose.phase.end_ns)
-    sound = (np.asarray(sensor.status[rows]) & (SATURATED | SUSPECT)) == 0
-    counts = np.asarray(sensor.counts[rows], float)[sound]
+    status = np.asarray(sensor.status[rows])
+    counts = np.asarray(sensor.counts[rows], float)[(status & (SATURATED | SUSPECT)) == 0]
     if len(counts) < 2:
         raise CalibrationError(f"{sensor.where}: no sound readings in phase {pose.phase.name!r}")
+    clipped = int(np.count_nonzero(status & SATURATED))
+    if clipped > _CLIPPED_SHARE * len(status):
+        raise CalibrationError(
+            f"{sensor.where}: {clipped} of {len(status)} readings clip in phase {pose.phase.name!r}: no sound mean"
+        )
     batches = [batch.mean(axis=0) for batch in np.array_split(counts, min(_BATCHES, len(counts)))]
     sem = np.std(batches, axis=0, ddof=1) / np.sqrt(len(batches))
     return Reading(counts.mean(axis=0), sem, len(counts))

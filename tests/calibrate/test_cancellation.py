@@ -1,0 +1,59 @@
+"""What opposing axes cancel of their biases, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imuarray.calibrate import Calibration, SensorCalibration, cancellation
+from imuarray.log import open_log
+from tests.calibrate.conftest import Part, WriteLog, accelerometer, gyroscope, ideal
+
+# Name, chip, axes, bias in mg along the sensor's own axes.
+SENSORS = (
+    ("A1", "mpu", "+X+Y+Z", (-20.0, -10.0, -50.0)),
+    ("A2", "mpu", "-Y-X-Z", (-24.0, -12.0, -40.0)),
+    ("A3", "mpu", "+X+Y+Z", (-28.0, -14.0, -44.0)),
+    ("B1", "bma180", "-X-Y+Z", (5.0, 6.0, 7.0)),
+)
+
+
+def test_biases_along_against_and_opposed(write_log: WriteLog) -> None:
+    parts = [Part(accelerometer(name, axes, chip), ideal(axes, 2048), np.zeros(3)) for name, chip, axes, _ in SENSORS]
+    known = {
+        name: SensorCalibration(name, "specific_force", "g", 2.048 * np.array(bias), ideal(axes, 2048))
+        for name, _, axes, bias in SENSORS
+    }
+    with open_log(write_log(parts, np.eye(3))) as log:
+        rows = {(row.chip, row.box_axis): row for row in cancellation(list(log.sensors.values()), Calibration(known))}
+    assert len(rows) == 6
+    # Box X: x of A1 and A3 along it (-20, -28), y of A2 against it (-12 there, +12 in the box frame).
+    x = rows["mpu", "X"]
+    assert (x.along, x.against, x.opposed) == pytest.approx((-0.024, 0.012, -0.006))
+    assert x.single_rms == pytest.approx(1e-3 * np.sqrt((20**2 + 28**2 + 12**2) / 3))
+    y = rows["mpu", "Y"]
+    assert (y.along, y.against, y.opposed) == pytest.approx((-0.012, 0.024, 0.006))
+    z = rows["mpu", "Z"]
+    assert (z.along, z.against, z.opposed) == pytest.approx((-0.047, 0.040, -0.0035))
+    lone = rows["bma180", "X"]
+    assert (lone.along, lone.opposed) == (None, None)
+    assert lone.against == pytest.approx(-0.005)
+    assert rows["bma180", "Z"].along == pytest.approx(0.007)
+    assert {row.unit for row in rows.values()} == {"g"}
+
+
+def test_quantities_of_one_chip_are_kept_apart(write_log: WriteLog) -> None:
+    parts = [
+        Part(accelerometer("IMU1_acc", chip="l3g4200d"), ideal("+X+Y+Z", 2048), np.zeros(3)),
+        Part(gyroscope("IMU1_gyro"), ideal("+X+Y+Z", 100), np.zeros(3)),
+    ]
+    with open_log(write_log(parts, np.eye(3))) as log:
+        rows = cancellation(list(log.sensors.values()), Calibration())
+    assert sorted((row.quantity, row.unit, row.box_axis) for row in rows) == [
+        ("angular_rate", "dps", "X"),
+        ("angular_rate", "dps", "Y"),
+        ("angular_rate", "dps", "Z"),
+        ("specific_force", "g", "X"),
+        ("specific_force", "g", "Y"),
+        ("specific_force", "g", "Z"),
+    ]

@@ -1,0 +1,275 @@
+"""Six faces on a table: the paper's Table 10 to its Tables 3 and 4, the stated uncertainty, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from imuarray.calibrate import Tumble, calibrate_tumble
+from imuarray.calibrate.faces import fit_faces
+from imuarray.calibrate.poses import named_faces
+from imuarray.errors import CalibrationError
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import Phase, SensorHeader
+from tests.calibrate.conftest import FACES, Part, WriteLog, accelerometer, gyroscope, ideal, skewed
+
+# Table 10: mean counts with z_up, x_up, y_up, x_down, y_down, z_down, z_up (check).
+TABLE_10 = {
+    "ADXL1": (
+        (12.33293, -253.497, 2.469027, 269.075, 13.12513, 2.899611, 12.33366),
+        (22.35989, 13.01353, -256.075, 2.25853, 271.2409, -5.9701, 22.18462),
+        (247.2157, -3.95661, 4.159566, -11.9417, -22.4309, -262.606, 247.0093),
+    ),
+    "BMA1": (
+        (-100.816, -81.7408, -604.112, -102.087, 418.4423, -84.4824, -100.769),
+        (-134.907, 391.6477, -115.322, -648.648, -139.155, -120.145, -135.05),
+        (537.0402, 13.09122, 7.244381, 10.84351, 16.37739, -515.345, 537.3207),
+    ),
+    "BMA3": (
+        (515.6351, 144.0243, -5351.68, -24.0278, 5461.916, -415.383, 509.5691),
+        (-9.89211, -5422.59, -77.3823, 5405.179, 57.58821, -21.7895, -11.0259),
+        (-5522.18, 20.71929, -451.205, -138.035, 329.0204, 5444.336, -5521.33),
+    ),
+    "Gyro1": (
+        (8.320732, 8.428642, 8.161185, 8.422897, 8.705721, 8.394012, 8.287603),
+        (-7.01099, -7.1224, -7.14924, -6.9622, -7.00326, -6.98778, -6.94282),
+        (12.79765, 12.80977, 12.88774, 12.90363, 12.8971, 13.00009, 12.91716),
+    ),
+    "Gyro3": (
+        (-10.8525, -10.8913, -12.5124, -10.3831, -9.19768, -10.9854, -10.9321),
+        (80.72398, 81.41718, 80.64504, 80.30853, 79.94402, 80.03002, 78.30344),
+        (-5.92837, -6.55747, -7.26471, -5.88309, -5.85468, -5.72226, -5.59863),
+    ),
+}
+HEADERS = {
+    "ADXL1": SensorHeader("ADXL1", "adxl345", "specific_force", "g", 16.0, 256.0, axes="-X-Y+Z"),
+    "BMA1": SensorHeader("BMA1", "bma180", "specific_force", "g", 16.0, 512.0, axes="-Y+X+Z"),
+    "BMA3": SensorHeader("BMA3", "bma180", "specific_force", "g", 1.5, 5460.0, axes="-Y-X-Z"),
+    "Gyro1": SensorHeader("Gyro1", "l3g4200d", "angular_rate", "dps", 2000.0, 1 / 0.07),
+    "Gyro3": SensorHeader("Gyro3", "l3g4200d", "angular_rate", "dps", 250.0, 1 / 0.00875, axes="-X-Y+Z"),
+}
+# Table 3: bias (LSB), |scale factor| (LSB/g), drift (LSB), and how far two printed readings leave the drift open.
+TABLE_3 = {
+    "ADXL1": ((7.734, 7.805, -8.260), (261.38, 264.09, 255.29), (-0.001, 0.175, 0.206), 1.5e-3),
+    "BMA1": ((-92.466, -127.755, 11.542), (511.44, 520.34, 526.21), (-0.048, 0.143, -0.280), 1.5e-3),
+    "BMA3": ((55.081, -11.481, -52.891), (5427.45, 5414.31, 5497.69), (6.066, 1.134, -0.852), 1.1e-2),
+}
+# Table 4: bias (LSB); difference of the bias between up and down, columns box X, Y, Z; drift (LSB).
+TABLE_4 = {
+    "Gyro1": (
+        (8.389, -7.026, 12.888),
+        ((0.006, -0.545, -0.073), (-0.160, -0.146, -0.023), (-0.094, -0.009, -0.202)),
+        (0.0331, -0.0682, -0.1195),
+    ),
+    "Gyro3": (
+        (-10.822, 80.196, -6.116),
+        ((-0.508, -3.315, 0.133), (1.109, 0.701, 0.694), (-0.674, -1.410, -0.206)),
+        (0.0796, 2.4205, -0.3297),
+    ),
+}
+ROWS = 4000
+"""Whole counts whose mean is a printed reading to 1 / (2 ROWS)."""
+
+UPS = ("+Z", "+X", "+Y", "-X", "-Y", "-Z", "+Z")
+NAMES = ("z_up", "x_up", "y_up", "x_down", "y_down", "z_down", "z_up_check")
+
+
+def whole_counts(mean: float) -> np.ndarray:
+    """ROWS whole numbers with that mean, in no order that means anything."""
+    low = int(np.floor(mean))
+    above = round((mean - low) * ROWS)
+    return np.random.default_rng(5).permutation(np.r_[np.full(above, low + 1), np.full(ROWS - above, low)])
+
+
+@pytest.fixture(scope="module")
+def table_10(tmp_path_factory: pytest.TempPathFactory) -> Tumble:
+    path = tmp_path_factory.mktemp("table10") / "run.h5"
+    time = np.arange(7 * ROWS, dtype=np.int64) * 20_000_000
+    with LogWriter(path, list(HEADERS.values()), source="simulated", epoch="2013-09-16T00:00:00Z") as writer:
+        for name, axes in TABLE_10.items():
+            counts = np.stack([np.concatenate([whole_counts(mean) for mean in axis]) for axis in axes], axis=1)
+            writer.append(name, Block(time, counts.astype(np.int16), np.zeros(len(time), np.uint16)))
+        for index, (name, up) in enumerate(zip(NAMES, UPS, strict=True)):
+            writer.phase(Phase(int(time[index * ROWS]), int(time[(index + 1) * ROWS - 1]) + 1, name, up))
+    with open_log(path) as log:
+        return calibrate_tumble(log)
+
+
+@pytest.mark.parametrize("name", TABLE_3)
+def test_table_10_gives_table_3(table_10: Tumble, name: str) -> None:
+    bias, scale, drift, open_lsb = TABLE_3[name]
+    found = table_10.calibration.sensors[name]
+    assert found.bias_lsb == pytest.approx(bias, abs=7e-4)
+    assert found.scale_lsb_per_unit == pytest.approx(scale, abs=6e-3)
+    assert table_10.drift_lsb[name] == pytest.approx(drift, abs=open_lsb)
+    assert table_10.method == "faces"
+    assert table_10.poses == 7
+
+
+@pytest.mark.parametrize("name", TABLE_4)
+def test_table_10_gives_table_4(table_10: Tumble, name: str) -> None:
+    bias, difference, drift = TABLE_4[name]
+    found = table_10.calibration.sensors[name]
+    assert found.bias_lsb == pytest.approx(bias, abs=7e-4)
+    assert found.g_sensitivity_lsb_per_g is not None
+    assert 2 * found.g_sensitivity_lsb_per_g == pytest.approx(np.array(difference), abs=8e-4)
+    assert table_10.drift_lsb[name] == pytest.approx(drift, abs=3e-4)
+
+
+def test_response_is_the_half_difference_of_opposite_faces(table_10: Tumble) -> None:
+    readings = np.array(TABLE_10["BMA3"])
+    half = (readings[:, [1, 2, 0]] - readings[:, [3, 4, 5]]) / 2
+    assert table_10.calibration.sensors["BMA3"].response_lsb_per_unit == pytest.approx(half, abs=3e-4)
+
+
+def test_azimuth_and_elevation_of_a_tilted_axis(table_10: Tumble) -> None:
+    # BMA1 x points along box -Y. Half differences of Table 10: 10.1731, -511.27715, -8.1668; by hand:
+    # azimuth = atan2(-511.27715, 10.1731) = -88.8601 degrees, elevation = atan2(-8.1668, 511.37835) = -0.9149 degrees.
+    angles = table_10.calibration.sensors["BMA1"].azimuth_elevation_deg()
+    assert angles[0] == pytest.approx((-88.8601, -0.9149), abs=2e-4)
+
+
+def test_stated_uncertainty_is_honest(write_log: WriteLog) -> None:
+    """100 sensors, errors over standard errors: chi-square, two-sided error rate 1e-3 for each of six sums."""
+    rng = np.random.default_rng(11)
+    parts = [
+        Part(accelerometer(f"A{i:03}", "-Y-X-Z"), skewed("-Y-X-Z", 2048, rng), rng.uniform(-200, 200, 3), 20.0)
+        for i in range(100)
+    ]
+    with open_log(write_log.faces(parts, rows=160, seed=12)) as log:
+        fitted = calibrate_tumble(log).calibration.sensors
+    bias, response = [], []
+    for part in parts:
+        found = fitted[part.header.name]
+        assert found.bias_sem_lsb is not None and found.response_sem_lsb_per_unit is not None
+        bias.append((found.bias_lsb - part.bias) / found.bias_sem_lsb)
+        error = found.response_lsb_per_unit - part.response
+        response.append(error[:, 0] / found.response_sem_lsb_per_unit)
+    low, high = chi2.ppf((0.0005, 0.9995), 100)
+    # sem comes from 16 batches a face: its scatter widens the ratios by about 1 + 1 / (6 * 15).
+    for sums in ((np.array(bias) ** 2).sum(axis=0), (np.array(response) ** 2).sum(axis=0)):
+        assert (sums > low).all() and (sums < high * (1 + 1 / 30)).all(), sums
+
+
+def test_a_gyroscope_s_bias_is_as_sure_as_all_seven_readings_together(write_log: WriteLog) -> None:
+    """sigma / sqrt(7 * 160), rms over 20 gyroscopes; 60 sums of 7 * 15 squares tell it to 0.9 %."""
+    parts = [Part(gyroscope(f"G{i:03}"), np.zeros((3, 3)), np.array([40.0, -7.0, 0.3]), 20.0) for i in range(20)]
+    with open_log(write_log.faces(parts, rows=160, seed=14)) as log:
+        fitted = [fit_faces(log[part.header.name], named_faces(log))[0] for part in parts]
+    assert all(found.bias_sem_lsb is not None for found in fitted)
+    stated = np.sqrt(np.mean([np.square(found.bias_sem_lsb) for found in fitted if found.bias_sem_lsb is not None]))
+    assert stated == pytest.approx(20 / np.sqrt(7 * 160), rel=0.04)
+    assert np.mean([found.bias_lsb for found in fitted], axis=0) == pytest.approx([40.0, -7.0, 0.3], abs=5 * stated / 4)
+
+
+def test_a_slow_drift_shows_between_the_two_readings_of_a_face(write_log: WriteLog) -> None:
+    part = Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 3.0)
+    with open_log(write_log.faces([part], rows=500, drift_lsb_per_s=0.8)) as log:
+        # The check begins 6 faces of 5 s after the first reading: 30 s of 0.8 counts/s.
+        assert calibrate_tumble(log).drift_lsb["A"] == pytest.approx([-24.0] * 3, abs=4 * 3 * np.sqrt(2 / 500))
+
+
+def relabel(change: dict[str, str]) -> list[tuple[str, str]]:
+    ups = dict(zip(NAMES, UPS, strict=True))
+    return [(change.get(name, name), ups[change.get(name, name)]) for name in NAMES]
+
+
+def sloppy(write_log: WriteLog, **options: object) -> Path:
+    response = skewed("+X+Y+Z", 2048, np.random.default_rng(3))
+    part = Part(accelerometer("A"), response, np.array([150.0, -130.0, 80.0]), 10.0)
+    return write_log.faces([part], rows=64, **options)
+
+
+@pytest.mark.parametrize(
+    ("face", "called"), [pair for pair in permutations(NAMES[:-1], 2) if pair[0] != "z_up"], ids="-as-".join
+)
+def test_a_face_under_a_wrong_name_is_refused_and_named(write_log: WriteLog, face: str, called: str) -> None:
+    path = sloppy(write_log, labels=relabel({face: called}))
+    with open_log(path) as log, refused(f"phase '{called}' is .* off the other faces"):
+        calibrate_tumble(log)
+
+
+def test_two_faces_swapped_are_refused(write_log: WriteLog) -> None:
+    path = sloppy(write_log, labels=relabel({"x_up": "y_down", "y_down": "x_up"}))
+    with open_log(path) as log, refused("off the other faces"):
+        calibrate_tumble(log)
+
+
+def test_of_two_swapped_faces_one_is_named(write_log: WriteLog) -> None:
+    path = sloppy(write_log, labels=relabel({"x_up": "y_down", "y_down": "x_up"}))
+    with open_log(path) as log, refused("phase '(x_up|y_down)'"):
+        calibrate_tumble(log)
+
+
+def test_opposite_faces_swapped_look_like_a_mirrored_axis(write_log: WriteLog) -> None:
+    path = sloppy(write_log, labels=relabel({"x_up": "x_down", "x_down": "x_up"}))
+    with open_log(path) as log, refused(r"axis x .*'\+X\+Y\+Z' says; the faces say '-X\+Y\+Z'"):
+        calibrate_tumble(log)
+
+
+def test_axes_that_do_not_fit_are_refused_with_what_the_faces_say(write_log: WriteLog) -> None:
+    part = Part(accelerometer("A", "+X+Y+Z"), ideal("-Y+X+Z", 2048), np.zeros(3), 10.0)
+    with open_log(write_log.faces([part], rows=64)) as log, refused(r"'\+X\+Y\+Z' says; the faces say '-Y\+X\+Z'"):
+        calibrate_tumble(log)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_too_few_faces(write_log: WriteLog, count: int) -> None:
+    part = Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 10.0)
+    ups = np.array([up for _, _, up in FACES], float)[:count]
+    path = write_log([part], ups, names=list(zip(NAMES, UPS, strict=True))[:count])
+    with open_log(path) as log, refused("too few; z_up, x_up"):
+        calibrate_tumble(log)
+
+
+def test_four_faces_of_one_plane_are_too_few(write_log: WriteLog) -> None:
+    part = Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 10.0)
+    ups = np.array([up for _, _, up in FACES], float)[1:5]
+    path = write_log([part], ups, names=list(zip(NAMES, UPS, strict=True))[1:5])
+    with open_log(path) as log, refused("too few"):
+        calibrate_tumble(log)
+
+
+def clipped(write_log: WriteLog, bias: float) -> Path:
+    """Range +-1 g, so that z clips where it carries gravity: always, half of the time or never, as its bias is."""
+    header = SensorHeader("A", "bma180", "specific_force", "g", 1.0, 8192.0)
+    part = Part(header, np.diag([7500.0, 7500.0, 8192.0]), np.array([0.0, 0.0, bias]), 40.0, 8191)
+    status: Callable[[str, np.ndarray], np.ndarray] = lambda name, counts: np.where(  # noqa: E731
+        (np.abs(counts.astype(int)) >= 8191).any(axis=1), 4, 0
+    ).astype(np.uint16)
+    return write_log.faces([part], rows=1000, status=status)
+
+
+def test_a_face_that_only_clips_is_refused_and_named(write_log: WriteLog) -> None:
+    with open_log(clipped(write_log, 800.0)) as log, refused("no sound readings in phase 'z_up'"):
+        fit_faces(log["A"], named_faces(log))
+
+
+def test_a_face_that_clips_now_and_then_is_refused_or_right(write_log: WriteLog) -> None:
+    with open_log(clipped(write_log, -20.0)) as log:
+        try:
+            fitted, _ = fit_faces(log["A"], named_faces(log))
+        except CalibrationError:
+            return
+    assert fitted.response_sem_lsb_per_unit is not None
+    assert abs(fitted.scale_lsb_per_unit[2] - 8192) < 5 * fitted.response_sem_lsb_per_unit[2]
+
+
+def test_a_phase_that_names_no_axis_as_up(write_log: WriteLog) -> None:
+    with open_log(sloppy(write_log, labels=[("z_up", "+Q")])) as log, pytest.raises(CalibrationError):
+        calibrate_tumble(log)
+
+
+@contextmanager
+def refused(pattern: str) -> Iterator[None]:
+    """A CalibrationError of one line that names the sensor and matches."""
+    with pytest.raises(CalibrationError, match=pattern) as caught:
+        yield
+    assert "\n" not in str(caught.value)
+    assert "sensor A" in str(caught.value)

@@ -1,0 +1,185 @@
+"""Static poses found in a log that names none, and what one pose reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import chi2
+
+from imuarray.calibrate.poses import Pose, find_poses, named_faces, read_pose
+from imuarray.errors import CalibrationError
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import Phase
+from tests.calibrate.conftest import EPOCH, Floats, Part, WriteLog, accelerometer, directions, skewed
+
+RATE_HZ = 100.0
+
+
+def two_sensors(sigma: float = 10.0) -> list[Part]:
+    rng = np.random.default_rng(3)
+    axes = ("+X+Y+Z", "-Y-X-Z")
+    return [
+        Part(accelerometer(f"A{i}", a), skewed(a, 2048, rng), rng.uniform(-99, 99, 3), sigma)
+        for i, a in enumerate(axes)
+    ]
+
+
+def tumbled() -> Floats:
+    """14 poses, each far from the one before."""
+    ups = directions(14, np.random.default_rng(3))
+    assert np.linalg.norm(np.diff(ups, axis=0), axis=1).min() > 0.3
+    return ups
+
+
+def check_poses(path: Path, rows: int, moving_rows: int) -> None:
+    """Each pose is found once, lies inside the true one, and is not much shorter."""
+    with open_log(path) as log:
+        poses = find_poses(log)
+    assert len(poses) == 14
+    for index, pose in enumerate(poses):
+        first_ns = round(index * (rows + moving_rows) * 1e9 / RATE_HZ)
+        last_ns = first_ns + round(rows * 1e9 / RATE_HZ)
+        assert first_ns <= pose.phase.start_ns < pose.phase.end_ns <= last_ns
+        # Up to a window is lost at each end to the grid of windows, and one more is cut off on purpose.
+        assert pose.phase.end_ns - pose.phase.start_ns >= last_ns - first_ns - 2_000_000_000
+        assert pose.up_box is None
+
+
+@pytest.mark.parametrize("rows", [300, 600])
+@pytest.mark.parametrize("moving_rows", [10, 40, 250])
+@pytest.mark.parametrize("sigma", [0.0, 1.0, 30.0])
+def test_every_pose_of_a_hand_tumbled_log_is_found(
+    write_log: WriteLog, rows: int, moving_rows: int, sigma: float
+) -> None:
+    check_poses(write_log(two_sensors(sigma), tumbled(), rows=rows, moving_rows=moving_rows), rows, moving_rows)
+
+
+def test_drift_does_not_split_a_pose(write_log: WriteLog) -> None:
+    """1 mg/s over 6 s poses, in all 80 mg."""
+    path = write_log(two_sensors(), tumbled(), rows=600, moving_rows=50, drift_lsb_per_s=2.0)
+    check_poses(path, 600, 50)
+
+
+def test_gaps_between_the_poses_are_no_poses(write_log: WriteLog) -> None:
+    """Nothing was recorded while the box was turned: 10 s without a row are not 10 s of standing still."""
+    rows, moving = 600, 1000
+
+    def keep(name: str, time: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        return np.asarray((time * 1e-9 * RATE_HZ) % (rows + moving) < rows)
+
+    check_poses(write_log(two_sensors(), tumbled(), rows=rows, moving_rows=moving, keep=keep), rows, moving)
+
+
+def test_lost_rows_of_one_sensor_do_not_hide_a_pose(write_log: WriteLog) -> None:
+    rng = np.random.default_rng(6)
+    keep: Callable[[str, npt.NDArray[np.int64]], npt.NDArray[np.bool_]] = lambda name, time: np.asarray(  # noqa: E731
+        rng.random(len(time)) > (0.3 if name == "A0" else 0.0)
+    )
+    check_poses(write_log(two_sensors(), tumbled(), rows=600, moving_rows=50, keep=keep), 600, 50)
+
+
+def felt_log(folder: Path, felt: Floats) -> Path:
+    path = folder / "felt.h5"
+    parts = two_sensors()
+    time = np.arange(len(felt), dtype=np.int64) * 10_000_000
+    with LogWriter(path, [part.header for part in parts], source="simulated", epoch=EPOCH) as writer:
+        for part in parts:
+            counts = part.read(felt, np.random.default_rng(1))
+            writer.append(part.header.name, Block(time, counts, np.zeros(len(time), np.uint16)))
+    return path
+
+
+def test_a_box_that_turns_slowly_has_no_poses(tmp_path: Path) -> None:
+    seconds = np.arange(6000) / RATE_HZ
+    angle = 2 * np.pi * 0.05 * seconds
+    felt = np.stack([np.sin(angle), np.cos(angle) * np.cos(angle / 3), np.cos(angle) * np.sin(angle / 3)], axis=1)
+    with open_log(felt_log(tmp_path, felt)) as log:
+        assert find_poses(log) == []
+
+
+def test_a_box_that_is_shaken_has_no_poses(tmp_path: Path) -> None:
+    felt = np.random.default_rng(4).normal(0, 0.5, (6000, 3)) + np.array([0, 0, 1])
+    with open_log(felt_log(tmp_path, felt)) as log:
+        assert find_poses(log) == []
+
+
+def test_a_log_too_short_to_hold_poses_is_refused(tmp_path: Path) -> None:
+    with (
+        open_log(felt_log(tmp_path, np.tile([0.0, 0.0, 1.0], (150, 1)))) as log,
+        pytest.raises(CalibrationError, match=r"1\.5 s of data, too short"),
+    ):
+        find_poses(log)
+
+
+def test_an_accelerometer_that_read_nothing_does_not_hide_the_poses(write_log: WriteLog) -> None:
+    keep: Callable[[str, npt.NDArray[np.int64]], npt.NDArray[np.bool_]] = lambda name, time: np.full(  # noqa: E731
+        len(time), name != "A1"
+    )
+    path = write_log(two_sensors(), tumbled(), rows=300, moving_rows=50, keep=keep)
+    with open_log(path) as log:
+        poses = find_poses(log)
+        assert len(poses) == 14
+        with pytest.raises(CalibrationError, match="sensor A1: no sound readings in phase 'pose 1'"):
+            read_pose(log["A1"], poses[0])
+
+
+def test_named_faces_are_those_with_an_up_and_a_face_for_a_name(write_log: WriteLog) -> None:
+    names = [("z_up", "+Z"), ("static", "+Z"), ("x_down_check", "-X"), ("y_up", ""), ("w_up", "+X"), ("z_over", "+Z")]
+    with open_log(write_log(two_sensors(), tumbled()[: len(names)], names=names)) as log:
+        faces = named_faces(log)
+    assert [(face.phase.name, face.up_box, face.is_check) for face in faces] == [
+        ("z_up", (0.0, 0.0, 1.0), False),
+        ("x_down_check", (-1.0, 0.0, 0.0), True),
+    ]
+
+
+def flagged(folder: Path, counts: npt.NDArray[np.int16], status: npt.NDArray[np.uint16]) -> Path:
+    path = folder / "flagged.h5"
+    with LogWriter(path, [accelerometer("A")], source="simulated", epoch=EPOCH) as writer:
+        writer.append("A", Block(np.arange(len(counts), dtype=np.int64) * 10_000_000, counts, status))
+    return path
+
+
+def test_saturated_and_suspect_readings_are_left_out_of_a_pose_and_stale_ones_are_not(tmp_path: Path) -> None:
+    """One clipped reading in more than a thousand is left out; more of them and there is no sound mean."""
+    counts = np.tile(np.array([[1, 2, 3], [5, 6, 7]], np.int16), (600, 1))
+    counts[10], counts[11] = (9999, 0, 0), (0, 9999, 0)
+    status = np.zeros(1200, np.uint16)
+    status[[10, 11, 12, 13]] = (4, 32, 1, 1)
+    pose = Pose(Phase(0, 100_000_000_000, "pose"), None)
+    with open_log(flagged(tmp_path, counts, status)) as log:
+        reading = read_pose(log["A"], pose)
+    assert reading.mean_lsb.tolist() == [3, 4, 5]
+    assert reading.rows == 1198
+    status[20] = 4
+    (tmp_path / "more").mkdir()
+    with (
+        open_log(flagged(tmp_path / "more", counts, status)) as log,
+        pytest.raises(CalibrationError, match="2 of 1200 readings clip in phase 'pose'"),
+    ):
+        read_pose(log["A"], pose)
+
+
+def test_standard_error_of_a_pose_holds_for_correlated_noise(tmp_path: Path) -> None:
+    """A moving average of 8 rows is 8 times more uncertain in its mean's variance than single rows say.
+
+    200 poses of 1024 rows; the ratio of squares is chi-square with 200 (times the batches' own 15): error rate 1e-3.
+    """
+    rng = np.random.default_rng(17)
+    white = rng.normal(0, 100, (200 * 1024 + 7, 3))
+    smooth = np.lib.stride_tricks.sliding_window_view(white, 8, axis=0).mean(axis=2)
+    path = flagged(tmp_path, np.rint(smooth).astype(np.int16), np.zeros(len(smooth), np.uint16))
+    ratios = []
+    with open_log(path) as log:
+        for index in range(200):
+            pose = Pose(Phase(index * 10_240_000_000, (index + 1) * 10_240_000_000, "pose"), None)
+            reading = read_pose(log["A"], pose)
+            ratios.append(reading.mean_lsb / reading.sem_lsb)
+    # Student t with 15: variance 15 / 13; batches of 64 rows keep 63/64 of the correlation's effect or more.
+    total = (np.array(ratios) ** 2).sum(axis=0) * 13 / 15
+    low, high = chi2.ppf((0.0005, 0.9995), 200)
+    assert (total > 0.9 * low).all() and (total < 1.15 * high).all(), total
