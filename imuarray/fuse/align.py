@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.errors import FusionError
+from imuarray.fuse.splines import between_gaps
 from imuarray.log import SensorLog
 from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import SI_PER_UNIT
@@ -102,7 +102,7 @@ def frames(
         values = np.concatenate([part.values for part in parts], axis=1)
         valid = np.repeat(np.stack([part.valid for part in parts], axis=1), 3, axis=1)
         late_s = np.repeat(np.stack([part.late_s for part in parts], axis=1), 3, axis=1)
-        values -= late_s * (_slope(grid, values, valid, rows) @ rows.T)
+        values -= late_s * (_slope(grid, values, valid, rows, period_ns) @ rows.T)
         inner = slice(start - first, start - first + min(block, total - start))
         yield Frames(grid[inner], values[inner], valid[inner])
 
@@ -132,15 +132,10 @@ def _nearest(sensor: SensorLog, known: SensorCalibration, grid: Times, period_ns
     return _Nearest(values, valid, late_ns * 1e-9)
 
 
-def _slope(grid: Times, values: Floats, valid: Flags, rows: Floats) -> Floats:
+def _slope(grid: Times, values: Floats, valid: Flags, rows: Floats, period_ns: float) -> Floats:
     """(n, 3) change per second of the array's plain mean; zero where too little is valid to tell."""
     mean = solve_frames(values, valid.astype(float), rows)
-    known = np.asarray(np.isfinite(mean).all(axis=1))
-    if known.sum() < 4:
-        return np.zeros_like(mean)
-    time_s = (grid - grid[0]) * 1e-9
-    slope = CubicSpline(time_s[known], mean[known])(time_s, nu=1)
-    return np.where(known[:, None], slope, 0.0)
+    return np.nan_to_num(between_gaps(grid, mean, grid, gap_ns=5 * period_ns, derivative=1))
 
 
 def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:

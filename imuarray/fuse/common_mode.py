@@ -5,7 +5,9 @@ the two means is c whatever the truth is. c is slow (temperature, supply), so it
 it is believed only as far as units that point the same way agree: with `n+` and `n-` axes and a within-way variance
 s2 of the slow errors, a sum C has an expected square of ``(2 c)^2 + s2 (1/n+ + 1/n-)``, so that c is estimated by C/2
 times ``1 - s2 (1/n+ + 1/n-) / C^2``, never below zero: the positive-part shrinkage of James and Stein (1961), with
-both squares averaged since the log began."""
+both squares averaged since the log began. Where units share nothing, this costs at most 3.3 % of the average's drift
+(three axes, one degree of freedom within the ways).
+"""
 
 from __future__ import annotations
 

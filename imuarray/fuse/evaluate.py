@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from imuarray.errors import FusionError
 from imuarray.fuse.fuse import QUANTITIES, FusedBlock
+from imuarray.fuse.splines import between_gaps
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase
 
@@ -77,9 +77,10 @@ def _felt(track: Track, quantity: str, time: npt.NDArray[np.int64]) -> Floats | 
         return None
     first = max(0, first_at(track.time, int(time[0])) - _MARGIN)
     last = first_at(track.time, int(time[-1])) + _MARGIN
-    known = np.asarray(track.time[first:last])
-    spline = CubicSpline((known - time[0]) * 1e-9, np.asarray(column[first:last], float), extrapolate=False)
-    return np.asarray(spline((time - time[0]) * 1e-9))
+    known, rows = np.asarray(track.time[first:last]), np.asarray(column[first:last], float)
+    if len(known) < 2:
+        return np.full((len(time), 3), np.nan)
+    return between_gaps(known, rows, time, gap_ns=5 * float(np.median(np.diff(known))))
 
 
 def _error(rows: Floats) -> Error:

@@ -118,6 +118,8 @@ NEEDS_NOISE = frozenset({"planes", "ranges"})
 
 def _need_noise(axes: Sequence[Axis]) -> None:
     for axis in axes:
+        if axis.noise_si is not None and not axis.noise_si > 0:
+            raise FusionError(f"sensor {axis.sensor} axis {'xyz'[axis.index]}: noise {axis.noise_si}: it is stuck")
         if axis.noise_si is None:
             raise FusionError(
                 f"sensor {axis.sensor}: its noise is not known; run `imuarray calibrate noise` and give the file"

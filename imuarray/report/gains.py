@@ -57,8 +57,8 @@ def gains(
     errors = [errors_of(log, fuse(log, calibration, name, only=only), phases) for name in ("mean", technique)]
     rows = []
     for quantity in errors[0]:
-        time, before = errors[0][quantity]
-        after = errors[1][quantity][1]
+        time, mine, other = np.intersect1d(errors[0][quantity][0], errors[1][quantity][0], return_indices=True)
+        before, after = errors[0][quantity][1][mine], errors[1][quantity][1][other]
         if slow:
             before, after = (_ten_second_means(time, part) for part in (before, after))
         for axis in range(3):

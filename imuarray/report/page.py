@@ -53,11 +53,6 @@ class Section:
     text: str
     parts: Sequence[Table | Figure] = ()
 
-    @property
-    def anchor(self) -> str:
-        """Name of the section inside the page."""
-        return "".join(letter if letter.isalnum() else "-" for letter in self.title.lower())
-
 
 def write_page(
     path: str | PathLike[str], title: str, summary: Sequence[str], sections: Sequence[Section], *, force: bool = False

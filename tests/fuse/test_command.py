@@ -1,0 +1,144 @@
+"""`imuarray fuse` as a person types it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from imuarray.cli import main
+from imuarray.log import open_log
+from imuarray.log.format import Phase
+from tests.fuse.conftest import G, Part, WriteRun, calibration, still
+
+STATIC = (Phase(0, 10_000_000_000, "static", "+Z"),)
+BIAS_G = 0.05
+
+
+def parts(bias_g: float = 0.0) -> list[Part]:
+    """Two accelerometers that point alike and a gyroscope."""
+    return [
+        *(Part(f"A{i}", sigma=0.01, error=lambda seconds: np.full((len(seconds), 3), bias_g)) for i in (1, 2)),
+        Part("G1", "+X+Y+Z", "angular_rate", "l3g4200d", 250.0, 100.0, sigma=0.2),
+    ]
+
+
+@pytest.fixture
+def run(write_run: WriteRun) -> Path:
+    return write_run(parts(), phases=STATIC)
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Exit code 2, one line on standard error, nothing on standard output; the line."""
+    assert main(["fuse", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("imuarray: ") and err.count("\n") == 1
+    return err
+
+
+@pytest.mark.parametrize("technique", ["mean", "opposed", "planes", "ranges"])
+def test_fuse_writes_a_file_and_reports_errors(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], technique: str
+) -> None:
+    output = tmp_path / "fused.h5"
+    assert main(["fuse", str(run), "--technique", technique, "-o", str(output), "--json"]) == 0
+    out, err = capsys.readouterr()
+    report = json.loads(out)
+    assert (report["fused"], report["technique"], report["frames"]) == (str(output), technique, 1000)
+    # Two alike: sigma / sqrt(2) of 1000 frames, to five standard errors.
+    rms = np.array(report["error"]["specific_force"]["rms"]) / G
+    assert rms == pytest.approx([0.01 / np.sqrt(2)] * 3, rel=5 / np.sqrt(2000))
+    assert np.degrees(report["error"]["angular_rate"]["noise"]) == pytest.approx([0.2] * 3, rel=6 / np.sqrt(2000))
+    assert ("measured where this log stands still" in err) == (technique in ("planes", "ranges"))
+    with h5py.File(output) as file:
+        assert file["fused/specific_force"].shape == (1000, 3)
+        assert file.attrs["technique"] == technique
+        assert file.attrs["log"] == str(run)
+
+
+def test_fuse_prints_for_people(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fuse", str(run), "-o", str(tmp_path / "fused.h5")]) == 0
+    out = capsys.readouterr().out
+    assert "1000 frames by mean" in out
+    lines = [line.split() for line in out.splitlines() if "against the truth" in line]
+    units = {line[0]: line[-1] for line in lines}
+    assert units == {"specific_force": "mg", "angular_rate": "dps"}
+    rms = next(line for line in lines if line[:2] == ["specific_force", "rms"])
+    assert float(rms[rms.index("x") + 1]) == pytest.approx(7.07, rel=0.12)
+
+
+def test_a_log_without_a_truth_is_fused_without_a_verdict(
+    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_run(parts(), truth="")
+    assert main(["fuse", str(path), "-o", str(tmp_path / "fused.h5"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["error"] == {}
+
+
+def test_the_calibration_is_used(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, known = write_run(parts(BIAS_G)), tmp_path / "cal.toml"
+    calibration(parts()).save(known)
+    known.write_text(known.read_text().replace("    0.0,\n", f"    {BIAS_G * 2048},\n", 3), encoding="utf-8")
+    output = tmp_path / "fused.h5"
+    assert main(["fuse", str(path), "--calibration", str(known), "--only", "A1", "-o", str(output), "--json"]) == 0
+    mean = np.array(json.loads(capsys.readouterr().out)["error"]["specific_force"]["mean"]) / G
+    assert mean == pytest.approx([0.0] * 3, abs=5 * 0.01 / np.sqrt(1000) + 0.5 / 2048)
+
+
+def test_a_bias_without_an_uncertainty_is_used_by_every_technique(
+    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, known = write_run(parts(BIAS_G), phases=STATIC), tmp_path / "cal.toml"
+    calibration(parts(), noise=False).save(known)
+    known.write_text(known.read_text().replace("    0.0,\n", f"    {BIAS_G * 2048},\n", 3), encoding="utf-8")
+    means = []
+    for name in ("mean", "planes"):
+        output = str(tmp_path / f"{name}.h5")
+        options = ["--calibration", str(known), "--only", "A1", "--technique", name, "-o", output, "--json"]
+        assert main(["fuse", str(path), *options]) == 0
+        means.append(json.loads(capsys.readouterr().out)["error"]["specific_force"]["mean"])
+    assert means[1] == pytest.approx(means[0])
+
+
+def test_nothing_is_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "fused.h5"
+    output.write_text("mine")
+    assert "exists already" in refused([str(run), "-o", str(output)], capsys)
+    assert output.read_text() == "mine"
+    assert main(["fuse", str(run), "-o", str(output), "--force"]) == 0
+    assert h5py.is_hdf5(output)
+
+
+def test_bad_input_is_one_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = ["-o", str(tmp_path / "fused.h5")]
+    assert "no such file" in refused([str(tmp_path / "no.h5"), *output], capsys)
+    assert "allowed are mean, opposed, planes, ranges" in refused([str(run), "--technique", "best", *output], capsys)
+    assert "no sensor 'B1'; it has A1, A2, G1" in refused([str(run), "--only", "A1,B1", *output], capsys)
+    assert "No such file" in refused([str(run), "--calibration", str(tmp_path / "no.toml"), *output], capsys)
+    assert "-o" in refused([str(run)], capsys)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_a_log_that_never_stands_still_can_not_tell_its_noise(
+    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(3)
+    path = write_run(parts(), force=lambda seconds: rng.normal(0, 0.5, (len(seconds), 3)) + still(seconds))
+    output = tmp_path / "fused.h5"
+    assert main(["fuse", str(path), "--technique", "ranges", "-o", str(output)]) == 2
+    assert "no stretch in which the box stood still" in capsys.readouterr().err
+    assert not output.exists()
+
+
+def test_an_output_in_a_missing_folder(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused([str(run), "-o", str(tmp_path / "no" / "fused.h5")], capsys)
+
+
+def test_the_log_itself_is_never_the_output(run: Path) -> None:
+    main(["fuse", str(run), "-o", str(run), "--force"])
+    with open_log(run) as log:
+        assert len(log["A1"]) == 1000

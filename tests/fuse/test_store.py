@@ -1,0 +1,74 @@
+"""A fused result as a file: what is in it, and that half of one never appears."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from imuarray.errors import FusionError, OutputExistsError
+from imuarray.fuse import FusedBlock, write_fused
+from tests.fuse.conftest import EPOCH
+
+
+def blocks(count: int = 3, rows: int = 5000) -> Iterator[FusedBlock]:
+    """Row k of the whole holds time 1000 k, force (k, k + 0.25, NaN) and rate (-k, 0, 0)."""
+    for block in range(count):
+        k = np.arange(block * rows, (block + 1) * rows, dtype=float)
+        force = np.stack([k, k + 0.25, np.full(rows, np.nan)], axis=1)
+        rate = np.stack([-k, 0 * k, 0 * k], axis=1)
+        yield FusedBlock((1000 * k).astype(np.int64), {"specific_force": force, "angular_rate": rate})
+
+
+def test_what_is_written(tmp_path: Path) -> None:
+    path, told = tmp_path / "fused.h5", []
+    frames = write_fused(
+        path, blocks(), epoch=EPOCH, technique="planes", log="run.h5", calibration="cal.toml", progress=told.append
+    )
+    assert frames == 15000
+    assert told == [5000, 10000, 15000]
+    with h5py.File(path) as file:
+        head = dict(file.attrs)
+        assert (head["format"], head["format_version"], head["epoch"]) == ("imuarray-fused", 1, EPOCH)
+        assert (head["technique"], head["log"], head["calibration"]) == ("planes", "run.h5", "cal.toml")
+        assert head["software"].startswith("imuarray ")
+        fused = file["fused"]
+        k = np.arange(15000)
+        assert fused["time"].dtype == np.int64
+        assert (fused["time"][:] == 1000 * k).all()
+        assert (fused["specific_force"][:, 1] == k + 0.25).all()
+        assert np.isnan(fused["specific_force"][:, 2]).all()
+        assert (fused["angular_rate"][:, 0] == -k).all()
+        assert fused["specific_force"].attrs["units"] == "m s-2"
+        assert fused["angular_rate"].attrs["units"] == "rad s-1"
+        assert fused["time"].attrs["units"] == f"nanoseconds since {EPOCH}"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fused.h5"]
+
+
+def test_nothing_is_overwritten_unless_told(tmp_path: Path) -> None:
+    path = tmp_path / "fused.h5"
+    path.write_text("mine")
+    with pytest.raises(OutputExistsError, match="exists already"):
+        write_fused(path, blocks(), epoch=EPOCH, technique="mean", log="run.h5")
+    assert path.read_text() == "mine"
+    assert write_fused(path, blocks(1), epoch=EPOCH, technique="mean", log="run.h5", force=True) == 5000
+    assert h5py.is_hdf5(path)
+
+
+@pytest.mark.parametrize("failure", [FusionError("no"), KeyboardInterrupt(), MemoryError()])
+def test_nothing_is_left_after_an_exception(tmp_path: Path, failure: BaseException) -> None:
+    """Neither the half-written file nor the loss of what was there."""
+    path = tmp_path / "fused.h5"
+    path.write_text("mine")
+
+    def failing() -> Iterator[FusedBlock]:
+        yield from blocks(1)
+        raise failure
+
+    with pytest.raises(type(failure)):
+        write_fused(path, failing(), epoch=EPOCH, technique="mean", log="run.h5", force=True)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fused.h5"]
+    assert path.read_text() == "mine"
