@@ -26,9 +26,12 @@ _update = click.option("--update", is_flag=True, help="keep what CAL.toml alread
 _log = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
 
 
-@click.group("calibrate")
-def command() -> None:
+@click.group("calibrate", invoke_without_command=True)
+@click.pass_context
+def command(context: click.Context) -> None:
     """Sensor parameters from a log, into a TOML file."""
+    if context.invoked_subcommand is None:
+        raise click.UsageError(f"say what to calibrate: {', '.join(command.commands)}")
 
 
 @command.command("tumble")
@@ -45,7 +48,7 @@ def tumble(run: Path, output: Path, update: bool, force: bool, as_json: bool) ->
     from imuarray.calibrate import calibrate_tumble, cancellation
     from imuarray.log import open_log
 
-    refuse_existing(output, force or update)
+    refuse_existing(output, force or update, source=run)
     with open_log(run) as log:
         result = calibrate_tumble(log)
         inertial = [sensor for sensor in log.sensors.values() if sensor.name in result.calibration.sensors]
@@ -77,7 +80,7 @@ def noise(run: Path, output: Path, update: bool, force: bool, as_json: bool) -> 
     from imuarray.calibrate import calibrate_noise
     from imuarray.log import open_log
 
-    refuse_existing(output, force or update)
+    refuse_existing(output, force or update, source=run)
     with open_log(run) as log:
         calibration = calibrate_noise(log)
     _save(calibration, output, update, force)

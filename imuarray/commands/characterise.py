@@ -40,7 +40,7 @@ def command(run: Path, output: Path | None, phase: str | None, sensors: str | No
     from imuarray.log import open_log
 
     for name in (RESULT, FIGURE) if output else ():
-        refuse_existing(Path(output or "") / name, force)
+        refuse_existing(Path(output or "") / name, force, in_new_folder=True)
     with open_log(run) as log:
         result = _characterise(log, phase, tuple(sensors.split(",")) if sensors else None)
     written = _write(result, output) if output else []

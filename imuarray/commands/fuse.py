@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +45,7 @@ def command(
     from imuarray.fuse import evaluate, fuse, write_fused
     from imuarray.log import open_log
 
-    refuse_existing(output, force)
+    refuse_existing(output, force, source=run)
     calibration = load_calibration(calibration_file) if calibration_file else Calibration()
     with open_log(run) as log:
         names = [log[name].name for name in only.split(",")] if only else []
@@ -76,16 +77,20 @@ def command(
 
 def with_noise(log: Log, calibration: Calibration, technique: str) -> Calibration:
     """The calibration, with the noise measured in the log itself where the technique needs it and the file has none."""
-    from imuarray.calibrate import calibrate_noise
+    from imuarray.calibrate import Calibration, calibrate_noise
     from imuarray.fuse import NEEDS_NOISE
 
-    known = {name for name, sensor in calibration.sensors.items() if sensor.noise_lsb is not None}
-    if technique not in NEEDS_NOISE or known >= {
-        s.name for s in log.sensors.values() if s.quantity in ("specific_force", "angular_rate")
-    }:
+    inertial = [sensor for quantity in ("specific_force", "angular_rate") for sensor in log.of(quantity)]
+    known = {sensor.name: calibration.of(sensor) for sensor in inertial}
+    if technique not in NEEDS_NOISE or all(sensor.noise_lsb is not None for sensor in known.values()):
         return calibration
     click.echo("imuarray: no noise in the calibration; measured where this log stands still", err=True)
-    return calibrate_noise(log).merged(calibration)
+    measured = calibrate_noise(log).sensors
+    complete = {
+        name: sensor if sensor.noise_lsb is not None else replace(sensor, noise_lsb=measured[name].noise_lsb)
+        for name, sensor in known.items()
+    }
+    return Calibration(complete, (*calibration.sources, str(log.path)))
 
 
 def _error(error: Error) -> dict[str, Any]:

@@ -74,6 +74,8 @@ def command(
     from imuarray.bus import open_bus
     from imuarray.bus.transcript import RecordingBus
 
+    if up and not phase:
+        raise click.UsageError("--up says which way the box stood in a phase: name it with --phase")
     array = load_array(find_config(config))
     url = bus_url or array.bus
     if url is None:

@@ -42,8 +42,18 @@ def _configs() -> Path:
     return inside if inside.is_dir() else package.parent / "configs"
 
 
-def refuse_existing(path: Path, force: bool) -> None:
-    """OutputExistsError if `path` is there and `--force` was not said; long work should fail before it begins."""
+def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_new_folder: bool = False) -> None:
+    """Refuse an output that can't be or must not be written: long work should fail before it begins.
+
+    OutputExistsError if `path` is there and `--force` was not said; click.UsageError for a folder, for a file in a
+    folder that is not there (unless it will be made), and for the `source` that the output is made from.
+    """
+    if path.is_dir():
+        raise click.UsageError(f"{path}: is a folder; the output is a file")
+    if not path.parent.is_dir() and not in_new_folder:
+        raise click.UsageError(f"{path}: there is no folder {path.parent}")
+    if source is not None and path.exists() and source.exists() and path.samefile(source):
+        raise click.UsageError(f"{path}: is what the output is made from; choose another name")
     if path.exists() and not force:
         raise OutputExistsError(path)
 

@@ -18,11 +18,11 @@ ACC_Z_LSB = Register(0x06, "r", reserved=0x02)
 ACC_Z_MSB = Register(0x07, "r")
 TEMP = Register(0x08, "r")
 STATUS_REG1 = Register(0x09, "r", reserved=0x40)
-STATUS_REG2 = Register(0x0A, "r", reserved=0x08)
-STATUS_REG3 = Register(0x0B, "r", reserved=0x08)
-STATUS_REG4 = Register(0x0C, "r", reserved=0x03)
+STATUS_REG2 = Register(0x0A, "r")
+STATUS_REG3 = Register(0x0B, "r")
+STATUS_REG4 = Register(0x0C, "r")
 CTRL_REG0 = Register(0x0D, reserved=0x80)
-CTRL_REG1 = Register(0x0E, reserved=0x1F)
+CTRL_REG1 = Register(0x0E)
 CTRL_REG2 = Register(0x0F, reserved=0x0F)
 RESET = Register(0x10, "w")
 BW_TCS = Register(0x20, reset=0x48)
@@ -54,9 +54,14 @@ OFFSET_Y = Register(0x39, reset=0x80)
 OFFSET_Z = Register(0x3A, reset=0x80)
 CRC = Register(0x3B)
 
+X_LOW = ACC_X_LSB[7:2]
 NEW_DATA_X = ACC_X_LSB[0]
+Y_LOW = ACC_Y_LSB[7:2]
 NEW_DATA_Y = ACC_Y_LSB[0]
+Z_LOW = ACC_Z_LSB[7:2]
 NEW_DATA_Z = ACC_Z_LSB[0]
+FIRST_TAP = STATUS_REG1[7]
+EVENTS = STATUS_REG1[5:1]
 EE_WRITE = STATUS_REG1[0]
 RESET_INT = CTRL_REG0[6]
 UPDATE_IMAGE = CTRL_REG0[5]
@@ -65,9 +70,10 @@ SELF_TEST_1 = CTRL_REG0[3]
 SELF_TEST_0 = CTRL_REG0[2]
 SLEEP = CTRL_REG0[1]
 DIS_WAKE_UP = CTRL_REG0[0]
+UNLOCK_EE = CTRL_REG2[7:4]
 BANDWIDTH = BW_TCS[7:4]
 TCS = BW_TCS[3:0]
-NEW_DATA_INT = CTRL_REG3[1]
+HIGH_DURATION = HIGH_DUR[7:1]
 DIS_I2C = HIGH_DUR[0]
 MODE_CONFIG = TCO_Z[1:0]
 TCO_Z_TRIM = TCO_Z[7:2]
@@ -76,4 +82,5 @@ GAIN_Y_TRIM = GAIN_Y[7:1]
 OFFSET_X_LOW = OFFSET_LSB1[7:4]
 RANGE = OFFSET_LSB1[3:1]
 SMP_SKIP = OFFSET_LSB1[0]
+OFFSET_T_TRIM = OFFSET_T[7:1]
 READOUT_12BIT = OFFSET_T[0]

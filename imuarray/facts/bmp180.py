@@ -14,7 +14,7 @@ SOFT_RESET = Register(0xE0, "w")
 CTRL_MEAS = Register(0xF4)
 OUT_MSB = Register(0xF6, "r", reset=0x80)
 OUT_LSB = Register(0xF7, "r")
-OUT_XLSB = Register(0xF8, "r", reserved=0x07)
+OUT_XLSB = Register(0xF8, "r")
 
 OVERSAMPLING = CTRL_MEAS[7:6]
 CONVERTING = CTRL_MEAS[5]

@@ -85,7 +85,7 @@ def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.Cap
 def test_progress_is_shown_to_a_person(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("imuarray.commands.import_.on_terminal", lambda: True)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     assert main(["import", str(EXTRACT), "--format", "mimu4444", "-o", str(tmp_path / "out.h5"), "--json"]) == 0
     captured = capsys.readouterr()
     assert json.loads(captured.out)["rows"] == 12_500

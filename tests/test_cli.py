@@ -1,0 +1,324 @@
+"""The acquisition commands through the front door: exit codes, one line a mistake, nothing left over, and Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+
+from imuarray.cli import COMMANDS, main
+from imuarray.log import open_log
+
+CONFIG = """
+[array]
+name = "one"
+[[sensor]]
+name = "A"
+chip = "adxl345"
+address = 0x53
+range = 4
+rate_hz = 800
+[[sensor]]
+name = "M"
+chip = "hmc5883"
+address = 0x1E
+range = 1.2
+rate_hz = 75
+"""
+
+NOTE = "imuarray: recording the emulated array, no hardware"
+
+Run = Callable[..., tuple[int, str, list[str]]]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of its own to work in, with a configuration."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.toml").write_text(CONFIG)
+    return tmp_path
+
+
+@pytest.fixture
+def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    """``run("log", ...)``: exit code, standard output, lines of standard error but the note about no hardware."""
+
+    def call(*arguments: object) -> tuple[int, str, list[str]]:
+        code = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return code, out, [line for line in err.splitlines() if line != NOTE]
+
+    return call
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["-h"], ["--version"], ["log", "--help"], ["detect", "-h"], ["info", "--help"]]
+)
+def test_help_is_light(arguments: list[str]) -> None:
+    program = (
+        "import sys; from imuarray.cli import main; code = main(sys.argv[1:])\n"
+        "heavy = {'numpy', 'h5py', 'scipy', 'pydantic', 'matplotlib', 'smbus2'} & set(sys.modules)\n"
+        "sys.exit(f'imports {heavy}' if heavy else code)"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout
+
+
+def test_help_names_every_command(run: Run) -> None:
+    code, out, _ = run("--help")
+    assert code == 0
+    for name in COMMANDS:
+        assert f"\n  {name} " in out
+
+
+def test_log_info_json(run: Run, here: Path) -> None:
+    arguments = ("--bus", "emulated:", "-o", "r.h5", "--seconds", "2", "--phase", "x_down", "--json")
+    code, out, err = run("log", "one.toml", *arguments)
+    assert (code, err) == (0, [])
+    said = json.loads(out)
+    assert (said["log"], said["frames"], said["late"], said["lost"]) == ("r.h5", 100, 0, {})
+    assert said["seconds"] == pytest.approx(2.0, abs=0.1)
+    code, out, err = run("info", "r.h5", "--json")
+    assert (code, err) == (0, [])
+    told = json.loads(out)
+    assert told["source"] == "emulated"
+    assert told["truth"] is True
+    assert [(phase["name"], phase["up"], phase["start_s"]) for phase in told["phases"]] == [("x_down", "-X", 0.0)]
+    sensors = {sensor["name"]: sensor for sensor in told["sensors"]}
+    assert sensors["A"]["rows"] == sensors["M"]["rows"] == 100
+    assert sensors["A"]["rate_hz"] == pytest.approx(50.0, rel=1e-3)
+    assert (sensors["A"]["range"], sensors["A"]["unit"], sensors["M"]["quantity"]) == (4.0, "g", "magnetic_field")
+    assert told["events"] == []
+    assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
+
+
+def test_the_same_for_a_person(run: Run) -> None:
+    code, out, _ = run(
+        "log", "one.toml", "--bus", "emulated:?world=tumble&face_s=1&turn_s=0.2", "-o", "r.h5", "--seconds", "3"
+    )
+    assert code == 0
+    assert out.startswith("r.h5: 150 frames in 3.0 s")
+    code, out, _ = run("info", "r.h5")
+    assert code == 0
+    assert "r.h5: emulated (no hardware)" in out
+    assert "phase x_up" in out
+    assert "(+X up)" in out
+
+
+def test_it_says_so_when_there_is_no_hardware(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", "one.toml", "--bus", "emulated:", "-o", "r.h5", "--seconds", "0.1"]) == 0
+    assert capsys.readouterr().err == NOTE + "\n"
+
+
+def test_only_some_sensors_and_a_transcript(run: Run, here: Path) -> None:
+    arguments = ("--bus", "emulated:", "-o", "r.h5", "--seconds", "1", "--only", "A", "--transcript", "t.jsonl")
+    assert run("log", "one.toml", *arguments)[0] == 0
+    with open_log(here / "r.h5") as log:
+        assert list(log.sensors) == ["A"]
+        first = log["A"].counts[:]
+    lines = [json.loads(line) for line in (here / "t.jsonl").read_text().splitlines()]
+    assert {line["to"] for line in lines} == {"53"}
+    assert run("log", "one.toml", "--bus", "replay:t.jsonl", "-o", "again.h5", "--seconds", "1", "--only", "A")[0] == 0
+    with open_log(here / "again.h5") as log:
+        assert (log["A"].counts[:] == first).all()
+        assert log.source == "replay"
+
+
+def test_shipped_configurations_by_name(run: Run) -> None:
+    code, out, _ = run("detect", "martin2013", "--bus", "emulated:", "--json")
+    told = json.loads(out)
+    assert code == 0
+    assert told["ok"] is True
+    assert len(told["found"]) == 13
+
+
+def test_detect_tells_what_is_wrong_and_exits_2(run: Run, here: Path) -> None:
+    (here / "board.toml").write_text(CONFIG.replace("0x53", "0x1D"))
+    code, out, err = run("detect", "one.toml", "--bus", "emulated:?board=board.toml&errno=6")
+    assert (code, err) == (2, [])
+    assert "NO  trunk address 0x53" in out
+    assert "nobody acknowledges this address" in out
+    assert "?   trunk address 0x1d       not in the configuration     adxl345" in out
+    assert out.splitlines()[-1] == "1 as configured, 1 not"
+    code, out, _ = run("detect", "one.toml", "--bus", "emulated:?board=board.toml", "--json")
+    assert code == 2
+    assert json.loads(out)["ok"] is False
+
+
+GOOD_LOG = ("log", "one.toml", "--bus", "emulated:", "--seconds", "1")
+
+BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
+    (("nonsense",), "No such command 'nonsense'"),
+    (("--nonsense",), "No such option"),
+    (("log",), "Missing argument 'CONFIG'"),
+    (("log", "one.toml"), "Missing option '-o'"),
+    (("log", "one.toml", "-o", "r.h5", "--seconds", "1"), "one.toml: no bus: say --bus"),
+    (("log", "none.toml", "--bus", "emulated:", "-o", "r.h5"), "none.toml: No such file or directory"),
+    (("log", ".", "--bus", "emulated:", "-o", "r.h5"), ".: Is a directory"),
+    (("log", "broken.toml", "--bus", "emulated:", "-o", "r.h5"), "broken.toml: not TOML"),
+    (
+        ("log", "wrong.toml", "--bus", "emulated:", "-o", "r.h5"),
+        "wrong.toml: sensor 1 'A': range 5: allowed are 2, 4, 8, 16",
+    ),
+    (("log", "one.toml", "--bus", "nonsense", "-o", "r.h5"), "bus 'nonsense': allowed are"),
+    (("log", "one.toml", "--bus", "i2c:/dev/none", "-o", "r.h5"), "i2c:/dev/none: No such file or directory"),
+    (("log", "one.toml", "--bus", "replay:none.jsonl", "-o", "r.h5"), "replay:none.jsonl: No such file"),
+    (("log", "one.toml", "--bus", "replay:one.toml", "-o", "r.h5"), "one.toml, line 1: not a transaction"),
+    (("log", "one.toml", "--bus", "emulated:?x=1", "-o", "r.h5"), "x: no such parameter"),
+    (
+        ("log", "one.toml", "--bus", "emulated:?board=other.toml", "-o", "r.h5", "--seconds", "1"),
+        "A (adxl345) at trunk address 0x53: nobody",
+    ),
+    ((*GOOD_LOG, "-o", "r.h5", "--seconds", "0"), "--seconds"),
+    ((*GOOD_LOG, "-o", "r.h5", "--seconds", "x"), "--seconds"),
+    ((*GOOD_LOG, "-o", "r.h5", "--rate-hz", "0"), "--rate-hz"),
+    ((*GOOD_LOG, "-o", "r.h5", "--up", "up"), "--up"),
+    ((*GOOD_LOG, "-o", "r.h5", "--only", "B"), "no sensor 'B'; it has A, M"),
+    ((*GOOD_LOG, "-o", "none/r.h5"), "none/r.h5: there is no folder none"),
+    ((*GOOD_LOG, "-o", "r.h5", "--transcript", "none/t.jsonl"), "none/t.jsonl"),
+    ((*GOOD_LOG, "-o", "r.h5", "--transcript", "one.toml"), "one.toml: exists already"),
+    ((*GOOD_LOG, "-o", "one.toml"), "one.toml: exists already; choose another name or say --force"),
+    ((*GOOD_LOG, "-o", "folder"), "folder: is a folder"),
+    (("detect", "none.toml"), "none.toml: No such file"),
+    (("detect", "one.toml", "--bus", "usb:"), "bus 'usb:': allowed are"),
+    (("info",), "Missing argument"),
+    (("info", "none.h5"), "none.h5: no such file"),
+    (("info", "folder"), "folder: is a folder"),
+    (("info", "one.toml"), "one.toml: is no HDF5 file"),
+    (("info", "foreign.h5"), "foreign.h5: an HDF5 file, but no log"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "said"), BAD_INPUT)
+def test_bad_input_is_one_line_exit_2_and_nothing_left(
+    run: Run, here: Path, arguments: tuple[str, ...], said: str
+) -> None:
+    (here / "broken.toml").write_text("[array")
+    (here / "wrong.toml").write_text(CONFIG.replace("range = 4", "range = 5"))
+    (here / "other.toml").write_text(CONFIG.replace("0x53", "0x1D"))
+    (here / "folder").mkdir()
+    with h5py.File(here / "foreign.h5", "w") as file:
+        file["x"] = 1
+    before = {path: path.stat().st_mtime_ns for path in here.rglob("*")}
+    code, out, err = run(*arguments)
+    assert code == 2
+    assert out == ""
+    assert len(err) == 1, err
+    assert err[0].startswith("imuarray: ")
+    assert said in err[0]
+    assert {path: path.stat().st_mtime_ns for path in here.rglob("*")} == before  # hidden .part files included
+
+
+def test_a_folder_is_never_replaced(run: Run, here: Path) -> None:
+    (here / "folder").mkdir()
+    code, _, err = run(*GOOD_LOG, "-o", "folder", "--force")
+    assert (code, len(err)) == (2, 1)
+    assert sorted(path.name for path in here.iterdir()) == ["folder", "one.toml"]
+
+
+def test_a_kernel_bus_that_is_not_there(run: Run, here: Path) -> None:
+    (here / "kernel.toml").write_text(CONFIG + 'bus = "/dev/i2c-11"\n')
+    code, _, err = run("detect", "kernel.toml", "--bus", "emulated:?board=one.toml")
+    assert (code, len(err)) == (2, 1)
+
+
+def test_without_arguments_the_help_can_be_read(run: Run) -> None:
+    _, out, err = run()
+    assert max(map(len, (out.splitlines() or [""]) + err)) <= 120
+
+
+def test_an_output_is_overwritten_only_with_force(run: Run, here: Path) -> None:
+    assert run(*GOOD_LOG, "-o", "r.h5")[0] == 0
+    before = (here / "r.h5").read_bytes()
+    code, _, (line,) = run(*GOOD_LOG, "-o", "r.h5")
+    assert code == 2
+    assert "r.h5: exists already" in line
+    assert (here / "r.h5").read_bytes() == before
+    assert run(*GOOD_LOG, "-o", "r.h5", "--force", "--phase", "static")[0] == 0
+    with open_log(here / "r.h5") as log:
+        assert [phase.name for phase in log.phases] == ["static"]
+    assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
+
+
+def test_json_is_json_on_a_terminal_too(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With standard error on a terminal and standard output in a file, progress belongs on standard error."""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    code, out, _ = run(*GOOD_LOG, "-o", "r.h5", "--json")
+    assert code == 0
+    assert json.loads(out)["frames"] == 50
+
+
+def interrupted(here: Path, number: int, *more: str) -> tuple[subprocess.CompletedProcess[str], float]:
+    """A recording in real time that gets a signal once it runs; what it said, and how long it took to end."""
+    command = [
+        sys.executable,
+        "-m",
+        "imuarray",
+        "log",
+        "one.toml",
+        "--bus",
+        "emulated:?clock=real",
+        "-o",
+        "r.h5",
+        *more,
+    ]
+    process = subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 20
+    while not list(here.glob(".r.h5*")) and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.01)
+    time.sleep(0.3)
+    asked = time.monotonic()
+    process.send_signal(number)
+    out, err = process.communicate(timeout=20)
+    return subprocess.CompletedProcess(command, process.returncode, out, err), time.monotonic() - asked
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_a_log_cleanly(here: Path, number: int) -> None:
+    done, took_s = interrupted(here, number, "--rate-hz", "50", "--json")
+    assert (done.returncode, done.stderr) == (0, NOTE + "\n")
+    assert took_s < 5
+    said = json.loads(done.stdout)
+    with open_log(here / "r.h5") as log:
+        assert len(log["A"]) == len(log["M"]) == said["frames"] > 3
+        assert log.source == "emulated"
+    assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
+
+
+def test_an_interrupt_of_a_slow_log_is_heard_soon(here: Path) -> None:
+    done, took_s = interrupted(here, signal.SIGINT, "--rate-hz", "0.5")
+    assert done.returncode == 0
+    assert took_s < 1
+
+
+def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from firmware_emulator.wire import Wire
+
+    real, silent = Wire.transfer, [0]
+
+    def flaky(self: Any, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        if address == 0x53 and read > 1:
+            silent[0] += 1
+            if 50 < silent[0] < 61:
+                raise OSError(121, "Remote I/O error")
+        return real(self, address, write, read)
+
+    monkeypatch.setattr(Wire, "transfer", flaky)
+    code, out, _ = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "2")
+    assert code == 0
+    assert "  A: 5 readings lost (see events: imuarray info r.h5)" in out
+    _, out, _ = run("info", "r.h5", "--json")
+    told = json.loads(out)
+    assert [(event["sensor"], event["kind"]) for event in told["events"]] == [("A", "lost")]
+    assert told["sensors"][0]["rows"] == 95
+    assert told["sensors"][0]["flags"] == {"lost_before": 1}
+    assert "A lost: no reading: Remote I/O error (errno 121)" in run("info", "r.h5")[1]
