@@ -52,6 +52,7 @@ class Bma180:
             facts.MODE_CONFIG(0b00),  # low noise: BMA-96
             facts.SHADOW_DIS(0),  # low and high byte of an axis from one conversion: BMA-99
             facts.RANGE(_RANGE_CODES[sensor.range or 2.0]) | facts.SMP_SKIP(0),
+            facts.READOUT_12BIT(0),  # a previous owner's EEPROM may say otherwise: BMA-59, BMA-61
         )
         self.watched: tuple[Setting, ...] = self.settings
 

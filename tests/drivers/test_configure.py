@@ -153,7 +153,6 @@ class TestBma180:
         assert made.register(0x35) & 0x0E == 6 << 1
         assert made.register(0x20) >> 4 == 4
 
-    @pytest.mark.xfail(strict=True, reason="readout_12bit, a previous owner's, is left as it is")
     def test_a_12_bit_read_out_is_switched_off(self, bench: Build) -> None:
         made = bench(Bma180, sensor("bma180", 0x40, 2), (1 / 4096, 2 / 4096, 3 / 4096), eeprom={0x37: 0xB1})  # BMA-61
         made.driver.configure()
