@@ -9,7 +9,8 @@ import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import Protocol, Self, TypeVar
+from types import MappingProxyType
+from typing import Any, Protocol, Self, TypeVar
 
 from firmware_emulator.chip import Chip
 from firmware_emulator.chips import CHIPS
@@ -24,6 +25,7 @@ T = TypeVar("T")
 TRUNK = ""
 CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
 MUXES = {"pca9544a": Pca9544a}
+Switches = Mapping[str, Mapping[str, Any]]
 ERRNOS = (6, 121)
 """What Linux adapters say when nobody acknowledges (LNX-40, LNX-41)."""
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
@@ -129,17 +131,23 @@ def open_array(
     bit_rate_hz: int = 400_000,
     nack_errno: int = 121,
     host_ns: int = 0,
+    switches: Switches = MappingProxyType({}),
 ) -> EmulatedBus:
     """Power the array up, now, in `world` (at rest on its -Z face by default), which begins now as well.
 
-    `seed` keys noise and the units that are drawn. ValueError for a chip, a clock or a multiplexer that isn't known.
+    `seed` keys noise and the units that are drawn. `switches` are keyword arguments of chips, by sensor or by chip
+    (``{"BMA2": {"download_ns": 0}, "l3g4200d": {"wrap_always": True}}``): what data sheets leave open, and what an
+    earlier program left behind. ValueError for a chip, a clock, a multiplexer or a switch that isn't known.
     """
+    unknown = set(switches) - {sensor.name for sensor in array.sensors} - set(CHIPS)
+    if unknown:
+        raise ValueError(f"switches for {', '.join(sorted(unknown))}: allowed are sensors of the array and chips")
     time = named(clock, CLOCKS, "clock")() if isinstance(clock, str) else clock
     now_ns = time.now_ns()
     begun = Delayed(world or Still(), now_ns) if now_ns else world or Still()
     names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus)]
     wires = {name: Wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}
-    chips = {sensor.name: powered_chip(array.name, sensor, begun, seed, now_ns) for sensor in array.sensors}
+    chips = {sensor.name: powered_chip(array.name, sensor, begun, seed, now_ns, switches) for sensor in array.sensors}
     branches: dict[int, list[Chip]] = {}
     for sensor in array.sensors:
         if sensor.channel is None:
@@ -153,15 +161,21 @@ def open_array(
     return EmulatedBus(wires, chips, begun, time)
 
 
-def powered_chip(array: str, sensor: SensorLike, world: World, seed: int, now_ns: int) -> Chip:
+def powered_chip(
+    array: str, sensor: SensorLike, world: World, seed: int, now_ns: int, switches: Switches = MappingProxyType({})
+) -> Chip:
     """The chip of one sensor with its unit's imperfections, powered up at `now_ns`."""
+    given = {**switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
     chip = named(sensor.chip, CHIPS, f"sensor {sensor.name}: chip")
     unit = unit_of(array, sensor.name, sensor.chip, sensor.range or 0.0, seed)
     orientation = IDENTITY if sensor.orientation is None else sensor.orientation
     element = SensingElement(world, sensor.chip, sensor.name, orientation, unit, seed)
     if sensor.chip == "bmp180":
-        return chip(sensor.address, element, now_ns, generator=random.Random(f"{seed} {sensor.name}"))
-    return chip(sensor.address, element, now_ns)
+        given = {"generator": random.Random(f"{seed} {sensor.name}"), **given}
+    try:
+        return chip(sensor.address, element, now_ns, **given)
+    except TypeError as error:
+        raise ValueError(f"sensor {sensor.name}: {error}") from None
 
 
 def named(name: str, known: Mapping[str, T], what: str) -> T:

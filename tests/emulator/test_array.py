@@ -214,3 +214,19 @@ def test_boards_that_are_refused() -> None:
         open_array(array(*TWELVE.sensors, mux=False))
     with pytest.raises(ValueError, match="sensor A: chip 'mpu6050'; allowed are adxl345"):
         open_array(array(sensor("A", "mpu6050", 0x68)))
+
+
+def test_switches_reach_the_chips_they_are_for() -> None:
+    """DEC-20: a burst past 0x2D goes on to 0x2E or wraps; a dirty start; by chip, and by sensor where both are said."""
+    switches = {"l3g4200d": {"wrap_always": True}, "Gyro2": {"wrap_always": False}, "ADXL1": {}}
+    bus = open_array(TWELVE, switches=switches)
+    bus.transfer(0x70, b"\x04")
+    for address in (0x68, 0x69):
+        bus.transfer(address, b"\xae\x07")  # watermark 7 in FIFO_CTRL, 0x2E
+    wrapped, straight = (bus.transfer(address, b"\xad", 2) for address in (0x68, 0x69))
+    assert wrapped[1] == 0
+    assert straight[1] == 0x07
+    with pytest.raises(ValueError, match=r"switches for Nobody: allowed are sensors of the array and chips"):
+        open_array(TWELVE, switches={"Nobody": {}})
+    with pytest.raises(ValueError, match=r"sensor BMA1: .*'nonsense'"):
+        open_array(TWELVE, switches={"BMA1": {"nonsense": 1}})
