@@ -43,10 +43,11 @@ class Found:
 
 
 def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list[Found]:
-    """Ask for every sensor of `array` (and let it test itself), then look for chips that it does not name."""
+    """Ask for every sensor of `array` (and let it test itself), then look for chips that `array` does not name."""
     found = [_ask_mux(array, bus)] if array.mux else []
     found += [_ask(station, self_test) for station in route(array, bus)]
-    return found + _strangers(array, bus)
+    taken = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
+    return found + _strangers(array.mux.address if array.mux else None, taken, bus)
 
 
 def _ask(station: Station, self_test: bool) -> Found:
@@ -73,21 +74,37 @@ def _ask_mux(array: ArrayConfig, bus: OpenBus) -> Found:
         return Found(f"trunk address {address:#04x}", "mux", "pca9544a", f"nobody: {error.strerror or error}", False)
 
 
-def _strangers(array: ArrayConfig, bus: OpenBus) -> list[Found]:
-    """Known chips at places of which the configuration says nothing.
+def explore(bus: OpenBus) -> list[Found]:
+    """Every known chip that answers, behind the multiplexer if there is one: for a bus that no file describes yet."""
+    mux = _find_mux(bus)
+    found = [] if mux is None else [Found(f"trunk address {mux:#04x}", "", "", "pca9544a", True)]
+    return found + _strangers(mux, set(), bus)
+
+
+def _find_mux(bus: OpenBus) -> int | None:
+    """The address that answers as a multiplexer; a BMP180 has one of the eight addresses too (PCA-11)."""
+    for address in pca9544a.ADDRESSES:
+        with contextlib.suppress(OSError):
+            bus.transfer(address, read=1)
+            if not _answers(bus, address, bmp180.CHIP_ID):
+                return address
+    return None
+
+
+def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus: OpenBus) -> list[Found]:
+    """Known chips at places, channel and address, that are not `taken`.
 
     The trunk is asked while no channel is connected; what answers there answers on every channel, and is not asked
     again. Nothing is sent to the mux's own address but its control byte.
     """
-    taken = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
-    if array.mux is None:
+    if mux_address is None:
         return _look(bus, None, {address for _, address in taken})
     with contextlib.suppress(OSError):
-        bus.transfer(array.mux.address, b"\x00")  # no channel: PCA-03
-    upstream = {array.mux.address} | {address for channel, address in taken if channel is None}
+        bus.transfer(mux_address, b"\x00")  # no channel: PCA-03
+    upstream = {mux_address} | {address for channel, address in taken if channel is None}
     found = _look(bus, None, upstream)
     upstream |= {address for _, addresses, _ in _IDENTITIES for address in addresses if _is_found(found, address)}
-    mux = Pca9544a(bus, array.mux.address)
+    mux = Pca9544a(bus, mux_address)
     for channel in pca9544a.CHANNELS:
         here = {address for number, address in taken if number == channel}
         found += _look(mux.channel(channel), channel, upstream | here)

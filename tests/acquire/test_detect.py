@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from imuarray.acquire import Found, detect
+from imuarray.acquire import Found, detect, explore
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 
@@ -95,3 +95,20 @@ def test_strangers_behind_a_mux_at_0x77(an_array: Callable[..., Any], tmp_path: 
 def test_a_stranger_on_the_trunk_is_told_once(an_array: Callable[..., Any], tmp_path: Path) -> None:
     lines = found(an_array(A=0), an_array(A=0, B=None), tmp_path)
     assert [line.found for line in lines if not line.sensor] == ["bma180"]
+
+
+def test_a_bus_of_which_nobody_has_written_yet() -> None:
+    """Every chip of the paper's array is found behind its multiplexer, without a configuration."""
+    array = load_array(Path(__file__).parents[2] / "configs" / "martin2013.toml")
+    with open_bus("emulated:", array) as bus:
+        lines = explore(bus)
+    assert lines[0].found == "pca9544a"
+    assert sorted(line.found for line in lines[1:]) == sorted(
+        4 * ["bma180"] + 2 * ["adxl345"] + 3 * ["l3g4200d"] + ["bmp180"] + 2 * ["hmc5883 or hmc5883l"]
+    )
+
+
+def test_a_lone_barometer_is_not_taken_for_a_multiplexer() -> None:
+    lone = parse_array('[array]\nname = "x"\n[[sensor]]\nname = "P"\nchip = "bmp180"\naddress = 0x77\n')
+    with open_bus("emulated:", lone) as bus:
+        assert [(line.place, line.found) for line in explore(bus)] == [("trunk address 0x77", "bmp180")]
