@@ -54,11 +54,11 @@ class Hmc5883:
     def configure(self) -> None:
         """Rate, gain, continuous mode, read back; the first set still has the old gain and is thrown away (HMC-36).
 
-        Reading the mode register locks the data registers of the L (HMC-34); reading the set that is thrown away
-        unlocks them.
+        Reading the mode register locks the data registers of the L until all six have been read (HMC-34).
         """
         sleep_for(self.clock, _READY_S)
         self.registers.set(*self.settings, facts.HIGH_SPEED(0) | facts.OPERATION(_CONTINUOUS))
+        self.fetch()
         sleep_for(self.clock, 3 / self.rate_hz)
         self.fetch()
         sleep_for(self.clock, 1 / self.rate_hz)

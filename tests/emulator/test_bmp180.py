@@ -103,7 +103,8 @@ def test_words_are_those_of_the_real_valued_formulas(degc, pascal, oss):
     ut = ut_of(Words(), degc)
     back_degc, back_pascal = compensated(ut, up_of(Words(), ut, oss, pascal), oss)
     assert abs(back_degc - degc) < 0.02  # a step of UT is 0.006 degC
-    assert abs(back_pascal - pascal) < 6  # a step of UP at oss 0 is 3 to 4 Pa, the roundings cost 2 more
+    # A step of UP at oss 0 is 3 to 4 Pa; B4 is rounded to 1 in 33000, which costs as much again at 110 kPa.
+    assert abs(back_pascal - pascal) < 8
 
 
 @given(st.floats(-500.0, 500.0), st.floats(-1e6, 1e7), st.integers(0, 3))

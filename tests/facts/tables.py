@@ -1,0 +1,125 @@
+"""What must be true of any table of register facts, and of ours by the data sheets' register maps.
+
+`complaints` is used by test_tables.py and, on tables with one wrong fact, by mutation.py.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+from imuarray.facts.registers import Field, Register
+
+CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "l3g4200d", "pca9544a")
+
+# By chip: addresses that can't be written, addresses that are only written, all the others. Column "acc" of the maps:
+# ADX-10 ... ADX-29, BMA-10 ... BMA-47, BMP-10 ... BMP-16, HMC-10 ... HMC-17, L3G-10 ... L3G-25, PCA-03.
+READ_ONLY = {
+    "adxl345": {0x00, 0x2B, 0x30, *range(0x32, 0x38), 0x39},
+    "bma180": {*range(0x0D)},
+    "bmp180": {0xAA, 0xD0, 0xF6, 0xF7, 0xF8},
+    "hmc5883": {*range(0x03, 0x0D)},
+    "l3g4200d": {0x0F, *range(0x26, 0x2E), 0x2F, 0x31},
+    "pca9544a": set(),
+}
+WRITE_ONLY = {
+    "adxl345": set(),
+    "bma180": {0x10},
+    "bmp180": {0xE0},
+    "hmc5883": set(),
+    "l3g4200d": set(),
+    "pca9544a": set(),
+}
+WRITABLE = {
+    "adxl345": {*range(0x1D, 0x2B), *range(0x2C, 0x30), 0x31, 0x38},
+    "bma180": {0x0D, 0x0E, 0x0F, *range(0x20, 0x3C)},
+    "bmp180": {0xF4},
+    "hmc5883": {0x00, 0x01, 0x02},
+    "l3g4200d": {*range(0x20, 0x26), 0x2E, 0x30, *range(0x32, 0x39)},
+    "pca9544a": {0x00},
+}
+ADDRESSES = {  # ADX-01, BMA-01, BMP-01, HMC-01, L3G-01, PCA-01
+    "adxl345": {0x53, 0x1D},
+    "bma180": {0x40, 0x41},
+    "bmp180": {0x77},
+    "hmc5883": {0x1E},
+    "l3g4200d": {0x68, 0x69},
+    "pca9544a": {0x70, 0x71, 0x72, 0x73, 0x74, 0x75, 0x76, 0x77},
+}
+RESERVED_WITHOUT_FIELDS = {  # by address, in registers of which no field is named: ADX-19, L3G-24 (15-bit thresholds)
+    "adxl345": {0x2A: 0xF0},
+    "l3g4200d": {0x32: 0x80, 0x34: 0x80, 0x36: 0x80},
+}
+UNPRINTED = {  # registers without a reset value in print: measured, computed when read, or different in every part
+    "adxl345": {0x30, *range(0x32, 0x38), 0x39},
+    "bma180": {*range(0x01, 0x09), 0x3B},
+    "bmp180": {0xAA},
+    "hmc5883": {0x09},
+    "l3g4200d": {*range(0x26, 0x2E), 0x2F},
+}
+
+
+def registers(facts: ModuleType) -> dict[str, Register]:
+    """Registers by name."""
+    return {name: fact for name, fact in vars(facts).items() if isinstance(fact, Register)}
+
+
+def fields(facts: ModuleType) -> dict[str, Field]:
+    """Fields by name."""
+    return {name: fact for name, fact in vars(facts).items() if isinstance(fact, Field)}
+
+
+def complaints(chip: str, facts: ModuleType) -> list[str]:
+    """Everything that is wrong with the table of `chip`, a line each."""
+    return [*_addresses(chip, facts), *_access(chip, facts), *_bytes(chip, facts), *_tiles(chip, facts)]
+
+
+def _addresses(chip: str, facts: ModuleType) -> list[str]:
+    found = []
+    if set(facts.ADDRESSES) != ADDRESSES[chip] or len(facts.ADDRESSES) != len(ADDRESSES[chip]):
+        found.append(f"bus addresses {facts.ADDRESSES}")
+    used: dict[int, str] = {}
+    for name, register in registers(facts).items():
+        if register.address in used:
+            found.append(f"{name} is at {register.address:#04x}, where {used[register.address]} is")
+        used[register.address] = name
+    return found
+
+
+def _access(chip: str, facts: ModuleType) -> list[str]:
+    found = []
+    for access, addresses in {"r": READ_ONLY[chip], "w": WRITE_ONLY[chip], "rw": WRITABLE[chip]}.items():
+        said = {register.address for register in registers(facts).values() if register.access == access}
+        if said != addresses:
+            found.append(f"access {access}: registers {sorted(map(hex, said ^ addresses))} disagree")
+    return found
+
+
+def _bytes(chip: str, facts: ModuleType) -> list[str]:
+    """Resets and reserved masks are bytes, no reset sets a reserved bit, and none is invented."""
+    found = []
+    for name, register in registers(facts).items():
+        reset, reserved = register.reset, register.reserved
+        if not (0 <= reset <= 0xFF and 0 <= reserved <= 0xFF) or reset & reserved:
+            found.append(f"{name}: reset {reset:#x}, reserved {reserved:#x}")
+        if reset and register.address in UNPRINTED.get(chip, ()):
+            found.append(f"{name}: no reset value is printed, {reset:#04x} is said")
+    return found
+
+
+def _tiles(chip: str, facts: ModuleType) -> list[str]:
+    """In a register that has named fields, every bit belongs to one field or is reserved, and none to two."""
+    found = []
+    for name, register in registers(facts).items():
+        own = {key: field for key, field in fields(facts).items() if field.register == register}
+        taken = register.reserved
+        for key, field in own.items():
+            if taken & field.mask:
+                found.append(f"{key} overlaps another field or reserved bits of {name}")
+            taken |= field.mask
+        if own and taken != 0xFF:
+            found.append(f"{name}: bits {~taken & 0xFF:#04x} belong to no field")
+        if not own and taken != RESERVED_WITHOUT_FIELDS.get(chip, {}).get(register.address, 0):
+            found.append(f"{name}: reserved {taken:#04x}, which no field bounds")
+    known = set(registers(facts).values())
+    lost = [key for key, field in fields(facts).items() if field.register not in known]
+    return found + [f"{key}: its register has no name" for key in lost]
