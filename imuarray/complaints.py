@@ -8,6 +8,15 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+_IN_OTHER_WORDS = {
+    "int_type": "{came}: a whole number without quotes is wanted (0x40 is one)",
+    "float_type": "{came}: a number without quotes is wanted",
+    "string_type": "{came}: a text in quotes is wanted",
+    "list_type": "a list is wanted; an array of tables is written with two brackets, as in [[sensor]]",
+    "missing": "is missing",
+}
+"""What pydantic says in the words of its own types."""
+
 
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
     """Every mistake in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
@@ -43,6 +52,8 @@ def _complaint(mistake: Any, model: type[BaseModel]) -> str:
         allowed = list(_model_at(path, model).model_fields)
         near = difflib.get_close_matches(str(key), allowed, n=1, cutoff=0.5)
         return f"unknown key{f' (did you mean {near[0]!r}?)' if near else ''}; allowed are {', '.join(allowed)}"
+    if mistake["type"] in _IN_OTHER_WORDS:
+        return _IN_OTHER_WORDS[mistake["type"]].format(came=repr(mistake["input"])[:40])
     if mistake["type"] == "value_error":
         return str(mistake["ctx"]["error"])
     return str(mistake["msg"])

@@ -152,7 +152,7 @@ def test_a_part_of_an_array() -> None:
         # Names and numbers.
         (changed('name = "Gyro"', 'name = "../Gyro"'), r"sensor 2 '\.\./Gyro': name: "),
         (changed('name = "Gyro"', 'name = "1"'), r"sensor 2 '1': name: "),
-        (changed("address = 0x40", 'address = "0x40"'), r"sensor 1 'Acc': address: .*integer"),
+        (changed("address = 0x40", 'address = "0x40"'), r"sensor 1 'Acc': address: .*whole number without quotes"),
         (changed("range = 16", "range = true"), r"sensor 1 'Acc': range: .*number"),
         (changed("[1.0, -2.0, 3.5]", "[1.0, -2.0]"), r"sensor 2 'Gyro': position_mm: .*3"),
         (changed('chip = "bma180"\n', ""), r"sensor 1 'Acc': chip: "),

@@ -67,7 +67,7 @@ class LinuxBus:
         except OSError as error:
             self._adapter.close()
             raise BusUrlError(
-                f"i2c:{path}: {error.strerror or error}; buses are /dev/i2c-*, open to group i2c"
+                f"i2c:{path}: {error.strerror or error}; buses are /dev/i2c-* (enable I2C, join group i2c)"
             ) from error
         except BusUrlError:
             self._adapter.close()

@@ -19,18 +19,26 @@ SEGMENT_ROWS = 256
 """The scatter is taken about the mean of so many rows, so that slow drift is not called noise."""
 
 
-def calibrate_noise(log: Log) -> Calibration:
-    """Standard deviation of single readings (3,) in counts for every inertial sensor, pooled over all still stretches.
+def calibrate_noise(*logs: Log) -> Calibration:
+    """Standard deviation of single readings (3,) in counts for every inertial sensor, pooled over all still stretches
+    of one log or of several.
 
     Still stretches are the phases that name a face, `static` or `room`; in a log without such phases they are found
-    by the accelerometers. CalibrationError if there are none."""
-    poses = [Pose(phase, None) for phase in log.phases if phase.up or phase.name in _STILL_PHASES] or find_poses(log)
+    by the accelerometers. CalibrationError if there are none.
+    """
+    poses = [pose for log in logs for pose in _still_stretches(log)]
+    first = logs[0]
     if not poses:
-        raise CalibrationError(f"{log.path}: no stretch in which the box stood still")
-    sensors = [sensor for sensor in log.sensors.values() if sensor.quantity in ("specific_force", "angular_rate")]
+        raise CalibrationError(f"{first.path}: no stretch in which the box stood still")
+    sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in ("specific_force", "angular_rate")]
     if not sensors:
-        raise CalibrationError(f"{log.path}: no inertial sensor in it")
-    return Calibration({sensor.name: _noise(sensor, poses) for sensor in sensors}, (str(log.path),))
+        raise CalibrationError(f"{first.path}: no inertial sensor in it")
+    return Calibration({sensor.name: _noise(sensor, poses) for sensor in sensors}, tuple(str(log.path) for log in logs))
+
+
+def _still_stretches(log: Log) -> list[Pose]:
+    named = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name in _STILL_PHASES]
+    return named or find_poses(log)
 
 
 def _noise(sensor: SensorLog, poses: list[Pose]) -> SensorCalibration:
@@ -39,10 +47,10 @@ def _noise(sensor: SensorLog, poses: list[Pose]) -> SensorCalibration:
     """
     squares, freedom = np.zeros(3), 0
     for pose in poses:
-        rows = sensor.between(pose.phase.start_ns, pose.phase.end_ns)
+        here, rows = pose.rows_of(sensor)
         for start in range(rows.start, rows.stop, SEGMENT_ROWS):
             part = slice(start, min(start + SEGMENT_ROWS, rows.stop))
-            counts = _sound(sensor, part)
+            counts = _sound(here, part)
             if len(counts) > 1:
                 squares += ((counts - counts.mean(axis=0)) ** 2).sum(axis=0)
                 freedom += len(counts) - 1

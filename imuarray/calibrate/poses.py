@@ -31,10 +31,28 @@ _BATCHES = 16
 
 @dataclass(frozen=True)
 class Pose:
-    """One static stretch; `up_box` is known only for a named face."""
+    """One static stretch; `up_box` is known only for a named face.
+
+    `log` is the log that the stretch is in; None: the one of the sensor that is asked.
+    """
 
     phase: Phase
     up_box: tuple[float, float, float] | None
+    log: Log | None = None
+
+    def rows_of(self, sensor: SensorLog) -> tuple[SensorLog, slice]:
+        """The sensor of that name in the pose's own log, and its rows; CalibrationError if it was set otherwise
+        there.
+        """
+        here = sensor if self.log is None else self.log[sensor.name]
+        if (here.quantity, here.range, here.sensitivity, here.axes) != (
+            sensor.quantity,
+            sensor.range,
+            sensor.sensitivity,
+            sensor.axes,
+        ):
+            raise CalibrationError(f"{here.where}: another range or other axes than in {sensor.where}")
+        return here, here.between(self.phase.start_ns, self.phase.end_ns)
 
     @property
     def is_check(self) -> bool:
@@ -59,7 +77,7 @@ def named_faces(log: Log) -> list[Pose]:
             raise CalibrationError(
                 f"{log.path}: phase {phase.name!r}: up {phase.up!r}; allowed are {', '.join(UP_AXES)}"
             )
-    return [Pose(phase, up_vector(phase.up)) for phase in faces]
+    return [Pose(phase, up_vector(phase.up), log) for phase in faces]
 
 
 def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
@@ -68,7 +86,7 @@ def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
     The standard error comes from the means of batches, which neighbouring readings of one batch do not make too small.
     Saturated and suspect readings are left out; CalibrationError if more than one in a thousand is saturated.
     """
-    rows = sensor.between(pose.phase.start_ns, pose.phase.end_ns)
+    sensor, rows = pose.rows_of(sensor)
     status = np.asarray(sensor.status[rows])
     counts = np.asarray(sensor.counts[rows], float)[(status & (SATURATED | SUSPECT)) == 0]
     if len(counts) < 2:
@@ -100,7 +118,7 @@ def find_poses(log: Log) -> list[Pose]:
         if still[run[0]] and len(run) * WINDOW_S >= MIN_POSE_S:
             margin_ns = width_ns if len(run) >= 5 else 0
             start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + width_ns
-            poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None))
+            poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None, log))
     return poses
 
 

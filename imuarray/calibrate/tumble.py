@@ -31,29 +31,31 @@ class Tumble:
     residual_g: dict[str, float]
 
 
-def calibrate_tumble(log: Log) -> Tumble:
-    """Bias and response of the accelerometers, bias and g-sensitivity of the gyroscopes of `log`.
+def calibrate_tumble(*logs: Log) -> Tumble:
+    """Bias and response of the accelerometers, bias and g-sensitivity of the gyroscopes, from one log or from several
+    of the same array (a log a face, say).
 
-    With named faces by Appendix B; without, from at least nine static poses that are found in the log.
+    With named faces by Appendix B; without, from at least nine static poses that are found in the logs.
     CalibrationError says what is missing or which face does not fit."""
-    accelerometers, gyroscopes = log.of("specific_force"), log.of("angular_rate")
+    first = logs[0]
+    accelerometers, gyroscopes = first.of("specific_force"), first.of("angular_rate")
     if not accelerometers:
-        raise CalibrationError(f"{log.path}: no accelerometer in it; tumble needs gravity")
-    faces = named_faces(log)
+        raise CalibrationError(f"{first.path}: no accelerometer in it; tumble needs gravity")
+    faces = [pose for log in logs for pose in named_faces(log)]
     if faces:
         fits = {sensor.name: fit_faces(sensor, faces) for sensor in (*accelerometers, *gyroscopes)}
         fitted = {name: calibration for name, (calibration, _) in fits.items()}
         drift = {name: drift for name, (_, drift) in fits.items()}
         poses, method = faces, "faces"
     else:
-        poses, method, drift = find_poses(log), "gravity", {}
+        poses, method, drift = [pose for log in logs for pose in find_poses(log)], "gravity", {}
         joint, _ = fit_gravity(accelerometers, poses)
         fitted = {calibration.name: calibration for calibration in joint}
         fitted.update({sensor.name: _still_bias(sensor, poses) for sensor in gyroscopes})
-    temperature = _temperature(log, poses)
+    temperature = _temperature(first, poses)
     fitted = {name: replace(calibration, temperature_degc=temperature) for name, calibration in fitted.items()}
     return Tumble(
-        Calibration(fitted, (str(log.path),)),
+        Calibration(fitted, tuple(str(log.path) for log in logs)),
         method,
         len(poses),
         drift,
@@ -79,8 +81,10 @@ def _residual_g(sensor: SensorLog, poses: list[Pose], calibration: SensorCalibra
 def _temperature(log: Log, poses: list[Pose]) -> float | None:
     """Mean temperature over the poses in degC, from an independent thermometer if the log has one."""
     for sensor in log.of("pressure"):
-        column = sensor.compensated("temperature")
-        parts = [np.asarray(column[sensor.between(pose.phase.start_ns, pose.phase.end_ns)]) for pose in poses]
+        parts = []
+        for pose in poses:
+            here, rows = pose.rows_of(sensor)
+            parts.append(np.asarray(here.compensated("temperature")[rows]))
         values = np.concatenate(parts) if parts else np.array([])
         if len(values):
             return float(values.mean())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ _output = click.option(
     help="the calibration file to write",
 )
 _update = click.option("--update", is_flag=True, help="keep what CAL.toml already knows and add to it")
-_log = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
+_logs = click.argument("runs", metavar="RUN.h5...", nargs=-1, required=True, type=click.Path(path_type=Path))
 
 
 @click.group("calibrate", invoke_without_command=True)
@@ -35,23 +36,25 @@ def command(context: click.Context) -> None:
 
 
 @command.command("tumble")
-@_log
+@_logs
 @_output
 @_update
 @force_option
 @json_option
-def tumble(run: Path, output: Path, update: bool, force: bool, as_json: bool) -> None:
+def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
     """Bias and response of accelerometers, bias and g-sensitivity of gyroscopes, from static poses.
 
-    With phases that name the six faces (z_up, x_down, ...) by the paper's Appendix B; without, from at least nine
-    static poses that are found in the log."""
+    With phases that name the six faces (z_up, x_down, ...), in one log or in a log each, by the paper's Appendix B;
+    without, from at least nine static poses that are found in the logs."""
     from imuarray.calibrate import calibrate_tumble, cancellation
     from imuarray.log import open_log
 
-    refuse_existing(output, force or update, source=run)
-    with open_log(run) as log:
-        result = calibrate_tumble(log)
-        inertial = [sensor for sensor in log.sensors.values() if sensor.name in result.calibration.sensors]
+    for run in runs:
+        refuse_existing(output, force or update, source=run)
+    with ExitStack() as stack:
+        logs = [stack.enter_context(open_log(run)) for run in runs]
+        result = calibrate_tumble(*logs)
+        inertial = [sensor for sensor in logs[0].sensors.values() if sensor.name in result.calibration.sensors]
         pairs = cancellation(inertial, result.calibration)
         rows = [_tumble_row(sensor, result) for sensor in inertial]
     _save(result.calibration, output, update, force)
@@ -70,19 +73,20 @@ def tumble(run: Path, output: Path, update: bool, force: bool, as_json: bool) ->
 
 
 @command.command("noise")
-@_log
+@_logs
 @_output
 @_update
 @force_option
 @json_option
-def noise(run: Path, output: Path, update: bool, force: bool, as_json: bool) -> None:
+def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
     """Standard deviation of single readings, per sensor axis, from the stretches in which the box stood still."""
     from imuarray.calibrate import calibrate_noise
     from imuarray.log import open_log
 
-    refuse_existing(output, force or update, source=run)
-    with open_log(run) as log:
-        calibration = calibrate_noise(log)
+    for run in runs:
+        refuse_existing(output, force or update, source=run)
+    with ExitStack() as stack:
+        calibration = calibrate_noise(*[stack.enter_context(open_log(run)) for run in runs])
     _save(calibration, output, update, force)
     rows = [_noise_row(sensor) for sensor in calibration.sensors.values()]
     if as_json:

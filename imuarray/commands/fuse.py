@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,11 +11,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
+from imuarray.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
     from imuarray.fuse import Error
-    from imuarray.log import Log
+    from imuarray.log import Log, SensorLog
+
+_NOTHING = "nothing on this array, it gives the mean (opposed: as many axes each way balance there already)"
+_WORDS = {
+    "rms": "rms error against the truth",
+    "noise": "scatter from frame to frame",
+    "drift": "drift (max - min of sixteen means)",
+}
 
 
 @click.command("fuse")
@@ -42,13 +52,14 @@ def command(
     ranges   low and high measuring ranges blended, the low one fading out before it clips
     """
     from imuarray.calibrate import Calibration, load_calibration
-    from imuarray.fuse import evaluate, fuse, write_fused
+    from imuarray.fuse import fuse, write_fused
     from imuarray.log import open_log
 
     refuse_existing(output, force, source=run)
     calibration = load_calibration(calibration_file) if calibration_file else Calibration()
     with open_log(run) as log:
         names = [log[name].name for name in only.split(",")] if only else []
+        uncalibrated = _uncalibrated(log, calibration, names, calibration_file)
         calibration = with_noise(log, calibration, technique)
         rows = max(len(sensor) for sensor in log.sensors.values())
         with progress(rows, technique) as done:
@@ -62,17 +73,58 @@ def command(
                 force=force,
                 progress=done,
             )
-        errors = evaluate(log, fuse(log, calibration, technique, only=names)) if log.truth or log.reference else {}
-    report = {
-        "fused": str(output),
-        "technique": technique,
-        "frames": frames,
-        "error": {name: _error(error) for name, error in errors.items()},
-    }
+        results = {name: _result(log, calibration, name, names) for name in dict.fromkeys(("mean", technique))}
+        report = {
+            "fused": str(output),
+            "technique": technique,
+            "frames": frames,
+            "uncalibrated": uncalibrated,
+            "changes": _changes(log, calibration, technique, names),
+            "error": results[technique] if log.truth or log.reference else {},
+            "results": results,
+        }
     if as_json:
         print_json(report)
     else:
         _print(report)
+
+
+def _uncalibrated(log: Log, calibration: Calibration, names: Sequence[str], file: Path | None) -> list[str]:
+    """Sensors that are fused with the data sheet's values; FusionError if a calibration knows none of them at all."""
+    from imuarray.errors import FusionError
+
+    fused = [sensor.name for sensor in _inertial(log) if not names or sensor.name in names]
+    unknown = [name for name in fused if name not in calibration.sensors]
+    if file is not None and fused and unknown == fused:
+        raise FusionError(
+            f"{file}: knows {', '.join(calibration.sensors) or 'no sensor'}, but none of {log.path}: {', '.join(fused)}"
+        )
+    return unknown
+
+
+def _inertial(log: Log) -> list[SensorLog]:
+    return [sensor for quantity in ("specific_force", "angular_rate") for sensor in log.of(quantity)]
+
+
+def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> list[str]:
+    """What the technique treats otherwise than the average does, of both quantities."""
+    from imuarray.fuse import axes_of, changes
+
+    found = []
+    for quantity in ("specific_force", "angular_rate"):
+        sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
+        found += changes(technique, axes_of(sensors, calibration)) if sensors else []
+    return found
+
+
+def _result(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> dict[str, Any]:
+    """How well a technique did: against the truth if the log knows it, else how quiet it is at rest; SI, JSON-ready."""
+    from imuarray.fuse import evaluate, fuse, quiet_noise
+
+    blocks = fuse(log, calibration, technique, only=names)
+    if log.truth or log.reference:
+        return {quantity: _error(error) for quantity, error in evaluate(log, blocks).items()}
+    return {quantity: {"noise": noise.tolist()} for quantity, noise in quiet_noise(blocks).items()}
 
 
 def with_noise(log: Log, calibration: Calibration, technique: str) -> Calibration:
@@ -80,8 +132,7 @@ def with_noise(log: Log, calibration: Calibration, technique: str) -> Calibratio
     from imuarray.calibrate import Calibration, calibrate_noise
     from imuarray.fuse import NEEDS_NOISE
 
-    inertial = [sensor for quantity in ("specific_force", "angular_rate") for sensor in log.of(quantity)]
-    known = {sensor.name: calibration.of(sensor) for sensor in inertial}
+    known = {sensor.name: calibration.of(sensor) for sensor in _inertial(log)}
     if technique not in NEEDS_NOISE or all(sensor.noise_lsb is not None for sensor in known.values()):
         return calibration
     click.echo("imuarray: no noise in the calibration; measured where this log stands still", err=True)
@@ -105,9 +156,18 @@ def _error(error: Error) -> dict[str, Any]:
 
 
 def _print(report: dict[str, Any]) -> None:
-    click.echo(f"{report['fused']}: {report['frames']} frames by {report['technique']}")
-    for quantity, error in report["error"].items():
-        factor, unit = (1e3 / 9.80665, "mg") if quantity == "specific_force" else (57.29577951308232, "dps")
-        for name in ("rms", "noise", "drift"):
-            x, y, z = (factor * value for value in error[name])
-            click.echo(f"  {quantity:15} {name:6} against the truth: x {x:8.3f}  y {y:8.3f}  z {z:8.3f} {unit}")
+    technique = report["technique"]
+    click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
+    if report["uncalibrated"]:
+        click.echo(f"  not calibrated, data sheet's values: {', '.join(report['uncalibrated'])}")
+    if technique != "mean":
+        changes = ", ".join(report["changes"])
+        click.echo(f"  {technique} changes {changes or _NOTHING}")
+    for quantity in report["results"]["mean"]:
+        factor, unit = (1e3 / STANDARD_GRAVITY, "mg") if quantity == "specific_force" else (180 / math.pi, "dps")
+        for name, words in _WORDS.items():
+            for result in report["results"]:
+                error = report["results"][result].get(quantity, {})
+                if name in error:
+                    x, y, z = (f"{axis} {factor * value:8.3f}" for axis, value in zip("xyz", error[name], strict=True))
+                    click.echo(f"  {quantity:15} {words:38} {result:8} {x}  {y}  {z} {unit}")

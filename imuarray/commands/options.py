@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from imuarray.errors import OutputExistsError
+from imuarray.errors import ConfigError, OutputExistsError
 
 config_argument = click.argument("config", type=click.Path(path_type=Path))
 log_argument = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
@@ -32,7 +32,10 @@ def find_config(name: Path) -> Path:
     if name.exists() or name.suffix:
         return name
     shipped = _configs() / f"{name}.toml"
-    return shipped if shipped.is_file() else name
+    if shipped.is_file():
+        return shipped
+    names = sorted(path.stem for path in _configs().glob("*.toml") if "[array]" in path.read_text(encoding="utf-8"))
+    raise ConfigError(f"{name}: no such file, and no array of that name comes with the package ({', '.join(names)})")
 
 
 def _configs() -> Path:

@@ -85,7 +85,7 @@ def summary(rows: Rows) -> list[str]:
         f"opposed: gyroscope drift about box {opposed.box_axis} while heated {_from_to(opposed)}",
         f"planes: specific force along box {planes.box_axis} at rest {_from_to(planes)}",
         f"ranges: the four BMA180 along box {ranges.box_axis} at rest {_from_to(ranges)}",
-        f"elsewhere no technique is worse than {worst.ratio:.3f} +- {worst.ratio_se:.3f} times the "
+        f"elsewhere no technique is worse than {worst.ratio:.3f} ± {worst.ratio_se:.3f} times the "
         "average (length of the error)",
         "all figures: rms error against the emulated world's truth, simple average of the same sensors first",
     ]
@@ -94,4 +94,4 @@ def summary(rows: Rows) -> list[str]:
 def _from_to(gain: Gain) -> str:
     factor, unit = UNITS[gain.quantity]
     errors = f"{factor * gain.average:.3g} to {factor * gain.technique_error:.3g} {unit}"
-    return f"{errors} ({gain.ratio:.3f} +- {gain.ratio_se:.3f} times)"
+    return f"{errors} ({gain.ratio:.3f} ± {gain.ratio_se:.3f} times)"

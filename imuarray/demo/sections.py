@@ -125,9 +125,13 @@ def noise_section(noise: dict[str, Any]) -> Section:
 def gain_section(rows: Rows) -> Section:
     """Every technique against the average."""
     table, labels, ratios, errors = [], [], [], []
+    unchanged: list[str] = []
     for case, gain in rows:
         if (gain.box_axis == "XYZ") == (gain.quantity == case.claim):
             continue  # axis by axis where a gain is claimed, the whole triad elsewhere
+        if gain.ratio == 1.0:
+            unchanged.append(f"{case.label} ({gain.quantity.replace('_', ' ')})")
+            continue
         factor, unit = UNITS[gain.quantity]
         name = f"{case.label}: {gain.quantity.replace('_', ' ')}{_AXIS_WORDS.get(gain.box_axis, '')}"
         figures = [f"{factor * gain.average:.3f}", f"{factor * gain.technique_error:.3f}", unit]

@@ -2,9 +2,22 @@
 techniques.
 """
 
-from imuarray.fuse.evaluate import Error, errors_of, evaluate
+from imuarray.fuse.align import axes_of
+from imuarray.fuse.evaluate import Error, errors_of, evaluate, quiet_noise
 from imuarray.fuse.fuse import FusedBlock, fuse
 from imuarray.fuse.store import write_fused
-from imuarray.fuse.techniques import NEEDS_NOISE, TECHNIQUES
+from imuarray.fuse.techniques import NEEDS_NOISE, TECHNIQUES, changes
 
-__all__ = ["NEEDS_NOISE", "TECHNIQUES", "Error", "FusedBlock", "errors_of", "evaluate", "fuse", "write_fused"]
+__all__ = [
+    "NEEDS_NOISE",
+    "TECHNIQUES",
+    "Error",
+    "FusedBlock",
+    "axes_of",
+    "changes",
+    "errors_of",
+    "evaluate",
+    "fuse",
+    "quiet_noise",
+    "write_fused",
+]

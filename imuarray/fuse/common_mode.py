@@ -32,6 +32,7 @@ class OpposingGroup:
 
     along: tuple[int, ...]
     against: tuple[int, ...]
+    box_axis: str = ""
 
 
 def opposing_groups(axes: Sequence[Axis]) -> list[OpposingGroup]:
@@ -45,8 +46,8 @@ def opposing_groups(axes: Sequence[Axis]) -> list[OpposingGroup]:
         ways = groups.setdefault((axis.chip, int(main[index])), ([], []))
         ways[0 if rows[index, main[index]] > 0 else 1].append(index)
     return [
-        OpposingGroup(tuple(along), tuple(against))
-        for along, against in groups.values()
+        OpposingGroup(tuple(along), tuple(against), "XYZ"[axis])
+        for (_, axis), (along, against) in groups.items()
         if 0 < len(along) != len(against) > 0
     ]
 

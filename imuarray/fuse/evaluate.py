@@ -18,6 +18,9 @@ from imuarray.log.format import Phase
 
 Floats = npt.NDArray[np.float64]
 
+SEGMENT = 256
+"""Frames of one segment of `quiet_noise`."""
+
 _MARGIN = 32
 """Rows of truth on either side of a block, so that the spline does not depend on where blocks end."""
 
@@ -41,6 +44,22 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
     """
     errors = errors_of(log, blocks, phases)
     return {quantity: _error(rows) for quantity, (_, rows) in errors.items() if len(rows) > 1}
+
+
+def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
+    """Scatter (3,) in SI from frame to frame where a fused result is quietest, by quantity: it needs no truth.
+
+    The lower quartile over segments of `SEGMENT` frames of the standard deviation of differences over sqrt 2; a motion
+    that lasts does not count, a box that never rests makes it too large.
+    """
+    scatter: dict[str, list[Floats]] = {quantity: [] for quantity in QUANTITIES}
+    for block in blocks:
+        for quantity, triad in block.triads.items():
+            for start in range(0, len(triad), SEGMENT):
+                steps = np.diff(triad[start : start + SEGMENT], axis=0)
+                if len(steps) > 1 and np.isfinite(steps).all():
+                    scatter[quantity].append(np.std(steps, axis=0) / np.sqrt(2))
+    return {quantity: np.quantile(parts, 0.25, axis=0) for quantity, parts in scatter.items() if parts}
 
 
 def errors_of(

@@ -59,20 +59,8 @@ def opposed(axes: Sequence[Axis]) -> Technique:
 
 
 def planes(axes: Sequence[Axis]) -> Technique:
-    """In-plane and out-of-plane axes by their measured noise (paper, section 2.2).
-
-    Within a design the better kind weighs 1 and the other the ratio of the variances; kinds that scatter too much
-    alike for a gain weigh as in the average. The variances are means over the design's units and ranges, each unit's
-    relative to its own three axes, so that only the plane matters here."""
-    _need_noise(axes)
-    weights = np.ones(len(axes))
-    for chip in {axis.chip for axis in axes}:
-        variance = {kind: np.mean(_relative_variances(axes, chip, kind)) for kind in (True, False)}
-        best = min(variance.values())
-        for index, axis in enumerate(axes):
-            if axis.chip == chip and max(variance.values()) > WORTH_WEIGHING * best:
-                weights[index] = best / variance[axis.in_plane]
-    rows = directions(axes)
+    """In-plane and out-of-plane axes by their measured noise (paper, section 2.2); see `plane_weights`."""
+    rows, weights = directions(axes), plane_weights(axes)
     return lambda frames: solve_frames(frames.values, weights * frames.valid, rows)
 
 
@@ -80,24 +68,10 @@ def ranges(axes: Sequence[Axis]) -> Technique:
     """Low and high measuring ranges of one design blended by inverse variance (paper, section 2.3).
 
     The low range's weight falls smoothly to exactly zero before the end of its range, by the largest axis of its own
-    triad; the high range then carries on alone. A design with one range, or whose ranges scatter too much alike for a
-    gain, weighs as in the average, and no design gains on another."""
-    _need_noise(axes)
-    weights, tapered = np.ones(len(axes)), np.zeros(len(axes), bool)
-    for chip in {axis.chip for axis in axes}:
-        members = [index for index, axis in enumerate(axes) if axis.chip == chip]
-        spans = sorted({axes[index].range_si for index in members})
-        if len(spans) < 2:
-            continue
-        variance = {
-            span: np.mean([_noise(axes[i]) ** 2 for i in members if axes[i].range_si == span]) for span in spans
-        }
-        for index in members:
-            tapered[index] = axes[index].range_si < spans[-1]
-            if max(variance.values()) > WORTH_WEIGHING * min(variance.values()):
-                weights[index] = 1 / variance[axes[index].range_si]
-        weights[members] *= len(members) / weights[members].sum()
-    rows, span = directions(axes), np.array([axis.range_si for axis in axes])
+    triad; the high range then carries on alone. Weights otherwise as in `range_weights`.
+    """
+    rows, weights, span = directions(axes), range_weights(axes), np.array([axis.range_si for axis in axes])
+    tapered = np.array([axis.range_si < _widest(axes, axis.chip) for axis in axes])
 
     def fused(frames: Frames) -> Floats:
         use = np.abs(frames.values / span).reshape(len(frames.values), -1, 3).max(axis=2).repeat(3, axis=1)
@@ -106,6 +80,62 @@ def ranges(axes: Sequence[Axis]) -> Technique:
         return solve_frames(frames.values, weights * smooth * frames.valid, rows)
 
     return fused
+
+
+def plane_weights(axes: Sequence[Axis]) -> Floats:
+    """(m,) Within a design the better kind of axis weighs 1 and the other the ratio of the variances.
+
+    Kinds that scatter too much alike for a gain weigh as in the average. The variances are means over the design's
+    units and ranges, each unit's relative to its own three axes, so that only the plane matters here. FusionError
+    where the noise of an axis is not known.
+    """
+    _need_noise(axes)
+    weights = np.ones(len(axes))
+    for chip in {axis.chip for axis in axes}:
+        variance = {kind: np.mean(_relative_variances(axes, chip, kind)) for kind in (True, False)}
+        best = min(variance.values())
+        for index, axis in enumerate(axes):
+            if axis.chip == chip and max(variance.values()) > WORTH_WEIGHING * best:
+                weights[index] = best / variance[axis.in_plane]
+    return weights
+
+
+def range_weights(axes: Sequence[Axis]) -> Floats:
+    """(m,) Within a design each measuring range weighs by its inverse variance, a mean over its units and axes.
+
+    A design with one range, or whose ranges scatter too much alike for a gain, weighs as in the average, and no design
+    gains on another. FusionError where the noise of an axis is not known.
+    """
+    _need_noise(axes)
+    weights = np.ones(len(axes))
+    for chip in {axis.chip for axis in axes}:
+        members = [index for index, axis in enumerate(axes) if axis.chip == chip]
+        spans = {axes[index].range_si for index in members}
+        variance = {
+            span: np.mean([_noise(axes[i]) ** 2 for i in members if axes[i].range_si == span]) for span in spans
+        }
+        if max(variance.values()) > WORTH_WEIGHING * min(variance.values()):
+            weights[members] = [1 / variance[axes[index].range_si] for index in members]
+            weights[members] *= len(members) / weights[members].sum()
+    return weights
+
+
+def changes(technique: str, axes: Sequence[Axis]) -> list[str]:
+    """What a technique treats otherwise than the plain average does, in words; empty if nothing on this array."""
+    if technique == "opposed":
+        return [f"{axes[group.along[0]].chip} along {group.box_axis}" for group in opposing_groups(axes)]
+    if technique == "planes":
+        different = ~np.isclose(plane_weights(axes), 1.0)
+    elif technique == "ranges":
+        different = np.array([axis.range_si < _widest(axes, axis.chip) for axis in axes])
+    else:
+        return []
+    return sorted({axis.chip for axis, other in zip(axes, different, strict=True) if other})
+
+
+def _widest(axes: Sequence[Axis], chip: str) -> float:
+    """The widest measuring range of a design."""
+    return max(axis.range_si for axis in axes if axis.chip == chip)
 
 
 TECHNIQUES: Mapping[str, Callable[[Sequence[Axis]], Technique]] = MappingProxyType(

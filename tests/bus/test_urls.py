@@ -104,7 +104,10 @@ def test_i2c_that_is_forbidden(monkeypatch: pytest.MonkeyPatch) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)  # LNX-48
 
     monkeypatch.setattr(smbus2.smbus2, "os", SimpleNamespace(open=forbidden, close=os.close, O_RDWR=os.O_RDWR))
-    assert refusal("i2c:/dev/i2c-1") == "i2c:/dev/i2c-1: Permission denied; buses are /dev/i2c-*, open to group i2c"
+    assert (
+        refusal("i2c:/dev/i2c-1")
+        == "i2c:/dev/i2c-1: Permission denied; buses are /dev/i2c-* (enable I2C, join group i2c)"
+    )
 
 
 def test_i2c_without_a_path_needs_a_sensor_that_names_one() -> None:

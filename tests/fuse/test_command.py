@@ -142,3 +142,27 @@ def test_the_log_itself_is_never_the_output(run: Path) -> None:
     main(["fuse", str(run), "-o", str(run), "--force"])
     with open_log(run) as log:
         assert len(log["A1"]) == 1000
+
+
+def test_a_calibration_of_another_array_is_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not one sensor in common: nothing would be calibrated, and nothing would tell."""
+    foreign = tmp_path / "foreign.toml"
+    foreign.write_text("[calibration]\nformat_version = 1\n")
+    arguments = ["fuse", str(run), "--calibration", str(foreign), "-o", str(tmp_path / "f.h5")]
+    assert main(arguments) == 2
+    assert "knows no sensor, but none of" in capsys.readouterr().err
+
+
+def test_it_says_what_the_technique_changed_and_what_is_not_calibrated(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fuse", str(run), "--technique", "opposed", "-o", str(tmp_path / "f.h5"), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    with open_log(run) as log:
+        assert sorted(report["uncalibrated"]) == sorted(log.sensors)
+    assert report["changes"] == []
+    assert set(report["results"]) == {"mean", "opposed"}
+    same = [report["results"][name]["specific_force"]["rms"] for name in ("mean", "opposed")]
+    assert same[0] == same[1]

@@ -127,7 +127,7 @@ def test_groups_are_axes_of_one_design_both_ways_and_not_balanced() -> None:
         *triad("D", "-X-Y+Z", "b"),
     ]
     # Design a: X has A.x and C.x (0, 6) against B.x (3); Y all along; Z has A.z (2) against B.z and C.z (5, 8).
-    assert opposing_groups(axes) == [OpposingGroup((0, 6), (3,)), OpposingGroup((2,), (5, 8))]
+    assert opposing_groups(axes) == [OpposingGroup((0, 6), (3,), "X"), OpposingGroup((2,), (5, 8), "Z")]
     assert opposing_groups(axes[:6]) == []  # one pair along X and Z
 
 

@@ -52,10 +52,14 @@ def test_the_shortest_map(tmp_path: Path) -> None:
         ),
         ("[time]", "[tmie]\n[time]", "tmie: unknown key (did you mean 'time'?); allowed are file, time, sensor, phase"),
         ('unit = "s"', 'unit = "s"\nzone = 1', "time: zone: unknown key; allowed are column, unit, rate_hz"),
-        ("range = 16", "", "sensor 1 'A': range: Field required"),
+        ("range = 16", "", "sensor 1 'A': range: is missing"),
         ("range = 16", "range = -16", "sensor 1 'A': range: Input should be greater than 0"),
         ("range = 16", "range = inf", "sensor 1 'A': range: Input should be a finite number"),
-        ("sensitivity = 512", 'sensitivity = "512"', "sensor 1 'A': sensitivity: Input should be a valid number"),
+        (
+            "sensitivity = 512",
+            'sensitivity = "512"',
+            "sensor 1 'A': sensitivity: '512': a number without quotes is wanted",
+        ),
         ('unit = "g"', 'unit = "dps"', "sensor 1 'A': unit 'dps': allowed for specific_force is g"),
         ('unit = "g"', 'unit = "m/s2"', "sensor 1 'A': unit: Input should be 'g', 'dps' or 'gauss'"),
         ('"specific_force"', '"pressure"', "quantity: Input should be 'specific_force', 'angular_rate' or"),
@@ -92,7 +96,7 @@ def test_every_mistake_is_named(tmp_path: Path) -> None:
 
 def test_names_are_unique_and_there_is_a_sensor(tmp_path: Path) -> None:
     assert complaint(tmp_path, TIME + SENSOR * 2) == "2 sensors are called 'A'; names are unique"
-    assert complaint(tmp_path, TIME) == "sensor: Field required"
+    assert complaint(tmp_path, TIME) == "sensor: is missing"
 
 
 def test_tables_of_the_wrong_shape(tmp_path: Path) -> None:
