@@ -2,7 +2,8 @@
 
 Words: an *array* is all sensors of one box; a *frame* is one pass over it; a *log* holds counts, the raw signed
 register values; specific force (m/s2) and angular rate (rad/s) are given in the box frame. The names below are loaded
-when first used."""
+when first used.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """One array, as its TOML file describes it: which chip sits where, set how, pointing which way.
 
 `load_array` reads the file and refuses what can't be meant; every refusal names the file, the sensor, the key and
-what is allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm."""
+what is allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm.
+"""
 
 from __future__ import annotations
 

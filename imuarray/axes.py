@@ -19,7 +19,8 @@ def orientation_of(axes: str) -> Matrix:
     """The rotation that an axes text names: column k is the box axis along which the sensor's axis k points.
 
     ValueError when the text is not three signed axes, when an axis comes twice, or when the triad is left-handed (no
-    chip is)."""
+    chip is).
+    """
     match = _AXES.fullmatch(axes)
     if match is None:
         raise ValueError(

@@ -2,7 +2,8 @@
 
 Sensitivities are the data sheets' typical values in counts per unit, never a range divided by a word length, and
 never the rounded reciprocals that some tables print beside them (BMA-78, L3G-43). What one sensor's count really
-means is found by `calibrate`."""
+means is found by `calibrate`.
+"""
 
 from __future__ import annotations
 

@@ -31,7 +31,8 @@ class Found:
     that is right.
 
     A known chip of which the configuration says nothing has no `sensor` and no `expected`; it is not wrong, only
-    worth knowing."""
+    worth knowing.
+    """
 
     place: str
     sensor: str

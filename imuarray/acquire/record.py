@@ -57,7 +57,8 @@ def record(
 
     `phase` names the whole log, with `up` the box axis that points up; `phases` (times on the bus's clock) name parts
     of it. `wall_time` is the UTC time of the start (None: read the wall clock, once). Raises SensorError before the
-    first frame if a sensor is missing or wrong, OutputExistsError if `path` exists."""
+    first frame if a sensor is missing or wrong, OutputExistsError if `path` exists.
+    """
     stations = connect(array, bus)
     start_ns = bus.clock.now_ns()
     epoch = wall_time or datetime.now(UTC)

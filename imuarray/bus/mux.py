@@ -2,7 +2,8 @@
 
 NXP data sheet Rev 5. One control byte, no register address (PCA-02): bit 2 enables, bits 1:0 choose the channel
 (PCA-03). The new channel is connected from the STOP on (PCA-06), so that selecting is a transaction of its own. The
-chip has no reset (PCA-09)."""
+chip has no reset (PCA-09).
+"""
 
 from __future__ import annotations
 

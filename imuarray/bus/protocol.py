@@ -16,7 +16,8 @@ class Bus(Protocol):
 
         With nothing to write the transaction is ``S address+R read... P``, and ``transfer(address)`` alone, ``S
         address+W P``, asks whether anybody answers. Raises OSError as Linux does: errno 6 or 121 when nobody
-        acknowledges, 110 when the clock is held too long."""
+        acknowledges, 110 when the clock is held too long.
+        """
 
 
 class OpenBus(Bus, AbstractContextManager["OpenBus"], Protocol):

@@ -4,7 +4,8 @@ gravity.
 Every axis is a straight line in the direction of gravity: ``mean counts = response_row @ up + bias``. With one
 reading of each of the six faces the least-squares solution is the appendix's: half differences and the mean of six. A
 face that was read again tells the drift and is not part of the fit, except in a gyroscope's bias, which the paper
-takes over all readings (Table 4)."""
+takes over all readings (Table 4).
+"""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ def fit_faces(sensor: SensorLog, poses: Sequence[Pose]) -> tuple[SensorCalibrati
     check.
 
     CalibrationError if faces are missing, if a reading does not fit its face, or if the axes are not where the log
-    says."""
+    says.
+    """
     faces = [pose for pose in poses if not pose.is_check]
     ups = np.array([pose.up_box for pose in faces], float)
     if len(faces) < 4 or np.linalg.matrix_rank(np.column_stack([ups, np.ones(len(ups))])) < 4:

@@ -3,7 +3,8 @@
 Per accelerometer, ``|shape @ (mean - bias)| = 1 g`` over all poses gives the bias (3) and a triangular shape matrix
 (6): scale factors and the angles between its own axes (an ellipsoid; Skog & Handel, Proc. XVII IMEKO World Congress,
 2006). What is left, a rotation per sensor, comes from the other sensors: all of them saw the same gravity, so their
-directions are turned onto each other, and the array as a whole keeps the orientation that its configuration says."""
+directions are turned onto each other, and the array as a whole keeps the orientation that its configuration says.
+"""
 
 from __future__ import annotations
 
@@ -133,7 +134,8 @@ def _common_frame(directions: Sequence[Floats]) -> list[Floats]:
     """A small rotation (3, 3) for each sensor that brings its directions (3, k) onto the array's common ones.
 
     The common directions are the normalised mean; the rotations are those of Kabsch (1976), their mean turned to
-    identity."""
+    identity.
+    """
     turned = list(directions)
     turns = [np.eye(3) for _ in directions]
     for _ in range(3):

@@ -52,7 +52,8 @@ class SensorCalibration:
 
     Shapes: `bias_lsb`, `bias_sem_lsb`, `response_sem_lsb_per_unit` (one figure per sensor axis) and `noise_lsb`
     (standard deviation of single readings) (3,); `response_lsb_per_unit` and `g_sensitivity_lsb_per_g` (3, 3), rows
-    sensor axes, columns box axes."""
+    sensor axes, columns box axes.
+    """
 
     name: str
     quantity: str

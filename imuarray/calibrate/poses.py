@@ -1,7 +1,8 @@
 """Static poses: stretches in which the box did not move, and what every sensor read in them.
 
 A log whose phases name the faces (`z_up`, `x_down`, ...) says itself where they are. Any other log is searched:
-windows of half a second in which the accelerometers hardly move, joined as long as their means agree."""
+windows of half a second in which the accelerometers hardly move, joined as long as their means agree.
+"""
 
 from __future__ import annotations
 

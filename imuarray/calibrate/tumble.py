@@ -22,7 +22,8 @@ class Tumble:
     """The calibration, how it was made and how well it fits.
 
     `method` is "faces" or "gravity"; `drift_lsb` (3,) by sensor for a face read twice; `residual_g` rms over the
-    poses by accelerometer (distance of the specific force from one g)."""
+    poses by accelerometer (distance of the specific force from one g).
+    """
 
     calibration: Calibration
     method: str
@@ -36,7 +37,8 @@ def calibrate_tumble(*logs: Log) -> Tumble:
     of the same array (a log a face, say).
 
     With named faces by Appendix B; without, from at least nine static poses that are found in the logs.
-    CalibrationError says what is missing or which face does not fit."""
+    CalibrationError says what is missing or which face does not fit.
+    """
     first = logs[0]
     accelerometers, gyroscopes = first.of("specific_force"), first.of("angular_rate")
     if not accelerometers:

@@ -34,7 +34,8 @@ class Stretch:
 @dataclass(frozen=True)
 class Timing:
     """The times of one sensor's rows: median and longest interval (nan with fewer than 2 rows), number of gaps, and the
-    longest run of rows without a gap, lost readings, or a chip in doubt."""
+    longest run of rows without a gap, lost readings, or a chip in doubt.
+    """
 
     interval_s: float
     largest_gap_s: float

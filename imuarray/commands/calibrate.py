@@ -45,7 +45,8 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     """Bias and response of accelerometers, bias and g-sensitivity of gyroscopes, from static poses.
 
     With phases that name the six faces (z_up, x_down, ...), in one log or in a log each, by the paper's Appendix B;
-    without, from at least nine static poses that are found in the logs."""
+    without, from at least nine static poses that are found in the logs.
+    """
     from imuarray.calibrate import calibrate_tumble, cancellation
     from imuarray.log import open_log
 

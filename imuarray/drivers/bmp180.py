@@ -2,7 +2,8 @@
 
 It converts only when asked, temperature first, then pressure, into the same registers (BMP-48). Nobody waits for it:
 each call of `fetch` looks whether a conversion that was started earlier must be over by now, and starts the next. The
-compensation uses floor division throughout, which reproduces every printed intermediate value (BMP-64)."""
+compensation uses floor division throughout, which reproduces every printed intermediate value (BMP-64).
+"""
 
 from __future__ import annotations
 

@@ -24,7 +24,8 @@ class Decoded(NamedTuple):
 
     counts (n, 3) int16 for triads, (n, 2) int32 for the barometer; temperature_counts (n,) int16 where the chip has a
     thermometer; status (n,) uint16, flags of `imuarray.log.format` that the burst itself tells; `compensated`:
-    further columns in physical units by name, where the chip's own calibration gives them."""
+    further columns in physical units by name, where the chip's own calibration gives them.
+    """
 
     counts: npt.NDArray[np.int16] | npt.NDArray[np.int32]
     temperature_counts: npt.NDArray[np.int16] | None

@@ -2,7 +2,8 @@
 
 Both answer "H43"; the configuration says which one it is, because their gains differ (HMC-30). Data comes as X, Z, Y,
 high byte first (HMC-31); -4096 means that the converter overflowed (HMC-32). The register pointer is always written
-(HMC-06)."""
+(HMC-06).
+"""
 
 from __future__ import annotations
 

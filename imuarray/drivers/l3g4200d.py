@@ -2,7 +2,8 @@
 
 Bit 7 of the register address makes it count on (L3G-03). BDU keeps the two bytes of an axis together (L3G-50). The
 bandwidth bits act only where Out_Sel routes the data through the second low-pass (L3G-36, L3G-37). One burst carries
-temperature, status and the triad, 0x26 ... 0x2D."""
+temperature, status and the triad, 0x26 ... 0x2D.
+"""
 
 from __future__ import annotations
 

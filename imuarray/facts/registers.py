@@ -1,7 +1,8 @@
 """Registers of eight bits and the fields inside them.
 
 ``CTRL[3:0]`` is a field, ``RANGE(0b11)`` a value that knows its register, ``RANGE.of(byte)`` the code inside a byte,
-and ``MEASURE(1) | LINK(0)`` two settings of one register that are written together."""
+and ``MEASURE(1) | LINK(0)`` two settings of one register that are written together.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 The grid is the times of the reference sensor. Each sensor gives its nearest reading within half a frame; what the
 motion did between the two instants is taken out with the slope of the array's own mean, which is far quieter than one
-sensor, so that no reading is smoothed by its neighbours. Values are calibrated, in SI, along each sensor axis."""
+sensor, so that no reading is smoothed by its neighbours. Values are calibrated, in SI, along each sensor axis.
+"""
 
 from __future__ import annotations
 

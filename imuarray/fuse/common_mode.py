@@ -81,7 +81,8 @@ class Smoother:
     """First-order low-pass over consecutive blocks of rows (n, k); at first, the mean of what there is.
 
     A running mean becomes the exponential one once it holds as many rows as the time constant: no transient from an
-    arbitrary start. NaN keeps the value before it."""
+    arbitrary start. NaN keeps the value before it.
+    """
 
     def __init__(self, seconds: float, columns: int) -> None:
         self.seconds = seconds

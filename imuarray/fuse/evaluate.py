@@ -28,7 +28,8 @@ _MARGIN = 32
 @dataclass(frozen=True)
 class Error:
     """Error of one quantity over a stretch, per box axis (3,) in SI: its mean, its scatter from frame to frame, its
-    rms, its drift (spread of sixteen slow means), and how many frames."""
+    rms, its drift (spread of sixteen slow means), and how many frames.
+    """
 
     mean: Floats
     noise: Floats

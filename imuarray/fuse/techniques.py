@@ -2,7 +2,8 @@
 
 All of them solve ``values = directions @ truth_box`` by weighted least squares, frame by frame. `opposed` corrects
 the values before, the others choose the weights. None of them, the average included, uses a reading whose flags say
-that it is clipped."""
+that it is clipped.
+"""
 
 from __future__ import annotations
 

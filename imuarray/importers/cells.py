@@ -115,7 +115,8 @@ class Block(NamedTuple):
 
 def counts(column: Column, sensitivity: float | None = None) -> npt.NDArray[np.int16]:
     """(n,) counts; with a `sensitivity` (counts per unit) the cells are in that unit. SourceError for a cell that is no
-    number, no whole one, or no 16-bit count."""
+    number, no whole one, or no 16-bit count.
+    """
     values = _numbers(column)
     whole = np.rint(values if sensitivity is None else values * sensitivity)
     if sensitivity is None and (whole != values).any():

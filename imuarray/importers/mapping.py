@@ -74,7 +74,8 @@ class TimeTable(BaseModel):
 
 class SensorTable(BaseModel):
     """`[[sensor]]`: three columns that are one triad. `sensitivity` is in counts per `unit`; `values` says whether the
-    columns hold counts or numbers in `unit`, which are turned into counts."""
+    columns hold counts or numbers in `unit`, which are turned into counts.
+    """
 
     model_config = _STRICT
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]

@@ -40,7 +40,8 @@ Positions = npt.NDArray[np.int64]
 
 class Piece(NamedTuple):
     """Packets (n,) in stream order. `skipped` (n + 1,): bytes before each packet, and after the last, that belong to no
-    sound packet. `broken` (n + 1,): packets of wrong checksum among them."""
+    sound packet. `broken` (n + 1,): packets of wrong checksum among them.
+    """
 
     packets: npt.NDArray[Any]
     skipped: Positions
@@ -65,7 +66,8 @@ def _is_acknowledge(head: bytes) -> bool:
 
 class _Cutter:
     """What one block leaves to the next: undecided bytes, what was skipped since the last packet, and how much of the
-    rest belongs to a packet that is already counted as broken."""
+    rest belongs to a packet that is already counted as broken.
+    """
 
     def __init__(self) -> None:
         self.rest = b""

@@ -71,7 +71,8 @@ class SensorHeader:
     """What a log says of one sensor: the attributes of `/sensors/<NAME>`.
 
     `sensitivity` is the data sheet's typical counts per `unit`; `rate_hz` the chip's own update rate. `columns` names
-    what the columns of `counts` are; `extra` holds attributes of one chip only (a barometer's calibration words)."""
+    what the columns of `counts` are; `extra` holds attributes of one chip only (a barometer's calibration words).
+    """
 
     name: str
     chip: str

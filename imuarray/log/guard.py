@@ -1,7 +1,8 @@
 """A file from elsewhere is looked through before anything in it is believed.
 
 Nothing in a log may lead outside it (links, external storage, virtual datasets), hide behind a filter that would have
-to be loaded, or nest without end."""
+to be loaded, or nest without end.
+"""
 
 from __future__ import annotations
 

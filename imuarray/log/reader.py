@@ -2,7 +2,8 @@
 
 A file from elsewhere is checked before anything in it is believed: it must be a log of a known format, nothing in it
 may lead outside it (links, external storage, virtual datasets), and the columns must be there, of the right kind and
-length."""
+length.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Writing a log: created under a temporary name, filled in whole chunks, renamed when it is complete.
 
 Blocks of any length go in; they are kept until a chunk is full, so that no write is ever a frame long. The file opens
-in h5py, in xarray (engine h5netcdf) and in NeXus viewers: dimension scales, CF attributes, NXdata."""
+in h5py, in xarray (engine h5netcdf) and in NeXus viewers: dimension scales, CF attributes, NXdata.
+"""
 
 from __future__ import annotations
 

@@ -43,7 +43,8 @@ def recompute() -> dict[str, Any]:
     printed one as `printed_x`; it is rounded as that is if they agree. `matches` counts per table and column [equal
     to the printed digits, all], `within_input_rounding` [explained by the rounding of the printed inputs, all].
     `pairs`, `boot_fault`, `bias_states`, `blending`, `planes` and `logging_rate` are results that have no printed
-    column; `slips` and `conclusions` are lists of {claim, evidence, holds}; `source` is the citation."""
+    column; `slips` and `conclusions` are lists of {claim, evidence, holds}; `source` is the citation.
+    """
     with localcontext(_DIGITS):
         tables = {name: build() for name, build in TABLES.items()}
         return {
