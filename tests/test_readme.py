@@ -1,4 +1,4 @@
-"""README.md keeps its word: every command of the first session runs, and the Python example does too."""
+"""README.md keeps its word: every command of the first steps runs, and the Python example does too."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COMMANDS = [line for line in SHELL if line.startswith("imuarray ")]
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which the README's commands have been run, one after the other, as from the root of a checkout."""
     folder = tmp_path_factory.mktemp("readme")
     for name in ("tests", "configs"):
@@ -30,13 +30,13 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_first_session_writes_what_it_says(session: Path) -> None:
-    written = {path.name for path in session.iterdir()}
+def test_the_first_steps_write_what_it_says(walked: Path) -> None:
+    written = {path.name for path in walked.iterdir()}
     assert {"tumble.h5", "cal.toml", "noise", "heating.h5", "fused.h5", "board.h5", "board.toml"} <= written
 
 
-def test_the_python_example_runs(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(session)
+def test_the_python_example_runs(walked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(walked)
     names: dict[str, object] = {}
     (example,) = [block for kind, block in BLOCKS if kind == "python"]
     exec(compile(example, "README.md", "exec"), names)  # noqa: S102  the example is ours

@@ -220,7 +220,10 @@ def motion_section(path: Path, calibration: Calibration) -> Section:
         window = Phase(motion.start_ns - 1_500_000_000, min(motion.start_ns + 4_500_000_000, motion.end_ns), "window")
         for label, (technique, only) in choices.items():
             time, error = errors_of(log, fuse(log, calibration, technique, only=only), [window])["specific_force"]
-            curves[label], times[label] = 1e3 / STANDARD_GRAVITY * error[:, 0], time * 1e-9
+            error_mg = 1e3 / STANDARD_GRAVITY * error[:, 0]
+            rest = float(np.sqrt(np.mean(error_mg[time < motion.start_ns] ** 2)))
+            name = f"{label} (rms at rest {rest:.1f} mg)"
+            curves[name], times[name] = error_mg, time * 1e-9
         track = log.truth
         if track is None or track.specific_force is None:
             raise LogError(f"{path}: an emulated log without a truth")

@@ -67,7 +67,7 @@ def motion_figure(
         lower.plot(times_s[name], values, color=colour, linestyle="none", marker=".", markersize=4, label=name)
     lower.set_ylabel("error (mg)")
     lower.set_xlabel("time (s)")
-    lower.legend(frameon=False, fontsize=9, loc="upper left", ncols=3)
+    lower.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return figure
 
 
