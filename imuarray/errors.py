@@ -14,7 +14,7 @@
     +-- MissingExtraError         an optional package that a command needs is not installed
 
 A bus itself speaks `OSError` with the errno that Linux would give: 6 (ENXIO) or 121 (EREMOTEIO) for an address that
-nobody acknowledges, 110 (ETIMEDOUT) for a clock held too long (DATASHEETS LNX-40 ... LNX-49).
+nobody acknowledges, 110 (ETIMEDOUT) for a clock held too long (LNX-40 ... LNX-49).
 """
 
 from __future__ import annotations
