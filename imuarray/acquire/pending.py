@@ -18,6 +18,9 @@ from imuarray.drivers import FifoDriver
 from imuarray.log.format import LOST_BEFORE, OVERRUN, STALE, SUSPECT
 from imuarray.log.writer import Block
 
+_NEXT_FRAME = 1.1e9
+"""A frame later, in ns at 1 Hz, with a margin for the way there and back."""
+
 
 @dataclass
 class Pending:
@@ -35,18 +38,17 @@ class Pending:
 
     def __post_init__(self) -> None:
         self.driver = self.station.driver
-        self._due_ns = 0
+        self._visited_ns = -(1 << 62)
         self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
 
     def due(self, now_ns: int, rate_hz: float) -> bool:
-        """False for a chip slower than `rate_hz` frames a second until it can have something new."""
+        """False for a chip so slow that the next frame is soon enough for its next sample; none is missed for it."""
         sensor = self.station.sensor
         if self.queue is not None or sensor.spec.on_demand or sensor.chip_rate_hz >= rate_hz:
             return True
-        if now_ns < self._due_ns:
+        if now_ns + _NEXT_FRAME / rate_hz <= self._visited_ns + 1e9 / sensor.chip_rate_hz:
             return False
-        period_ns = round(1e9 / sensor.chip_rate_hz)
-        self._due_ns = max(self._due_ns, now_ns - period_ns) + period_ns
+        self._visited_ns = now_ns
         return True
 
     def add(self, burst: bytes, at_ns: int) -> None:
@@ -72,11 +74,17 @@ class Pending:
         """Rows from now on are good again."""
         self.suspect = [(first, len(self.times_ns) if last is None else last) for first, last in self.suspect]
 
-    def take(self, count: int, epoch_ns: int) -> Block:
-        """Decode the oldest `count` rows, and forget them."""
+    def take(self, count: int, epoch_ns: int, rate_hz: float) -> Block:
+        """Decode the oldest `count` rows, and forget them.
+
+        A chip that is polled more slowly than it measures overruns by design; only where every sample was meant to be
+        read, at `rate_hz` frames a second or by its queue, is that worth a flag.
+        """
         size = count * self.driver.burst
         decoded = self.driver.decode(np.frombuffer(self.bursts[:size], np.uint8).reshape(count, self.driver.burst))
         status = decoded.status.copy()
+        if self.station.sensor.chip_rate_hz > rate_hz:
+            status &= ~np.uint16(OVERRUN)
         status[[row for row in self.lost_before if row < count]] |= LOST_BEFORE
         status[[row for row in self.overrun if row < count]] |= OVERRUN
         for first, last in self.suspect:

@@ -194,7 +194,7 @@ class _Poll:
         for pending in self.pending.values():
             count = self.watch.trusted_rows(pending)
             if count:
-                self.log.append(pending.station.sensor.name, pending.take(count, self.epoch_ns))
+                self.log.append(pending.station.sensor.name, pending.take(count, self.epoch_ns, self.rate_hz))
                 self.watch.taken(pending, count)
         if self.truth_rows:
             self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))

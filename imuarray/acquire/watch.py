@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from imuarray.acquire.pending import Pending
 from imuarray.facts.registers import Setting
 
-SWEEP_S = 0.8
+SWEEP_S = 0.85
 """Longest time between two reads of the same register; a wrong one is read again in the next frame."""
 
 

@@ -16,11 +16,11 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, flagged, registers_for, saturated
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import adxl345 as facts
 from imuarray.facts.registers import Setting
-from imuarray.log.format import STALE
+from imuarray.log.format import OVERRUN, STALE
 
 _RANGE_CODES = {2.0: 0b00, 4.0: 0b01, 8.0: 0b10, 16.0: 0b11}  # ADX-26
 _BYPASS, _STREAM = 0b00, 0b10  # ADX-28
@@ -95,10 +95,11 @@ class Adxl345:
         return self.registers.peek(facts.INT_SOURCE, self.burst)
 
     def decode(self, bursts: Bytes) -> Decoded:
-        """Counts at 256 per g; stale where DATA_READY was clear."""
-        fresh = bursts[:, 0] & facts.DATA_READY.mask
-        decoded = self._triads(bursts[:, 2:8])
-        return decoded._replace(status=decoded.status | np.where(fresh, 0, STALE).astype(np.uint16))
+        """Counts at 256 per g; stale where DATA_READY was clear, overrun where a set was replaced unread (ADX-52)."""
+        decoded, source = self._triads(bursts[:, 2:8]), bursts[:, 0]
+        stale = flagged(~source, facts.DATA_READY.mask, STALE)
+        overrun = flagged(source, facts.OVERRUN.mask, OVERRUN)
+        return decoded._replace(status=decoded.status | stale | overrun)
 
     def _triads(self, data: Bytes) -> Decoded:
         """Counts from (n, 6) data bytes."""

@@ -43,7 +43,7 @@ class SelfTest(NamedTuple):
 class Driver(Protocol):
     """One chip, as the poll loop sees it.
 
-    `watched` are the settings that the chip must keep while it measures; reading them back disturbs nothing.
+    `watched` are the settings that the chip must keep while it measures; reading them back costs no reading.
     """
 
     burst: ClassVar[int]
@@ -88,6 +88,11 @@ class FifoDriver(Protocol):
 def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:
     """The registers of `sensor` on `bus`, labelled for messages."""
     return Registers(bus, sensor.address, f"{sensor.name} ({sensor.chip}) at {sensor.place}")
+
+
+def flagged(bits: Bytes, mask: int, flag: int) -> npt.NDArray[np.uint16]:
+    """`flag` for each of (n,) status bytes in which `mask` is set."""
+    return np.where(bits & mask, flag, 0).astype(np.uint16)
 
 
 def saturated(counts: npt.NDArray[np.int16], low: int, high: int) -> npt.NDArray[np.uint16]:

@@ -43,9 +43,9 @@ class Hmc5883:
             facts.AVERAGING(0) | facts.OUTPUT_RATE(rates.index(self.rate_hz)) | facts.MEASUREMENT_BIAS(0),
             facts.GAIN(ranges.index(sensor.range or ranges[1])),
         )
-        self.watched: tuple[Setting, ...] = (
-            self.settings
-        )  # reading the mode register would lock the data of the L: HMC-34
+        self.mode = facts.HIGH_SPEED(0) | facts.OPERATION(_CONTINUOUS)
+        # Reading the mode locks the data of the L until the next fetch (HMC-34); unwatched, a reset would go unseen.
+        self.watched: tuple[Setting, ...] = (*self.settings, self.mode)
         self.is_l = sensor.chip == "hmc5883l"
 
     def identify(self) -> None:
@@ -58,7 +58,7 @@ class Hmc5883:
         Reading the mode register locks the data registers of the L until all six have been read (HMC-34).
         """
         sleep_for(self.clock, _READY_S)
-        self.registers.set(*self.settings, facts.HIGH_SPEED(0) | facts.OPERATION(_CONTINUOUS))
+        self.registers.set(*self.settings, self.mode)
         self.fetch()
         sleep_for(self.clock, 3 / self.rate_hz)
         self.fetch()

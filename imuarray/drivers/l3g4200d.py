@@ -16,11 +16,11 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, flagged, registers_for, saturated
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
 from imuarray.facts.registers import Register, Setting
-from imuarray.log.format import STALE
+from imuarray.log.format import OVERRUN, STALE
 
 _COUNT_ON = 0x80  # sub-address bit 7: L3G-03
 _RATE_CODES = {100.0: 0b00, 200.0: 0b01, 400.0: 0b10, 800.0: 0b11}  # L3G-30 ... L3G-33
@@ -108,16 +108,14 @@ class L3g4200d:
         return self._read(facts.OUT_TEMP, self.burst)
 
     def decode(self, bursts: Bytes) -> Decoded:
-        """Counts of 16 bits, low byte first; temperature falls by one count per degC (L3G-60); stale where ZYXDA was
-        clear.
+        """Counts of 16 bits, low byte first; temperature falls by one count per degC (L3G-60).
+
+        Stale where ZYXDA was clear, overrun where ZYXOR was set: new data replaced data that nobody had read (L3G-52).
         """
-        fresh = bursts[:, 1] & facts.ZYX_AVAILABLE.mask
-        triads = _triads(bursts[:, 2:8])
-        return Decoded(
-            triads.counts,
-            bursts[:, 0].view(np.int8).astype(np.int16),
-            triads.status | np.where(fresh, 0, STALE).astype(np.uint16),
-        )
+        triads, source = _triads(bursts[:, 2:8]), bursts[:, 1]
+        stale = flagged(~source, facts.ZYX_AVAILABLE.mask, STALE)
+        overrun = flagged(source, facts.ZYX_OVERRUN.mask, OVERRUN)
+        return Decoded(triads.counts, bursts[:, 0].view(np.int8).astype(np.int16), triads.status | stale | overrun)
 
     def header(self) -> Mapping[str, int]:
         """Nothing of its own."""

@@ -79,3 +79,31 @@ def test_queued_counts_are_those_that_polling_reads(tmp_path: Path, array: Array
 def test_a_chip_without_a_queue_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"fifo true: the bma180 has none; allowed for adxl345, l3g4200d"):
         parse_array('[array]\nname="x"\n[[sensor]]\nname="A"\nchip="bma180"\naddress=0x40\nrange=2\nfifo=true\n')
+
+
+def test_a_polled_chip_overruns_only_where_every_sample_was_meant_to_be_read(tmp_path: Path) -> None:
+    """100 Hz polled at 250: nothing is lost. Polled at 40: two of three samples pass unread, as they are meant to."""
+    array = parse_array('[array]\nname="x"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nrate_hz=100\n')
+    for rate_hz in (250.0, 40.0):
+        path = tmp_path / f"{rate_hz:.0f}.h5"
+        with open_bus("emulated:", array) as bus:
+            record(array, bus, path, rate_hz=rate_hz, seconds=2.0)
+        with open_log(path) as log:
+            assert not (np.asarray(log["A"].status)[1:] & OVERRUN).any()
+
+
+def test_a_late_frame_that_costs_a_sample_is_flagged(tmp_path: Path) -> None:
+    """100 Hz polled at 120, and once the poll sleeps for 50 ms: the next reading says that samples passed unread."""
+    array = parse_array('[array]\nname="x"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nrate_hz=100\n')
+    with open_bus("emulated:", array) as bus:
+        asked = [0]
+
+        def dawdle() -> bool:
+            asked[0] += 1
+            if asked[0] == 100:
+                bus.clock.sleep_until(bus.clock.now_ns() + 50_000_000)
+            return False
+
+        record(array, bus, tmp_path / "run.h5", rate_hz=120.0, seconds=2.0, stopped=dawdle)
+    with open_log(tmp_path / "run.h5") as log:
+        assert np.flatnonzero(np.asarray(log["A"].status)[1:] & OVERRUN).tolist() == [98]

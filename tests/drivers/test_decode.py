@@ -13,6 +13,7 @@ from imuarray.array import SensorConfig
 from imuarray.drivers import DRIVERS, Decoded
 
 STALE, SATURATED = 1, 4
+OVERRUN = 2
 
 ADDRESSES = {"bma180": 0x40, "adxl345": 0x53, "l3g4200d": 0x68, "hmc5883": 0x1E, "hmc5883l": 0x1E, "bmp180": 0x77}
 
@@ -124,7 +125,12 @@ class TestL3g4200d:
         told = decoded(
             "l3g4200d", *(f"14 {status} 00 00 00 00 00 00" for status in ("0F", "08", "07", "00", "F0", "FF"))
         )
-        np.testing.assert_array_equal(told.status, [0, 0, STALE, STALE, STALE, 0])
+        np.testing.assert_array_equal(told.status & ~np.uint16(OVERRUN), [0, 0, STALE, STALE, STALE, 0])
+
+    def test_overrun_with_zyxor(self) -> None:
+        # L3G-18, L3G-52: bit 7 says that all three axes were replaced unread.
+        told = decoded("l3g4200d", *(f"14 {status} 00 00 00 00 00 00" for status in ("0F", "8F", "7F", "FF")))
+        np.testing.assert_array_equal(told.status, [0, OVERRUN, 0, OVERRUN])
 
     def test_saturated(self) -> None:
         told = decoded("l3g4200d", "14 0F FF 7F 00 00 00 00", "14 0F 00 00 00 80 00 00", "14 0F FE 7F 01 80 00 00")
