@@ -11,6 +11,9 @@ Quantity = Literal["specific_force", "angular_rate", "magnetic_field", "pressure
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
+INERTIAL: tuple[Quantity, ...] = ("specific_force", "angular_rate")
+"""What accelerometers and gyroscopes measure."""
+
 STANDARD_GRAVITY = 9.80665
 """m/s2 in one g; 3rd CGPM (1901)."""
 
@@ -23,3 +26,11 @@ SI_NAME: Mapping[str, str] = MappingProxyType(
     {"g": "m s-2", "dps": "rad s-1", "gauss": "T", "Pa": "Pa", "degC": "degC"}
 )
 """The SI unit in the spelling of CF conventions."""
+
+READABLE: Mapping[str, tuple[float, str]] = MappingProxyType({"g": (1e3, "mg"), "dps": (1.0, "dps")})
+"""Factor from an inertial sensor's unit to the one in which a person reads a small value of it, and its name."""
+
+READABLE_SI: Mapping[str, tuple[float, str]] = MappingProxyType(
+    {"specific_force": (1e3 / STANDARD_GRAVITY, "mg"), "angular_rate": (180 / math.pi, "dps")}
+)
+"""The same from SI, by quantity."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from os import PathLike
 from typing import Any
 
@@ -236,4 +236,4 @@ def _header(station: Station) -> SensorHeader:
 
 def _iso(moment: datetime) -> str:
     """ISO 8601 with microseconds and Z, whatever zone `moment` is in."""
-    return (moment.astimezone(UTC) + timedelta(0)).isoformat(timespec="microseconds").replace("+00:00", "Z")
+    return moment.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")

@@ -12,6 +12,7 @@ from imuarray.calibrate.poses import Pose, find_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, STALE, SUSPECT
+from imuarray.units import INERTIAL
 
 _STILL_PHASES = ("static", "room")
 
@@ -30,7 +31,7 @@ def calibrate_noise(*logs: Log) -> Calibration:
     first = logs[0]
     if not poses:
         raise CalibrationError(f"{first.path}: no stretch in which the box stood still")
-    sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in ("specific_force", "angular_rate")]
+    sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in INERTIAL]
     if not sensors:
         raise CalibrationError(f"{first.path}: no inertial sensor in it")
     return Calibration({sensor.name: _noise(sensor, poses) for sensor in sensors}, tuple(str(log.path) for log in logs))

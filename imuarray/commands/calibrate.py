@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import force_option, json_option, print_json, refuse_existing
+from imuarray.units import READABLE
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration, SensorCalibration, Tumble
@@ -140,11 +141,11 @@ def _print_tumble(report: dict[str, Any]) -> None:
     click.echo(f"{'axis':14} {'bias':>10} {'+-':>7} {'bias':>10}      {'scale':>10} {'azimuth':>8} {'elevation':>9}")
     click.echo(f"{'':14} {'LSB':>10} {'LSB':>7} {'mg or dps':>10}      {'LSB/g':>10} {'deg':>8} {'deg':>9}")
     for row in report["sensors"]:
-        factor = 1e3 if row["unit"] == "g" else 1.0
+        factor, unit = READABLE[row["unit"]]
         for index, axis in enumerate("xyz"):
             line = f"{row['name'] + ' ' + axis:14} {row['bias_lsb'][index]:10.3f} "
             line += f"{row['bias_sem_lsb'][index]:7.3f} " if row["bias_sem_lsb"] else " " * 8
-            line += f"{factor * row['bias'][index]:10.3f} {'mg ' if factor > 1 else 'dps'}  "
+            line += f"{factor * row['bias'][index]:10.3f} {unit:3}  "
             if "scale_lsb_per_g" in row:
                 angles = f"{row['azimuth_deg'][index]:8.2f} {row['elevation_deg'][index]:9.2f}"
                 line += f"{row['scale_lsb_per_g'][index]:10.2f} {angles}"
@@ -158,7 +159,7 @@ def _print_tumble(report: dict[str, Any]) -> None:
 def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
     click.echo("bias in the box frame: axes of one design that point along, those against, and both ways averaged")
     for pair in pairs:
-        factor, unit = (1e3, "mg") if pair["unit"] == "g" else (1.0, pair["unit"])
+        factor, unit = READABLE[pair["unit"]]
         line = f"  {pair['chip']:10} {pair['box_axis']}:"
         for key in ("along", "against", "opposed"):
             line += f"  {key} {'none' if pair[key] is None else f'{factor * pair[key]:.2f}':>9}"
@@ -166,7 +167,7 @@ def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
 
 
 def _noise_row(sensor: SensorCalibration) -> dict[str, Any]:
-    factor, unit = (1e3, "mg") if sensor.unit == "g" else (1.0, sensor.unit)
+    factor, unit = READABLE[sensor.unit]
     counts = [] if sensor.noise_lsb is None else sensor.noise_lsb.tolist()
     return {
         "name": sensor.name,

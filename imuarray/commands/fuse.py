@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
-from imuarray.units import STANDARD_GRAVITY
+from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.fuse import Error
+    from imuarray.fuse import Error, FusedBlock
     from imuarray.log import Log, SensorLog
 
 _NOTHING = "nothing on this array, it gives the mean (opposed: as many axes each way balance there already)"
@@ -52,7 +51,7 @@ def command(
     ranges   low and high measuring ranges blended, the low one fading out before it clips
     """
     from imuarray.calibrate import Calibration, load_calibration
-    from imuarray.fuse import fuse, write_fused
+    from imuarray.fuse import fuse, read_fused, write_fused
     from imuarray.log import open_log
 
     refuse_existing(output, force, source=run)
@@ -73,7 +72,8 @@ def command(
                 force=force,
                 progress=done,
             )
-        results = {name: _result(log, calibration, name, names) for name in dict.fromkeys(("mean", technique))}
+        results = {"mean": _result(log, fuse(log, calibration, "mean", only=names))} if technique != "mean" else {}
+        results[technique] = _result(log, read_fused(output))
         report = {
             "fused": str(output),
             "technique": technique,
@@ -103,7 +103,7 @@ def _uncalibrated(log: Log, calibration: Calibration, names: Sequence[str], file
 
 
 def _inertial(log: Log) -> list[SensorLog]:
-    return [sensor for quantity in ("specific_force", "angular_rate") for sensor in log.of(quantity)]
+    return [sensor for quantity in INERTIAL for sensor in log.of(quantity)]
 
 
 def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> list[str]:
@@ -111,17 +111,16 @@ def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence
     from imuarray.fuse import axes_of, changes
 
     found = []
-    for quantity in ("specific_force", "angular_rate"):
+    for quantity in INERTIAL:
         sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
         found += changes(technique, axes_of(sensors, calibration)) if sensors else []
     return found
 
 
-def _result(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> dict[str, Any]:
-    """How well a technique did: against the truth if the log knows it, else how quiet it is at rest; SI, JSON-ready."""
-    from imuarray.fuse import evaluate, fuse, quiet_noise
+def _result(log: Log, blocks: Iterable[FusedBlock]) -> dict[str, Any]:
+    """How good a result is: against the truth if the log knows it, else how quiet it is at rest; SI, JSON-ready."""
+    from imuarray.fuse import evaluate, quiet_noise
 
-    blocks = fuse(log, calibration, technique, only=names)
     if log.truth or log.reference:
         return {quantity: _error(error) for quantity, error in evaluate(log, blocks).items()}
     return {quantity: {"noise": noise.tolist()} for quantity, noise in quiet_noise(blocks).items()}
@@ -164,7 +163,7 @@ def _print(report: dict[str, Any]) -> None:
         changes = ", ".join(report["changes"])
         click.echo(f"  {technique} changes {changes or _NOTHING}")
     for quantity in report["results"]["mean"]:
-        factor, unit = (1e3 / STANDARD_GRAVITY, "mg") if quantity == "specific_force" else (180 / math.pi, "dps")
+        factor, unit = READABLE_SI[quantity]
         for name, words in _WORDS.items():
             for result in report["results"]:
                 error = report["results"][result].get(quantity, {})

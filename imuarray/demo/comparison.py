@@ -6,20 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from imuarray.calibrate import Calibration
 from imuarray.log import open_log
 from imuarray.report import Gain, gains
-from imuarray.units import STANDARD_GRAVITY
+from imuarray.units import READABLE_SI
 
 BMA180S = ("BMA1", "BMA2", "BMA3", "BMA4")
-
-UNITS: Mapping[str, tuple[float, str]] = {
-    "specific_force": (1e3 / STANDARD_GRAVITY, "mg"),
-    "angular_rate": (180 / np.pi, "dps"),
-}
-"""Factor from SI to the unit in which a person reads a small error."""
 
 Rows = Sequence[tuple["Case", Gain]]
 
@@ -92,6 +84,6 @@ def summary(rows: Rows) -> list[str]:
 
 
 def _from_to(gain: Gain) -> str:
-    factor, unit = UNITS[gain.quantity]
+    factor, unit = READABLE_SI[gain.quantity]
     errors = f"{factor * gain.average:.3g} to {factor * gain.technique_error:.3g} {unit}"
     return f"{errors} ({gain.ratio:.3f} ± {gain.ratio_se:.3f} times)"

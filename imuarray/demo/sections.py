@@ -10,14 +10,14 @@ import numpy as np
 
 from imuarray.calibrate import Calibration, Tumble
 from imuarray.characterise.plots import allan_figure
-from imuarray.demo.comparison import BMA180S, UNITS, Rows
+from imuarray.demo.comparison import BMA180S, Rows
 from imuarray.errors import LogError
 from imuarray.fuse import errors_of, fuse
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from imuarray.report import Figure, Section, Table
 from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
-from imuarray.units import STANDARD_GRAVITY
+from imuarray.units import INERTIAL, READABLE, READABLE_SI, STANDARD_GRAVITY
 
 _AXIS_WORDS = {axis: f" along {axis}" for axis in "XYZ"}
 
@@ -59,7 +59,7 @@ def calibration_section(tumble: Tumble) -> Section:
     """Bias and scale factor of every axis, with standard errors."""
     rows = []
     for name, sensor in tumble.calibration.sensors.items():
-        factor, unit = (1e3, "mg") if sensor.unit == "g" else (1.0, "dps")
+        factor, unit = READABLE[sensor.unit]
         sem = sensor.bias_sem_lsb if sensor.bias_sem_lsb is not None else np.full(3, np.nan)
         for axis in range(3):
             bias = factor * sensor.bias_in_units()[axis]
@@ -85,9 +85,9 @@ def noise_section(noise: dict[str, Any]) -> Section:
     """Noise table and Allan curves of a `characterise_log` result."""
     rows = []
     for sensor in noise["sensors"]:
-        if sensor["quantity"] not in UNITS:
+        if sensor["quantity"] not in INERTIAL:
             continue
-        factor, unit = (1e3, "mg") if sensor["unit"] == "g" else (1.0, "dps")
+        factor, unit = READABLE[sensor["unit"]]
         for axis in sensor["axes"]:
             density = axis["unit"]["noise_density"]
             scatter = factor * axis["unit"]["std"]
@@ -132,7 +132,7 @@ def gain_section(rows: Rows) -> Section:
         if gain.ratio == 1.0:
             unchanged.append(f"{case.label} ({gain.quantity.replace('_', ' ')})")
             continue
-        factor, unit = UNITS[gain.quantity]
+        factor, unit = READABLE_SI[gain.quantity]
         name = f"{case.label}: {gain.quantity.replace('_', ' ')}{_AXIS_WORDS.get(gain.box_axis, '')}"
         figures = [f"{factor * gain.average:.3f}", f"{factor * gain.technique_error:.3f}", unit]
         table.append([name, *figures, f"{gain.ratio:.3f}", f"{gain.ratio_se:.3f}"])
@@ -220,7 +220,7 @@ def motion_section(path: Path, calibration: Calibration) -> Section:
         window = Phase(motion.start_ns - 1_500_000_000, min(motion.start_ns + 4_500_000_000, motion.end_ns), "window")
         for label, (technique, only) in choices.items():
             time, error = errors_of(log, fuse(log, calibration, technique, only=only), [window])["specific_force"]
-            error_mg = 1e3 / STANDARD_GRAVITY * error[:, 0]
+            error_mg = READABLE_SI["specific_force"][0] * error[:, 0]
             rest = float(np.sqrt(np.mean(error_mg[time < motion.start_ns] ** 2)))
             name = f"{label} (rms at rest {rest:.1f} mg)"
             curves[name], times[name] = error_mg, time * 1e-9

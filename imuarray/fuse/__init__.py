@@ -5,7 +5,7 @@ techniques.
 from imuarray.fuse.align import axes_of
 from imuarray.fuse.evaluate import Error, errors_of, evaluate, quiet_noise
 from imuarray.fuse.fuse import FusedBlock, fuse
-from imuarray.fuse.store import write_fused
+from imuarray.fuse.store import read_fused, write_fused
 from imuarray.fuse.techniques import NEEDS_NOISE, TECHNIQUES, changes
 
 __all__ = [
@@ -19,5 +19,6 @@ __all__ = [
     "evaluate",
     "fuse",
     "quiet_noise",
+    "read_fused",
     "write_fused",
 ]

@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import FusionError
-from imuarray.fuse.fuse import QUANTITIES, FusedBlock
+from imuarray.fuse.fuse import FusedBlock
 from imuarray.fuse.splines import between_gaps
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase
+from imuarray.units import INERTIAL
 
 Floats = npt.NDArray[np.float64]
 
@@ -53,7 +54,7 @@ def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
     The lower quartile over segments of `SEGMENT` frames of the standard deviation of differences over sqrt 2; a motion
     that lasts does not count, a box that never rests makes it too large.
     """
-    scatter: dict[str, list[Floats]] = {quantity: [] for quantity in QUANTITIES}
+    scatter: dict[str, list[Floats]] = {quantity: [] for quantity in INERTIAL}
     for block in blocks:
         for quantity, triad in block.triads.items():
             for start in range(0, len(triad), SEGMENT):
@@ -71,7 +72,7 @@ def errors_of(
     if track is None:
         raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
     stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
-    found: dict[str, list[tuple[npt.NDArray[np.int64], Floats]]] = {quantity: [] for quantity in QUANTITIES}
+    found: dict[str, list[tuple[npt.NDArray[np.int64], Floats]]] = {quantity: [] for quantity in INERTIAL}
     for block in blocks:
         inside = np.ones(len(block.time), bool)
         if stretches:

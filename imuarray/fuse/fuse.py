@@ -13,10 +13,9 @@ from imuarray.errors import FusionError
 from imuarray.fuse.align import BLOCK, axes_of, frames
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log, SensorLog
+from imuarray.units import INERTIAL
 
 Floats = npt.NDArray[np.float64]
-
-QUANTITIES = ("specific_force", "angular_rate")
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ def fuse(
     """
     if technique not in TECHNIQUES:
         raise FusionError(f"technique {technique!r}: allowed are {', '.join(TECHNIQUES)}")
-    chosen = {quantity: [s for s in log.of(quantity) if not only or s.name in only] for quantity in QUANTITIES}
+    chosen = {quantity: [s for s in log.of(quantity) if not only or s.name in only] for quantity in INERTIAL}
     groups = {quantity: sensors for quantity, sensors in chosen.items() if sensors}
     if not groups:
         raise FusionError(f"{log.path}: no inertial sensor {f'among {sorted(only)}' if only else 'in it'}")

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from os import PathLike
 from pathlib import Path
 
@@ -56,6 +56,16 @@ def write_fused(
     finally:
         part.unlink(missing_ok=True)
     return frames
+
+
+def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[FusedBlock]:
+    """The blocks of a file that `write_fused` wrote, `block` frames at a time."""
+    with h5py.File(path, "r") as file:
+        group = file["fused"]
+        for start in range(0, group["time"].shape[0], block):
+            rows = slice(start, start + block)
+            triads = {name: group[name][rows] for name in group if name != "time"}
+            yield FusedBlock(group["time"][rows], triads)
 
 
 def _append(group: h5py.Group, block: FusedBlock, epoch: str) -> None:
