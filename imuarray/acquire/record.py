@@ -17,7 +17,8 @@ from imuarray.acquire.watch import Watch
 from imuarray.array import ArrayConfig
 from imuarray.bus.mux import MuxChannel
 from imuarray.bus.protocol import OpenBus
-from imuarray.log.format import Event, Phase, SensorHeader
+from imuarray.log.format import Event, Phase
+from imuarray.log.headers import header_of
 from imuarray.log.writer import LogWriter, Stimulus
 
 BATCH = 1024
@@ -62,7 +63,7 @@ def record(
     stations = connect(array, bus)
     start_ns = bus.clock.now_ns()
     epoch = wall_time or datetime.now(UTC)
-    headers = [_header(station) for station in stations]
+    headers = [header_of(station.sensor, station.driver.header()) for station in stations]
     with LogWriter(path, headers, source=bus.source, epoch=_iso(epoch), config=array.text, force=force) as log:
         poll = _Poll(stations, bus, log, rate_hz, start_ns, progress)
         poll.run(seconds, stopped)
@@ -209,28 +210,6 @@ def _truth_block(rows: Sequence[tuple[int, Any]], epoch_ns: int) -> Stimulus:
         np.array([felt.force_box for _, felt in rows]),
         np.array([felt.rate_box for _, felt in rows]),
         np.array([felt.temperature_degc for _, felt in rows]),
-    )
-
-
-def _header(station: Station) -> SensorHeader:
-    """What the log says of a station."""
-    sensor, spec = station.sensor, station.sensor.spec
-    barometer = spec.quantity == "pressure"
-    return SensorHeader(
-        name=sensor.name,
-        chip=sensor.chip,
-        quantity=spec.quantity,
-        unit=spec.unit,
-        range=sensor.range or 0.0,
-        sensitivity=sensor.sensitivity,
-        rate_hz=sensor.chip_rate_hz,
-        bandwidth_hz=sensor.chip_bandwidth_hz,
-        axes=sensor.axes,
-        position_mm=(sensor.position_mm[0], sensor.position_mm[1], sensor.position_mm[2]),
-        columns=("ut", "up") if barometer else ("x", "y", "z"),
-        has_temperature=spec.has_thermometer and not sensor.fifo,
-        compensated=("temperature", "pressure") if barometer else (),
-        extra=station.driver.header(),
     )
 
 

@@ -1,8 +1,8 @@
 """BMP180 barometer. Bosch data sheet v2.8 (2015); facts BMP-*.
 
 It converts only when asked, temperature first, then pressure, into the same registers (BMP-48). Nobody waits for it:
-each call of `fetch` looks whether a conversion that was started earlier must be over by now, and starts the next. The
-compensation uses floor division throughout, which reproduces every printed intermediate value (BMP-64).
+each call of `fetch` looks whether a conversion that was started earlier must be over by now, and starts the next. What
+its words mean in degrees and pascals is in `imuarray.barometer`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.array import SensorConfig
+from imuarray.barometer import Words, compensate
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for
@@ -31,9 +31,6 @@ _TEMPERATURE_NS = 4_500_000  # longest conversions: BMP-40, BMP-44
 _PRESSURE_NS = 25_500_000
 _GIVE_UP_NS = 100_000_000  # a result that is older than that is not waited for, nor taken for a new one
 _UNSIGNED = ("AC4", "AC5", "AC6")  # BMP-23 ... BMP-25
-
-Words = Mapping[str, int]
-Integers = npt.NDArray[np.int64]
 
 
 class Bmp180:
@@ -144,24 +141,3 @@ def calibration_words(block: bytes) -> Words:
         name: int.from_bytes(block[2 * index : 2 * index + 2], "big", signed=name not in _UNSIGNED)
         for index, name in enumerate(facts.CALIBRATION_WORDS)
     }
-
-
-def compensate(
-    ut: Integers, up: Integers, words: Words, oversampling: int
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Temperature (n,) in degC and pressure (n,) in Pa from the uncompensated readings (BMP-60 ... BMP-63)."""
-    x1 = (ut - words["AC6"]) * words["AC5"] >> 15
-    divisor = x1 + words["MD"]
-    x2 = (words["MC"] << 11) // np.where(divisor == 0, 1, divisor)  # a nonsense UT must not end the log: BMP-66
-    b5 = x1 + x2
-    b6 = b5 - 4000
-    square = b6 * b6 >> 12
-    b3 = (((words["AC1"] * 4 + (words["B2"] * square >> 11) + (words["AC2"] * b6 >> 11)) << oversampling) + 2) >> 2
-    x3 = ((words["AC3"] * b6 >> 13) + (words["B1"] * square >> 16) + 2) >> 2
-    b4 = words["AC4"] * (x3 + 32768) >> 15
-    b7 = (up - b3) * (50000 >> oversampling)
-    b4 = np.where(b4 == 0, 1, b4)
-    p = np.where(b7 < 0x80000000, 2 * b7 // b4, b7 // b4 * 2)
-    x1 = ((p >> 8) * (p >> 8)) * 3038 >> 16
-    p = p + ((x1 + (-7357 * p >> 16) + 3791) >> 4)
-    return (b5 + 8 >> 4) / 10.0, p.astype(np.float64)

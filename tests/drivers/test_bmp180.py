@@ -10,7 +10,8 @@ import pytest
 
 from firmware_emulator.chips.bmp180 import Bmp180 as Chip
 from imuarray.array import SensorConfig
-from imuarray.drivers.bmp180 import Bmp180, calibration_words, compensate
+from imuarray.barometer import compensate
+from imuarray.drivers.bmp180 import Bmp180, calibration_words
 from imuarray.errors import SensorError
 
 # The bytes and words of the worked example, BMP-20 ... BMP-30.
