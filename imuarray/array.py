@@ -10,7 +10,7 @@ import tomllib
 from collections import Counter
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
@@ -159,16 +159,24 @@ def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
     """An array from TOML text; `where` stands at the head of every message."""
     try:
         table = tomllib.loads(text)
-        file = _File.model_validate(table)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{where}: not TOML: {error}") from None
-    except ValidationError as error:
-        raise ConfigError(f"{where}: {complaints(error, table, _File)}") from None
+    try:
+        file = _checked(table, where)
+    except RecursionError:
+        raise ConfigError(f"{where}: tables nested without end") from None
     array = ArrayConfig(
         name=file.array.name, bus=file.array.bus, mux=file.array.mux, sensors=tuple(file.sensor), text=text
     )
     _check_places(array, where)
     return array
+
+
+def _checked(table: dict[str, Any], where: str) -> _File:
+    try:
+        return _File.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {complaints(error, table, _File)}") from None
 
 
 def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: str) -> None:

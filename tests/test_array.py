@@ -273,3 +273,12 @@ def test_the_papers_ranges(paper: ArrayConfig) -> None:
     ranges = {sensor.name: sensor.range for sensor in paper.sensors if sensor.chip not in ("bmp180", "hmc5883")}
     g = {"ADXL1": 16, "ADXL2": 16, "BMA1": 16, "BMA2": 16, "BMA3": 1.5, "BMA4": 1.5}
     assert ranges == {**g, "Gyro1": 2000, "Gyro2": 2000, "Gyro3": 250}
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [f"[array]\nname = {'9' * 5000}", f"a = {'[' * 3000}{']' * 3000}", "[" + ".".join("a" * 3000) + "]\nb = 1"],
+    ids=["huge number", "deep list", "deep table"],
+)
+def test_hostile_files_are_refused_in_one_line(tmp_path: Path, hostile: str) -> None:
+    assert refusal(tmp_path, hostile)
