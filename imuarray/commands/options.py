@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from imuarray.errors import ConfigError, OutputExistsError
+from imuarray.shipped import configs
 
 config_argument = click.argument("config", type=click.Path(path_type=Path))
 log_argument = click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
@@ -29,20 +30,23 @@ def find_config(name: Path) -> Path:
     """`name` itself if it is a file, else the configuration of that name which comes with the package
     ("martin2013").
     """
+    return _find(name, configs(), "array", "[array]")
+
+
+def find_model(name: Path) -> Path:
+    """`name` itself if it is a file, else the model of that name which comes with the package ("datasheet")."""
+    return _find(name, configs() / "models", "model", "[model]")
+
+
+def _find(name: Path, folder: Path, kind: str, table: str) -> Path:
+    """A file, or the one of that name in `folder`; ConfigError names what is there (files that hold `table`)."""
     if name.exists() or name.suffix:
         return name
-    shipped = _configs() / f"{name}.toml"
+    shipped = folder / f"{name}.toml"
     if shipped.is_file():
         return shipped
-    names = sorted(path.stem for path in _configs().glob("*.toml") if "[array]" in path.read_text(encoding="utf-8"))
-    raise ConfigError(f"{name}: no such file, and no array of that name comes with the package ({', '.join(names)})")
-
-
-def _configs() -> Path:
-    """The shipped configurations: inside an installed package, beside it in a checkout."""
-    package = Path(__file__).parents[1]
-    inside = package / "configs"
-    return inside if inside.is_dir() else package.parent / "configs"
+    names = sorted(path.stem for path in folder.glob("*.toml") if table in path.read_text(encoding="utf-8"))
+    raise ConfigError(f"{name}: no such file, and no {kind} of that name comes with the package ({', '.join(names)})")
 
 
 def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_new_folder: bool = False) -> None:

@@ -1,0 +1,112 @@
+"""What each chip makes of its element's signal: codes, and the temperature that its own thermometer reads.
+
+Codes are rounded to the nearest multiple of the step and end at the code span. Sensitivities are those of
+`imuarray.chips`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.signal import Analog, Codes, Counts, Floats, Integers
+
+EVEN_ONLY_FROM_HZ = 1600.0
+"""The ADXL345's data rate from which on its lowest bit is always 0 in full resolution (ADX-47)."""
+
+
+@dataclass(frozen=True)
+class CodeSpan:
+    """Lowest and highest code, and the distance of codes that occur; what a chip gives instead of a code beyond."""
+
+    lowest: int
+    highest: int
+    step: int = 1
+    beyond: int | None = None
+
+
+@dataclass(frozen=True)
+class Thermometer:
+    """counts = (temperature - zero_degc) * lsb_per_degc, eight bits."""
+
+    zero_degc: float
+    lsb_per_degc: float
+
+    def counts(self, temperature_degc: Floats) -> Counts:
+        """The codes (n,) at these temperatures."""
+        if temperature_degc.strides == (0,):  # it never changes: one row stands for all
+            return np.broadcast_to(self.counts(temperature_degc[:1].copy()), temperature_degc.shape)
+        codes = np.rint((temperature_degc - self.zero_degc) * self.lsb_per_degc)
+        return np.asarray(np.clip(codes, -128, 127), np.int32)
+
+
+THERMOMETERS: Mapping[str, Thermometer] = MappingProxyType(
+    {
+        "bma180": Thermometer(24.0, 2.0),  # BMA-63
+        "l3g4200d": Thermometer(47.0, -1.0),  # falls by 1 per degC; its zero is a part's own, this one is ours (L3G-60)
+    }
+)
+
+
+def even_step(chip: str, rate_hz: float) -> int:
+    """2 for an ADXL345 so fast that only even codes come (ADX-47), else 1."""
+    return 2 if chip == "adxl345" and rate_hz >= EVEN_ONLY_FROM_HZ else 1
+
+
+def code_span(sensor: SensorHeader) -> CodeSpan:
+    """The codes of a triad as it is configured: ADX-46, BMA-60, HMC-32; 16 bits elsewhere."""
+    if sensor.chip == "adxl345":
+        half = round(sensor.range * 256)
+        step = even_step(sensor.chip, sensor.rate_hz)
+        return CodeSpan(-half, half - step, step)
+    if sensor.chip == "bma180":
+        return CodeSpan(-8192, 8191)
+    if sensor.chip in ("hmc5883", "hmc5883l"):
+        return CodeSpan(-2048, 2047, beyond=-4096)
+    return CodeSpan(-32768, 32767)
+
+
+def converted(analog: Analog, span: CodeSpan) -> Counts:
+    """Counts (n, 3) of an analog signal."""
+    scaled = analog.value + analog.noise
+    scaled *= analog.sensitivity / analog.step
+    codes = np.rint(scaled, out=scaled)
+    if analog.step != 1:
+        codes *= analog.step
+    if span.beyond is not None:
+        codes[(codes < analog.lowest) | (codes > analog.highest)] = span.beyond
+    else:
+        np.clip(codes, analog.lowest, analog.highest, out=codes)
+    return np.asarray(codes, np.int32)
+
+
+def latest_reading(instant_ns: Integers, rate_hz: float) -> Integers:
+    """When the chip made the reading with which it answers at `instant_ns` (n,): the latest of `rate_hz` a second, the
+    first one at time 0; the instant itself for a chip without a rate.
+    """
+    if rate_hz <= 0:
+        return instant_ns
+    latest = _reading(instant_ns, rate_hz)
+    latest *= 1e9 / rate_hz
+    return np.asarray(np.rint(latest, out=latest), np.int64)
+
+
+def _reading(instant_ns: Integers, rate_hz: float) -> Floats:
+    """The number of the latest reading; a millionth of a period late still counts as on time."""
+    periods = instant_ns * (rate_hz * 1e-9)
+    periods += 1e-6
+    return np.asarray(np.floor(periods, out=periods))
+
+
+def held(codes: Codes, rate_hz: float) -> Codes:
+    """What is read of a chip that makes `rate_hz` readings a second and is asked more often: the latest one, once more
+    and not fresh.
+    """
+    sample = _reading(codes.instant_ns, rate_hz)
+    fresh = np.concatenate([[True], np.diff(sample) > 0])
+    newest = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
+    return replace(codes, counts=codes.counts[newest], fresh=codes.fresh[newest] & fresh)

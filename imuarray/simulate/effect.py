@@ -1,0 +1,81 @@
+"""What every effect is: a frozen dataclass of parameters, and up to four places in the chain where it acts.
+
+The chain of one sensor, in physical order::
+
+    instants  ->  felt  ->  analog  ->  codes
+    when          what      the element's     what the bus
+    is sampled    the box   signal, before    delivers
+                  feels     the converter
+
+An effect overrides the stages at which it acts; within a stage effects act in the order of `EFFECTS`. An effect made
+without arguments does nothing: every default is the parameter's harmless value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Place, Triple
+
+
+def per_axis(default: float = 0.0, *, suffix: str = "") -> Any:
+    """A parameter with one value for each axis of the sensor; a single number stands for all three.
+
+    `suffix` is what model files and reports append to its name, "{u}" being the sensor's unit: "_{u}_per_degc".
+    """
+    return field(default=(default,) * 3, metadata={"suffix": suffix, "per_axis": True})
+
+
+def scalar(default: float, *, suffix: str = "") -> Any:
+    """A parameter with one value."""
+    return field(default=default, metadata={"suffix": suffix})
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One cause of difference between truth and counts."""
+
+    name: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        """Spread single numbers over the three axes; ValueError for what is no triple of numbers."""
+        for item in fields(self):
+            if item.metadata.get("per_axis"):
+                object.__setattr__(self, item.name, _triple(getattr(self, item.name), item.name))
+
+    def lookback(self, at: Place) -> int:
+        """How many rows before a stretch it must see to know what the stretch holds."""
+        return 0
+
+    def sampled(self, instants: Instants, at: Place) -> Instants:
+        """When rows are read, and which of them arrive."""
+        return instants
+
+    def felt(self, felt: Felt, at: Place) -> Felt:
+        """What is felt where the sensor sits."""
+        return felt
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """The element's signal and the converter's settings."""
+        return analog
+
+    def codes(self, codes: Codes, at: Place) -> Codes:
+        """What the bus delivers."""
+        return codes
+
+
+def _triple(value: Any, name: str) -> Triple:
+    values = np.broadcast_to(np.asarray(value, float), (3,)) if np.size(value) in (1, 3) else np.array([np.nan])
+    if np.isnan(values).any():
+        raise ValueError(f"{name}: {value}; a number or one for each of x, y, z is wanted")
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def require(name: str, value: float, low: float = -np.inf, high: float = np.inf) -> None:
+    """ValueError unless `value` lies in [low, high]."""
+    if not low <= value <= high:
+        raise ValueError(f"{name}: {value}; allowed is {low:g} to {high:g}")

@@ -1,0 +1,47 @@
+"""`axis_error`: the sensor's axes are other ones than the configuration says."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.signal import Analog, Floats, Place, per_row
+
+_NOMINAL = "+X+Y+Z"
+_AXES = re.compile(r"([+-])([XYZ])" * 3)
+
+
+@dataclass(frozen=True)
+class AxisError(Effect):
+    """y_k = s_k x_a(k): the sensor's axis k really is the signed axis s_k, a(k) of the sensor as configured.
+
+    `axes` like "+Y+X-Z": what its x, y and z truly are. Left-handed ones are allowed, since a forgotten minus makes
+    them. Everything that acts along the sensor's axes, specific force on a gyroscope included, is exchanged with them.
+    The mistake is one of the table that maps sensors to the box (the paper's Table 1). In data: two axes have changed
+    places, or one has the other sign, in all phases; nothing else.
+    """
+
+    name: ClassVar[str] = "axis_error"
+    axes: str = field(default=_NOMINAL)
+
+    def __post_init__(self) -> None:
+        """ValueError unless X, Y and Z come once each, with a sign."""
+        super().__post_init__()
+        match = _AXES.fullmatch(self.axes)
+        if match is None or len(set(match.groups()[1::2])) < 3:
+            raise ValueError(f"axes: {self.axes!r}; each of X, Y, Z once, signed, such as '+Y+X-Z'")
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Exchanges axes and signs of the signal and of the specific force."""
+        if self.axes == _NOMINAL:
+            return analog
+        return replace(analog, value=self._exchanged(analog.value), force_g=self._exchanged(analog.force_g))
+
+    def _exchanged(self, vectors: Floats) -> Floats:
+        x, y, z = (1.0 if sign == "+" else -1.0 for sign in self.axes[::2])
+        taken = np.take(vectors, ["XYZ".index(axis) for axis in self.axes[1::2]], axis=1)
+        return taken * per_row((x, y, z), taken)

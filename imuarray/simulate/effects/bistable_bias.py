@@ -1,0 +1,33 @@
+"""`bistable_bias`: after some boots the bias is another one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.signal import Analog, Place, Triple, per_row
+
+
+@dataclass(frozen=True)
+class BistableBias(Effect):
+    """y = x + offset for a whole run, in a run with this probability, all three axes together.
+
+    `offset` in the sensor's unit. The paper's Gyro3 comes up with one of two sets of biases, (-13, 6, -2) LSB apart
+    (Table 7). In data: run means in two groups, the same ones on all axes.
+    """
+
+    name: ClassVar[str] = "bistable_bias"
+    offset: Triple = per_axis(suffix="_{u}")
+    probability: float = scalar(0.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for a probability outside 0 to 1."""
+        super().__post_init__()
+        require("probability", self.probability, 0.0, 1.0)
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Adds to the value."""
+        if at.boot_generator(self.name).random() >= self.probability:
+            return analog
+        return replace(analog, value=analog.value + per_row(self.offset, analog.value))

@@ -1,0 +1,67 @@
+"""`dropped_samples`: readings are lost, alone or in bursts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.signal import Bools, Instants, Place
+from imuarray.simulate.streams import Stream
+
+_REACH = 64
+"""Rows looked back at first; doubled until they suffice."""
+
+
+@dataclass(frozen=True)
+class DroppedSamples(Effect):
+    """A two-state chain from row to row: lost after kept with probability a, kept after lost with probability b.
+
+    b = 1 / burst_rows makes bursts geometric with that mean, a = b p / (1 - p) makes the long-run share lost p =
+    `probability`; a <= 1 bounds it by burst_rows / (burst_rows + 1). The model of E. N. Gilbert (Capacity of a
+    burst-noise channel, Bell System Technical Journal 39, 1960), with every row of the bad state lost. In data: rows
+    are missing and the next one carries flag 8; the time between rows is a multiple of its usual value.
+
+    One uniform number u drives each row: lost if u < a after kept, if u < 1 - b after lost. Where both say the same the
+    past no longer matters, so the state of any row is found, exactly, by looking back to the last such row (coupling
+    from the past): on average 1 / (1 - |1 - a - b|) rows, whatever the row's number.
+    """
+
+    name: ClassVar[str] = "dropped_samples"
+    probability: float = scalar(0.0)
+    burst_rows: float = scalar(1.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for a share that bursts of this length can't make up."""
+        super().__post_init__()
+        require("burst_rows", self.burst_rows, 1.0, 1e6)
+        require("probability", self.probability, 0.0, self.burst_rows / (self.burst_rows + 1))
+
+    def sampled(self, instants: Instants, at: Place) -> Instants:
+        """Marks the lost rows as not kept."""
+        if not self.probability:
+            return instants
+        stream = at.streams.of_boot(at.sensor.name, self.name, width=1)  # double precision: probabilities are small
+        lost = self._lost(instants.first, instants.first + len(instants.kept), stream)
+        return replace(instants, kept=instants.kept & ~lost)
+
+    def _lost(self, first: int, stop: int, stream: Stream) -> Bools:
+        """(stop - first,); row 0 is lost with the long-run probability."""
+        stay = 1 - 1 / self.burst_rows
+        begin = self.probability / (1 - self.probability) / self.burst_rows
+        reach = _REACH
+        while True:
+            start = max(0, first - reach)
+            drawn = stream.uniform(start, stop)[:, 0]
+            lost, certain = drawn < min(begin, stay), (drawn < min(begin, stay)) | (drawn >= max(begin, stay))
+            if start == 0:
+                lost[0], certain[0] = drawn[0] < self.probability, True
+            if certain[: first - start + 1].any():
+                break
+            reach *= 2
+        rows = np.arange(len(drawn))
+        last = np.maximum.accumulate(np.where(certain, rows, 0))
+        turned = ((rows - last) % 2 == 1) & (begin > stay)  # where the past matters, it is kept or turned round
+        return np.asarray((lost[last] ^ turned)[first - start :])

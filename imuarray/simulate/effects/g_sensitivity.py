@@ -1,0 +1,37 @@
+"""`g_sensitivity`: specific force moves the reading of a sensor that is to measure something else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.parameters import numbers, several
+from imuarray.simulate.signal import Analog, Place
+
+
+@dataclass(frozen=True)
+class GSensitivity(Effect):
+    """y = x + response f, f the specific force in g along the sensor's own axes.
+
+    `response` (3x3, row after row) in the sensor's unit per g: entry ij is what force along axis j adds to axis i. A
+    vibrating gyroscope is sensitive to force by its nature: the paper's section 5.2.2 and Table 4 (differences over 2 g
+    of at most 0.038 dps; L3G-76). In data: a gyroscope at rest has another bias on every face of the box.
+    """
+
+    name: ClassVar[str] = "g_sensitivity"
+    response: tuple[float, ...] = several(9, suffix="_{u}_per_g")
+
+    def __post_init__(self) -> None:
+        """ValueError unless there are nine finite numbers."""
+        super().__post_init__()
+        object.__setattr__(self, "response", numbers("response", self.response, 9))
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Adds what the force does."""
+        if not any(self.response):
+            return analog
+        columns = np.reshape(self.response, (3, 3)).T.astype(analog.value.dtype)
+        return replace(analog, value=analog.value + analog.force_g @ columns)

@@ -1,0 +1,73 @@
+"""`glitches`: now and then a reading is corrupted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.simulate.converters import code_span
+from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.signal import Codes, Counts, Place
+
+KINDS = ("spike", "torn", "word")
+
+_LOW_BITS = {"bma180": 6}
+"""Bits of the code that travel in the low byte, where they aren't eight (BMA-60)."""
+
+
+@dataclass(frozen=True)
+class Glitches(Effect):
+    """Each reading is corrupted with `probability`, in one of three ways (`kind`).
+
+    "spike": one axis, drawn, is off by plus or minus `amplitude` (in the sensor's unit, at its nominal sensitivity),
+    as far as its codes go. "torn": one axis, drawn, has the low byte of this reading and the high byte of the row
+    before it, because the chip renewed its registers between two bytes of a burst (L3G-50, ADX-49, BMA-101); a BMA180's
+    low byte holds six bits of the code (BMA-60), everybody else's eight. "word": all axes read -1, as from a bus that
+    nobody drives: its lines float high (UM10204, 3.1.1). In data: heavy tails; torn readings are off by multiples of
+    256 (BMA180: 64) counts, and only where neighbours differ in the high byte; for a gyroscope at rest -1 is a normal
+    small reading.
+    """
+
+    name: ClassVar[str] = "glitches"
+    probability: float = scalar(0.0)
+    amplitude: float = scalar(0.0, suffix="_{u}")
+    kind: str = field(default="spike")
+
+    def __post_init__(self) -> None:
+        """ValueError for no probability, a negative amplitude or another kind."""
+        super().__post_init__()
+        require("probability", self.probability, 0.0, 1.0)
+        require("amplitude", self.amplitude, 0.0, 1e6)
+        if self.kind not in KINDS:
+            raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
+
+    def lookback(self, at: Place) -> int:
+        """A torn reading needs the row before it."""
+        return 1 if self.probability and self.kind == "torn" else 0
+
+    def codes(self, codes: Codes, at: Place) -> Codes:
+        """Corrupts rows of counts; flags and temperature stay."""
+        if not self.probability:
+            return codes
+        stream = at.streams.of_boot(at.sensor.name, self.name, self.kind, width=2)  # double precision: rare events
+        hit, choice = stream.uniform(codes.first, codes.first + len(codes.counts)).T
+        struck = (hit < self.probability)[:, None]
+        axis, upwards = np.divmod(np.floor(choice * 6).astype(np.int32), 2)
+        if self.kind == "word":
+            return replace(codes, counts=np.where(struck, -1, codes.counts))
+        wrong = _torn(codes.counts, at) if self.kind == "torn" else self._off(codes.counts, upwards * 2 - 1, at)
+        return replace(codes, counts=np.where(struck & (np.arange(3) == axis[:, None]), wrong, codes.counts))
+
+    def _off(self, counts: Counts, sign: Counts, at: Place) -> Counts:
+        span = code_span(at.sensor)
+        jump = round(self.amplitude * at.sensor.sensitivity)
+        return np.asarray(np.clip(counts + sign[:, None] * jump, span.lowest, span.highest))
+
+
+def _torn(counts: Counts, at: Place) -> Counts:
+    """In two's complement the high byte is what is left when the low one is taken off."""
+    low = (1 << _LOW_BITS.get(at.sensor.chip, 8)) - 1
+    before = np.concatenate([counts[:1], counts[:-1]])
+    return (before & ~low) | (counts & low)

@@ -1,0 +1,74 @@
+"""`odr_error`: the chip runs at another data rate, or through another filter, than it was told to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from imuarray.simulate.converters import code_span
+from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.signal import Analog, Instants, Place
+
+_QUIETEST_HZ = 100.0  # below this data rate the ADXL345's noise falls no more (ADX-68)
+
+
+@dataclass(frozen=True)
+class OdrError(Effect):
+    """noise rms x sqrt(real bandwidth / configured bandwidth), and new readings at the real rate only.
+
+    `rate_hz` is the real data rate, `bandwidth_hz` the real bandwidth of the noise; nan: as configured. An ADXL345's
+    bandwidth is half its rate (ADX-32 ... ADX-35), for its noise no less than that of 100 Hz (ADX-68), and at 1600 Hz
+    and more its lowest bit is always 0 (ADX-47, which doesn't say whether by rounding: the nearest even code is taken);
+    other chips' bandwidth stays what was configured unless it is given. The paper's ADXL345s give even codes only, and
+    more noise than 400 Hz explains (PAP-02). In data: rows that repeat the one before where they come faster than the
+    rate, noise of another size, missing codes.
+    """
+
+    name: ClassVar[str] = "odr_error"
+    rate_hz: float = scalar(math.nan)
+    bandwidth_hz: float = scalar(math.nan)
+
+    def __post_init__(self) -> None:
+        """ValueError for a rate or bandwidth outside 1e-3 to 1e6 Hz."""
+        super().__post_init__()
+        for name, value in (("rate_hz", self.rate_hz), ("bandwidth_hz", self.bandwidth_hz)):
+            if not math.isnan(value):
+                require(name, value, 1e-3, 1e6)
+
+    def lookback(self, at: Place) -> int:
+        """Rows that may repeat one reading, and one."""
+        slow = self.rate_hz < at.rows_per_s
+        return math.ceil(at.rows_per_s / self.rate_hz) + 1 if slow else 0
+
+    def sampled(self, instants: Instants, at: Place) -> Instants:
+        """Sets the rate of new readings."""
+        return instants if math.isnan(self.rate_hz) else replace(instants, rate_hz=self.rate_hz)
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Scales the noise, sets the converter. ValueError for a bandwidth if the chip has none configured."""
+        if math.isnan(self.rate_hz) and math.isnan(self.bandwidth_hz):
+            return analog
+        rate_hz = analog.rate_hz if math.isnan(self.rate_hz) else self.rate_hz
+        span = code_span(replace(at.sensor, rate_hz=rate_hz))
+        factor = math.sqrt(self._bandwidth_ratio(rate_hz, at))
+        return replace(
+            analog,
+            noise=analog.noise * factor,
+            lowest=span.lowest,
+            highest=span.highest,
+            step=span.step,
+            rate_hz=rate_hz,
+        )
+
+    def _bandwidth_ratio(self, rate_hz: float, at: Place) -> float:
+        """Real over configured bandwidth of the noise."""
+        sensor = at.sensor
+        configured_hz, real_hz = sensor.bandwidth_hz, sensor.bandwidth_hz
+        if sensor.chip == "adxl345":
+            configured_hz, real_hz = (max(rate, _QUIETEST_HZ) / 2 for rate in (sensor.rate_hz, rate_hz))
+        if math.isnan(self.bandwidth_hz):
+            return real_hz / configured_hz if configured_hz else 1.0
+        if not configured_hz:
+            raise ValueError(f"bandwidth_hz: {self.bandwidth_hz:g}; {sensor.name} ({sensor.chip}) has none configured")
+        return self.bandwidth_hz / configured_hz

@@ -1,0 +1,56 @@
+"""`stale_samples`: a reading is the one before, once more."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.signal import Codes, Place
+
+_RARE = 1e-12
+
+
+@dataclass(frozen=True)
+class StaleSamples(Effect):
+    """Each reading is, with `probability`, a repetition of the one before: counts, temperature and all, not fresh.
+
+    Repetitions of repetitions show the last reading that was none. Chains are cut where they would grow longer than all
+    but 10^-12 of them are: a row with nothing else for so many rows back is itself. Real ones come of a register that
+    is locked while a conversion ends (L3G-50, HMC-33) or of a poll that overtakes the chip now and then. In data:
+    identical triads, the joint repetition of three axes; lag-1 correlation of noise rises to about `probability`.
+    """
+
+    name: ClassVar[str] = "stale_samples"
+    probability: float = scalar(0.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for more than 0.99: what never changes is `stuck`."""
+        super().__post_init__()
+        require("probability", self.probability, 0.0, 0.99)
+
+    @property
+    def longest(self) -> int:
+        """Repetitions in a row, at most."""
+        return math.ceil(math.log(_RARE) / math.log(self.probability)) if self.probability else 0
+
+    def lookback(self, at: Place) -> int:
+        """The longest chain and the row before it."""
+        return self.longest + 1 if self.probability else 0
+
+    def codes(self, codes: Codes, at: Place) -> Codes:
+        """Repeats rows; one is fresh if anything fresh arrived since the row before it."""
+        if not self.probability:
+            return codes
+        rows = np.arange(len(codes.counts))
+        stream = at.streams.of_boot(at.sensor.name, self.name, width=1)  # double precision: probabilities are small
+        stale = stream.uniform(codes.first, codes.first + len(rows))[:, 0] < self.probability
+        shown = np.maximum.accumulate(np.where(stale, 0, rows))
+        shown = np.where(rows - shown > self.longest, rows, shown)
+        arrived = np.cumsum(codes.fresh)[shown]
+        fresh = np.concatenate([codes.fresh[:1], arrived[1:] > arrived[:-1]])
+        temperature = None if codes.temperature_counts is None else codes.temperature_counts[shown]
+        return replace(codes, counts=codes.counts[shown], temperature_counts=temperature, fresh=fresh)

@@ -1,0 +1,38 @@
+"""`thermal_bias`: the bias follows the element's temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.signal import Analog, Place, Triple, per_row
+
+
+@dataclass(frozen=True)
+class ThermalBias(Effect):
+    """y = x + slope (T - reference) + quadratic (T - reference)^2, T the element's temperature in degC.
+
+    `slope` in the sensor's unit per degC, `quadratic` per degC^2, `reference_degc` where it vanishes. Typical slopes
+    are in BMA-115, ADX-62 and L3G-71; those of the paper's sensors in its Table 8, which found no use for a quadratic
+    term. In data: readings at rest that follow the thermometer.
+    """
+
+    name: ClassVar[str] = "thermal_bias"
+    slope: Triple = per_axis(suffix="_{u}_per_degc")
+    quadratic: Triple = per_axis(suffix="_{u}_per_degc2")
+    reference_degc: float = scalar(25.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for a reference below absolute zero or above 1000 degC."""
+        super().__post_init__()
+        require("reference_degc", self.reference_degc, -273.15, 1000.0)
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Adds to the value."""
+        if self.slope == self.quadratic == (0.0, 0.0, 0.0):
+            return analog
+        value = analog.value
+        warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)[:, None]
+        slope = per_row(self.slope, value) + warmer * per_row(self.quadratic, value)
+        return replace(analog, value=value + warmer * slope)

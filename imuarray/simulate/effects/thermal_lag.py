@@ -1,0 +1,68 @@
+"""`thermal_lag`: the element warms up later than the box."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from scipy.signal import lfilter
+
+from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.signal import Felt, Floats, Integers, Motion, Place
+
+_STEPS = 50
+"""Steps of the recursion per time constant."""
+_SHORTEST_S, _LONGEST_S = 0.01, 10.0
+"""Steps: shorter than any change of temperature that matters; short enough for a heater that is switched on."""
+_FORGOTTEN = 20.0
+"""Time constants after which 2e-9 is left of a difference in temperature."""
+
+
+@dataclass(frozen=True)
+class ThermalLag(Effect):
+    """time_constant dT/dt = T_box - T, T the element's temperature; in equilibrium at time 0, and before.
+
+    `time_constant_s` in s (0: no lag). The box's temperature is taken to change linearly between steps of a fiftieth of
+    the time constant (10 ms at least, 10 s at most), for which the recursion is exact. Acts with `thermal_bias` and
+    `thermal_scale`, and on what the chip's own thermometer reads. In data: a loop in readings over the temperature of
+    another chip, its area growing with the speed of heating.
+    """
+
+    name: ClassVar[str] = "thermal_lag"
+    time_constant_s: float = scalar(0.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for a time constant outside 0 to 1e6 s."""
+        super().__post_init__()
+        require("time_constant_s", self.time_constant_s, 0.0, 1e6)
+
+    def felt(self, felt: Felt, at: Place) -> Felt:
+        """Another temperature."""
+        if self.time_constant_s == 0.0 or len(felt.time_ns) == 0:
+            return felt
+        nodes_ns = self._nodes_ns(felt.time_ns)
+        lagged = self._lagged(nodes_ns, at.motion)
+        since_ns = (felt.time_ns - nodes_ns[0]).astype(float)
+        return replace(felt, temperature_degc=np.interp(since_ns, nodes_ns - nodes_ns[0], lagged))
+
+    def _step_ns(self) -> int:
+        return round(min(max(self.time_constant_s / _STEPS, _SHORTEST_S), _LONGEST_S) * 1e9)
+
+    def _nodes_ns(self, time_ns: Integers) -> Integers:
+        """Multiples of the step, from long enough before the first of these times to the last."""
+        step_ns = self._step_ns()
+        earliest_ns = int(time_ns.min()) - round(_FORGOTTEN * self.time_constant_s * 1e9)
+        first = max(0, earliest_ns // step_ns)
+        return np.arange(first, max(first, -(-int(time_ns.max()) // step_ns)) + 1) * step_ns
+
+    def _lagged(self, nodes_ns: Integers, motion: Motion) -> Floats:
+        """The element's temperature at the nodes, from equilibrium at the first one."""
+        box = motion.felt(nodes_ns).temperature_degc
+        ratio = self._step_ns() * 1e-9 / self.time_constant_s
+        phi = math.exp(-ratio)
+        old = -math.expm1(-ratio) / ratio - phi  # what the box's temperature at a step's begin and end counts
+        new = 1.0 - phi - old
+        lagged, _ = lfilter([new, old], [1.0, -phi], box, zi=[(1.0 - new) * box[0]])
+        return np.asarray(lagged)

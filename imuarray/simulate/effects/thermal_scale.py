@@ -1,0 +1,36 @@
+"""`thermal_scale`: the scale follows the element's temperature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.signal import Analog, Place, Triple, per_row
+
+
+@dataclass(frozen=True)
+class ThermalScale(Effect):
+    """y = x (1 + slope (T - reference)), T the element's temperature in degC.
+
+    `slope` is a share of one per degC, `reference_degc` where it vanishes. Typical are 1e-4 (BMA-116, ADX-64) and
+    -3e-3 for the HMC5883L (HMC-57); the L3G4200D changes by 2 % from -40 to 85 degC (L3G-72). In data: what follows the
+    thermometer is proportional to what is measured: opposite on opposite faces.
+    """
+
+    name: ClassVar[str] = "thermal_scale"
+    slope: Triple = per_axis(suffix="_per_degc")
+    reference_degc: float = scalar(25.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for a reference below absolute zero or above 1000 degC."""
+        super().__post_init__()
+        require("reference_degc", self.reference_degc, -273.15, 1000.0)
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Multiplies the value."""
+        if self.slope == (0.0, 0.0, 0.0):
+            return analog
+        value = analog.value
+        warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)[:, None]
+        return replace(analog, value=value + value * (warmer * per_row(self.slope, value)))

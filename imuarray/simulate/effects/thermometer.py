@@ -1,0 +1,39 @@
+"""`thermometer`: the chip's own thermometer is off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.signal import Analog, Place
+
+
+@dataclass(frozen=True)
+class Thermometer(Effect):
+    """T_read = T + offset + w, w ~ N(0, rms^2) independent from row to row; T the element's temperature in degC.
+
+    `offset_degc` and `rms_degc`; what is measured feels nothing of it. The BMA180's is off
+    by up to 5 degC (BMA-64), the L3G4200D's has no zero at all (L3G-60). In data: the chip's temperature beside the
+    barometer's.
+    """
+
+    name: ClassVar[str] = "thermometer"
+    offset_degc: float = scalar(0.0)
+    rms_degc: float = scalar(0.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for an offset beyond 1000 degC or a negative rms."""
+        super().__post_init__()
+        require("offset_degc", self.offset_degc, -1000.0, 1000.0)
+        require("rms_degc", self.rms_degc, 0.0, 1000.0)
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Adds to what the thermometer feels."""
+        read = analog.thermometer_degc
+        if self.offset_degc:
+            read = read + self.offset_degc
+        if self.rms_degc:
+            drawn = at.stream(self.name, width=1).normal(analog.first, analog.first + len(read))[:, 0]
+            read = read + self.rms_degc * drawn
+        return replace(analog, thermometer_degc=read)

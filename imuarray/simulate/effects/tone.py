@@ -1,0 +1,48 @@
+"""`tone`: a sine in the signal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.signal import Analog, Place, Triple, per_row
+
+
+@dataclass(frozen=True)
+class Tone(Effect):
+    """y = x + amplitude sin(2 pi frequency t + phase), t the instant at which the chip really samples.
+
+    `amplitude` in the sensor's unit, `frequency_hz`, `phase_deg` at the log's epoch (nan: drawn at each boot, another
+    one for another frequency). The y axis of the paper's gyroscope has a peak near 50 Hz (Appendix A, Figure 14). In
+    data: a line in the spectrum, at |frequency - k rows_per_s| where it is polled too slowly; a hump in the Allan
+    deviation.
+    """
+
+    name: ClassVar[str] = "tone"
+    amplitude: Triple = per_axis(suffix="_{u}")
+    frequency_hz: float = scalar(0.0)
+    phase_deg: float = scalar(math.nan)
+
+    def __post_init__(self) -> None:
+        """ValueError for a frequency outside 0 to 1e6 Hz or an infinite phase."""
+        super().__post_init__()
+        require("frequency_hz", self.frequency_hz, 0.0, 1e6)
+        if math.isinf(self.phase_deg):
+            raise ValueError(f"phase_deg: {self.phase_deg}; a number is wanted, or nan: drawn at each boot")
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Adds to the value."""
+        if self.amplitude == (0.0, 0.0, 0.0):
+            return analog
+        turns = analog.instant_ns * (self.frequency_hz * 1e-9) + self._phase_deg(at) / 360
+        wave = np.sin(2 * np.pi * (turns - np.floor(turns))).astype(analog.value.dtype)
+        return replace(analog, value=analog.value + wave[:, None] * per_row(self.amplitude, analog.value))
+
+    def _phase_deg(self, at: Place) -> float:
+        if not math.isnan(self.phase_deg):
+            return self.phase_deg
+        return at.boot_generator(self.name, f"{self.frequency_hz!r} Hz").uniform(0.0, 360.0)

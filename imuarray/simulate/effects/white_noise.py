@@ -1,0 +1,29 @@
+"""`white_noise`: every reading is off by an independent normal number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from imuarray.simulate.effect import Effect, per_axis
+from imuarray.simulate.signal import Analog, Place, Triple
+
+
+@dataclass(frozen=True)
+class WhiteNoise(Effect):
+    """y = x + w, w ~ N(0, rms^2), independent from row to row and axis to axis.
+
+    `rms` in the sensor's unit: the standard deviation of single readings at rest, as data sheets (BMA-110, ADX-67,
+    L3G-74, once multiplied by the root of the bandwidth) and the paper's Tables 9 and 10 give it. `bandwidth` shapes
+    this noise without weakening it. In data: a flat spectrum, an Allan deviation of slope -1/2.
+    """
+
+    name: ClassVar[str] = "white_noise"
+    rms: Triple = per_axis(suffix="_{u}")
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        """Adds to the noise."""
+        if self.rms == (0.0, 0.0, 0.0):
+            return analog
+        noise = at.stream(self.name, scale=self.rms).normal(analog.first, analog.first + len(analog.noise))
+        return replace(analog, noise=noise if analog.is_silent else noise + analog.noise)

@@ -1,0 +1,147 @@
+"""A calibrated array as a model: what was measured of each unit, as the effects that make it.
+
+The calibration's affine map, counts = response @ stimulus_box + g_sensitivity @ force_box + bias, is taken apart, in
+the sensor's nominal axes and with its nominal sensitivity, into `axis_error`, `misalignment`, `scale`, `g_sensitivity`
+and `bias`; run one after the other they make the same map again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+
+from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.errors import CalibrationError
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.converters import even_step
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.axis_error import AxisError
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.g_sensitivity import GSensitivity
+from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.quantisation import Quantisation
+from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.model import TRIADS, Model, Part, noise_bandwidth_hz
+from imuarray.simulate.parameters import to_table
+from imuarray.simulate.population import Recipe, figure_of
+from imuarray.simulate.streams import Streams
+
+Floats = npt.NDArray[np.float64]
+
+_THERMAL = ("thermal_scale", "thermal_bias")
+
+
+def calibrated(model: Model, calibration: Calibration, headers: Iterable[SensorHeader]) -> Model:
+    """`model` with what `calibration` measured of these sensors in its [[sensor]] tables; all else stays as it is.
+
+    Temperature effects of a sensor that was calibrated at a known temperature count from there. CalibrationError for a
+    calibration that does not fit its sensor.
+    """
+    known = {(part.name, part.chip, part.range): part for part in model.sensors}
+    for header in headers:
+        if header.name in calibration.sensors:
+            unit = _part(model, calibration.sensors[header.name], header)
+            older = known.get((unit.name, unit.chip, unit.range), unit)
+            known[unit.name, unit.chip, unit.range] = replace(unit, effects={**older.effects, **unit.effects})
+    changed = replace(model, sensors=tuple(known.values()))
+    return replace(changed, text=changed.to_toml())
+
+
+def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
+    """What was measured of one sensor, over what the model says of it."""
+    _check_fit(unit, header)
+    before = model.parts(header)
+    effects: dict[str, tuple[Recipe, ...]] = {}
+    if unit.temperature_degc is not None:
+        warm = {"reference_degc": unit.temperature_degc}
+        effects |= {
+            kind: tuple({**recipe, **warm} for recipe in before[kind].effects[kind])
+            for kind in _THERMAL
+            if kind in before
+        }
+    for effect in (*_affine(unit, header), *_noise(unit, header, _step_lsb(model, header))):
+        if effect.name in before or effect != type(effect)():
+            table = to_table(effect, header.unit)
+            effects[effect.name] = ({key: figure_of(value, key) for key, value in table.items()},)
+    bandwidth_hz = noise_bandwidth_hz(header) or None
+    if "white_noise" not in effects and "white_noise" in before:
+        bandwidth_hz = before["white_noise"].noise_bandwidth_hz
+    foreign = "" if header.chip in TRIADS else header.unit
+    return Part(header.chip, header.range, header.name, bandwidth_hz, effects, foreign)
+
+
+def _affine(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
+    """The effects that make the calibration's map; a data sheet's figure in it was not measured and makes none."""
+    orientation = np.array(header.orientation)
+    sensed = unit.response_lsb_per_unit @ orientation / header.sensitivity
+    exchange = np.eye(3)
+    if unit.response_sem_lsb_per_unit is not None or not np.allclose(sensed, np.eye(3), rtol=0, atol=1e-12):
+        exchange = _nearest_axes(sensed)
+        yield from _response(sensed @ exchange.T, exchange, header)
+    if unit.g_sensitivity_lsb_per_g is not None:
+        felt = unit.g_sensitivity_lsb_per_g @ orientation / header.sensitivity @ exchange.T
+        yield GSensitivity(tuple(felt.ravel().tolist()))
+    if unit.bias_sem_lsb is not None or np.any(unit.bias_lsb):
+        yield Bias(_triple(unit.bias_lsb / header.sensitivity))
+
+
+def _response(sensed: Floats, exchange: Floats, header: SensorHeader) -> Iterator[Effect]:
+    """`sensed` (3, 3): rows the sensor's axes, columns the axes, exchanged already, along which they lean."""
+    taken = np.abs(exchange).argmax(axis=1)
+    yield AxisError("".join("+-"[int(row[axis] < 0)] + "XYZ"[axis] for row, axis in zip(exchange, taken, strict=True)))
+    leaning = np.degrees(np.arctan(sensed / np.diag(sensed)[:, None]))[~np.eye(3, dtype=bool)]
+    try:
+        yield Misalignment(tuple(leaning.tolist()))
+    except ValueError:
+        raise CalibrationError(f"sensor {header.name}: its calibrated axes are too oblique to be a triad's") from None
+    yield Scale(_triple(np.linalg.norm(sensed, axis=1) - 1))
+
+
+def _nearest_axes(sensed: Floats) -> Floats:
+    """(3, 3) of 0, 1 and -1: the signed axes to which the rows of `sensed` come nearest, each taken once."""
+    rows, columns = linear_sum_assignment(-np.abs(sensed / np.linalg.norm(sensed, axis=1, keepdims=True)))
+    nearest = np.zeros((3, 3))
+    nearest[rows, columns] = np.sign(sensed[rows, columns])
+    return nearest
+
+
+def _noise(unit: SensorCalibration, header: SensorHeader, step_lsb: int) -> Iterator[Effect]:
+    """The measured scatter without that of rounding, step^2 / 12 (Sheppard's correction)."""
+    if unit.noise_lsb is not None:
+        yield WhiteNoise(_triple(np.sqrt(np.maximum(unit.noise_lsb**2 - step_lsb**2 / 12, 0)) / header.sensitivity))
+
+
+def _step_lsb(model: Model, header: SensorHeader) -> int:
+    """By how much neighbouring codes of this sensor differ."""
+    effects = model.effects(header, Streams(0))
+    steps = [int(effect.step_lsb) for effect in effects if isinstance(effect, Quantisation)]
+    return math.lcm(even_step(header.chip, header.rate_hz), *steps)
+
+
+def _check_fit(unit: SensorCalibration, header: SensorHeader) -> None:
+    """CalibrationError unless the calibration is one of this sensor at this range and models know the chip."""
+    where = f"sensor {header.name}"
+    known = TRIADS.get(header.chip)
+    if not header.sensitivity or (known is not None and header.range not in known.sensitivity):
+        raise CalibrationError(f"{where}: no model describes a {header.chip} at {header.range:g} {header.unit}")
+    if (unit.quantity, unit.unit) != (header.quantity, header.unit):
+        raise CalibrationError(f"{where}: calibrated as {unit.quantity} in {unit.unit}, is {header.quantity}")
+    if unit.range not in (None, header.range):
+        raise CalibrationError(f"{where}: calibrated at a range of {unit.range:g} {unit.unit}, is at {header.range:g}")
+    ratio = unit.scale_lsb_per_unit / header.sensitivity
+    if (np.abs(np.log2(ratio)) > 1).any():  # no chip is off by a factor of two; another range is
+        raise CalibrationError(
+            f"{where}: calibrated at {unit.scale_lsb_per_unit[0]:.4g} counts per {unit.unit}, nominal are"
+            f" {header.sensitivity:.4g}: another range"
+        )
+
+
+def _triple(values: Floats) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -1,0 +1,285 @@
+"""A model file: which effects the sensors of an array have, unit by unit or as a population.
+
+::
+
+    [model]      name  about
+    [[design]]   chip  range  noise_bandwidth_hz             what units of this chip look like, at this range
+    [[sensor]]   name  chip  range  noise_bandwidth_hz       one known unit; a chip we don't drive says its unit
+                 [design.bias], [[sensor.tone]], ...         its effects; several of a kind as an array of tables
+
+Effect by effect, a sensor takes what stands first: its [[sensor]] at its range, its [[sensor]] at any range, the
+[[design]] of its chip at its range, the [[design]] of its chip. Figures are numbers or populations (`population`) and
+carry the sensor's unit in their keys ("offset_g").
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, create_model, model_validator
+
+from imuarray.chips import CHIPS
+from imuarray.complaints import complaints
+from imuarray.errors import ConfigError
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.parameters import from_table, spelled
+from imuarray.simulate.population import Recipe, at_ends, drawn, figure_of, table_of
+from imuarray.simulate.streams import Streams
+
+TRIADS = {name: spec for name, spec in CHIPS.items() if spec.sensitivity}
+"""The chips whose readings pass through effects."""
+
+_STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A chip and its effects: one known unit called `name`, or (without a name) all units of its design.
+
+    `range` in the chip's unit (None: any). `noise_bandwidth_hz` is the bandwidth at which its white noise holds; at
+    another one the noise goes with the root of it (None: the noise is the same at any bandwidth). `unit` is that of the
+    figures of a chip that `imuarray.chips` does not have ("g", "dps" or "gauss"), "" for the others.
+    """
+
+    chip: str
+    range: float | None = None
+    name: str = ""
+    noise_bandwidth_hz: float | None = None
+    effects: Mapping[str, tuple[Recipe, ...]] = field(default_factory=dict)
+    unit: str = ""
+
+    def fits(self, sensor: SensorHeader) -> bool:
+        """Whether this is what the sensor is, set as it is set."""
+        return (
+            self.chip == sensor.chip
+            and self.unit in ("", sensor.unit)
+            and self.name in ("", sensor.name)
+            and self.range in (None, sensor.range)
+        )
+
+    def to_table(self) -> dict[str, Any]:
+        """The part as TOML has it."""
+        head = {key: getattr(self, key) for key in ("name", "chip", "unit", "range", "noise_bandwidth_hz")}
+        tables = {
+            effect: [{key: table_of(figure) for key, figure in recipe.items()} for recipe in recipes]
+            for effect, recipes in self.effects.items()
+        }
+        return {
+            **{key: value for key, value in head.items() if value not in (None, "")},
+            **{effect: several[0] if len(several) == 1 else several for effect, several in tables.items()},
+        }
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a model file says: the designs, the known units, and its text."""
+
+    name: str
+    about: str
+    designs: tuple[Part, ...]
+    sensors: tuple[Part, ...]
+    text: str = field(default="", compare=False, repr=False)
+
+    def effects(
+        self, sensor: SensorHeader, streams: Streams, *, population: bool = False, without: Set[str] = frozenset()
+    ) -> tuple[Effect, ...]:
+        """The effects of one sensor, drawn where the model has populations, in physical order; none for a chip that
+        the model does not know.
+
+        `population` leaves known units aside: every sensor is drawn from its design. `without` leaves effects out.
+        """
+        parts = self.parts(sensor, population=population)
+        return tuple(
+            effect
+            for kind in EFFECTS
+            if kind in parts and kind not in without
+            for effect in self._made(kind, parts[kind], sensor, streams)
+        )
+
+    def parts(self, sensor: SensorHeader, *, population: bool = False) -> dict[str, Part]:
+        """The part from which the sensor has each of its effects."""
+        fitting = [part for part in (*(() if population else self.sensors), *self.designs) if part.fits(sensor)]
+        fitting.sort(key=lambda part: (not part.name, part.range is None), reverse=True)
+        return {kind: part for part in fitting for kind in part.effects}
+
+    def to_toml(self) -> str:
+        """The model as a file that `parse_model` reads as this model."""
+        table: dict[str, Any] = {"model": {"name": self.name, "about": self.about}}
+        for key, parts in (("design", self.designs), ("sensor", self.sensors)):
+            if parts:
+                table[key] = [part.to_table() for part in parts]
+        return tomli_w.dumps(table)
+
+    def _made(self, kind: str, part: Part, sensor: SensorHeader, streams: Streams) -> Iterator[Effect]:
+        """The effects of one kind, each with its draws; the second and later of a kind draw apart."""
+        keys, where = spelled(EFFECTS[kind], sensor.unit), f"model {self.name}: sensor {sensor.name}: {kind}"
+        for number, recipe in enumerate(part.effects[kind], start=1):
+            table = drawn(recipe, keys, kind if number == 1 else f"{kind} {number}", sensor, streams)
+            effect = from_table(EFFECTS[kind], table, sensor.unit, where)
+            yield _at_bandwidth(effect, part, sensor) if isinstance(effect, WhiteNoise) else effect
+
+
+def load_model(path: str | PathLike[str]) -> Model:
+    """Read a model's TOML file; ConfigError names the file, the table, the key and what is allowed."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}") from None
+    return parse_model(text, str(path))
+
+
+def parse_model(text: str, where: str = "model") -> Model:
+    """A model from TOML text; `where` stands at the head of every message."""
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{where}: not TOML: {error}") from None
+    try:
+        return _model_of(table, text, where)
+    except RecursionError:
+        raise ConfigError(f"{where}: tables nested without end") from None
+
+
+def noise_bandwidth_hz(sensor: SensorHeader) -> float:
+    """-3 dB bandwidth of the sensor's noise as it is configured, Hz; 0 if nothing is known of it.
+
+    Half the data rate for an ADXL345 (ADX-32), whose noise is that of 100 Hz at every lower rate (ADX-68).
+    """
+    if sensor.chip == "adxl345" and sensor.rate_hz:
+        return max(sensor.rate_hz, 100.0) / 2
+    return sensor.bandwidth_hz
+
+
+def _range_choice(came: float, chip: str) -> str:
+    return f"{came:g}: allowed for {chip} are {', '.join(f'{known:g}' for known in TRIADS[chip].sensitivity)}"
+
+
+class _ModelTable(BaseModel):
+    """`[model]`."""
+
+    model_config = _STRICT
+    name: Annotated[str, Field(min_length=1)]
+    about: str = ""
+
+
+class _DesignTable(BaseModel):
+    """`[[design]]`, effects left out."""
+
+    model_config = _STRICT
+    chip: str
+    unit: Literal["g", "dps", "gauss"] | None = None
+    range: float | None = None
+    noise_bandwidth_hz: Annotated[float, Field(gt=0, le=1e6)] | None = None
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.chip not in TRIADS and (self.chip in CHIPS or self.unit is None):
+            raise ValueError(
+                f"chip {self.chip!r}: allowed are {', '.join(TRIADS)}; another has to say its unit, g, dps or gauss"
+            )
+        if self.chip not in TRIADS:
+            return self
+        if self.unit not in (None, TRIADS[self.chip].unit):
+            raise ValueError(f"unit {self.unit!r}: the {self.chip} measures in {TRIADS[self.chip].unit}")
+        if self.range is not None and self.range not in TRIADS[self.chip].sensitivity:
+            raise ValueError(f"range {_range_choice(self.range, self.chip)}")
+        return self
+
+
+class _SensorTable(_DesignTable):
+    """`[[sensor]]`, effects left out."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+
+
+def _tables(value: Any) -> list[dict[str, Any]]:
+    """One table or several as several; ValueError."""
+    tables = value if isinstance(value, list) else [value]
+    if not tables or not all(isinstance(table, dict) for table in tables):
+        raise ValueError("a table such as [design.bias] is wanted, or several such as [[design.tone]]")
+    return tables
+
+
+_EFFECT_TABLES: dict[str, Any] = {
+    name: (Annotated[list[dict[str, Any]], PlainValidator(_tables)], []) for name in EFFECTS
+}
+_Design = create_model("_Design", __base__=_DesignTable, **_EFFECT_TABLES)
+_Sensor = create_model("_Sensor", __base__=_SensorTable, **_EFFECT_TABLES)
+
+
+class _File(BaseModel):
+    """The whole TOML file."""
+
+    model_config = _STRICT
+    model: _ModelTable
+    design: list[_Design] = []  # type: ignore[valid-type]
+    sensor: list[_Sensor] = []  # type: ignore[valid-type]
+
+
+def _model_of(table: dict[str, Any], text: str, where: str) -> Model:
+    try:
+        file = _File.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {complaints(error, table, _File)}") from None
+    designs, sensors = (
+        tuple(_part(entry, f"{where}: {key} {number}") for number, entry in enumerate(getattr(file, key), start=1))
+        for key in ("design", "sensor")
+    )
+    for part, count in Counter((part.name, part.chip, part.unit, part.range) for part in (*designs, *sensors)).items():
+        if count > 1:
+            name, chip, _, range_ = part
+            raise ConfigError(
+                f"{where}: {count} tables of {f'sensor {name!r}' if name else f'design {chip}'} with"
+                f" {'no range' if range_ is None else f'range {range_:g}'}; one is allowed"
+            )
+    return Model(file.model.name, file.model.about, designs, sensors, text)
+
+
+def _part(entry: Any, where: str) -> Part:
+    """A part from its checked table; ConfigError for effects that can't be meant."""
+    name = getattr(entry, "name", "")
+    where += f" {name!r}" if name else ""
+    unit = TRIADS[entry.chip].unit if entry.chip in TRIADS else entry.unit
+    effects = {
+        kind: tuple(_recipe(kind, table, entry.chip, unit, f"{where}: {kind}") for table in getattr(entry, kind))
+        for kind in EFFECTS
+        if getattr(entry, kind)
+    }
+    foreign = "" if entry.chip in TRIADS else unit
+    return Part(entry.chip, entry.range, name, entry.noise_bandwidth_hz, effects, foreign)
+
+
+def _recipe(kind: str, table: Mapping[str, Any], chip: str, unit: str, where: str) -> Recipe:
+    """The figures of an effect's table; ConfigError if a unit could be drawn that the effect refuses."""
+    if strange := [key for key in table if not key.isprintable()]:
+        raise ConfigError(f"{where}: {strange[0]!r}: unknown key")
+    recipe = {key: figure_of(value, f"{where}: {key}") for key, value in table.items()}
+    ranges = TRIADS[chip].sensitivity if chip in TRIADS else {}
+    keys = spelled(EFFECTS[kind], unit)
+    for away, which in ((0, ""), (-1, ", lowest draw"), (1, ", highest draw")):
+        effect = from_table(EFFECTS[kind], at_ends(recipe, keys, away), unit, where + which)
+        if isinstance(effect, RangeReset) and not math.isnan(effect.range) and effect.range not in ranges:
+            choice = _range_choice(effect.range, chip) if ranges else f"the ranges of a {chip} are not known"
+            raise ConfigError(f"{where}: range_{unit}: {choice}")
+    return recipe
+
+
+def _at_bandwidth(noise: WhiteNoise, part: Part, sensor: SensorHeader) -> WhiteNoise:
+    """The noise at the sensor's bandwidth instead of that for which the part has it."""
+    bandwidth_hz = noise_bandwidth_hz(sensor)
+    if part.noise_bandwidth_hz is None or bandwidth_hz <= 0:
+        return noise
+    x, y, z = (rms * math.sqrt(bandwidth_hz / part.noise_bandwidth_hz) for rms in noise.rms)
+    return replace(noise, rms=(x, y, z))

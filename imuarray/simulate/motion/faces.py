@@ -1,0 +1,80 @@
+"""A box that stands on one of its faces, and what the world is like around it.
+
+Frames: ``level`` has z up, ``box`` is the box; an attitude is the rotation R with ``vector_level = R @ vector_box``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from imuarray.axes import up_vector
+from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.units import STANDARD_GRAVITY
+
+Floats = npt.NDArray[np.floating[Any]]
+
+GRAVITY_LEVEL = np.array([0.0, 0.0, STANDARD_GRAVITY])
+"""m/s2; what a box at rest feels: the table pushes it up."""
+
+FIELD_LEVEL = np.array([0.2, 0.0, -0.43])
+"""Gauss; x to magnetic north, the earth's field dips as it does in the middle of Europe."""
+
+AIR_PRESSURE_PA = 101325.0
+"""At height 0; ISO 2533, the standard atmosphere."""
+
+PA_PER_M = 1.225 * STANDARD_GRAVITY
+"""How much less a metre further up; density of air at sea level, ISO 2533."""
+
+UPRIGHT = np.eye(3)
+"""The attitude of a box on its -Z face."""
+
+
+def shortest_turn(up_before: str, up_after: str) -> Floats:
+    """(3,) rotation vector (rad, box frame) of the shortest turn that brings `up_after` up; half a turn goes about X,
+    or about Y where X is upright. ValueError unless both are box axes ("+X").
+    """
+    before, after = np.array(up_vector(up_before)), np.array(up_vector(up_after))
+    axis = np.cross(after, before)
+    if axis.any():
+        return axis * (math.pi / 2)
+    aside = up_vector("+Y" if up_before[1] == "X" else "+X")
+    return np.array(aside) * (0.0 if up_before == up_after else math.pi)
+
+
+def turned(attitude: Floats, turn: Floats) -> Floats:
+    """The attitude (3, 3) after a turn by quarters (rotation vector in the box frame), without rounding errors."""
+    quarters: Floats = attitude @ np.rint(Rotation.from_rotvec(turn).as_matrix()) + 0.0
+    return quarters
+
+
+def tilted(attitude: Floats, tilt_deg: tuple[float, float]) -> Floats:
+    """The attitude (3, 3) on a table that is turned by these small angles about the level x and y axes."""
+    if not np.isfinite(tilt_deg).all() or len(tilt_deg) != 2:
+        raise ValueError(f"tilt_deg: {tilt_deg}; two angles are wanted, about the level x and y axes")
+    leaning: Floats = Rotation.from_rotvec([*tilt_deg, 0.0], degrees=True).as_matrix() @ attitude
+    return leaning
+
+
+def standing_on(up: str, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Floats:
+    """The attitude (3, 3) of a box whose axis `up` ("+X") points up, turned there from upright the shortest way."""
+    return tilted(turned(UPRIGHT, shortest_turn("+Z", up)), tilt_deg)
+
+
+def resting(time_ns: Integers, attitude: Floats, temperature_degc: float | Floats) -> Felt:
+    """What a box feels that rests in this attitude (3, 3); `temperature_degc` is a number or (n,)."""
+    count = len(time_ns)
+    nothing = np.broadcast_to(np.zeros(3), (count, 3))
+    return Felt(
+        time_ns,
+        np.broadcast_to(GRAVITY_LEVEL @ attitude, (count, 3)),
+        nothing,
+        nothing,
+        np.broadcast_to(FIELD_LEVEL @ attitude, (count, 3)),
+        np.broadcast_to(np.asarray(temperature_degc, float), (count,)),
+        np.broadcast_to(AIR_PRESSURE_PA, (count,)),
+    )

@@ -1,0 +1,53 @@
+"""What the box feels, as a function of time: the boundary between motions and everything that senses them.
+
+A motion is a pure function of time; its one required method is `felt`. Times are int64 nanoseconds since the log's
+epoch, vectors are in the box frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.log.format import Phase
+
+Floats = npt.NDArray[np.floating[Any]]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What the box feels at n instants `time_ns` (n,): `force` (n, 3) specific force in m/s2, `rate` (n, 3) angular
+    rate in rad/s, `angular_acceleration` (n, 3) in rad/s2, magnetic `field` (n, 3) in gauss, all in the box frame and
+    at its origin; `temperature_degc` (n,) and `pressure_pa` (n,).
+
+    Constant columns may be broadcast (read-only); nobody writes into them.
+    """
+
+    time_ns: Integers
+    force_box: Floats
+    rate_box: Floats
+    angular_acceleration_box: Floats
+    field_box: Floats
+    temperature_degc: Floats
+    pressure_pa: Floats
+
+
+class Motion(Protocol):
+    """What happens to the box."""
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The stretches that a person with a stopwatch would note, in order, not overlapping; the last may end
+        later than a log.
+        """
+
+    @property
+    def seconds(self) -> float:
+        """How long it lasts; what it shows last it goes on showing."""
+
+    def felt(self, time_ns: Integers) -> Felt:
+        """What the box feels at these times (n,), in any order."""

@@ -1,0 +1,133 @@
+"""The motion of a recorded log, as far as the log tells."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import UP_AXES
+from imuarray.errors import LogError
+from imuarray.log.format import Phase
+from imuarray.log.reader import Log, Track
+from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting, standing_on
+from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.recorded import Recorded
+from imuarray.simulate.motion.timeline import FOREVER_NS
+
+Floats = npt.NDArray[np.floating[Any]]
+
+ROOM_DEGC = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class LikeLog:
+    """What the box of `log` felt, at the log's own times.
+
+    Force and rate come from `/truth`, else from `/reference`, if it has both, interpolated (`Recorded`); the angular
+    acceleration is the derivative of that rate, so what happened between two rows is not in it. Without them the box is
+    taken to have stood still: on the face that a phase names as up, and until the next such phase on that one (before
+    the first, on the first; +Z if none is named); then turns and shaking are missing from it, and tilts too.
+
+    The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included, else
+    25 degC. The field is the earth's on that face, also while the box moves; the pressure is that of height 0. The log
+    stays open. LogError for a phase whose `up` is no box axis, or rows that can't be meant.
+    """
+
+    log: Log
+
+    def __post_init__(self) -> None:
+        for phase in self.log.phases:
+            if phase.up and phase.up not in UP_AXES:
+                allowed = ", ".join(UP_AXES)
+                raise LogError(f"{self.log.path}: phase {phase.name!r}: up {phase.up!r}; allowed are {allowed}")
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The log's."""
+        return tuple(sorted(self.log.phases))
+
+    @cached_property
+    def seconds(self) -> float:
+        """The end of its last phase or its last reading, whichever is later."""
+        times = [int(sensor.time[-1]) for sensor in self.log.sensors.values() if len(sensor)]
+        return max([0, *times, *(phase.end_ns for phase in self.log.phases)]) * 1e-9
+
+    @cached_property
+    def source(self) -> str:
+        """Where force and rate come from: "truth", "reference" or "phases"."""
+        return self._track[0]
+
+    def felt(self, time_ns: Integers) -> Felt:
+        """What the log's rows say, or its phases."""
+        felt = self._on_faces(time_ns)
+        if self._moving is None:
+            return felt
+        values, slopes = self._moving.at(time_ns)
+        return replace(felt, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:])
+
+    def unchanged_until_ns(self, at_ns: int) -> int:
+        """Until when it shows what it shows at `at_ns`."""
+        if self._moving is not None or self._warming is not None:
+            return at_ns
+        later = self._starts_ns[self._starts_ns > at_ns]
+        return int(later[0]) if len(later) else FOREVER_NS
+
+    def _on_faces(self, time_ns: Integers) -> Felt:
+        """The box at rest, at the temperature of the moment."""
+        degc = ROOM_DEGC if self._warming is None else self._warming.at(time_ns)[0][:, 0]
+        face = np.clip(np.searchsorted(self._starts_ns, time_ns, side="right") - 1, 0, None)
+        if len(face) == 0 or (face == face[0]).all():
+            return resting(time_ns, self._attitudes[face[0] if len(face) else 0], degc)
+        level = resting(time_ns, np.eye(3), degc)
+        return replace(
+            level,
+            force_box=(GRAVITY_LEVEL @ self._attitudes)[face],
+            field_box=(FIELD_LEVEL @ self._attitudes)[face],
+        )
+
+    @cached_property
+    def _faces(self) -> tuple[Phase, ...]:
+        return tuple(phase for phase in self.phases if phase.up) or (Phase(0, 0, "static", "+Z"),)
+
+    @cached_property
+    def _starts_ns(self) -> Integers:
+        return np.array([phase.start_ns for phase in self._faces])
+
+    @cached_property
+    def _attitudes(self) -> Floats:
+        """(k, 3, 3) of each named face."""
+        return np.array([standing_on(phase.up) for phase in self._faces])
+
+    @cached_property
+    def _track(self) -> tuple[str, Track | None]:
+        """The rows to follow."""
+        for name, track in (("truth", self.log.truth), ("reference", self.log.reference)):
+            complete = track is not None and track.specific_force is not None and track.angular_rate is not None
+            if track is not None and complete and len(track.time):
+                return name, track
+        return "phases", None
+
+    @cached_property
+    def _moving(self) -> Recorded | None:
+        """Force and rate."""
+        name, track = self._track
+        if track is None or track.specific_force is None or track.angular_rate is None:
+            return None
+        return Recorded(track.time, (track.specific_force, track.angular_rate), f"{self.log.path}, {name}")
+
+    @cached_property
+    def _warming(self) -> Recorded | None:
+        """Temperature, if anything tells it."""
+        for name, track in (("truth", self.log.truth), ("reference", self.log.reference)):
+            if track is not None and track.temperature is not None and len(track.time):
+                return Recorded(track.time, (track.temperature,), f"{self.log.path}, {name}")
+        for sensor in self.log.of("pressure"):
+            with suppress(LogError):  # a barometer that was imported without
+                if len(sensor):
+                    return Recorded(sensor.time, (sensor.compensated("temperature"),), sensor.where)
+        return None

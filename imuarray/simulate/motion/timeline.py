@@ -1,0 +1,96 @@
+"""Stretches of a motion: their lengths, the phases they are noted as, and a smooth way from one to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.log.format import Phase
+
+Floats = npt.NDArray[np.floating[Any]]
+Integers = npt.NDArray[np.int64]
+
+FOREVER_NS = 1 << 62
+"""Later than anything; 146 years."""
+
+
+def nanoseconds(seconds: float) -> int:
+    """The same length in whole ns."""
+    return round(seconds * 1e9)
+
+
+def positive(**values: float) -> None:
+    """ValueError that names the first argument that is not above 0, or so large that its ns are past counting."""
+    for name, value in values.items():
+        if not 0 < value < FOREVER_NS * 1e-9:
+            raise ValueError(f"{name}: {value}; allowed is anything above 0")
+
+
+def finite(**values: float) -> None:
+    """ValueError that names the first argument that is no finite number."""
+    for name, value in values.items():
+        if not np.isfinite(value):
+            raise ValueError(f"{name}: {value}; a finite number is wanted")
+
+
+def consecutive(*stretches: tuple[str, int, str]) -> tuple[Phase, ...]:
+    """Phases (name, ns, up) one right after the other, from time 0."""
+    edges = np.cumsum([0, *(length_ns for _, length_ns, _ in stretches)]).tolist()
+    return tuple(
+        Phase(start, end, name, up) for start, end, (name, _, up) in zip(edges[:-1], edges[1:], stretches, strict=True)
+    )
+
+
+@dataclass(frozen=True)
+class BetweenRests:
+    """Rest for `still_s`, motion for `motion_s`, rest again: phases static, motion, static, upright at rest."""
+
+    still_s: float
+    motion_s: float
+
+    @property
+    def seconds(self) -> float:
+        """All three."""
+        return 2 * self.still_s + self.motion_s
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """static, motion, static."""
+        still_ns, motion_ns = nanoseconds(self.still_s), nanoseconds(self.motion_s)
+        return consecutive(("static", still_ns, "+Z"), ("motion", motion_ns, ""), ("static", still_ns, "+Z"))
+
+    def moved_s(self, time_ns: Integers) -> Floats:
+        """(n,) for how long it has been moving: 0 at rest before, `motion_s` at rest after."""
+        _, moving, _ = self.phases
+        return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
+
+    def unchanged_until_ns(self, at_ns: int) -> int:
+        """Until when nothing changes from what is at `at_ns`."""
+        _, moving, _ = self.phases
+        if at_ns < moving.start_ns:
+            return moving.start_ns
+        return FOREVER_NS if at_ns >= moving.end_ns else at_ns
+
+
+def smooth_step(share: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """0 up to share 0, 1 from share 1 on, x^4 (35 - 84 x + 70 x^2 - 20 x^3) in between; and its three derivatives.
+
+    The polynomial of least degree whose first three derivatives vanish at both ends: accelerations and what turns them
+    begin and end without a jump.
+    """
+    x = np.clip(share, 0.0, 1.0)
+    u = x * (1 - x)
+    slope = 140 * u**3
+    bend = 420 * u**2 * (1 - 2 * x)
+    return x**4 * (35 + x * (-84 + x * (70 - 20 * x))), slope, bend, 840 * u * (1 - 5 * u)
+
+
+def smooth_step_area(share: Floats) -> Floats:
+    """The integral of `smooth_step` from 0 to `share`."""
+    x = np.clip(share, 0.0, 1.0)
+    area: Floats = x**5 * (7 + x * (-14 + x * (10 - 2.5 * x))) + np.maximum(share - 1, 0.0)
+    return area

@@ -1,0 +1,181 @@
+"""A drive in something like a car: off, a left and a right bend, brakes, a road under it all."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.faces import UPRIGHT, resting
+from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.kinematics import EulerAngles, felt_by
+from imuarray.simulate.motion.timeline import (
+    BetweenRests,
+    finite,
+    positive,
+    smooth_step,
+    smooth_step_area,
+)
+
+Floats = npt.NDArray[np.floating[Any]]
+
+GOING_SHARE = 0.2
+BRAKING_SHARE = 0.15
+BENDS = ((0.15, 0.45, 1.0), (0.50, 0.88, -1.0))
+"""Begin and end as shares of the drive, and which way: 1 is left. It still speeds up into the first, and brakes out of
+the second.
+"""
+
+BEND_RAMP = 0.3
+"""Share of a bend in which it tightens; as much again in which it widens."""
+
+LEAN_RAD_PER_MPS2 = math.radians(0.4)
+"""How far the body leans out of a bend, lifts its nose when it speeds up and dives when it brakes."""
+
+ROAD_HZ = np.geomspace(1.0, 15.0, 9)
+"""Edges of the bands, one sine in each: from what a body on its springs follows to what its wheels do."""
+
+LEVERS_M = (1.0, 0.75, 1.3)
+"""Heave; half a track for roll, half a wheelbase for pitch: a bump under one wheel lifts and turns the body."""
+
+
+class _Drive(NamedTuple):
+    """Speed in m/s with three derivatives, yaw in rad with three derivatives; each (n,)."""
+
+    speed: tuple[Floats, Floats, Floats, Floats]
+    yaw: tuple[Floats, Floats, Floats, Floats]
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Stands for `still_s`, drives for `drive_s`, stands again; phases static, motion, static.
+
+    It reaches `speed_mps`, takes its bends with `lateral_mps2`, brakes to a stop. Box X points forward, Y left, Z up.
+    The body banks with what it feels. The road adds heave, roll and pitch: eight sines from 1 to 15 Hz, drawn from
+    `seed`, in proportion to the speed, `road_mps2` rms of vertical acceleration at full speed. The shape is ours, not
+    that of a recorded drive. ValueError for what can't be.
+    """
+
+    speed_mps: float = 15.0
+    lateral_mps2: float = 2.5
+    road_mps2: float = 0.5
+    still_s: float = 10.0
+    drive_s: float = 60.0
+    seed: int = 0
+    temperature_degc: float = 25.0
+
+    def __post_init__(self) -> None:
+        positive(speed_mps=self.speed_mps, still_s=self.still_s, drive_s=self.drive_s)
+        finite(lateral_mps2=self.lateral_mps2, temperature_degc=self.temperature_degc)
+        if not 0 <= self.road_mps2 < math.inf or self.seed < 0:
+            raise ValueError(f"road_mps2: {self.road_mps2}, seed: {self.seed}; allowed are 0 and more")
+
+    @cached_property
+    def _span(self) -> BetweenRests:
+        return BetweenRests(self.still_s, self.drive_s)
+
+    @property
+    def seconds(self) -> float:
+        """Rest, drive, rest."""
+        return self._span.seconds
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """static, motion, static."""
+        return self._span.phases
+
+    def felt(self, time_ns: Integers) -> Felt:
+        """Rest, or what the road and the driver do."""
+        seconds = self._span.moved_s(time_ns)
+        if not seconds.any():
+            return resting(time_ns, UPRIGHT, self.temperature_degc)
+        drive = self._drive(seconds)
+        heave, angles = self._body(seconds, drive)
+        speed, gain, *_ = drive.speed
+        yaw, yaw_rate, *_ = drive.yaw
+        sine, cosine, inwards = np.sin(yaw), np.cos(yaw), speed * yaw_rate
+        acceleration = np.array([gain * cosine - inwards * sine, gain * sine + inwards * cosine, heave[2]])
+        return felt_by(time_ns, angles, acceleration, heave[0], self.temperature_degc)
+
+    def velocity(self, time_ns: Integers) -> Floats:
+        """(n, 3) of the box's origin in the level frame, in m/s."""
+        seconds = self._span.moved_s(time_ns)
+        drive = self._drive(seconds)
+        (speed, *_), (yaw, *_) = drive
+        return np.stack([speed * np.cos(yaw), speed * np.sin(yaw), self._body(seconds, drive)[0][1]], axis=1)
+
+    def attitude(self, time_ns: Integers) -> Rotation:
+        """n rotations from the box to the level frame."""
+        seconds = self._span.moved_s(time_ns)
+        _, angles = self._body(seconds, self._drive(seconds))
+        return Rotation.from_euler("ZYX", np.stack([angles.yaw[0], angles.pitch[0], angles.roll[0]], axis=1))
+
+    def unchanged_until_ns(self, at_ns: int) -> int:
+        """Until when it shows what it shows at `at_ns`."""
+        return self._span.unchanged_until_ns(at_ns)
+
+    def _drive(self, seconds: Floats) -> _Drive:
+        """What the driver does."""
+        going_s, braking_s = GOING_SHARE * self.drive_s, BRAKING_SHARE * self.drive_s
+        going = _derivatives(smooth_step(seconds / going_s), going_s)
+        braking = _derivatives(smooth_step((seconds - self.drive_s) / braking_s + 1), braking_s)
+        v, v1, v2, v3 = (self.speed_mps * (a - b) for a, b in zip(going, braking, strict=True))
+        yaw_rate = self.lateral_mps2 / self.speed_mps
+        edges = [(edge, way) for bend in BENDS for edge, way in _edges(*bend)]
+        yaw = np.zeros((4, len(seconds)))
+        for (begin, end), way in edges:
+            length_s = (end - begin) * self.drive_s
+            share = (seconds - begin * self.drive_s) / length_s
+            step, slope, bend, _ = _derivatives(smooth_step(share), length_s)
+            yaw += way * yaw_rate * np.array([length_s * smooth_step_area(share), step, slope, bend])
+        return _Drive((v, v1, v2, v3), (yaw[0], yaw[1], yaw[2], yaw[3]))
+
+    def _body(self, seconds: Floats, drive: _Drive) -> tuple[Floats, EulerAngles]:
+        """(3, n) heave in m with two derivatives; the attitude."""
+        v, v1, v2, v3 = drive.speed
+        yaw, w, w1, w2 = drive.yaw
+        out = LEAN_RAD_PER_MPS2 * np.array([v * w, v1 * w + v * w1, v2 * w + 2 * v1 * w1 + v * w2])
+        back = LEAN_RAD_PER_MPS2 * np.array([v1, v2, v3])
+        heave, roll, pitch = self._road(seconds, v / self.speed_mps, v1 / self.speed_mps, v2 / self.speed_mps)
+        return heave, EulerAngles(roll + out, pitch - back, np.array([yaw, w, w1]))
+
+    def _road(self, seconds: Floats, pace: Floats, pace1: Floats, pace2: Floats) -> Floats:
+        """(3, 3, n): heave in m, roll and pitch in rad, each with two derivatives; in proportion to `pace` (n,)."""
+        hertz, sines, cosines = self._sines
+        free, slope, bend = np.zeros((3, 3, len(seconds)))
+        for number, omega in enumerate(2 * math.pi * hertz):
+            sine, cosine = np.sin(omega * seconds), np.cos(omega * seconds)
+            for part in range(3):
+                a, b = sines[part, number], cosines[part, number]
+                wave = a * sine + b * cosine
+                free[part] += wave
+                slope[part] += (omega * a) * cosine - (omega * b) * sine
+                bend[part] -= omega**2 * wave
+        return np.stack([pace * free, pace1 * free + pace * slope, pace2 * free + 2 * pace1 * slope + pace * bend], 1)
+
+    @cached_property
+    def _sines(self) -> tuple[Floats, Floats, Floats]:
+        """(8,) frequencies, (3, 8) amplitudes of the sines and of the cosines: heave in m, roll and pitch in rad."""
+        generator = np.random.default_rng([self.seed, 3])
+        low, high = ROAD_HZ[:-1], ROAD_HZ[1:]
+        hertz = low * (high / low) ** generator.random(len(low))
+        phase = 2 * math.pi * generator.random((3, len(low)))
+        peak = self.road_mps2 * math.sqrt(2 / len(low)) / (2 * math.pi * hertz) ** 2 / np.array(LEVERS_M)[:, None]
+        return hertz, peak * np.cos(phase), peak * np.sin(phase)
+
+
+def _derivatives(steps: tuple[Floats, Floats, Floats, Floats], length_s: float) -> tuple[Floats, ...]:
+    """A step and its derivatives in time, from those in its share."""
+    return tuple(step / length_s**order for order, step in enumerate(steps))
+
+
+def _edges(begin: float, end: float, way: float) -> tuple[tuple[tuple[float, float], float], ...]:
+    """Where a bend tightens, and where it widens (the step that takes it back)."""
+    ramp = BEND_RAMP * (end - begin)
+    return ((begin, begin + ramp), way), ((end - ramp, end), -way)

@@ -1,0 +1,96 @@
+"""Parameters of effects in model files and reports: keys that carry their units, plain numbers and texts as values."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import Field, field, fields
+from typing import Any, TypeVar
+
+import numpy as np
+
+from imuarray.errors import ConfigError
+from imuarray.simulate.effect import Effect
+
+Value = float | list[float] | str
+SomeEffect = TypeVar("SomeEffect", bound=Effect)
+
+
+def several(count: int, *, suffix: str = "") -> Any:
+    """A parameter of `count` numbers, all zero unless given; its effect passes it through `numbers`."""
+    return field(default=(0.0,) * count, metadata={"suffix": suffix})
+
+
+def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
+    """`values` as `count` floats; ValueError unless they are so many finite numbers."""
+    found = np.asarray(values, float)
+    if found.shape != (count,) or not np.isfinite(found).all():
+        raise ValueError(f"{name}: {values}; {count} finite numbers are wanted")
+    return tuple(found.tolist())
+
+
+def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
+    """The keys of an effect's table for a sensor of this unit, in order: "offset_dps" to the field `offset`."""
+    return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in fields(kind)}
+
+
+def to_table(effect: Effect, unit: str) -> dict[str, Value]:
+    """Every parameter that is not its default; three equal numbers, one for each axis, become one."""
+    known = ((key, item, getattr(effect, item.name)) for key, item in spelled(type(effect), unit).items())
+    return {key: _plain(value, item) for key, item, value in known if not _same(value, item.default)}
+
+
+def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, where: str) -> SomeEffect:
+    """The effect that a table describes; ConfigError names `where`, the key and what is allowed."""
+    known = spelled(kind, unit)
+    arguments: dict[str, Any] = {}
+    for key, value in table.items():
+        if key not in known:
+            raise ConfigError(f"{where}: {_unknown(key, list(known))}")
+        if complaint := _complaint(value, known[key]):
+            raise ConfigError(f"{where}: {key}: {value!r:.40}: {complaint} is wanted")
+        arguments[known[key].name] = value
+    try:
+        return kind(**arguments)
+    except ValueError as error:
+        raise ConfigError(f"{where}: {_respelled(str(error), known)}") from None
+
+
+def _plain(value: Any, item: Field[Any]) -> Value:
+    if isinstance(value, tuple):
+        return value[0] if item.metadata.get("per_axis") and len(set(value)) == 1 else list(value)
+    return value if isinstance(value, str) else float(value)
+
+
+def _same(value: Any, default: Any) -> bool:
+    """Equal, or neither of them a number."""
+    return bool(value == default or (value != value and default != default))
+
+
+def _complaint(value: object, item: Field[Any]) -> str:
+    """What is wanted in the place of `value`, "" if it will do."""
+    if isinstance(item.default, str):
+        return "" if isinstance(value, str) else "a text in quotes"
+    if not isinstance(item.default, tuple):
+        return "" if _is_number(value) else "a number without quotes"
+    count, single = len(item.default), bool(item.metadata.get("per_axis"))
+    listed = isinstance(value, list | tuple) and len(value) == count and all(map(_is_number, value))
+    if listed or (single and _is_number(value)):
+        return ""
+    return f"a number, or a list of {count}," if single else f"a list of {count} numbers"
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _unknown(key: str, allowed: list[str]) -> str:
+    near = difflib.get_close_matches(key, allowed, n=1, cutoff=0.5)
+    guess = f" (did you mean {near[0]!r}?)" if near else ""
+    return f"{key}: unknown key{guess}; allowed are {', '.join(allowed)}"
+
+
+def _respelled(complaint: str, known: Mapping[str, Field[Any]]) -> str:
+    """An effect's complaint "rms: ...", with the key that the reader of the file knows instead of the parameter."""
+    parameter, colon, rest = complaint.partition(":")
+    return next((key for key, item in known.items() if item.name == parameter), parameter) + colon + rest

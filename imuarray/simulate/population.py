@@ -1,0 +1,158 @@
+"""What the units of one design differ by: a parameter is a number, or a population from which every unit draws its own.
+
+In a model file a population is a table: ``offset_g = { mean = 0.0, sigma = 0.03, limit = 0.06, shared = 0.5 }``, drawn
+anew for each axis, or a list with one such table or number for each axis. Draws are keyed by (seed, sensor, effect,
+parameter): what another parameter, effect or sensor draws changes none of them, and neither does the measuring range.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import Field
+from functools import cache
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field as Limits
+from scipy.special import ndtr, ndtri
+
+from imuarray.complaints import complaints
+from imuarray.errors import ConfigError
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.streams import Streams
+
+Floats = npt.NDArray[np.float64]
+
+HUGE = 1e12
+"""No figure of a sensor is larger, in any unit."""
+
+_Number = Annotated[float, Limits(ge=-HUGE, le=HUGE)]
+_Size = Annotated[float, Limits(ge=0, le=HUGE)]
+
+
+class Spread(BaseModel):
+    """A normal population: `mean`, standard deviation `sigma`, no value further than `limit` from the mean (left out:
+    three sigma), all in the parameter's unit.
+
+    `shared` is the share of the variance that all units of the chip have in common: what belongs to its design and
+    not to the single part. The limit cuts the population off as if draws beyond it were repeated.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    mean: _Number = 0.0
+    sigma: _Size
+    limit: _Size | None = None
+    shared: Annotated[float, Limits(ge=0, le=1)] = 0.0
+
+    @property
+    def reach(self) -> float:
+        """The furthest from the mean that a unit can be."""
+        if self.sigma == 0:
+            return 0.0
+        return 3 * self.sigma if self.limit is None else self.limit
+
+    def at(self, deviate: float) -> float:
+        """The value of a unit that stands at this standard normal `deviate`: the quantile at its probability."""
+        if self.reach == 0:
+            return self.mean
+        beyond = ndtr(-self.reach / self.sigma)
+        away = self.sigma * ndtri(beyond + ndtr(deviate) * (1 - 2 * beyond))
+        return self.mean + min(max(float(away), -self.reach), self.reach)
+
+
+Figure: TypeAlias = "float | str | Spread | tuple[float | str | Spread, ...]"
+"""A parameter as a model file gives it."""
+
+Recipe: TypeAlias = Mapping[str, Figure]
+"""One effect as a model file gives it: figures by their keys, unit suffix and all."""
+
+
+def figure_of(value: Any, where: str) -> Figure:
+    """A figure from what TOML gave; ConfigError for a table that is no population, a list in a list, a huge number."""
+    if isinstance(value, list):
+        return tuple(_item(part, f"{where}, number {number}") for number, part in enumerate(value, start=1))
+    return _item(value, where)
+
+
+def table_of(figure: Figure) -> Any:
+    """The figure as TOML has it."""
+    if isinstance(figure, tuple):
+        return [table_of(part) for part in figure]
+    return figure.model_dump(exclude_defaults=True) if isinstance(figure, Spread) else figure
+
+
+def at_ends(recipe: Recipe, spelled: Mapping[str, Field[Any]], away: int) -> dict[str, Any]:
+    """The recipe with numbers in place of populations: their means (`away` 0), their lower or upper ends (-1, +1).
+
+    `spelled` are the effect's parameters by their keys.
+    """
+
+    def end(_: int, spread: Spread) -> float:
+        return spread.mean + away * spread.reach
+
+    return {key: _filled(figure, _count(spelled.get(key)), end) for key, figure in recipe.items()}
+
+
+def drawn(
+    recipe: Recipe, spelled: Mapping[str, Field[Any]], effect: str, sensor: SensorHeader, streams: Streams
+) -> dict[str, Any]:
+    """The recipe with this sensor's draws in place of populations; `effect` is its word in the keys of the draws.
+
+    `spelled` are the effect's parameters by their keys.
+    """
+    return {
+        key: _filled(figure, _count(spelled[key]), _draw(spelled[key], effect, sensor, streams))
+        for key, figure in recipe.items()
+    }
+
+
+def _item(value: Any, where: str) -> float | str | Spread:
+    """A figure that is not a list."""
+    if isinstance(value, dict):
+        return _spread_of(value, where)
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ConfigError(f"{where}: {str(value)[:40]}; a number, a text or a table with mean and sigma is wanted")
+    if not isinstance(value, str) and HUGE < abs(value) < math.inf:
+        raise ConfigError(f"{where}: a number beyond {HUGE:g}; no sensor has it")
+    return value
+
+
+def _spread_of(table: dict[str, Any], where: str) -> Spread:
+    try:
+        return Spread.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {complaints(error, table, Spread)}") from None
+
+
+def _filled(figure: Figure, count: int, value: Callable[[int, Spread], float]) -> Any:
+    """The figure with `value` of (index, population) in place of populations; a lone one stands for `count`."""
+    if isinstance(figure, Spread):
+        return [value(index, figure) for index in range(count)] if count else value(0, figure)
+    if isinstance(figure, tuple):
+        return [value(index, part) if isinstance(part, Spread) else part for index, part in enumerate(figure)]
+    return figure
+
+
+def _draw(parameter: Field[Any], effect: str, sensor: SensorHeader, streams: Streams) -> Callable[[int, Spread], float]:
+    """What a sensor draws for each (index, population) of a parameter."""
+
+    @cache
+    def normal(whose: str) -> Floats:
+        return streams.of_unit(whose, effect, parameter.name).standard_normal(_count(parameter) or 1)
+
+    def value(index: int, spread: Spread) -> float:
+        own = normal(sensor.name)[index]
+        if not spread.shared:
+            return spread.at(own)
+        common = normal(f"all {sensor.chip}")[index]  # no sensor's name has a blank in it
+        return spread.at(math.sqrt(1 - spread.shared) * own + math.sqrt(spread.shared) * common)
+
+    return value
+
+
+def _count(parameter: Field[Any] | None) -> int:
+    """How many numbers the parameter is a list of; 0 for one that is a single number, and for none."""
+    return 0 if parameter is None or not isinstance(parameter.default, tuple) else len(parameter.default)

@@ -1,0 +1,168 @@
+"""Slow random processes that can be had for any stretch of rows alone: Gauss-Markov, random walk.
+
+A process lives on knots, every `spacing` rows, and is linear in between. Where knots are rows it is exact; knots lie
+at most a five hundredth of a time constant apart (a tenth of a second for a random walk), or one row. That leaves out
+less than 0.1 % of a Gauss-Markov process's variance, at frequencies where every sensor's white noise is many thousand
+times stronger.
+
+Knots come in chunks. What a chunk begins and ends with is drawn first, from a stream of its own and with the exact law
+x[end] = phi**KNOTS x[begin] + w; its inside is drawn from another stream as if free, x' = phi x' + innovation, and then
+corrected to meet that end (conditioning of jointly normal numbers). So any chunk costs the same.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from imuarray.simulate.signal import Floats, Place, Triple
+from imuarray.simulate.streams import Stream
+
+Doubles = npt.NDArray[np.float64]
+
+KNOTS = 4096
+"""Knots per chunk of a process: enough that drawing them is most of the work, few enough to draw beyond a stretch."""
+
+_PER_TIME_CONSTANT = 500
+_RANDOM_WALK_KNOT_S = 0.1
+_WIDEST = 256  # rows; beyond it knots cost next to nothing
+_ENDS = 64  # chunks of knots whose ends are drawn at a time
+_PIECE_ROWS = 8192  # interpolated in one product of 147,456 multiplications
+_UNIT = (1.0, 1.0, 1.0)
+_FORGOTTEN = 42.0  # time constants; exp(-42) of the past is lost in the last bit
+
+
+class SlowProcess:
+    """x[k + 1] = exp(-decay) x[k] + w, w ~ N(0, step^2), three independent axes, x[0] ~ N(0, initial^2); built by the
+    two functions below. `decay` 0 is a random walk.
+    """
+
+    def __init__(
+        self, spacing: int, decay: float, step: float, initial: float, inside: Stream, ends: Stream, scale: Triple
+    ) -> None:
+        self.spacing = spacing
+        self._decay = decay
+        self._step = step
+        self._initial = initial
+        self._inside = inside
+        self._ends = ends
+        self._scale = np.array(scale)
+        self._piece_knots = max(1, _PIECE_ROWS // spacing)
+        self._knots = lru_cache(maxsize=2)(self._drawn)
+        self._piece = lru_cache(maxsize=3)(self._interpolated)
+
+    def rows(self, first: int, stop: int, dtype: npt.DTypeLike = np.float64) -> Floats:
+        """(stop - first, 3) values for these rows."""
+        return self.added_to(np.broadcast_to(np.zeros((), dtype), (stop - first, 3)), first)
+
+    def added_to(self, values: Floats, first: int) -> Floats:
+        """`values` (n, 3) of the rows from `first` on plus the process, as a new array."""
+        length = self._piece_knots * self.spacing
+        total, stop = np.empty(values.shape, values.dtype), first + len(values)
+        for piece in range(first // length, max(stop - 1, first) // length + 1):
+            begin, end = max(piece * length, first), min((piece + 1) * length, stop)
+            rows = self._piece(piece, values.dtype.str)[begin - piece * length : end - piece * length]
+            np.add(values[begin - first : end - first], rows, out=total[begin - first : end - first])
+        return total
+
+    def _interpolated(self, piece: int, dtype: str) -> Floats:
+        """The rows of one piece.
+
+        A matrix product: two knots of three axes to the rows from the one to just before the other. Pieces have one
+        size, and so small a one that BLAS takes a single thread for it: the same product rounds the same way, whatever
+        stretch it is for.
+        """
+        begin = piece * self._piece_knots
+        knots = (self._between(begin, begin + self._piece_knots + 1) * self._scale).astype(dtype)
+        pairs = np.concatenate([knots[:-1], knots[1:]], axis=1)
+        rows: Floats = (pairs @ _weights(self.spacing, dtype)).reshape(-1, 3)
+        rows.flags.writeable = False
+        return rows
+
+    def _between(self, begin: int, end: int) -> Doubles:
+        parts = []
+        for chunk in range(begin // KNOTS, (end - 1) // KNOTS + 1):
+            start = chunk * KNOTS
+            parts.append(self._knots(chunk)[max(begin - start, 0) : end - start])
+        return np.concatenate(parts)
+
+    def _drawn(self, chunk: int) -> Doubles:
+        """(KNOTS, 3) knots of one chunk: free inside, corrected towards the end that is drawn for it."""
+        start, end = self._edges(chunk)
+        phi = math.exp(-self._decay)
+        drawn = self._inside.normal(chunk * KNOTS, (chunk + 1) * KNOTS).astype(float) * self._step
+        drawn[0] += phi * start
+        free = lfilter([1.0], [1.0, -phi], drawn, axis=0)
+        inside = free + _bridge(self._decay)[:, None] * (end - free[-1])
+        return np.concatenate([start[None], inside[:-1]])
+
+    def _edges(self, chunk: int) -> tuple[Doubles, Doubles]:
+        """What a chunk begins and ends with. The steps of all chunks before it count, as far back as they are felt."""
+        felt = math.ceil(_FORGOTTEN / (KNOTS * self._decay)) if self._decay else chunk
+        earliest = max(0, chunk - felt)
+        steps = self._ends.normal(earliest, chunk + 2).astype(float)
+        steps[1:] *= self._step * math.sqrt(_growth(KNOTS, self._decay))
+        if earliest == 0:
+            steps[0] *= self._initial
+        path = lfilter([1.0], [1.0, -math.exp(-KNOTS * self._decay)], steps, axis=0)
+        return path[-2], path[-1]
+
+
+@lru_cache(maxsize=64)
+def _weights(spacing: int, dtype: str) -> Floats:
+    """(6, 3 spacing): how much of each of two knots is in each axis of each row between them."""
+    share = np.arange(spacing) / spacing
+    return np.concatenate([np.kron(1 - share, np.eye(3)), np.kron(share, np.eye(3))]).astype(dtype)
+
+
+def _growth(steps: npt.ArrayLike, decay: float) -> Doubles:
+    """Variance after so many steps from a known start, in variances of one step."""
+    count = np.asarray(steps, float)
+    return np.asarray(np.expm1(-2 * decay * count) / math.expm1(-2 * decay)) if decay else count
+
+
+@lru_cache(maxsize=64)
+def _bridge(decay: float) -> Doubles:
+    """(KNOTS,) cov(x[k], x[K]) / var(x[K]) of a free path from a known start, k = 1 ... K = KNOTS: how much of a
+    correction of its end each knot takes part in.
+    """
+    steps = np.arange(1, KNOTS + 1)
+    return np.asarray(np.exp((steps - KNOTS) * decay) * _growth(steps, decay) / _growth(KNOTS, decay))
+
+
+def gauss_markov(
+    time_constant_s: float, at: Place, effect: str, shared_by: str = "", scale: Triple = _UNIT
+) -> SlowProcess:
+    """A stationary first-order Gauss-Markov process of rms `scale`: correlation exp(-|t| / time_constant).
+
+    Another time constant is another draw, so that several of them add up to independent ones.
+    """
+    return at.kept(
+        ("gauss_markov", time_constant_s, effect, at.copy, shared_by, scale),
+        lambda: _gauss_markov(time_constant_s, at, effect, shared_by, scale),
+    )
+
+
+def _gauss_markov(time_constant_s: float, at: Place, effect: str, shared_by: str, scale: Triple) -> SlowProcess:
+    rows_felt = at.rows_per_s * time_constant_s
+    spacing = min(max(1, math.floor(rows_felt / _PER_TIME_CONSTANT)), _WIDEST)
+    decay = spacing / rows_felt
+    inside = at.stream(effect, f"inside {time_constant_s!r} s", shared_by=shared_by, chunk_rows=KNOTS)
+    ends = at.stream(effect, f"ends {time_constant_s!r} s", shared_by=shared_by, chunk_rows=_ENDS)
+    return SlowProcess(spacing, decay, math.sqrt(-math.expm1(-2 * decay)), 1.0, inside, ends, scale)
+
+
+def random_walk(at: Place, effect: str, scale: Triple = _UNIT) -> SlowProcess:
+    """A Wiener process: variance grows by the square of `scale` in a second, zero at row 0."""
+    return at.kept(("random_walk", effect, at.copy, scale), lambda: _random_walk(at, effect, scale))
+
+
+def _random_walk(at: Place, effect: str, scale: Triple) -> SlowProcess:
+    spacing = min(max(1, math.floor(at.rows_per_s * _RANDOM_WALK_KNOT_S)), _WIDEST)
+    inside = at.stream(effect, "inside", chunk_rows=KNOTS)
+    ends = at.stream(effect, "ends", chunk_rows=_ENDS)
+    return SlowProcess(spacing, 0.0, math.sqrt(spacing / at.rows_per_s), 0.0, inside, ends, scale)

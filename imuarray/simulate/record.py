@@ -1,0 +1,126 @@
+"""A simulation written as a log: the same columns, attributes and phases as a recorded one, `/truth` beside them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from functools import partial
+from os import PathLike
+from typing import NamedTuple
+
+import numpy as np
+
+from imuarray.log.format import Event, Phase
+from imuarray.log.writer import Block, LogWriter
+from imuarray.simulate.signal import Integers
+from imuarray.simulate.simulation import Simulation
+from imuarray.simulate.streams import CHUNK
+
+EPOCH = "2000-01-01T00:00:00.000000Z"
+"""Time 0 of a simulated log unless somebody says otherwise: the same every time, as all of it is."""
+
+_AHEAD = 4
+"""Blocks per worker that are worked out before they are written."""
+
+
+class Written(NamedTuple):
+    """What a log got: frames, seconds, rows by sensor, and rows that were dropped on the way."""
+
+    frames: int
+    seconds: float
+    rows: dict[str, int]
+    lost: dict[str, int]
+
+
+class _Part(NamedTuple):
+    """A stretch of one sensor's rows: those that arrive, and when the first of each lost few should have come."""
+
+    sensor: str
+    block: Block
+    lost: int
+    silent_ns: Integers
+
+
+def write_log(
+    simulation: Simulation,
+    path: str | PathLike[str],
+    *,
+    epoch: str = EPOCH,
+    note: str = "",
+    block_rows: int = CHUNK,
+    executor: Executor | None = None,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda rows: None,
+    force: bool = False,
+) -> Written:
+    """Write every row of `simulation` to a new log at `path`; OutputExistsError, LogError.
+
+    `note` (which model, which seed) becomes an event at time 0. `executor` (threads: the random numbers are drawn
+    outside the interpreter's lock) works `workers` blocks out at a time; the result does not depend on it, nor on
+    `block_rows`. `progress` hears how many rows of `total_rows` are written.
+    """
+    headers = [sensor.header for sensor in simulation.sensors.values()]
+    written, lost = dict.fromkeys(simulation.sensors, 0), dict.fromkeys(simulation.sensors, 0)
+    frames = simulation.plan.frames
+    seconds = frames.rows * frames.period_ns * 1e-9
+    with LogWriter(path, headers, source="simulated", epoch=epoch, config=simulation.plan.config, force=force) as log:
+        if note:
+            log.event(Event(0, "", "simulated", note))
+        for phase in phases_within(simulation.motion.phases, round(seconds * 1e9)):
+            log.phase(phase)
+        for start in range(0, frames.rows, block_rows):
+            log.stimulus("truth", simulation.truth(start, min(start + block_rows, frames.rows)))
+        done = 0
+        silences: list[tuple[int, str]] = []
+        for part in _in_order(_stretches(simulation, block_rows), executor, workers):
+            log.append(part.sensor, part.block)
+            silences += [(at_ns, part.sensor) for at_ns in part.silent_ns.tolist()]
+            written[part.sensor] += len(part.block.time)
+            lost[part.sensor] += part.lost
+            done += len(part.block.time) + part.lost
+            progress(done)
+        for at_ns, name in sorted(silences):
+            log.event(Event(at_ns, name, "lost", "no reading: a dropped sample"))
+    return Written(frames.rows, seconds, written, lost)
+
+
+def total_rows(simulation: Simulation) -> int:
+    """Rows of all sensors: what `progress` counts to."""
+    return sum(sensor.rows for sensor in simulation.sensors.values())
+
+
+def phases_within(phases: tuple[Phase, ...], end_ns: int) -> list[Phase]:
+    """The parts of phases that lie before the end of a log."""
+    return [phase._replace(end_ns=min(phase.end_ns, end_ns)) for phase in phases if phase.start_ns < end_ns]
+
+
+def _stretches(simulation: Simulation, block_rows: int) -> Iterator[Callable[[], _Part]]:
+    """The work, sensor after sensor, a block of each at a time."""
+    longest = max(sensor.rows for sensor in simulation.sensors.values())
+    for start in range(0, longest, block_rows):
+        for name, sensor in simulation.sensors.items():
+            if start < sensor.rows:
+                yield partial(_part, simulation, name, start, min(start + block_rows, sensor.rows))
+
+
+def _part(simulation: Simulation, name: str, start: int, stop: int) -> _Part:
+    sensor = simulation.sensors[name]
+    lost = sensor.lost_rows(max(start - 1, 0), stop)
+    begins = lost[(np.diff(lost, prepend=-2) > 1) & (lost >= start)]
+    silent = [int(sensor.timeline.stamps(row, row + 1)[0]) for row in begins.tolist()]
+    return _Part(name, sensor.block(start, stop), int((lost >= start).sum()), np.array(silent, np.int64))
+
+
+def _in_order(work: Iterator[Callable[[], _Part]], executor: Executor | None, workers: int) -> Iterator[_Part]:
+    """The results in the order of the work, a few of them worked out ahead."""
+    if executor is None:
+        yield from (job() for job in work)
+        return
+    waiting: deque[Future[_Part]] = deque()
+    for job in work:
+        waiting.append(executor.submit(job))
+        if len(waiting) >= _AHEAD * workers:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()

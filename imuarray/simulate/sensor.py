@@ -1,0 +1,279 @@
+"""One simulated sensor: any stretch of its rows, the same whatever is asked for, in whatever order.
+
+Rows are worked out in chunks of `CHUNK`, each with as many rows before it as its effects look back. Blocks are cut from
+chunks: their length can't change a result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.barometer import EXAMPLE_WORDS, compensate, uncompensated
+from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
+from imuarray.log.writer import Block
+from imuarray.simulate.converters import THERMOMETERS, CodeSpan, code_span, converted, held, latest_reading
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Floats, Instants, Integers, Motion, Place, per_row
+from imuarray.simulate.streams import CHUNK, Streams
+from imuarray.simulate.timeline import Timeline
+from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
+
+OVERSAMPLING = 3
+"""Of the barometer: the driver's setting, the quietest (BMP-44)."""
+
+_PRESSURE_RMS_PA = 3.0  # BMP-44
+_NO_READY_BIT = ("hmc5883", "hmc5883l")  # their driver can't see it: an identical triad is all it knows of
+
+_COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
+
+
+class Chunk(NamedTuple):
+    """Finished rows: stamps, which of them arrive, codes, counts as a log holds them, flags."""
+
+    stamp_ns: Integers
+    kept: Bools
+    codes: Codes
+    counts: npt.NDArray[np.int16]
+    status: npt.NDArray[np.uint16]
+
+
+class SimulatedSensor:
+    """A triad: `block(start, stop)` gives rows as a log holds them."""
+
+    def __init__(
+        self,
+        header: SensorHeader,
+        timeline: Timeline,
+        effects: Sequence[Effect],
+        motion: Motion,
+        streams: Streams,
+        neighbour: Callable[[str, int, int], Codes],
+        dtype: npt.DTypeLike,
+    ) -> None:
+        self.header = header
+        self.timeline = timeline
+        self.effects = tuple(effects)
+        self.rows = timeline.rows
+        self._motion = motion
+        self._place = Place(header, timeline.rows_per_s, motion, streams, neighbour, self._reaching, dtype)
+        self._span = code_span(header)
+        self._orientation = np.array(header.orientation)
+        self._acting = tuple(zip(self.effects, self._places(), strict=True))
+        self._lookback = 1 + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
+        self._chunk = lru_cache(maxsize=4)(self._evaluate)
+
+    def block(self, start: int, stop: int) -> Block:
+        """The rows numbered start ... stop - 1 that arrive (fewer than stop - start where readings are dropped)."""
+        parts = [self._arrived(chunk, start, stop) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
+        if len(parts) == 1:
+            return parts[0]
+        time, counts, status, temperature, _ = zip(*parts, strict=True)
+        has_temperature = self.header.has_temperature
+        return Block(
+            np.concatenate(time),
+            np.concatenate(counts),
+            np.concatenate(status),
+            np.concatenate(temperature) if has_temperature else None,
+        )
+
+    def codes(self, first: int, stop: int) -> Codes:
+        """Codes of rows first ... stop - 1, dropped ones included, as no channel swap touches them; ValueError beyond
+        the last row.
+        """
+        if stop > self.rows:
+            raise ValueError(f"{self.header.name}: row {stop - 1} of {self.rows}")
+        parts = [
+            _cut(self._chunk(chunk, False).codes, first, stop) for chunk in range(first // CHUNK, -(-stop // CHUNK))
+        ]
+        return parts[0] if len(parts) == 1 else _joined(parts)
+
+    def lost_rows(self, start: int, stop: int) -> Integers:
+        """The numbers of the rows in start ... stop - 1 that never arrive."""
+        lost = [
+            chunk * CHUNK + np.flatnonzero(~self._chunk(chunk, True).kept)
+            for chunk in range(start // CHUNK, -(-stop // CHUNK))
+        ]
+        rows = np.concatenate(lost)
+        return np.asarray(rows[(rows >= start) & (rows < stop)])
+
+    def _arrived(self, number: int, start: int, stop: int) -> Block:
+        chunk = self._chunk(number, True)
+        begin = number * CHUNK
+        rows: Any = slice(max(start - begin, 0), min(stop - begin, len(chunk.kept)))
+        if not chunk.kept[rows].all():
+            rows = rows.start + np.flatnonzero(chunk.kept[rows])
+        temperature = chunk.codes.temperature_counts
+        return Block(
+            chunk.stamp_ns[rows],
+            chunk.counts[rows],
+            chunk.status[rows],
+            None if temperature is None else temperature[rows].astype(np.int16),
+        )
+
+    def _places(self) -> Iterator[Place]:
+        """A place for each effect: the second of a kind draws apart from the first."""
+        seen: Counter[str] = Counter()
+        for effect in self.effects:
+            seen[effect.name] += 1
+            yield self._place if seen[effect.name] == 1 else replace(self._place, copy=seen[effect.name])
+
+    def _held_rows(self) -> int:
+        rate_hz = self.header.rate_hz
+        return math.ceil(self.timeline.rows_per_s / rate_hz) + 1 if 0 < rate_hz < self.timeline.rows_per_s else 0
+
+    def _evaluate(self, number: int, swapped: bool) -> Chunk:
+        """One chunk, with (or, for a neighbour's sake, without) its own channel swap."""
+        begin, end = number * CHUNK, min((number + 1) * CHUNK, self.rows)
+        first = max(0, begin - self._lookback)
+        acting = [(effect, at) for effect, at in self._acting if swapped or effect.name != "channel_swap"]
+        instants, codes = self._chain(first, end, acting)
+        cut = slice(begin - first, None)
+        counts = codes.counts.astype(np.int16)
+        status = self._status(counts, codes.fresh)
+        if not instants.kept.all():
+            status[1:][~instants.kept[:-1]] |= LOST_BEFORE
+        return Chunk(instants.stamp_ns[cut], instants.kept[cut], _cut(codes, begin, end), counts[cut], status[cut])
+
+    def _reaching(self, effect_name: str, row: int) -> Codes:
+        """The codes of one row as they reach an effect of this sensor."""
+        names = [effect.name for effect in self.effects]
+        first = max(0, row - self._lookback)
+        _, codes = self._chain(first, row + 1, self._acting, until=names.index(effect_name))
+        return _cut(codes, row, row + 1)
+
+    def _chain(
+        self, first: int, stop: int, acting: Sequence[tuple[Effect, Place]], until: int | None = None
+    ) -> tuple[Instants, Codes]:
+        """Rows first ... stop - 1 through all stages; the last stage only up to effect number `until`."""
+        stamps = self.timeline.stamps(first, stop)
+        instants = Instants(first, stamps, stamps, np.ones(len(stamps), bool), self.header.rate_hz)
+        for effect, at in acting:
+            instants = effect.sampled(instants, at)
+        instants = replace(instants, instant_ns=latest_reading(instants.instant_ns, instants.rate_hz))
+        felt = self._motion.felt(instants.instant_ns)
+        for effect, at in acting:
+            felt = effect.felt(felt, at)
+        analog = self._sensed(first, instants, felt)
+        for effect, at in acting:
+            analog = effect.analog(analog, at)
+        codes = self._coded(analog)
+        for effect, at in acting[:until]:
+            codes = effect.codes(codes, at)
+        return instants, codes
+
+    def _sensed(self, first: int, instants: Instants, felt: Felt) -> Analog:
+        """The true quantity along the sensor's axes, nothing else yet."""
+        header, dtype = self.header, self._place.dtype
+        vector_box: Floats = getattr(felt, _COLUMN[header.quantity])
+        unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
+        value = _along(vector_box, self._orientation * unit, dtype)
+        return Analog(
+            first,
+            instants.instant_ns,
+            value,
+            np.broadcast_to(np.zeros((), dtype), value.shape),
+            _along(felt.force_box, self._orientation / STANDARD_GRAVITY, dtype),
+            felt.temperature_degc,
+            header.sensitivity,
+            self._span.lowest,
+            self._span.highest,
+            self._span.step,
+            felt.temperature_degc,
+            instants.rate_hz,
+        )
+
+    def _coded(self, analog: Analog) -> Codes:
+        thermometer = THERMOMETERS.get(self.header.chip) if self.header.has_temperature else None
+        temperature = None if thermometer is None else thermometer.counts(analog.thermometer_degc)
+        counts = converted(analog, self._span)
+        codes = Codes(analog.first, analog.instant_ns, counts, temperature, np.ones(len(counts), bool))
+        return held(codes, analog.rate_hz) if 0 < analog.rate_hz < self.timeline.rows_per_s else codes
+
+    def _status(self, counts: npt.NDArray[np.int16], fresh: Bools) -> npt.NDArray[np.uint16]:
+        """Flags as the logger would set them: stale, saturated."""
+        span = self._span
+        if self.header.chip in _NO_READY_BIT:
+            fresh = np.concatenate([[True], (counts[1:] != counts[:-1]).any(axis=1)])
+        status = np.zeros(len(counts), np.uint16)
+        if not fresh.all():
+            status[~fresh] |= STALE
+        if counts.min() <= span.lowest or counts.max() >= span.highest:  # row by row only where there is a need
+            status[((counts <= span.lowest) | (counts >= span.highest)).any(axis=1)] |= SATURATED
+        return status
+
+
+class SimulatedBarometer:
+    """A BMP180: the data sheet's example part, 3 Pa rms (BMP-44), no effects."""
+
+    def __init__(self, header: SensorHeader, timeline: Timeline, motion: Motion, streams: Streams) -> None:
+        words = {**EXAMPLE_WORDS, "oversampling": OVERSAMPLING}
+        self.header = replace(header, extra=words)
+        self.timeline = timeline
+        self.effects: tuple[Effect, ...] = ()
+        self.rows = timeline.rows
+        self._motion = motion
+        self._noise = streams.of_boot(header.name, "pressure noise", width=1)
+
+    def block(self, start: int, stop: int) -> Block:
+        """Rows start ... stop - 1."""
+        stamps = self.timeline.stamps(start, stop)
+        felt = self._motion.felt(stamps)
+        noise = self._noise.normal(start, stop)[:, 0] * _PRESSURE_RMS_PA
+        ut, up = uncompensated(
+            np.asarray(felt.temperature_degc, float),
+            np.asarray(felt.pressure_pa + noise, float),
+            EXAMPLE_WORDS,
+            OVERSAMPLING,
+        )
+        temperature, pressure = compensate(ut, up, EXAMPLE_WORDS, OVERSAMPLING)
+        counts = np.stack([ut, up], axis=1).astype(np.int32)
+        status = np.zeros(len(stamps), np.uint16)
+        return Block(stamps, counts, status, None, {"temperature": temperature, "pressure": pressure})
+
+    def lost_rows(self, start: int, stop: int) -> Integers:
+        """None."""
+        return np.zeros(0, np.int64)
+
+
+def _along(vector_box: Floats, orientation: Floats, dtype: npt.DTypeLike) -> Floats:
+    """(n, 3) `vector_box` along the sensor's axes; one row is enough where it never changes."""
+    if vector_box.strides[0] == 0:
+        x, y, z = (vector_box[0] @ orientation).tolist()
+        return per_row((x, y, z), np.broadcast_to(np.zeros((), dtype), vector_box.shape))
+    return np.asarray(vector_box @ orientation, dtype)
+
+
+def _cut(codes: Codes, first: int, stop: int) -> Codes:
+    """The rows of `codes` that lie in first ... stop - 1."""
+    begin = max(first, codes.first)
+    rows = slice(begin - codes.first, stop - codes.first)
+    temperature = codes.temperature_counts
+    return Codes(
+        begin,
+        codes.instant_ns[rows],
+        codes.counts[rows],
+        None if temperature is None else temperature[rows],
+        codes.fresh[rows],
+    )
+
+
+def _joined(parts: Sequence[Codes]) -> Codes:
+    temperatures = [part.temperature_counts for part in parts if part.temperature_counts is not None]
+    return Codes(
+        parts[0].first,
+        np.concatenate([part.instant_ns for part in parts]),
+        np.concatenate([part.counts for part in parts]),
+        np.concatenate(temperatures) if temperatures else None,
+        np.concatenate([part.fresh for part in parts]),
+    )
+
+
+__all__ = ["CodeSpan", "SimulatedBarometer", "SimulatedSensor"]

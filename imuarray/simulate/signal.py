@@ -1,0 +1,152 @@
+"""What passes through the effects: instants, what the box feels there, the sensing element's signal, counts.
+
+Each stage is a frozen dataclass of equally long arrays for consecutive rows of one sensor; `first` is the number of
+the first row. An effect returns a new one and leaves the one it was given as it was. Vectors carry their frame:
+`_box` is the box, `_sensor` (or none) the sensor's own axes. The sensor's unit is its data sheet's: g, dps or gauss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.motion.felt import Felt, Motion
+from imuarray.simulate.streams import CHUNK, Stream, Streams
+
+Floats = npt.NDArray[np.floating[Any]]
+Integers = npt.NDArray[np.int64]
+Counts = npt.NDArray[np.int32]
+Bools = npt.NDArray[np.bool_]
+Triple = tuple[float, float, float]
+Kept = TypeVar("Kept")
+
+__all__ = ["Analog", "Codes", "Felt", "Instants", "Motion", "Place", "Triple", "per_row"]
+
+
+@dataclass(frozen=True)
+class Instants:
+    """When rows are read: `stamp_ns` (n,) is what the log will say, `instant_ns` (n,) when the chip was really asked;
+    rows that are not `kept` (n,) never arrive. The chip answers with the latest of `rate_hz` readings a second.
+    """
+
+    first: int
+    stamp_ns: Integers
+    instant_ns: Integers
+    kept: Bools
+    rate_hz: float
+
+
+@dataclass(frozen=True)
+class Analog:
+    """The signal between the sensing element and the converter, in the sensor's unit and along its own axes.
+
+    `value` (n, 3) without noise and `noise` (n, 3) are kept apart until they are converted; `force_g` (n, 3) is the
+    true specific force in g along the sensor's axes, `temperature_degc` (n,) the element's, `thermometer_degc` (n,)
+    what the chip's own thermometer feels. `sensitivity` (counts per unit, a number or (n, 1)), `lowest` and `highest`
+    code and `step` between codes are the converter's; `rate_hz` is how often it makes new ones.
+    """
+
+    first: int
+    instant_ns: Integers
+    value: Floats
+    noise: Floats
+    force_g: Floats
+    temperature_degc: Floats
+    sensitivity: float | Floats
+    lowest: int | Floats
+    highest: int | Floats
+    step: int
+    thermometer_degc: Floats
+    rate_hz: float
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing has made noise yet: `noise` is one zero, seen (n, 3) times."""
+        return self.noise.strides == (0, 0)
+
+
+@dataclass(frozen=True)
+class Codes:
+    """What the bus delivers: `counts` (n, 3) integers, `temperature_counts` (n,) or None, `fresh` (n,): False where
+    the chip had nothing newer than the row before.
+    """
+
+    first: int
+    instant_ns: Integers
+    counts: Counts
+    temperature_counts: Counts | None
+    fresh: Bools
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an effect acts: the sensor, the motion, the random streams.
+
+    `rows_per_s` is the nominal rate of the rows, `neighbour(name, first, stop)` the codes of another sensor of the
+    array (KeyError if there is none), `reaching(effect, row)` the codes of one row as they reach that effect of this
+    sensor; `dtype` is that of the analog arrays.
+    """
+
+    sensor: SensorHeader
+    rows_per_s: float
+    motion: Motion
+    streams: Streams
+    neighbour: Callable[[str, int, int], Codes]
+    reaching: Callable[[str, int], Codes]
+    dtype: npt.DTypeLike = np.float64
+    copy: int = 1
+    """Which of several effects of one kind this is for: each has streams of its own."""
+    _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def kept(self, key: Hashable, make: Callable[[], Kept]) -> Kept:
+        """What `make` gives, made once; `key` says all that it depends on besides this place."""
+        found: Kept = self._kept[key] if key in self._kept else self._kept.setdefault(key, make())
+        return found
+
+    def stream(
+        self,
+        effect: str,
+        purpose: str = "",
+        *,
+        width: int = 3,
+        shared_by: str = "",
+        chunk_rows: int = CHUNK,
+        scale: Triple | None = None,
+    ) -> Stream:
+        """The effect's stream for this sensor in this run, or one for all sensors that name the same `shared_by`.
+
+        `chunk_rows`: how many are drawn at a time, fewer where few are wanted; `scale`: standard deviations.
+        """
+        name = (f"all {shared_by}" if shared_by else self.sensor.name, self._numbered(effect), purpose)
+        return self.kept(
+            (name, scale),
+            lambda: self.streams.of_boot(*name, width=width, dtype=self.dtype, chunk_rows=chunk_rows, scale=scale),
+        )
+
+    def boot_generator(self, effect: str, purpose: str = "") -> np.random.Generator:
+        """A generator for the effect's draws at power-on of this sensor."""
+        return self.streams.of_boot(self.sensor.name, self._numbered(effect), f"boot {purpose}").generator()
+
+    def _numbered(self, effect: str) -> str:
+        return effect if self.copy == 1 else f"{effect} {self.copy}"
+
+
+@lru_cache(maxsize=64)
+def _tiled(values: Triple, count: int, dtype: str) -> Floats:
+    tiled: Floats = np.tile(np.asarray(values, dtype), (count, 1))
+    tiled.flags.writeable = False
+    return tiled
+
+
+def per_row(values: Triple, like: Floats) -> Floats:
+    """`values` in every row of an array shaped and typed as `like` (n, 3); read-only.
+
+    Ten times faster to multiply and add than a broadcast over an inner axis of three.
+    """
+    return _tiled(values, len(like), like.dtype.str)

@@ -1,0 +1,184 @@
+"""A whole simulated array: every sensor's timeline, effects and streams over one motion.
+
+Same seed, same result, whatever the block size or number of workers. Nothing here is as long as the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.array import ArrayConfig, parse_array
+from imuarray.errors import ConfigError, LogError
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import SensorHeader
+from imuarray.log.headers import header_of
+from imuarray.log.writer import Stimulus
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects.size_effect import SizeEffect
+from imuarray.simulate.model import Model
+from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
+from imuarray.simulate.signal import Codes, Motion
+from imuarray.simulate.streams import Streams
+from imuarray.simulate.timeline import Polled, Recorded, Timeline, frames_in, poll
+from imuarray.units import Quantity
+
+_FRAMES_LIKE_HZ = 50.0
+"""How often `/truth` is written for a log that is simulated after a recorded one."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which sensors are read when: what a simulation and a recording of the same run have in common."""
+
+    sensors: Mapping[str, tuple[SensorHeader, Timeline]]
+    frames: Polled
+    """When each frame begins: the times of `/truth`."""
+    config: str = ""
+
+
+def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
+    """The plan of an array polled `frame_rate_hz` times a second for `seconds`."""
+    lines = poll(array, frame_rate_hz, seconds)
+    sensors = {sensor.name: (header_of(sensor, {}), lines[sensor.name]) for sensor in array.sensors}
+    frames, period_ns = frames_in(frame_rate_hz, seconds)
+    return Plan(sensors, Polled(frames, period_ns), array.text)
+
+
+def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
+    """The plan of a recorded log: its sensors (or `only` these), read at the very times at which they were read.
+
+    LogError for a sensor that the log does not have.
+    """
+    chosen = {name: log[name] for name in only or log.sensors}
+    known = {sensor.name: sensor for sensor in parse_array(log.config).sensors} if log.config else {}
+    sensors = {
+        name: (header_of(known[name], {}) if name in known else _header_like(sensor), Recorded(sensor))
+        for name, sensor in chosen.items()
+        if len(sensor)
+    }
+    if not sensors:
+        raise LogError(f"{log.path}: nothing was read in it")
+    end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))
+    frames, period_ns = frames_in(_FRAMES_LIKE_HZ, (end_ns + 1) * 1e-9)
+    return Plan(sensors, Polled(frames, period_ns), log.config)
+
+
+def _header_like(sensor: SensorLog) -> SensorHeader:
+    """What a log without a configuration says of a sensor."""
+    x, y, z = sensor.position_mm.tolist()
+    columns = ("ut", "up") if sensor.quantity == "pressure" else ("x", "y", "z")
+    return SensorHeader(
+        name=sensor.name,
+        chip=sensor.chip,
+        quantity=cast(Quantity, sensor.quantity),
+        unit=sensor.unit,
+        range=sensor.range,
+        sensitivity=sensor.sensitivity,
+        rate_hz=sensor.rate_hz,
+        bandwidth_hz=sensor.bandwidth_hz,
+        axes=sensor.axes,
+        position_mm=(x, y, z),
+        columns=columns,
+        has_temperature=sensor.temperature_counts is not None,
+        compensated=("temperature", "pressure") if sensor.quantity == "pressure" else (),
+    )
+
+
+class Simulation:
+    """The sensors of a plan over a motion, each through its own effects."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        motion: Motion,
+        effects: Mapping[str, Sequence[Effect]],
+        *,
+        seed: int = 0,
+        boot: int = 0,
+        dtype: npt.DTypeLike = np.float64,
+    ) -> None:
+        """`effects` by sensor, in any order; a sensor that it leaves out is ideal. `boot` numbers the run: another one
+        is the same units switched on again.
+        """
+        self.plan = plan
+        self.motion = motion
+        self.streams = Streams(seed, boot)
+        self.sensors: dict[str, SimulatedSensor | SimulatedBarometer] = {}
+        for name, (header, timeline) in plan.sensors.items():
+            if header.quantity == "pressure":
+                self.sensors[name] = SimulatedBarometer(header, timeline, motion, self.streams)
+            else:
+                chain = in_physical_order(effects.get(name, ()))
+                self.sensors[name] = SimulatedSensor(
+                    header, timeline, chain, motion, self.streams, self._codes_of, dtype
+                )
+
+    @classmethod
+    def of_array(
+        cls,
+        array: ArrayConfig,
+        motion: Motion,
+        model: Model,
+        *,
+        frame_rate_hz: float,
+        seconds: float,
+        seed: int = 0,
+        boot: int = 0,
+        population: bool = False,
+        without: Collection[str] = (),
+        dtype: npt.DTypeLike = np.float64,
+    ) -> Simulation:
+        """An array polled for `seconds`, its units as `model` has them (or, with `population`, drawn anew)."""
+        plan = plan_of(array, frame_rate_hz, seconds)
+        effects = effects_of(plan, model, seed, population=population, without=without)
+        return cls(plan, motion, effects, seed=seed, boot=boot, dtype=dtype)
+
+    def truth(self, start: int, stop: int) -> Stimulus:
+        """Rows of `/truth`: what the box feels when frames start ... stop - 1 begin."""
+        felt = self.motion.felt(self.plan.frames.stamps(start, stop))
+        return Stimulus(
+            felt.time_ns,
+            np.asarray(felt.force_box, float),
+            np.asarray(felt.rate_box, float),
+            np.asarray(felt.temperature_degc, float),
+        )
+
+    def _codes_of(self, name: str, first: int, stop: int) -> Codes:
+        sensor = self.sensors.get(name)
+        if not isinstance(sensor, SimulatedSensor):
+            raise KeyError(f"{name}: no triad of this array; it has {', '.join(self.sensors)}")
+        return sensor.codes(first, stop)
+
+
+def effects_of(
+    plan: Plan, model: Model, seed: int, *, population: bool = False, without: Collection[str] = ()
+) -> dict[str, tuple[Effect, ...]]:
+    """The effects of every sensor of a plan: its unit's as `model` has it, and what follows from where it sits.
+
+    ConfigError for an effect in `without` that there is not.
+    """
+    if unknown := sorted(set(without) - set(EFFECTS)):
+        raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(EFFECTS)}")
+    units = Streams(seed)
+    found: dict[str, tuple[Effect, ...]] = {}
+    for name, (header, _) in plan.sensors.items():
+        if header.quantity == "pressure":
+            continue
+        effects = model.effects(header, units, population=population, without=frozenset(without))
+        placed = any(header.position_mm) and "size_effect" not in {effect.name for effect in effects}
+        if placed and "size_effect" not in without:
+            effects = (SizeEffect(header.position_mm), *effects)
+        found[name] = in_physical_order(effects)
+    return found
+
+
+def in_physical_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The effects in the order in which they act."""
+    order = {name: index for index, name in enumerate(EFFECTS)}
+    return tuple(sorted(effects, key=lambda effect: order[effect.name]))

@@ -1,0 +1,144 @@
+"""When each row of each sensor is read: by a poll loop like the recorder's, by a chip's own queue, or as in a log.
+
+A frame visits the segments of the bus there and, the next time, back (one switch of the multiplexer a frame), so that a
+sensor's readings lie alternately a little nearer and a little farther apart. A burst takes its clocks at 400 kHz.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from imuarray.array import ArrayConfig, SensorConfig
+from imuarray.log import SensorLog
+from imuarray.simulate.signal import Integers
+
+_CLOCK_NS = 2500
+_SWITCH_CLOCKS = 19
+_BURST_CLOCKS = {"adxl345": 99, "bma180": 90, "l3g4200d": 99, "bmp180": 0, "hmc5883": 81, "hmc5883l": 81}
+"""SCL clocks of one burst as the drivers read it: nine a byte, START and STOP (BUS-01)."""
+
+_SOON = 1.1
+"""A slow chip is left out of a frame if the next one, with a margin for the way there and back, is soon enough."""
+_PRESSURE_S = 0.0255
+"""Longest pressure conversion of the BMP180 (BMP-44)."""
+
+
+class Timeline(Protocol):
+    """The rows of one sensor."""
+
+    @property
+    def rows(self) -> int:
+        """How many there are."""
+
+    @property
+    def rows_per_s(self) -> float:
+        """Their nominal rate."""
+
+    def stamps(self, start: int, stop: int) -> Integers:
+        """(stop - start,) int64 ns since the epoch, strictly increasing."""
+
+
+@dataclass(frozen=True)
+class Polled:
+    """A row every `every` frames of `period_ns`, from frame `first` on; so long after the start of an even or odd
+    frame.
+    """
+
+    rows: int
+    period_ns: int
+    every: int = 1
+    first: int = 0
+    forth_ns: int = 0
+    back_ns: int = 0
+
+    @property
+    def rows_per_s(self) -> float:
+        """Rows a second."""
+        return 1e9 / (self.period_ns * self.every)
+
+    def stamps(self, start: int, stop: int) -> Integers:
+        """The frame's start and the way to this sensor in it."""
+        frames = np.arange(self.first + self.every * start, self.first + self.every * stop, self.every, dtype=np.int64)
+        stamps = frames * self.period_ns + self.forth_ns
+        if self.back_ns != self.forth_ns:
+            stamps += (frames & 1) * (self.back_ns - self.forth_ns)
+        return stamps
+
+
+@dataclass(frozen=True)
+class Queued:
+    """A row for every sample of a chip whose queue is drained, at its data rate."""
+
+    rows: int
+    rows_per_s: float
+
+    def stamps(self, start: int, stop: int) -> Integers:
+        """By the data rate."""
+        return np.asarray(np.rint(np.arange(start, stop) * (1e9 / self.rows_per_s)), np.int64)
+
+
+class Recorded:
+    """The rows of a recorded sensor, at the times that its log gives."""
+
+    def __init__(self, sensor: SensorLog) -> None:
+        self._time = sensor.time
+        self.rows = len(sensor)
+        span_ns = int(self._time[-1]) - int(self._time[0]) if self.rows > 1 else 0
+        self.rows_per_s = (self.rows - 1) * 1e9 / span_ns if span_ns else max(sensor.rate_hz, 1.0)
+
+    def stamps(self, start: int, stop: int) -> Integers:
+        """As they stand in the log."""
+        return np.asarray(self._time[start:stop], np.int64)
+
+
+def frames_in(frame_rate_hz: float, seconds: float) -> tuple[int, int]:
+    """Frames that begin within `seconds`, and the period in ns."""
+    period_ns = round(1e9 / frame_rate_hz)
+    return max(1, -(-round(seconds * 1e9) // period_ns)), period_ns
+
+
+def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[str, Timeline]:
+    """The timelines of an array that is polled `frame_rate_hz` times a second for `seconds`."""
+    frames, period_ns = frames_in(frame_rate_hz, seconds)
+    forth, back = _offsets_ns(array)
+    lines: dict[str, Timeline] = {}
+    for sensor in array.sensors:
+        if sensor.fifo:
+            lines[sensor.name] = Queued(max(1, math.ceil(seconds * sensor.chip_rate_hz)), sensor.chip_rate_hz)
+            continue
+        every, first = _visits(sensor, frame_rate_hz)
+        rows = max(0, -(-(frames - first) // every))
+        lines[sensor.name] = Polled(rows, period_ns, every, first, forth[sensor.name], back[sensor.name])
+    return lines
+
+
+def _visits(sensor: SensorConfig, frame_rate_hz: float) -> tuple[int, int]:
+    """How many frames lie between two rows, and in which frame the first one comes."""
+    if sensor.spec.on_demand:  # temperature asked for, pressure asked for, then both are there
+        return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz)), 1 + math.ceil(frame_rate_hz * _PRESSURE_S)
+    return max(1, math.ceil(frame_rate_hz / sensor.chip_rate_hz - _SOON)), 0
+
+
+def _offsets_ns(array: ArrayConfig) -> tuple[dict[str, int], dict[str, int]]:
+    """Nanoseconds from the start of a frame to each sensor's burst, on the way there and on the way back."""
+    segments: dict[int | str | None, list[SensorConfig]] = {}
+    for sensor in array.sensors:
+        segments.setdefault(sensor.bus or sensor.channel, []).append(sensor)
+    orders = list(segments.values())
+    return _along(orders), _along(orders[::-1])
+
+
+def _along(segments: list[list[SensorConfig]]) -> dict[str, int]:
+    offsets: dict[str, int] = {}
+    clocks = 0
+    for index, segment in enumerate(segments):
+        clocks += _SWITCH_CLOCKS if index else 0  # a frame begins on the segment where the last one ended
+        for sensor in segment:
+            offsets[sensor.name] = clocks * _CLOCK_NS
+            clocks += _BURST_CLOCKS[sensor.chip]
+    return offsets

@@ -1,0 +1,67 @@
+"""`bandwidth`: the noise's size stays, its memory is exponential."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+
+from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.signal import Analog
+from tests.simulate.conftest import MakePlace, furthest
+
+MakeAnalog = Callable[..., Analog]
+
+
+def test_same_rms_and_exponential_correlation_from_the_first_row_on(place: MakePlace, analog: MakeAnalog) -> None:
+    """A quarter of the rate over pi: phi = exp(-1 / 2)."""
+    rng = np.random.default_rng(5)
+    effect, at = Bandwidth(100 / (4 * np.pi)), place(rows_per_s=100.0)
+    runs = [effect.analog(analog(0, 6, noise=rng.normal(0, 0.3, (6, 3))), at).noise.T for _ in range(3000)]
+    # 27 numbers beyond 5 standard errors: 2e-5
+    assert furthest(np.concatenate(runs), 0.09 * toeplitz(np.exp(-np.arange(6) / 2))) < 5
+
+
+def test_the_papers_gyroscope(place: MakePlace, analog: MakeAnalog) -> None:
+    """Correlation 0.4 between neighbours at 350 Hz (Appendix A, Figure 13) is a cutoff of 51 Hz."""
+    white = np.random.default_rng(6).normal(0, 0.31, (100_000, 3))
+    noise = Bandwidth(51.0).analog(analog(0, 100_000, noise=white), place(rows_per_s=350.0)).noise
+    for axis in noise.T:  # five of sqrt(0.84 / 100 000) and 0.31 sqrt(1.16 / 0.84 / 200 000): 2e-6
+        assert np.corrcoef(axis[:-1], axis[1:])[0, 1] == pytest.approx(0.4, abs=0.015)
+        assert axis.std() == pytest.approx(0.31, abs=0.004)
+
+
+def test_value_stays_and_no_noise_stays_none(place: MakePlace, analog: MakeAnalog) -> None:
+    rows = Bandwidth(5.0).analog(analog(0, 50, value=1.5), place())
+    assert (rows.value == 1.5).all()
+    assert (rows.noise == 0).all()
+
+
+@pytest.mark.parametrize("cutoff_hz", [0.5, 5.0, 40.0])
+def test_its_lookback_is_enough(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
+    white = np.random.default_rng(7).normal(0, 1, (3000, 3))
+    effect, at = Bandwidth(cutoff_hz), place(rows_per_s=100.0)
+    back = effect.lookback(at)
+    left = np.exp(-2 * np.pi * cutoff_hz / 100 * np.array([back, back - 1]))
+    assert left[0] < 1e-12 <= left[1]  # and not a row more than it takes
+    whole = effect.analog(analog(0, 3000, noise=white), at).noise
+    alone = effect.analog(analog(2000 - back, 3000, noise=white[2000 - back :]), at).noise
+    np.testing.assert_allclose(alone[back:], whole[2000:], rtol=0, atol=1e-11)
+
+
+def test_single_precision_stays_single(place: MakePlace, analog: MakeAnalog) -> None:
+    white = np.random.default_rng(8).normal(0, 1, (1000, 3))
+    double = Bandwidth(1.0).analog(analog(0, 1000, noise=white), place())
+    single = Bandwidth(1.0).analog(analog(0, 1000, noise=white, dtype=np.float32), place(dtype=np.float32))
+    assert single.noise.dtype == np.float32
+    np.testing.assert_allclose(single.noise, double.noise, atol=1e-6)
+
+
+def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog) -> None:
+    rows = analog(0, 10)
+    assert Bandwidth().analog(rows, place()) is rows
+    assert Bandwidth().lookback(place()) == 0
+    with pytest.raises(ValueError, match=r"cutoff_hz: 0(\.0)?; allowed is 0\.01 to inf"):
+        Bandwidth(0.0)

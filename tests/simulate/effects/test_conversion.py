@@ -1,0 +1,74 @@
+"""Where the signal ends and in which steps it comes: quantisation, saturation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from imuarray.simulate.converters import code_span, converted
+from imuarray.simulate.effects.quantisation import Quantisation
+from imuarray.simulate.effects.saturation import Saturation
+
+
+class TestQuantisation:
+    def test_a_bma180_read_with_twelve_bits(self, place, analog, sensor) -> None:
+        """Multiples of four (BMA-61), and none beyond the last one within 14 bits."""
+        ramp = np.linspace(-20, 20, 9001)[:, None]
+        after = Quantisation(4).analog(analog(0, 9001, value=ramp), place())
+        codes = np.unique(converted(after, code_span(sensor("bma180"))))
+        assert codes.tolist() == list(range(-8192, 8189, 4))
+
+    def test_rounding_noise(self, place, analog, sensor) -> None:
+        """step / sqrt(12) rms of a signal that takes every value alike."""
+        ramp = np.linspace(-1, 1, 30011)[:, None]
+        after = Quantisation(16).analog(analog(0, 30011, value=ramp), place())
+        error = converted(after, code_span(sensor("bma180"))) - ramp * 512
+        assert np.sqrt((error**2).mean()) == pytest.approx(16 / math.sqrt(12), rel=1e-3)
+
+    @pytest.mark.parametrize(("already", "asked", "becomes"), [(1, 3, 3), (2, 2, 2), (2, 3, 6), (2, 4, 4)])
+    def test_multiples_of_both_steps(self, place, analog, already: int, asked: int, becomes: int) -> None:
+        assert Quantisation(asked).analog(analog(0, 1, step=already), place()).step == becomes
+
+    def test_code_ends_that_change_within_a_run(self, place, analog) -> None:
+        ends = np.array([[-512.0], [-4096.0]]), np.array([[511.0], [4095.0]])
+        after = Quantisation(10).analog(analog(0, 2, lowest=ends[0], highest=ends[1]), place())
+        assert after.lowest.tolist() == [[-510], [-4090]]
+        assert after.highest.tolist() == [[510], [4090]]
+
+
+class TestSaturation:
+    def test_share_of_a_sine_that_is_clipped(self, place, analog) -> None:
+        """Amplitude 2, limit 1: beyond it for 1 - 2 asin(1/2) / pi = 2/3 of the time."""
+        sine = 2 * np.sin(2 * np.pi * (np.arange(9000) + 0.5) / 9000)[:, None]
+        after = Saturation(1.0).analog(analog(0, 9000, value=sine), place())
+        clipped = np.abs(after.value) == 1
+        assert clipped.mean() == pytest.approx(2 / 3, abs=1e-3)
+        assert np.array_equal(after.value[~clipped], np.broadcast_to(sine, (9000, 3))[~clipped])
+        assert (np.sign(after.value) == np.sign(sine)).all()
+
+    def test_signal_and_noise_together(self, place, analog) -> None:
+        before = analog(0, 1, value=(0.9, 0.9, 1.1), noise=(0.2, 0.05, -0.2))
+        after = Saturation(1.0).analog(before, place())
+        assert after.value.tolist() == [[1.0, 0.9, 1.1]]
+        assert after.noise.tolist() == [[0.0, 0.05, -0.2]]
+
+    def test_codes_stop_before_their_span_does(self, place, analog, sensor) -> None:
+        after = Saturation(5.0).analog(analog(0, 1, value=(9, -9, 4), noise=0.3), place())
+        assert converted(after, code_span(sensor("bma180"))).tolist() == [[2560, -2560, 2202]]
+
+
+REFUSED: list[tuple[Callable[[], object], str]] = [
+    (lambda: Quantisation(0), "step_lsb: 0; allowed is 1 to 4096"),
+    (lambda: Quantisation(2.5), "step_lsb: 2.5; a whole number"),
+    (lambda: Saturation(-1.0), "limit: -1.0; allowed is 0 to inf"),
+    (lambda: Saturation(math.nan), "limit: nan"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), REFUSED)
+def test_refusals(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
+        make()

@@ -1,0 +1,106 @@
+"""`bias_instability`, `common_mode`, `random_walk`: how large, how correlated, who shares them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias_instability import BiasInstability
+from imuarray.simulate.effects.common_mode import CommonMode
+from imuarray.simulate.effects.random_walk import RandomWalk
+from imuarray.simulate.signal import Analog, Place
+from tests.simulate.conftest import Floats, MakePlace, furthest, header
+
+MakeAnalog = Callable[..., Analog]
+KINDS: list[Effect] = [BiasInstability(0.01), CommonMode(0.01), RandomWalk(0.01)]
+
+
+def added(effect: Effect, at: Place, analog: MakeAnalog, first: int, stop: int) -> Floats:
+    return effect.analog(analog(first, stop), at).value
+
+
+@pytest.mark.parametrize("kind", [BiasInstability, CommonMode])
+def test_gauss_markov_of_the_given_rms_and_time_constant(
+    place: MakePlace, analog: MakeAnalog, kind: type[BiasInstability] | type[CommonMode]
+) -> None:
+    rms, rows = np.array([0.01, 0.02, 0.05]), np.array([0, 20, 50, 100])
+    effect = kind((0.01, 0.02, 0.05), 5.0)
+    runs = np.stack([added(effect, place(rows_per_s=10.0, seed=seed), analog, 0, 101)[rows] for seed in range(300)])
+    correlation = np.exp(-np.abs(np.subtract.outer(rows, rows)) / 50)
+    for axis in range(3):  # 3 x 14 numbers, each beyond 5 standard errors with probability 6e-7: 2e-5
+        assert furthest(runs[:, :, axis], correlation * rms[axis] ** 2) < 5
+
+
+def test_random_walk_of_the_given_density(place: MakePlace, analog: MakeAnalog) -> None:
+    density, rows = np.array([0.01, 0.02, 0.05]), np.array([1, 100, 400])
+    effect = RandomWalk((0.01, 0.02, 0.05))
+    runs = np.stack([added(effect, place(rows_per_s=10.0, seed=seed), analog, 0, 401)[rows] for seed in range(300)])
+    for axis in range(3):  # 3 x 9 numbers: 2e-5
+        assert furthest(runs[:, :, axis], np.minimum.outer(rows, rows) / 10 * density[axis] ** 2) < 5
+
+
+def allan_variance(values: Floats) -> float:
+    """Of two adjacent halves, over all axes and runs."""
+    first, second = np.array_split(values, 2, axis=1)
+    return float(((second.mean(axis=1) - first.mean(axis=1)) ** 2).mean() / 2)
+
+
+def test_allan_deviation_peaks_where_the_standard_says(place: MakePlace, analog: MakeAnalog) -> None:
+    """sigma^2(tau) = 2 rms^2 (T / tau) (1 - T / (2 tau) (3 - 4 exp(-tau / T) + exp(-2 tau / T))): IEEE Std 952, with
+    rms^2 = q^2 T / 2; 0.618 rms at 1.89 T.
+    """
+    effect = BiasInstability(1.0, 100.0)
+    runs = np.stack([added(effect, place(rows_per_s=1.0, seed=seed), analog, 0, 378) for seed in range(400)])
+    # A mean of 1200 squares of normal numbers: relative standard error sqrt(2 / 1200) = 4.1 %, five of them 6e-7.
+    assert allan_variance(runs) == pytest.approx(0.618**2, rel=5 * np.sqrt(2 / 1200))
+
+
+def test_allan_deviation_of_a_random_walk(place: MakePlace, analog: MakeAnalog) -> None:
+    """density sqrt(tau / 3): IEEE Std 952."""
+    runs = np.stack([added(RandomWalk(1.0), place(rows_per_s=1.0, seed=seed), analog, 0, 400) for seed in range(400)])
+    assert allan_variance(runs) == pytest.approx(200 / 3, rel=5 * np.sqrt(2 / 1200))
+
+
+def test_common_mode_is_one_for_a_design_and_nothing_else_is(place: MakePlace, analog: MakeAnalog) -> None:
+    sensors = [header("bma180", "A"), header("bma180", "B", axes="-X-Y+Z"), header("l3g4200d", "C")]
+    for effect in KINDS:
+        one, twin, other = (added(effect, place(sensor), analog, 0, 500) for sensor in sensors)
+        assert np.array_equal(one, twin) == (effect.name == "common_mode")
+        assert not np.array_equal(one, other)
+
+
+def test_two_time_constants_are_two_draws(place: MakePlace, analog: MakeAnalog) -> None:
+    """Correlation of 900 pairs: standard error 1 / 30; five of them 6e-7."""
+    pairs = [
+        [added(BiasInstability(1.0, tau), place(seed=seed), analog, 0, 1)[0] for tau in (10.0, 1000.0)]
+        for seed in range(300)
+    ]
+    first, second = np.array(pairs).swapaxes(0, 1).reshape(2, -1)
+    assert abs((first * second).mean()) < 5 / 30
+
+
+@pytest.mark.parametrize("effect", KINDS, ids=lambda effect: effect.name)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_any_stretch_alone(place: MakePlace, analog: MakeAnalog, effect: Effect, dtype: npt.DTypeLike) -> None:
+    whole = effect.analog(analog(0, 40_000, dtype=dtype), place(dtype=dtype)).value
+    alone = effect.analog(analog(16_383, 33_000, dtype=dtype), place(dtype=dtype)).value
+    assert alone.dtype == dtype
+    np.testing.assert_array_equal(alone, whole[16_383:33_000])
+
+
+@pytest.mark.parametrize("kind", [BiasInstability, CommonMode, RandomWalk])
+def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog, kind: type[Effect]) -> None:
+    rows = analog(0, 10)
+    assert kind().analog(rows, place()) is rows
+    with pytest.raises(ValueError, match=r"(rms|density): -1(\.0)?; allowed"):
+        kind(-1.0)  # type: ignore[call-arg]
+
+
+def test_time_constants_are_positive() -> None:
+    for kind in (BiasInstability, CommonMode):
+        with pytest.raises(ValueError, match=r"time_constant_s: 0(\.0)?; allowed is 0\.001 to 1e\+09"):
+            kind(1.0, 0.0)  # type: ignore[arg-type]

@@ -1,0 +1,150 @@
+"""When rows are read: clock_error, skew, jitter, dropped_samples."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.simulate.effects.clock_error import ClockError
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.jitter import Jitter
+from imuarray.simulate.effects.skew import Skew
+from imuarray.simulate.signal import Instants
+from imuarray.simulate.streams import CHUNK
+
+DAY_NS = 86_400 * 10**9
+ROWS = 200_000
+
+
+def stamped(*stamps_ns: int) -> Instants:
+    stamps = np.array(stamps_ns, np.int64)
+    return Instants(0, stamps, stamps, np.ones(len(stamps), bool), 2400.0)
+
+
+def kept(place, instants, first: int, stop: int, probability: float, burst_rows: float = 1.0, **changes):
+    effect = DroppedSamples(probability, burst_rows)
+    return effect.sampled(instants(first, stop), place(**changes)).kept
+
+
+def bursts(lost):
+    """Lengths of the bursts that begin and end within these rows."""
+    begins, ends = (np.flatnonzero(np.diff(lost.astype(int)) == step) for step in (1, -1))
+    return ends[ends > begins[0]] - begins[: (ends > begins[0]).sum()]
+
+
+class TestClockError:
+    def test_fifty_millionths_are_four_seconds_a_day(self, place) -> None:
+        after = ClockError(50.0).sampled(stamped(0, 1, DAY_NS), place())
+        assert after.instant_ns.tolist() == [0, 1, DAY_NS + 4_320_000_000]
+        assert after.stamp_ns.tolist() == [0, 1, DAY_NS]
+
+    @given(st.integers(0, 10**18), st.floats(-5e5, 5e5))
+    def test_ratio(self, stamp_ns: int, error_ppm: float) -> None:
+        after = ClockError(error_ppm).sampled(stamped(stamp_ns), None)
+        assert int(after.instant_ns[0]) == pytest.approx(stamp_ns * (1 + error_ppm / 1e6), rel=1e-12, abs=1.0)
+
+    def test_adds_to_a_delay_that_was_there(self, place) -> None:
+        late = Skew(-1.0).sampled(stamped(DAY_NS), place())
+        assert ClockError(1000.0).sampled(late, place()).instant_ns.tolist() == [DAY_NS + 10**9 + DAY_NS // 1000]
+
+
+class TestSkew:
+    def test_reading_is_older_than_its_stamp(self, place) -> None:
+        assert Skew(0.0025).sampled(stamped(0, DAY_NS), place()).instant_ns.tolist() == [-2_500_000, DAY_NS - 2_500_000]
+
+    def test_what_was_known_then(self, place, constant) -> None:
+        """A ramp of 3 degC/s read half a second late shows what was 1.5 degC less."""
+        motion = constant(temperature_degc=lambda seconds: 3.0 * seconds)
+        after = Skew(0.5).sampled(stamped(10 * 10**9), place())
+        assert motion.felt(after.instant_ns).temperature_degc[0] == pytest.approx(28.5)
+
+
+class TestJitter:
+    """Bounds of 5 standard errors: one in 1.7 million draws of the seed would fail each."""
+
+    def test_normal_with_that_rms_and_white(self, place, instants) -> None:
+        before = instants(0, ROWS)
+        off_s = (Jitter(2e-3).sampled(before, place()).instant_ns - before.stamp_ns) * 1e-9
+        assert abs(off_s.mean()) < 5 * 2e-3 / math.sqrt(ROWS)
+        assert abs(off_s.std() / 2e-3 - 1) < 5 / math.sqrt(2 * ROWS)
+        assert abs(np.corrcoef(off_s[1:], off_s[:-1])[0, 1]) < 5 / math.sqrt(ROWS)
+        assert abs((np.abs(off_s) < 2e-3).mean() - 0.682689) < 5 * math.sqrt(0.683 * 0.317 / ROWS)
+
+    def test_noise_in_proportion_to_the_slope(self, place, instants) -> None:
+        """sin(w t) read sigma off has an error of w sigma / sqrt(2) rms (to first order: 1e-4 of it left out)."""
+        before, omega = instants(0, ROWS), 2 * math.pi * 1.7
+        after = Jitter(1e-3).sampled(before, place())
+        error = np.sin(omega * after.instant_ns * 1e-9) - np.sin(omega * before.instant_ns * 1e-9)
+        assert error.std() == pytest.approx(omega * 1e-3 / math.sqrt(2), rel=0.01)  # 4 standard errors
+
+
+class TestDroppedSamples:
+    """Bounds of 5 standard errors: one in 1.7 million draws of the seed would fail each."""
+
+    @pytest.mark.parametrize(("share", "burst"), [(0.01, 1), (0.45, 1), (0.2, 3), (0.05, 20), (0.5, 2), (0.3, 1 / 0.7)])
+    def test_share_lost_and_length_of_bursts(self, place, instants, share: float, burst: float) -> None:
+        lost = ~kept(place, instants, 0, ROWS, share, burst)
+        memory = 1 - 1 / burst - share / (1 - share) / burst  # the chain's second eigenvalue
+        spread = math.sqrt(share * (1 - share) * (1 + memory) / (1 - memory) / ROWS)
+        assert abs(lost.mean() - share) < 5 * spread
+
+        lengths = bursts(lost)
+        assert abs(lengths.mean() - burst) <= 5 * math.sqrt(burst * (burst - 1) / len(lengths))
+        single = (lengths == 1).mean()
+        assert abs(single - 1 / burst) <= 5 * math.sqrt((1 / burst) * (1 - 1 / burst) / len(lengths))
+
+    def test_lengths_are_geometric(self, place, instants) -> None:
+        """A burst that has lasted 5 rows lasts as many more as a new one does: mean 10."""
+        lengths = bursts(~kept(place, instants, 0, ROWS, 0.2, 10.0))
+        more = lengths[lengths > 5] - 5
+        assert len(more) > 1000
+        assert abs(more.mean() - 10) < 5 * math.sqrt(90 / len(more))
+
+    def test_first_row_is_lost_as_often_as_any(self, place, instants) -> None:
+        boots = 400
+        lost = sum(not kept(place, instants, 0, 1, 0.3, 4.0, boot=boot)[0] for boot in range(boots))
+        assert abs(lost / boots - 0.3) < 5 * math.sqrt(0.3 * 0.7 / boots)
+
+    @pytest.mark.parametrize(("share", "burst"), [(0.49, 1), (0.3, 3), (0.6, 200)])
+    def test_any_stretch_alone(self, place, instants, share: float, burst: float) -> None:
+        whole = kept(place, instants, 0, 2 * CHUNK, share, burst)
+        rng = np.random.default_rng(1)
+        for first in (*rng.integers(0, 2 * CHUNK - 50, 500).tolist(), CHUNK - 1, CHUNK):
+            assert (kept(place, instants, first, first + 50, share, burst) == whole[first : first + 50]).all()
+
+    def test_row_of_a_log_of_years(self, place, instants) -> None:
+        far = 10**9
+        long = kept(place, instants, far - 500, far + 500, 0.2, 30.0)
+        assert (kept(place, instants, far, far + 500, 0.2, 30.0) == long[500:]).all()
+        assert 0 < long.sum() < 1000
+
+    def test_rare_losses_in_single_precision(self, place, instants) -> None:
+        """As many as in double precision, whose numbers in [0, 1) lie closer than probabilities ever do."""
+        as_double = kept(place, instants, 0, CHUNK, 0.001)
+        assert (kept(place, instants, 0, CHUNK, 0.001, dtype=np.float32) == as_double).all()
+
+    def test_lost_already_stays_lost(self, place, instants) -> None:
+        before = instants(0, 100, kept=np.arange(100) % 2 == 0)
+        assert not DroppedSamples(0.1).sampled(before, place()).kept[1::2].any()
+
+
+REFUSED: list[tuple[Callable[[], object], str]] = [
+    (lambda: ClockError(-1e6), "error_ppm: -1000000.0; allowed is -500000 to 500000"),
+    (lambda: ClockError(math.nan), "error_ppm: nan"),
+    (lambda: Skew(math.inf), "delay_s: inf"),
+    (lambda: Jitter(-1e-3), "rms_s: -0.001; allowed is 0 to 1000"),
+    (lambda: DroppedSamples(0.6), "probability: 0.6; allowed is 0 to 0.5"),
+    (lambda: DroppedSamples(0.9, 4.0), "probability: 0.9; allowed is 0 to 0.8"),
+    (lambda: DroppedSamples(0.1, 0.5), "burst_rows: 0.5; allowed is 1 to"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), REFUSED)
+def test_refusals(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match="^" + message):
+        make()

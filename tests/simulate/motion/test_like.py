@@ -1,0 +1,185 @@
+"""The motion of a recorded log: its truth or reference, else its phases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.errors import LogError
+from imuarray.log import Block, Log, LogWriter, Stimulus
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.simulate.motion import HandShake
+from imuarray.simulate.motion import recorded as recorded_module
+from imuarray.simulate.motion.like import LikeLog
+
+G = 9.80665
+S = 10**9
+ACC = SensorHeader("Acc", "bma180", "specific_force", "g", 16.0, 512.0)
+BARO = SensorHeader(
+    "Baro", "bmp180", "pressure", "Pa", 0.0, 0.0, columns=("ut", "up"), compensated=("temperature", "pressure")
+)
+Times = npt.NDArray[np.int64]
+
+
+def write(
+    path: Path,
+    phases: Sequence[Phase] = (),
+    tracks: dict[str, Stimulus] | None = None,
+    barometer: tuple[Times, npt.NDArray[np.float64]] | None = None,
+    length_s: float = 10.0,
+) -> Path:
+    sensors = [ACC] if barometer is None else [ACC, BARO]
+    with LogWriter(path, sensors, source="simulated", epoch="2024-01-01T00:00:00Z") as log:
+        time = np.linspace(0, length_s * S, 11).astype(np.int64)
+        log.append("Acc", Block(time, np.zeros((11, 3), np.int16), np.zeros(11, np.uint16)))
+        if barometer is not None:
+            time, degc = barometer
+            made = {"temperature": degc, "pressure": np.full(len(time), 1e5)}
+            log.append(
+                "Baro", Block(time, np.zeros((len(time), 2), np.int32), np.zeros(len(time), np.uint16), None, made)
+            )
+        for phase in phases:
+            log.phase(phase)
+        for name, rows in (tracks or {}).items():
+            log.stimulus(name, rows)
+    return path
+
+
+SHAKE = HandShake(peak_g=4.0, peak_dps=300.0, still_s=1.0, motion_s=8.0)
+
+
+def track(time: Times) -> Stimulus:
+    felt = SHAKE.felt(time)
+    return Stimulus(time, felt.force_box, felt.rate_box, 20.0 + time * 1e-9)
+
+
+def test_follows_the_truth_between_its_rows(tmp_path: Path) -> None:
+    """Rows at 200 Hz, sines up to 6 Hz: cubic pieces with three-point slopes err by some w^3 h^3 / 50 of the amplitude,
+    1e-4 of it; a straight line would err by w^2 h^2 / 8, 4e-3.
+    """
+    rows = np.arange(0, 10 * S + 1, 5_000_000)
+    with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
+        motion = LikeLog(log)
+        assert motion.source == "truth"
+        assert motion.felt(rows).force_box == pytest.approx(SHAKE.felt(rows).force_box, abs=1e-12)
+        between = rows[:-1] + 2_500_000
+        felt, expected = motion.felt(between), SHAKE.felt(between)
+        assert felt.force_box == pytest.approx(expected.force_box, abs=4 * G * 1e-3)
+        assert felt.rate_box == pytest.approx(expected.rate_box, abs=5 * 1e-3)
+        scale = np.abs(expected.angular_acceleration_box).max()
+        assert felt.angular_acceleration_box == pytest.approx(expected.angular_acceleration_box, abs=0.03 * scale)
+        assert felt.temperature_degc == pytest.approx(20 + between * 1e-9, abs=1e-9)
+        slope = (motion.felt(between + 1000).rate_box - motion.felt(between - 1000).rate_box) / 2e-6
+        assert felt.angular_acceleration_box == pytest.approx(slope, abs=1e-4)
+
+
+def test_results_do_not_depend_on_blocks_nor_on_what_was_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = np.cumsum(np.random.default_rng(2).integers(1_000_000, 9_000_000, 2000))  # uneven
+    path = write(tmp_path / "log.h5", tracks={"truth": track(rows)})
+    asked = np.random.default_rng(3).integers(-S, 12 * S, 3000)
+    with Log(path) as log:
+        whole = LikeLog(log).felt(asked)
+    monkeypatch.setattr(recorded_module, "BLOCK", 64)
+    with Log(path) as log:
+        motion = LikeLog(log)
+        felt = motion.felt(asked)
+        assert felt.force_box == pytest.approx(whole.force_box, abs=1e-11)
+        assert felt.angular_acceleration_box == pytest.approx(whole.angular_acceleration_box, abs=1e-8)
+        assert np.array_equal(motion.felt(asked[1000:1100]).force_box, felt.force_box[1000:1100])
+
+
+def test_only_a_few_blocks_are_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorded_module, "BLOCK", 64)
+    rows = np.arange(0, 10 * S, 5_000_000)
+    with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
+        motion = LikeLog(log)
+        motion.felt(rows)
+        moving = motion._moving
+        assert moving is not None
+        cache = moving._block.cache_info()  # type: ignore[attr-defined]
+        assert cache.currsize == 4
+        assert cache.misses == 32  # 2000 rows in blocks of 64, each read once
+
+
+def test_before_the_first_row_and_after_the_last(tmp_path: Path) -> None:
+    rows = np.arange(3 * S, 5 * S, 10_000_000)
+    with Log(write(tmp_path / "log.h5", tracks={"reference": track(rows)})) as log:
+        motion = LikeLog(log)
+        assert motion.source == "reference"
+        felt = motion.felt(np.array([-S, rows[0], rows[-1], 9 * S]))
+        expected = SHAKE.felt(rows[[0, 0, -1, -1]])
+        assert np.array_equal(felt.force_box, expected.force_box)
+        assert not felt.angular_acceleration_box[[0, 3]].any()
+        assert felt.temperature_degc == pytest.approx([23, 23, 4.99 + 20, 4.99 + 20])
+
+
+def test_truth_comes_before_reference(tmp_path: Path) -> None:
+    rows = np.array([0, S])
+    other = Stimulus(rows, np.ones((2, 3)), np.ones((2, 3)), np.full(2, -7.0))
+    with Log(write(tmp_path / "log.h5", tracks={"reference": other, "truth": track(rows)})) as log:
+        assert LikeLog(log).felt(rows).temperature_degc.tolist() == [20.0, 21.0]
+
+
+def test_without_them_the_faces_of_its_phases(tmp_path: Path) -> None:
+    """Out of order in the file; between faces the last one stays, before the first the first."""
+    phases = [Phase(5 * S, 8 * S, "x_down", "-X"), Phase(S, 2 * S, "y_up", "+Y"), Phase(3 * S, 4 * S, "motion")]
+    with Log(write(tmp_path / "log.h5", phases)) as log:
+        motion = LikeLog(log)
+        assert motion.source == "phases"
+        felt = motion.felt(np.array([0, 1000, 3500, 4999, 5000, 7000, 9000]) * 1_000_000)
+        up, down = [0, G, 0], [-G, 0, 0]
+        assert felt.force_box.tolist() == [up, up, up, up, down, down, down]
+        assert felt.field_box[0] == pytest.approx([0.2, -0.43, 0])
+        assert felt.field_box[-1] == pytest.approx([0.43, 0, 0.2])
+        assert not felt.rate_box.any()
+        assert felt.temperature_degc.tolist() == [25.0] * 7
+        assert [phase.name for phase in motion.phases] == ["y_up", "motion", "x_down"]
+        assert motion.seconds == 10.0  # its last reading
+        assert motion.unchanged_until_ns(2 * S) == 5 * S
+        assert motion.unchanged_until_ns(6 * S) > 10**18
+        assert motion.felt(np.array([], np.int64)).force_box.shape == (0, 3)
+
+
+def test_a_log_that_tells_nothing_lies_upright(tmp_path: Path) -> None:
+    with Log(write(tmp_path / "log.h5")) as log:
+        assert LikeLog(log).felt(np.array([0, S])).force_box.tolist() == [[0, 0, G]] * 2
+
+
+def test_temperature_from_the_barometer(tmp_path: Path) -> None:
+    """A parabola in time passes through cubic pieces unchanged, except next to its ends."""
+    time = np.arange(11) * S
+    degc = 30 - 0.1 * (time * 1e-9 - 5) ** 2
+    with Log(write(tmp_path / "log.h5", barometer=(time, degc))) as log:
+        motion = LikeLog(log)
+        at = np.array([1.5, 4.25, 7.75])
+        felt = motion.felt((at * S).astype(np.int64))
+        assert felt.temperature_degc == pytest.approx(30 - 0.1 * (at - 5) ** 2, abs=1e-9)
+        assert felt.force_box[0].tolist() == [0, 0, G]
+        assert motion.unchanged_until_ns(S) == S
+
+
+def test_a_barometer_that_was_read_once(tmp_path: Path) -> None:
+    time = np.array([4 * S])
+    path = write(tmp_path / "log.h5", [Phase(0, S, "x_up", "+X")], barometer=(time, np.array([33.0])))
+    with Log(path) as log:
+        felt = LikeLog(log).felt(np.array([0, 4, 9]) * S)
+        assert felt.temperature_degc.tolist() == [33.0] * 3
+        assert felt.force_box.tolist() == [[G, 0, 0]] * 3
+
+
+def test_logs_that_can_not_be_meant(tmp_path: Path) -> None:
+    path = write(tmp_path / "up.h5", [Phase(0, S, "z_up", "up")])
+    with Log(path) as log, pytest.raises(LogError, match=r"up.h5: phase 'z_up': up 'up'; allowed are \+X"):
+        LikeLog(log)
+    rows = track(np.arange(5) * S)
+    rows.specific_force[3, 1] = np.nan
+    path = write(tmp_path / "nan.h5", tracks={"truth": rows})
+    with Log(path) as log, pytest.raises(LogError, match=r"nan.h5, truth: rows 0 to 5: finite numbers are wanted"):
+        LikeLog(log).felt(np.array([0]))
+    back = track(np.array([0, 2, 1, 3]) * S)
+    with Log(write(tmp_path / "back.h5", tracks={"truth": back})) as log, pytest.raises(LogError, match="in order"):
+        LikeLog(log).felt(np.array([0]))

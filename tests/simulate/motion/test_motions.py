@@ -1,0 +1,172 @@
+"""What holds for every motion: shapes, pure functions of time, ends, phases, what it says of its own rest."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import fields
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+from imuarray.simulate.motion import HandShake, Heating, Motion, Still, Tumble, turn_on_run
+from imuarray.simulate.motion.felt import Felt
+from imuarray.simulate.motion.trajectory import FeltRows, Trajectory
+from imuarray.simulate.motion.vehicle import Vehicle
+from imuarray.simulate.motion.world import Steady
+
+S = 10**9
+ROWS_NS = np.arange(12) * S // 2
+
+
+def wobble(scale: float, offset: float) -> npt.NDArray[np.float64]:
+    at = ROWS_NS[:, None] * 1e-9 + np.array([0.0, 2.0, 4.0])
+    return scale * np.sin(at + offset)
+
+
+MOVES: dict[str, Motion] = {
+    "still": Still("-Y", 8.0, tilt_deg=(0.5, -0.3)),
+    "drift": Still(seconds=8.0, drift_degc_per_h=40.0),
+    "run": turn_on_run(3, 8.0),
+    "tumble": Tumble(1.0, 0.5, (25.0, 25.0, 26.0, 27.0, 27.0, 27.0, 28.0), tuple((0.1 * k, -0.2) for k in range(7))),
+    "heating": Heating(scale=0.002),
+    "shake": HandShake(still_s=2.0, motion_s=5.0),
+    "vehicle": Vehicle(still_s=2.0, drive_s=6.0),
+    "trajectory": Trajectory(ROWS_NS, ROWS_NS * 1e-9, wobble(0.1, 0.0), Rotation.from_rotvec(wobble(0.5, 1.0))),
+    "rows": FeltRows(ROWS_NS, np.full(12, 20.0), wobble(9.0, 0.0), wobble(2.0, 1.0)),
+}
+moving = pytest.mark.parametrize("motion", MOVES.values(), ids=MOVES.keys())
+
+
+def columns(felt: Felt) -> dict[str, npt.NDArray[np.float64]]:
+    return {item.name: np.asarray(getattr(felt, item.name)) for item in fields(felt)}
+
+
+@moving
+def test_shapes(motion: Motion) -> None:
+    for count in (0, 1, 5):
+        shapes = {name: values.shape for name, values in columns(motion.felt(np.arange(count) * 2 * S)).items()}
+        vectors = ("force_box", "rate_box", "angular_acceleration_box", "field_box")
+        scalars = ("time_ns", "temperature_degc", "pressure_pa")
+        assert shapes == dict.fromkeys(vectors, (count, 3)) | dict.fromkeys(scalars, (count,))
+
+
+@moving
+def test_any_order_and_any_part_give_the_same_bits(motion: Motion) -> None:
+    times = np.arange(-S, round(motion.seconds * S) + S, 7_654_321)
+    whole = columns(motion.felt(times))
+    order = np.random.default_rng(1).permutation(len(times))
+    parts = (order, slice(None, None, 7), slice(-13, None), slice(130, 133))
+    for part in parts:
+        for name, values in columns(motion.felt(times[part])).items():
+            assert np.array_equal(values, whole[name][part]), name
+
+
+@moving
+def test_nothing_changes_before_the_begin_and_after_the_end(motion: Motion) -> None:
+    end_ns = round(motion.seconds * S)
+    shown = columns(motion.felt(np.array([-(10**15), -1, 0, end_ns, end_ns + 1, 10**18])))
+    for name, values in shown.items():
+        if name != "time_ns":
+            assert (values[:3] == values[0]).all(), name
+            assert (values[3:] == values[3]).all(), name
+
+
+@moving
+def test_phases_are_in_order_and_end_with_the_motion(motion: Motion) -> None:
+    phases = motion.phases
+    assert phases[0].start_ns == 0
+    assert phases[-1].end_ns == round(motion.seconds * S)
+    assert all(phase.start_ns < phase.end_ns for phase in phases)
+    assert all(before.end_ns <= after.start_ns for before, after in itertools.pairwise(phases))
+
+
+@moving
+def test_in_a_phase_with_a_face_up_gravity_is_there(motion: Motion) -> None:
+    for phase in motion.phases:
+        if not phase.up:
+            continue
+        times = np.linspace(phase.start_ns, phase.end_ns - 1, 50).astype(np.int64)
+        felt = motion.felt(times)
+        sign = 1.0 if phase.up[0] == "+" else -1.0
+        assert felt.force_box[:, "XYZ".index(phase.up[1])] * sign == pytest.approx(9.80665, rel=1e-3)
+        assert np.linalg.norm(felt.force_box, axis=1) == pytest.approx(9.80665, rel=1e-12)
+        assert not felt.rate_box.any()
+        assert not felt.angular_acceleration_box.any()
+
+
+@given(name=st.sampled_from(sorted(MOVES)), share=st.floats(-0.1, 1.2), within=st.floats(0, 1))
+def test_while_it_is_said_not_to_change_it_does_not(name: str, share: float, within: float) -> None:
+    motion = MOVES[name]
+    if not isinstance(motion, Steady):
+        return
+    at_ns = round(share * motion.seconds * S)
+    until_ns = motion.unchanged_until_ns(at_ns)
+    assert until_ns >= at_ns
+    later_ns = at_ns + int(within * max(until_ns - at_ns - 1, 0))
+    felt = columns(motion.felt(np.array([at_ns, later_ns, max(until_ns - 1, at_ns)])))
+    for column, values in felt.items():
+        assert column == "time_ns" or (values == values[0]).all()
+
+
+def test_rest_is_recognised() -> None:
+    """What makes a still box quick in the emulator."""
+    for name, at_s, until_s in (
+        ("tumble", 1.6, 2.5),
+        ("shake", 0.5, 2.0),
+        ("vehicle", 0.5, 2.0),
+        ("heating", 0.3, 0.6),
+    ):
+        motion = MOVES[name]
+        assert isinstance(motion, Steady)
+        assert motion.unchanged_until_ns(round(at_s * S)) == round(until_s * S)
+    for name in ("still", "run", "tumble", "shake", "vehicle", "heating"):
+        motion = MOVES[name]
+        assert isinstance(motion, Steady)
+        assert motion.unchanged_until_ns(1000 * S) > 10**18
+
+
+def test_experiments_by_name() -> None:
+    assert list(EXPERIMENTS) == ["static", "tumble", "heating", "turn-on", "motion"]
+    names = {key: [phase.name for phase in make(Wanted()).phases] for key, make in EXPERIMENTS.items()}
+    assert names == {
+        "static": ["static"],
+        "tumble": ["z_up", "x_up", "y_up", "x_down", "y_down", "z_down", "z_up_check"],  # paper, Table 10
+        "heating": ["room", "heat", "cool", "heat", "cool"],
+        "turn-on": ["run 1"],
+        "motion": ["static", "motion", "static"],
+    }
+    assert EXPERIMENTS["turn-on"](Wanted()).seconds == 300  # section 4: five minutes
+    assert EXPERIMENTS["tumble"](Wanted()).seconds == 7 * 900 + 6 * 5  # section 4: fifteen minutes a face
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: Still("up"), "up"),
+        (lambda: Still(seconds=0.0), "seconds"),
+        (lambda: Still(seconds=float("inf")), "seconds"),
+        (lambda: Still(temperature_degc=float("nan")), "temperature_degc"),
+        (lambda: Still(tilt_deg=(0.0, float("nan"))), "tilt_deg"),
+        (lambda: turn_on_run(0), "k"),
+        (lambda: Tumble(face_s=-1.0), "face_s"),
+        (lambda: Tumble(turn_s=0.0), "turn_s"),
+        (lambda: Tumble(temperatures_degc=(25.0,)), "temperatures_degc: 1 given"),
+        (lambda: Tumble(temperatures_degc=(float("nan"),) * 7), "temperatures_degc, z_up"),
+        (lambda: Tumble(tilts_deg=((0.0, float("inf")),) * 7), "tilt_deg"),
+        (lambda: Heating(scale=0.0), "scale"),
+        (lambda: Heating(peaks_degc=(40.0, float("nan"))), "second_peak"),
+        (lambda: HandShake(peak_g=float("nan")), "peak_g"),
+        (lambda: HandShake(seed=-1), "seed"),
+        (lambda: Vehicle(speed_mps=0.0), "speed_mps"),
+        (lambda: Vehicle(road_mps2=-0.1), "road_mps2"),
+        (lambda: Vehicle(lateral_mps2=float("inf")), "lateral_mps2"),
+    ],
+)
+def test_impossible_motions(make: object, named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        make()  # type: ignore[operator]

@@ -1,0 +1,283 @@
+"""What holds for every effect, whatever it does: a table of harmful parameters, one of the columns that they change."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Place
+from imuarray.simulate.streams import CHUNK, Stream, Streams
+
+Row = Instants | Felt | Analog | Codes
+
+HARMFUL: Mapping[str, Mapping[str, Any]] = {
+    "clock_error": {"error_ppm": 500.0},
+    "skew": {"delay_s": 0.02},
+    "jitter": {"rms_s": 1e-3},
+    "dropped_samples": {"probability": 0.3, "burst_rows": 5.0},
+    "size_effect": {"position_mm": (12.0, -4.5, 3.0)},
+    "thermal_lag": {"time_constant_s": 0.5},
+    "axis_error": {"axes": "+Y+X+Z"},
+    "misalignment": {"angles_deg": (1.0, -2.0, 0.5, 1.0, -1.0, 3.0)},
+    "nonlinearity": {"quadratic": 0.01, "cubic": (0.0, 0.02, 0.0)},
+    "scale": {"error": (0.01, -0.02, 0.03)},
+    "thermal_scale": {"slope": 0.001},
+    "g_sensitivity": {"response": (0.01, 0.02, 0.0, 0.0, -0.01, 0.0, 0.03, 0.0, 0.0)},
+    "bias": {"offset": (0.1, -0.2, 0.3)},
+    "turn_on_bias": {"rms": 0.05},
+    "bistable_bias": {"offset": (0.1, 0.2, -0.3), "probability": 0.5},
+    "thermal_bias": {"slope": 0.002, "quadratic": 1e-4},
+    "bias_instability": {"rms": 0.01, "time_constant_s": 2.0},
+    "random_walk": {"density": 0.001},
+    "popcorn_noise": {"amplitude": 0.02, "switches_per_s": 5.0},
+    "common_mode": {"rms": 0.01, "time_constant_s": 2.0},
+    "tone": {"amplitude": 0.05, "frequency_hz": 7.3},
+    "white_noise": {"rms": 0.02},
+    "bandwidth": {"cutoff_hz": 15.0},
+    "odr_error": {"rate_hz": 50.0, "bandwidth_hz": 600.0},
+    "range_reset": {"range": 2.0, "offset": 0.1, "noise_share": 0.5, "onset_s": 1.0, "probability": 0.5},
+    "quantisation": {"step_lsb": 4},
+    "saturation": {"limit": 0.5},
+    "thermometer": {"offset_degc": 2.0, "rms_degc": 0.3},
+    "stale_samples": {"probability": 0.3},
+    "glitches": {"probability": 0.2, "kind": "torn"},
+    "stuck": {"onset_s": 0.5, "duration_s": 400.0},
+    "channel_swap": {"sensor": "S2"},
+}
+
+CHANGED: Mapping[str, set[str]] = {
+    "clock_error": {"Instants.instant_ns"},
+    "skew": {"Instants.instant_ns"},
+    "jitter": {"Instants.instant_ns"},
+    "dropped_samples": {"Instants.kept"},
+    "size_effect": {"Felt.force_box"},
+    "thermal_lag": {"Felt.temperature_degc"},
+    "axis_error": {"Analog.value", "Analog.force_g"},
+    "misalignment": {"Analog.value"},
+    "nonlinearity": {"Analog.value"},
+    "scale": {"Analog.value"},
+    "thermal_scale": {"Analog.value"},
+    "g_sensitivity": {"Analog.value"},
+    "bias": {"Analog.value"},
+    "turn_on_bias": {"Analog.value"},
+    "bistable_bias": {"Analog.value"},
+    "thermal_bias": {"Analog.value"},
+    "bias_instability": {"Analog.value"},
+    "random_walk": {"Analog.value"},
+    "popcorn_noise": {"Analog.value"},
+    "common_mode": {"Analog.value"},
+    "tone": {"Analog.value"},
+    "white_noise": {"Analog.noise"},
+    "bandwidth": {"Analog.noise"},
+    "odr_error": {"Instants.rate_hz", "Analog.noise", "Analog.rate_hz"},
+    "range_reset": {"Analog.value", "Analog.noise", "Analog.sensitivity"},
+    "quantisation": {"Analog.step", "Analog.highest"},  # -8192 is a multiple of four, 8191 isn't
+    "saturation": {"Analog.value", "Analog.noise"},
+    "thermometer": {"Analog.thermometer_degc"},
+    "stale_samples": {"Codes.counts", "Codes.temperature_counts", "Codes.fresh"},
+    "glitches": {"Codes.counts"},
+    "stuck": {"Codes.counts", "Codes.temperature_counts", "Codes.fresh"},
+    "channel_swap": {"Codes.counts", "Codes.temperature_counts", "Codes.fresh"},
+}
+
+RANDOM = {
+    "jitter",
+    "dropped_samples",
+    "turn_on_bias",
+    "bistable_bias",
+    "bias_instability",
+    "random_walk",
+    "popcorn_noise",
+    "common_mode",
+    "tone",
+    "white_noise",
+    "range_reset",
+    "thermometer",
+    "stale_samples",
+    "glitches",
+}
+
+ROWS = 300
+
+
+class NotedStreams(Streams):
+    """Streams that remember what they were asked for."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(seed)
+        self.asked: list[tuple[str, ...]] = []
+
+    def of_boot(self, *name: str, **options: Any) -> Stream:
+        self.asked.append(name)
+        return super().of_boot(*name, **options)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Makes places, and rows [first, stop) as they come to each stage: lively ones, the same for any stretch."""
+
+    make_place: Callable[..., Place]
+    make_instants: Callable[..., Instants]
+    make_analog: Callable[..., Analog]
+    make_codes: Callable[..., Codes]
+    motion: Any
+
+    def place(self, **changes: Any) -> Place:
+        return self.make_place(motion=self.motion, neighbour=self._neighbour, reaching=self._reaching, **changes)
+
+    def stages(self, first: int, stop: int, dtype: npt.DTypeLike = np.float64) -> tuple[Row, ...]:
+        rows = np.arange(first, stop)
+        force_g = np.stack([np.sin(rows / 7), np.cos(rows / 11), 1 + 0.1 * np.sin(rows / 5)], axis=1).astype(dtype)
+        noise = 0.02 * np.sin(rows[:, None] * (12.9, 78.2, 45.1))
+        analog = self.make_analog(
+            first, stop, value=force_g, noise=noise, dtype=dtype, force_g=force_g[:, ::-1] * force_g.dtype.type(0.5)
+        )
+        warm = (25 + rows / 100).astype(dtype)
+        return (
+            self.make_instants(first, stop),
+            self.motion.felt(self.make_instants(first, stop).instant_ns),
+            replace(analog, temperature_degc=warm, thermometer_degc=warm),
+            self._codes(first, stop),
+        )
+
+    def _codes(self, first: int, stop: int) -> Codes:
+        rows = np.arange(first, stop)
+        return self.make_codes(first, stop, rows[:, None] * (1, -3, 70) % 5000, temperature_counts=rows % 100)
+
+    def _neighbour(self, name: str, first: int, stop: int) -> Codes:
+        assert name == "S2"
+        codes = self._codes(first + 17, stop + 17)
+        return replace(codes, first=first, fresh=np.arange(first, stop) % 2 == 0)
+
+    def _reaching(self, effect: str, row: int) -> Codes:
+        assert effect == "stuck"
+        return self._codes(row, row + 1)
+
+
+@pytest.fixture
+def bench(place, instants, analog, codes, constant) -> Bench:
+    def turning(seconds):
+        return np.stack([np.sin(seconds), 2 * np.cos(seconds), seconds], axis=1)
+
+    motion = constant(turning, turning, turning, temperature_degc=lambda seconds: 25 + 5 * np.sin(seconds))
+    return Bench(place, instants, analog, codes, motion)
+
+
+def passed(effect: Effect, stages: tuple[Row, ...], at: Place) -> tuple[Row, ...]:
+    """Each stage's rows after the effect has had them."""
+    instants, felt, analog, codes = stages
+    return effect.sampled(instants, at), effect.felt(felt, at), effect.analog(analog, at), effect.codes(codes, at)
+
+
+def columns(stages: tuple[Row, ...]) -> Iterator[tuple[str, Any]]:
+    for stage in stages:
+        for item in fields(stage):
+            yield f"{type(stage).__name__}.{item.name}", getattr(stage, item.name)
+
+
+def differing(one: tuple[Row, ...], other: tuple[Row, ...]) -> set[str]:
+    """The columns that are not the same, bit for bit; a number is the same as one in every row."""
+    pairs = zip(columns(one), columns(other), strict=True)
+    return {name for (name, value), (_, changed) in pairs if not np.all(np.equal(value, changed))}
+
+
+def harmful(name: str) -> Effect:
+    return EFFECTS[name](**HARMFUL[name])
+
+
+def test_tables_are_complete() -> None:
+    assert set(EFFECTS) == set(HARMFUL) == set(CHANGED)
+    assert set(EFFECTS) > RANDOM
+    assert all(kind.name == name for name, kind in EFFECTS.items())
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_made_without_arguments_it_does_nothing(bench: Bench, name: str) -> None:
+    before, at = bench.stages(0, ROWS), bench.place()
+    assert differing(before, passed(EFFECTS[name](), before, at)) == set()
+    assert EFFECTS[name]().lookback(at) == 0
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", EFFECTS)
+def test_it_changes_its_columns_and_no_other(bench: Bench, name: str, dtype: npt.DTypeLike) -> None:
+    before = bench.stages(0, ROWS, dtype)
+    boots = [passed(harmful(name), before, bench.place(boot=boot, dtype=dtype)) for boot in range(4)]
+    assert set().union(*(differing(before, after) for after in boots)) == CHANGED[name]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", EFFECTS)
+def test_shapes_and_types_stay(bench: Bench, name: str, dtype: npt.DTypeLike) -> None:
+    before = bench.stages(0, ROWS, dtype)
+    after = passed(harmful(name), before, bench.place(dtype=dtype))
+    for (column, old), (_, new) in zip(columns(before), columns(after), strict=True):
+        if isinstance(old, np.ndarray):
+            assert (new.shape, new.dtype) == (old.shape, old.dtype), column
+        elif isinstance(new, np.ndarray):  # a setting of the converter that changes within the run
+            assert (new.shape, new.dtype) == ((ROWS, 1), np.dtype(dtype)), column
+        else:
+            assert isinstance(new, type(old)), column
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_rows_that_it_was_given_stay_as_they_were(bench: Bench, name: str) -> None:
+    before = bench.stages(0, ROWS)
+    arrays = [value for _, value in columns(before) if isinstance(value, np.ndarray)]
+    copies = [value.tobytes() for value in arrays]
+    for value in arrays:
+        value.flags.writeable = False
+    passed(harmful(name), before, bench.place())
+    assert [value.tobytes() for value in arrays] == copies
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_chance_comes_of_seed_and_boot_alone(bench: Bench, name: str) -> None:
+    before = bench.stages(0, ROWS)
+
+    def after(**place: int) -> tuple[Row, ...]:
+        return passed(harmful(name), before, bench.place(**place))
+
+    assert differing(after(seed=5, boot=2), after(seed=5, boot=2)) == set()
+    for key in ("seed", "boot"):
+        found = set().union(*(differing(after(), after(**{key: number})) for number in range(10, 20)))
+        assert bool(found) == (name in RANDOM)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_its_streams_bear_its_name(bench: Bench, name: str) -> None:
+    """So that no other effect, present or not, can change what it draws."""
+    streams = NotedStreams(1)
+    passed(harmful(name), bench.stages(0, ROWS), replace(bench.place(), streams=streams))
+    assert {effect for _, effect, *_ in streams.asked} == ({name} if name in RANDOM else set())
+
+
+@pytest.mark.parametrize(("name", "other"), list(itertools.permutations(sorted(RANDOM), 2)))
+def test_draws_are_the_same_beside_another_effect(bench: Bench, name: str, other: str) -> None:
+    before, at = bench.stages(0, ROWS), bench.place()
+    passed(harmful(other), before, at)
+    assert differing(passed(harmful(name), before, at), passed(harmful(name), before, bench.place())) == set()
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_any_stretch_alone(bench: Bench, name: str) -> None:
+    """Rows across the border of two chunks, as they come out of a longer stretch; numbers may differ by rounding, and
+    by the 1e-12 that filters forget.
+    """
+    begin, end, at = CHUNK - 200, CHUNK + 100, bench.place()
+    reach = harmful(name).lookback(at)
+    whole = passed(harmful(name), bench.stages(begin - 3000, end), at)
+    part = passed(harmful(name), bench.stages(begin - reach, end), bench.place())
+    for (column, long), (_, short) in zip(columns(whole), columns(part), strict=True):
+        if isinstance(short, np.ndarray) and len(short) > 1:
+            wanted, found = long[3000:], short[reach:]
+            close = np.allclose(found, wanted, rtol=1e-9, atol=1e-12) if found.dtype.kind == "f" else found == wanted
+            assert np.all(close), column

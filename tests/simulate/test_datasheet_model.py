@@ -1,0 +1,239 @@
+"""configs/models/datasheet.toml against the figures of the fact sheet, spelled out here once more from there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import atan, degrees, sqrt
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.stats import truncnorm
+
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.model import TRIADS, load_model
+from imuarray.simulate.population import Spread
+from imuarray.simulate.streams import Streams
+
+MakeSensor = Callable[..., SensorHeader]
+Floats = npt.NDArray[np.float64]
+
+MODEL = load_model(Path(__file__).parents[2] / "configs" / "models" / "datasheet.toml")
+UNITS = 2000
+
+MG = 1e-3
+PERCENT = 0.01
+
+
+class Printed(NamedTuple):
+    """One tolerance of a data sheet: sigma and limit about the mean, in the unit of the effect's parameter."""
+
+    effect: str
+    parameter: str
+    sigma: float
+    limit: float
+    mean: float = 0.0
+    axes: tuple[int, ...] = (0, 1, 2)
+
+
+def typical(effect: str, parameter: str, value: float) -> Printed:
+    """Of Bosch, ST, Honeywell: two sigma and the limit (DEC-51)."""
+    return Printed(effect, parameter, value / 2, value)
+
+
+def deviation(effect: str, parameter: str, sigma: float, limit: float, *axes: int) -> Printed:
+    """Of Analog Devices: one sigma (DEC-51)."""
+    return Printed(effect, parameter, sigma, limit, axes=axes or (0, 1, 2))
+
+
+SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
+    "adxl345": (
+        16.0,
+        (
+            deviation("bias", "offset", 35 * MG, 150 * MG, 0, 1),  # ADX-60
+            deviation("bias", "offset", 40 * MG, 250 * MG, 2),  # ADX-61
+            deviation("thermal_bias", "slope", 0.4 * MG, 1.2 * MG, 0, 1),  # ADX-62, three sigma
+            deviation("thermal_bias", "slope", 1.2 * MG, 3.6 * MG, 2),
+            deviation("scale", "error", 1.0 * PERCENT, 10 * PERCENT),  # ADX-63
+            deviation("thermal_scale", "slope", 0.01 * PERCENT, 0.03 * PERCENT),  # ADX-64
+            deviation("nonlinearity", "quadratic", 2 * 0.5 * PERCENT / 16, 6 * 0.5 * PERCENT / 16),  # ADX-65
+            deviation("misalignment", "angles_deg", degrees(atan(0.01)), 3 * degrees(atan(0.01)), *range(6)),  # ADX-66
+        ),
+    ),
+    "bma180": (
+        2.0,
+        (
+            typical("scale", "error", 1.5 * PERCENT),  # BMA-72
+            Printed("thermometer", "offset_degc", 5 / 3, 5.0, axes=(0,)),  # BMA-64: a minimum and a maximum
+            typical("bias", "offset", 60 * MG),  # BMA-113
+            typical("thermal_bias", "slope", 0.5 * MG),  # BMA-115
+            typical("thermal_scale", "slope", 0.01 * PERCENT),  # BMA-116
+            typical("nonlinearity", "quadratic", 2 * 0.15 * PERCENT / 2),  # BMA-117
+            typical("misalignment", "angles_deg", 1.0)._replace(axes=tuple(range(6))),  # BMA-118, BMA-119
+        ),
+    ),
+    "l3g4200d": (
+        250.0,
+        (
+            typical("bias", "offset", 10.0),  # L3G-70
+            typical("thermal_bias", "slope", 0.03),  # L3G-71
+            typical("thermal_scale", "slope", 2 * PERCENT / (25 + 40)),  # L3G-72
+            typical("nonlinearity", "quadratic", 2 * 0.2 * PERCENT / 250),  # L3G-73
+        ),
+    ),
+    "hmc5883l": (
+        4.0,
+        (
+            typical("scale", "error", 5 * PERCENT),  # HMC-52
+            Printed("nonlinearity", "quadratic", 0.002 / 3, 2 * 0.1 * PERCENT * 4 / 2**2),  # HMC-54: a maximum
+            typical("misalignment", "angles_deg", degrees(atan(0.2 * PERCENT * 4)))._replace(
+                axes=tuple(range(6))
+            ),  # HMC-56
+            Printed("thermal_scale", "slope", 0.0, 0.0, mean=-0.3 * PERCENT),  # HMC-57
+        ),
+    ),
+    "hmc5883": (
+        1.2,
+        (
+            typical("scale", "error", 5 * PERCENT),  # HMC-52
+            Printed("nonlinearity", "quadratic", 0.002 / 1.2 / 3, 2 * 0.1 * PERCENT / 1.2),  # HMC-54
+            Printed("thermal_scale", "slope", 0.0, 0.0, mean=-1.2 / 1024),  # HMC-57
+        ),
+    ),
+}
+
+
+def drawn(header: SensorHeader, effect: str, parameter: str, unit: int) -> Floats:
+    """The parameter of one virtual unit; tables of one kind added up."""
+    without = frozenset(EFFECTS) - {effect}
+    effects = MODEL.effects(_named(header, f"U{unit}"), Streams(11), without=without)
+    return np.sum([np.atleast_1d(getattr(found, parameter)) for found in effects], axis=0, dtype=float)
+
+
+def _named(header: SensorHeader, name: str) -> SensorHeader:
+    return SensorHeader(**{**vars(header), "name": name})
+
+
+@pytest.mark.parametrize(
+    ("chip", "range_", "printed"),
+    [(chip, range_, printed) for chip, (range_, sheet) in SHEETS.items() for printed in sheet],
+    ids=lambda value: "-".join(map(str, value[:2])) if isinstance(value, Printed) else str(value),
+)
+def test_two_thousand_units_are_what_the_data_sheet_says(
+    sensor: MakeSensor, chip: str, range_: float, printed: Printed
+) -> None:
+    """Mean and deviation at 4.4 sigma each (24 populations: one false alarm in 1900 seeds), none beyond the limit.
+
+    Rounding in the file: four digits.
+    """
+    header = sensor(chip, range_=range_)
+    units = np.array([drawn(header, printed.effect, printed.parameter, unit) for unit in range(UNITS)])
+    found = units[:, printed.axes].ravel() - printed.mean
+    rounding = 1e-4 * (printed.limit + abs(printed.mean))
+    assert np.abs(found).max() <= printed.limit + rounding
+    if printed.sigma:
+        cut = printed.limit / printed.sigma
+        sigma = printed.sigma * truncnorm(-cut, cut).std()
+        assert found.mean() == pytest.approx(0.0, abs=4.4 * sigma / sqrt(len(found)) + rounding)
+        assert found.std() == pytest.approx(sigma, rel=4.4 / sqrt(2 * len(found)) + 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("chip", "range_", "printed"),
+    [(chip, range_, printed) for chip, (range_, sheet) in SHEETS.items() for printed in sheet if printed.sigma],
+    ids=lambda value: "-".join(map(str, value[:2])) if isinstance(value, Printed) else str(value),
+)
+def test_the_file_has_the_printed_figures(sensor: MakeSensor, chip: str, range_: float, printed: Printed) -> None:
+    """What 2000 units can't tell: sigma and limit to four digits."""
+    recipe = MODEL.parts(sensor(chip, range_=range_))[printed.effect].effects[printed.effect][0]
+    figure = next(figure for key, figure in recipe.items() if key.startswith(printed.parameter))
+    for axis in printed.axes:
+        spread = figure[axis] if isinstance(figure, tuple) else figure
+        assert isinstance(spread, Spread)
+        assert (spread.mean, spread.sigma, spread.reach) == pytest.approx((0, printed.sigma, printed.limit), rel=1e-4)
+        assert spread.shared == 0
+
+
+GAUSS_L = (0.88, 1.3, 1.9, 2.5, 4.0, 4.7, 5.6, 8.1)
+GAUSS = (0.9, 1.2, 1.9, 2.5, 4.0, 4.6, 5.5, 7.9)
+BMA117 = {1: 0.15, 1.5: 0.15, 2: 0.15, 3: 0.25, 4: 0.25, 8: 0.75, 16: 0.75}
+
+RATIOS = {
+    ("adxl345", "nonlinearity", "quadratic"): {2: 1 / 2, 4: 1 / 4, 8: 1 / 8, 16: 1 / 16},  # ADX-65
+    ("adxl345", "bias", "offset"): dict.fromkeys((2, 4, 8, 16), 1.0),
+    ("bma180", "scale", "error"): {1: 2, 1.5: 2, 2: 1.5, 3: 2, 4: 2, 8: 2.5, 16: 3},  # BMA-70 ... BMA-76
+    ("bma180", "nonlinearity", "quadratic"): {range_: share / range_ for range_, share in BMA117.items()},
+    ("bma180", "bias", "offset"): dict.fromkeys((1, 1.5, 2, 3, 4), 1.0),  # BMA-113
+    ("l3g4200d", "bias", "offset"): {250: 10, 500: 15, 2000: 75},  # L3G-70
+    ("l3g4200d", "thermal_bias", "slope"): {250: 0.03, 500: 0.04, 2000: 0.04},  # L3G-71
+    ("l3g4200d", "nonlinearity", "quadratic"): {250: 1 / 250, 500: 1 / 500, 2000: 1 / 2000},  # L3G-73
+    # HMC-54: over +-2 gauss, or over the range where that is less; HMC-56
+    ("hmc5883l", "nonlinearity", "quadratic"): {r: r / min(r, 2) ** 2 for r in GAUSS_L},
+    ("hmc5883", "nonlinearity", "quadratic"): {r: r / min(r, 2) ** 2 for r in GAUSS},
+    ("hmc5883l", "misalignment", "angles_deg"): {r: degrees(atan(0.002 * r)) for r in GAUSS_L},
+    ("hmc5883", "misalignment", "angles_deg"): {r: degrees(atan(0.002 * r)) for r in GAUSS},
+}
+
+
+@pytest.mark.parametrize(("key", "figures"), RATIOS.items(), ids=["-".join(key[:2]) for key in RATIOS])
+def test_ranges_differ_as_the_data_sheet_says(
+    sensor: MakeSensor, key: tuple[str, str, str], figures: dict[float, float]
+) -> None:
+    """A unit draws the same deviate at every range, so that its values are in the ratio of the printed figures."""
+    chip, effect, parameter = key
+    at = {range_: drawn(sensor(chip, range_=float(range_)), effect, parameter, 1) for range_ in figures}
+    base_range, base = next(iter(figures.items()))
+    for range_, figure in figures.items():
+        assert at[range_] == pytest.approx(at[base_range] * figure / base, rel=2e-4)
+
+
+def test_the_bma180s_offset_shifts_at_8_and_16_g(sensor: MakeSensor) -> None:
+    """BMA-79: by up to 400 mg from that at 2 g, where the chip was trimmed; two sigma again, at 4.4 sigma."""
+    shifts = []
+    for unit in range(UNITS):
+        low, mid, high = (drawn(sensor("bma180", range_=range_), "bias", "offset", unit) for range_ in (2.0, 8.0, 16.0))
+        assert mid.tolist() == high.tolist()
+        shifts.append(high - low)
+    assert np.abs(shifts).max() <= 0.4
+    assert np.std(shifts) == pytest.approx(0.2 * truncnorm(-2, 2).std(), rel=4.4 / sqrt(6 * UNITS))
+
+
+@pytest.mark.parametrize(
+    ("chip", "settings", "expected"),
+    [
+        ("adxl345", {"rate_hz": 100.0}, (0.75 / 256, 0.75 / 256, 1.1 / 256)),  # ADX-67
+        ("adxl345", {"rate_hz": 400.0}, (1.5 / 256, 1.5 / 256, 2.2 / 256)),  # ADX-68
+        ("bma180", {"bandwidth_hz": 150.0}, (150e-6 * sqrt(150),) * 3),  # BMA-110
+        ("bma180", {"bandwidth_hz": 1200.0}, (150e-6 * sqrt(1200),) * 3),
+        ("l3g4200d", {"bandwidth_hz": 50.0}, (0.03 * sqrt(50),) * 3),  # L3G-74
+        ("l3g4200d", {"bandwidth_hz": 110.0}, (0.315,) * 3),
+        ("hmc5883l", {"range_": 0.88}, (2.1e-3,) * 3),  # HMC-53
+        ("hmc5883l", {"range_": 8.1}, (2.8e-3,) * 3),
+        ("hmc5883", {"range_": 1.9}, (10e-3,) * 3),
+    ],
+)
+def test_noise_is_the_data_sheets(
+    sensor: MakeSensor, chip: str, settings: dict[str, float], expected: tuple[float, ...]
+) -> None:
+    assert drawn(sensor(chip, **settings), "white_noise", "rms", 1) == pytest.approx(expected, rel=2e-3)
+
+
+EVERYWHERE = {"thermal_scale", "nonlinearity", "white_noise"}
+ALSO = {
+    "adxl345": {"misalignment", "scale", "bias", "thermal_bias"},
+    "bma180": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
+    "l3g4200d": {"bias", "thermal_bias"},  # scale, alignment, g-sensitivity: not specified (L3G-75, L3G-76)
+    "hmc5883l": {"misalignment", "scale"},  # offset: removed by set and reset (HMC-58)
+    "hmc5883": {"misalignment", "scale"},
+}
+
+
+def test_every_chip_and_range_has_what_is_printed_and_nothing_else(sensor: MakeSensor) -> None:
+    for chip, spec in TRIADS.items():
+        for range_ in spec.sensitivity:
+            effects = MODEL.effects(sensor(chip, range_=range_), Streams(0))
+            assert {effect.name for effect in effects} == EVERYWHERE | ALSO[chip]
+    assert not MODEL.sensors

@@ -1,0 +1,211 @@
+"""One simulated sensor: the same rows whatever is asked for, codes and flags as the chip and the logger give them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.array import parse_array
+from imuarray.log.format import LOST_BEFORE, SATURATED, STALE
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
+from imuarray.simulate.signal import Instants, Place
+from imuarray.simulate.simulation import Simulation, plan_of
+from imuarray.simulate.streams import CHUNK
+
+CHIPS = {
+    "adxl345": "address = 0x53\nrange = 16\nrate_hz = 400",
+    "bma180": "address = 0x40\nrange = 2",
+    "l3g4200d": "address = 0x68\nrange = 250\nrate_hz = 400",
+    "hmc5883l": "address = 0x1e\nrange = 1.3\nrate_hz = 75",
+}
+
+
+def simulation(
+    motion: Any, chip: str = "bma180", effects: tuple[Effect, ...] = (), *, rate_hz: float = 50.0, seconds: float = 1.0,
+    settings_of_chip: str | None = None, **options: Any,
+) -> Simulation:  # fmt: skip
+    text = f'[array]\nname = "a"\n[[sensor]]\nname = "S"\nchip = "{chip}"\n{settings_of_chip or CHIPS[chip]}'
+    return Simulation(plan_of(parse_array(text), rate_hz, seconds), motion, {"S": effects}, **options)
+
+
+def sensor(*arguments: Any, **options: Any) -> SimulatedSensor:
+    found = simulation(*arguments, **options).sensors["S"]
+    assert isinstance(found, SimulatedSensor)
+    return found
+
+
+def test_an_ideal_sensor_reads_the_data_sheets_test_vector(constant: Any) -> None:
+    # one g upwards: 256 counts per g (ADX-40), 4096 (BMA-73); a field of (0.2, 0, -0.4) gauss at 1090 (HMC-21)
+    assert sensor(constant(), "adxl345").block(0, 3).counts.tolist() == [[0, 0, 256]] * 3
+    assert sensor(constant(), "bma180").block(0, 1).counts.tolist() == [[0, 0, 4096]]
+    assert sensor(constant(), "hmc5883l").block(0, 1).counts.tolist() == [[218, 0, -436]]
+    spun = constant(rate_box=(0.0, np.radians(8.75), 0.0))
+    assert sensor(spun, "l3g4200d").block(0, 1).counts.tolist() == [[0, 1000, 0]]  # 8.75 mdps a count: L3G-40
+
+
+def test_axes_turn_the_box_into_the_sensor(constant: Any) -> None:
+    turned = sensor(constant(force_box=(1 * 9.80665, 2 * 9.80665, 3 * 9.80665)), "adxl345",
+                    settings_of_chip='address = 0x53\nrange = 16\naxes = "-Y+X+Z"')  # fmt: skip
+    # x points along -Y, y along +X
+    assert turned.block(0, 1).counts.tolist() == [[-512, 256, 768]]
+
+
+@pytest.mark.parametrize(
+    ("chip", "force", "expected"),
+    [
+        ("adxl345", 20.0, 4095),  # 13 bits in the 16 g range: ADX-46
+        ("adxl345", -20.0, -4096),
+        ("bma180", 3.0, 8191),  # 14 bits: BMA-60
+        ("bma180", -3.0, -8192),
+    ],
+)
+def test_codes_end_at_the_span_and_are_flagged(constant: Any, chip: str, force: float, expected: int) -> None:
+    block = sensor(constant(force_box=(0.0, force * 9.80665, 0.0)), chip).block(0, 2)
+    assert block.counts[:, 1].tolist() == [expected] * 2
+    assert (block.status & SATURATED).all()
+
+
+def test_a_magnetometer_beyond_its_span_says_so(constant: Any) -> None:
+    block = sensor(constant(field_box=(2.0, 0.0, 0.0)), "hmc5883l").block(0, 1)
+    assert block.counts[0, 0] == -4096  # HMC-32
+    assert block.status[0] & SATURATED
+
+
+def test_a_fast_adxl345_has_even_codes_alone(constant: Any) -> None:
+    def ramp(seconds: Any) -> Any:
+        return np.outer(seconds, [9.80665, 0.0, 0.0])
+
+    fast = sensor(constant(force_box=ramp), "adxl345", rate_hz=400.0, seconds=2.0,
+                  settings_of_chip="address = 0x53\nrange = 16\nrate_hz = 1600")  # fmt: skip
+    codes = fast.block(0, 800).counts[:, 0]
+    assert (codes % 2 == 0).all()  # ADX-47
+    assert set(np.diff(np.unique(codes)).tolist()) == {2}
+
+
+def test_a_slow_chip_repeats_itself_and_says_so(constant: Any) -> None:
+    def ramp(seconds: Any) -> Any:
+        return np.outer(np.asarray(seconds), [9.80665, 0.0, 0.0])
+
+    # 50 readings a second, asked 100 times: each reading twice, the second time stale
+    slow = sensor(constant(force_box=ramp), "adxl345", rate_hz=100.0, seconds=2.0,
+                  settings_of_chip="address = 0x53\nrange = 16\nrate_hz = 50")  # fmt: skip
+    block = slow.block(8, 48)
+    runs = block.counts[:, 0].reshape(20, 2)
+    assert (runs == runs[:, :1]).all()
+    assert (np.diff(runs[:, 0]) > 0).all()
+    assert ((block.status & STALE) != 0).reshape(20, 2).tolist() == [[False, True]] * 20
+
+
+def test_thermometers(constant: Any) -> None:
+    bma = sensor(constant(temperature_degc=25.0)).block(0, 1)
+    assert bma.temperature_counts is not None
+    assert bma.temperature_counts.tolist() == [2]  # 0 at 24 degC, half a degree a count: BMA-63
+    warmer, cooler = (
+        sensor(constant(temperature_degc=degc), "l3g4200d").block(0, 1).temperature_counts for degc in (30.0, 20.0)
+    )
+    assert warmer is not None
+    assert cooler is not None
+    assert int(warmer[0]) - int(cooler[0]) == -10  # falls by one a degree: L3G-60
+    assert sensor(constant(), "adxl345").block(0, 1).temperature_counts is None
+
+
+def noisy() -> tuple[Effect, ...]:
+    """An effect of each kind that remembers or draws."""
+    return (
+        EFFECTS["white_noise"](rms=0.01),  # type: ignore[call-arg]
+        EFFECTS["bias_instability"](rms=0.01, time_constant_s=3.0),  # type: ignore[call-arg]
+        EFFECTS["bandwidth"](cutoff_hz=5.0),  # type: ignore[call-arg]
+        EFFECTS["popcorn_noise"](amplitude=0.02, switches_per_s=0.5),  # type: ignore[call-arg]
+        EFFECTS["stale_samples"](probability=0.05),  # type: ignore[call-arg]
+        EFFECTS["dropped_samples"](probability=0.02, burst_rows=3.0),  # type: ignore[call-arg]
+        EFFECTS["jitter"](rms_s=1e-4),  # type: ignore[call-arg]
+    )
+
+
+SECONDS = (2 * CHUNK + 1000) / 400.0
+
+
+def noisy_sensor(motion: Any, dtype: Any = np.float64, seed: int = 5) -> SimulatedSensor:
+    return sensor(motion, "l3g4200d", noisy(), rate_hz=400.0, seconds=SECONDS, seed=seed, dtype=dtype)
+
+
+@settings(max_examples=15, deadline=None)
+@given(start=st.integers(0, 2 * CHUNK), length=st.integers(1, CHUNK), single=st.booleans())
+def test_any_stretch_alone_is_cut_out_of_the_whole(start: int, length: int, single: bool) -> None:
+    motion = _Rest()
+    dtype = np.float32 if single else np.float64
+    whole = noisy_sensor(motion, dtype)
+    everything = whole.block(0, whole.rows)
+    stop = min(start + length, whole.rows)
+    alone = noisy_sensor(motion, dtype).block(start, stop)
+    stamps = whole.timeline.stamps(start, stop)
+    rows = (everything.time >= stamps[0]) & (everything.time <= stamps[-1])
+    for ours, theirs in zip(alone[:4], everything[:4], strict=True):
+        np.testing.assert_array_equal(ours, np.asarray(theirs)[rows])
+
+
+def test_what_is_dropped_has_no_row_and_the_next_one_says_so(constant: Any) -> None:
+    found = noisy_sensor(constant())
+    block, lost = found.block(0, found.rows), found.lost_rows(0, found.rows)
+    assert 0 < len(lost) < 0.05 * found.rows
+    assert len(block.time) + len(lost) == found.rows
+    stamps = found.timeline.stamps(0, found.rows)
+    assert not np.isin(stamps[lost], block.time).any()
+    after = np.setdiff1d(lost + 1, lost)
+    flagged = block.time[(block.status & LOST_BEFORE) != 0]
+    np.testing.assert_array_equal(flagged, stamps[after[after < found.rows]])
+
+
+@dataclass(frozen=True)
+class _Gone(Effect):
+    """A row in five never arrives."""
+
+    name: ClassVar[str] = "dropped_samples"
+
+    def sampled(self, instants: Instants, at: Place) -> Instants:
+        rows = instants.first + np.arange(len(instants.kept))
+        return replace(instants, kept=rows % 5 != 0)
+
+
+def test_a_loss_at_a_chunks_edge_is_told(constant: Any) -> None:
+    found = sensor(constant(), "l3g4200d", (_Gone(),), rate_hz=400.0, seconds=(CHUNK + 100) / 400.0)
+    block = found.block(CHUNK - 10, CHUNK + 10)
+    stamps = found.timeline.stamps(0, found.rows)
+    rows = np.searchsorted(stamps, block.time)
+    np.testing.assert_array_equal((block.status & LOST_BEFORE) != 0, rows % 5 == 1)
+
+
+def test_a_barometer_tells_temperature_and_pressure(constant: Any) -> None:
+    text = '[array]\nname = "a"\n[[sensor]]\nname = "P"\nchip = "bmp180"\naddress = 0x77'
+    plan = plan_of(parse_array(text), 50.0, 100.0)
+    found = Simulation(plan, constant(temperature_degc=31.4, pressure_pa=98_000.0), {}).sensors["P"]
+    assert isinstance(found, SimulatedBarometer)
+    block = found.block(0, found.rows)
+    assert block.counts.dtype == np.int32
+    np.testing.assert_allclose(block.compensated["temperature"], 31.4, atol=0.11)
+    pressure = block.compensated["pressure"]
+    # 400 rows of 3 Pa rms (BMP-44) and 1 Pa steps: mean within 5 standard errors, spread within 5 of its own
+    assert abs(pressure.mean() - 98_000.0) < 5 * 3.1 / 20 + 0.5
+    assert abs(pressure.std() - 3.0) < 5 * 3.0 / np.sqrt(800)
+
+
+class _Rest:
+    """At rest, for tests that hypothesis calls many times."""
+
+    phases: ClassVar[tuple[Any, ...]] = ()
+    seconds: ClassVar[float] = 1e6
+
+    def felt(self, time_ns: Any) -> Any:
+        from imuarray.simulate.motion.felt import Felt
+
+        n = len(time_ns)
+        rest = np.broadcast_to(np.array([0.0, 0.0, 9.80665]), (n, 3))
+        zero = np.broadcast_to(np.zeros(3), (n, 3))
+        return Felt(time_ns, rest, zero, zero, zero, np.full(n, 25.0), np.full(n, 101325.0))

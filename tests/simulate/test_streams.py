@@ -1,0 +1,59 @@
+"""Named streams: any stretch alone, nothing in common between names, runs, units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from imuarray.simulate.streams import CHUNK, Streams
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 3 * CHUNK), st.integers(1, CHUNK), st.sampled_from(["float32", "float64"]))
+def test_any_stretch_is_cut_out_of_the_same_rows(start: int, length: int, dtype: str) -> None:
+    whole = Streams(7).of_boot("S1", "white_noise", dtype=dtype).normal(0, 4 * CHUNK)
+    alone = Streams(7).of_boot("S1", "white_noise", dtype=dtype).normal(start, start + length)
+    assert alone.dtype == dtype
+    np.testing.assert_array_equal(alone, whole[start : start + length])
+
+
+def test_another_name_seed_or_boot_is_another_stream() -> None:
+    draws = [
+        Streams(seed, boot).of_boot(*name).normal(0, 1000)[:, 0]
+        for seed, boot, name in [
+            (1, 0, ("S1", "white_noise")),
+            (2, 0, ("S1", "white_noise")),
+            (1, 1, ("S1", "white_noise")),
+            (1, 0, ("S2", "white_noise")),
+            (1, 0, ("S1", "tone")),
+            (1, 0, ("S1white_noise", "")),
+        ]
+    ]
+    correlation = np.corrcoef(draws) - np.eye(len(draws))
+    # 15 pairs of 1000 rows: |r| > 0.13 has probability 4e-5 each
+    assert np.abs(correlation).max() < 0.13
+
+
+def test_what_belongs_to_a_unit_stays_from_boot_to_boot() -> None:
+    assert Streams(3, 0).of_unit("S1", "bias").normal() == Streams(3, 9).of_unit("S1", "bias").normal()
+    assert Streams(3).of_unit("S1", "bias").normal() != Streams(4).of_unit("S1", "bias").normal()
+
+
+def test_rows_are_standard_normal_across_chunk_edges() -> None:
+    rows = Streams(11).of_boot("S1", "noise", width=1).normal(CHUNK - 5000, CHUNK + 5000)[:, 0]
+    assert stats.kstest(rows, "norm").pvalue > 1e-3  # error rate 1e-3
+    uniform = Streams(11).of_boot("S1", "places", width=1).uniform(CHUNK - 5000, CHUNK + 5000)[:, 0]
+    assert stats.kstest(uniform, "uniform").pvalue > 1e-3
+
+
+def test_rows_can_not_be_written_to() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        Streams(1).of_boot("S1", "noise").normal(0, 3)[0, 0] = 1.0
+
+
+def test_negative_seeds_are_refused() -> None:
+    with pytest.raises(ValueError, match="seed -1"):
+        Streams(-1)
