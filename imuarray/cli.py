@@ -22,6 +22,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "log": "record an array into a log",
         "info": "what a log holds",
         "import": "turn a foreign recording into a log",
+        "simulate": "a log as an array would record it, from a model of its sensors",
         "characterise": "Allan deviation and noise table of a log",
         "calibrate": "sensor parameters from a log: tumble, noise",
         "fuse": "one specific force and angular rate from all sensors",

@@ -1,0 +1,318 @@
+"""`imuarray simulate`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imuarray.axes import UP_AXES
+from imuarray.commands.options import (
+    find_config,
+    find_model,
+    force_option,
+    json_option,
+    print_json,
+    progress,
+    refuse_existing,
+)
+
+if TYPE_CHECKING:
+    from imuarray.array import ArrayConfig
+    from imuarray.log import Log
+    from imuarray.simulate import Model, Motion, Plan, Written
+
+EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
+"""Those of `imuarray.simulate.experiments`, which takes NumPy along."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One log to write: where, of what, and which boot it is."""
+
+    path: Path
+    plan: Plan
+    motion: Motion
+    boot: int
+
+
+def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Print what a model may hold, and leave."""
+    if not asked or context.resilient_parsing:
+        return
+    import sys
+    from inspect import cleandoc
+
+    from imuarray.simulate import EFFECTS
+    from imuarray.simulate.parameters import spelled
+
+    for name, kind in EFFECTS.items():
+        about = cleandoc(sys.modules[kind.__module__].__doc__ or "").splitlines()[0].partition(": ")[2]
+        click.echo(f"{name:17} {about}\n{'':17}   {', '.join(spelled(kind, 'UNIT'))}")
+    click.echo(
+        "UNIT is the sensor's: g, dps or gauss. Each effect's class gives its equation, source and look in data."
+    )
+    context.exit()
+
+
+@click.command("simulate")
+@click.argument("config", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--like",
+    type=click.Path(path_type=Path),
+    metavar="RUN.h5",
+    help="take sensors, times, faces and temperature from this log",
+)
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="SIM.h5",
+    help="the log to write; runs of a turn-on series get a number",
+)
+@click.option("--experiment", type=click.Choice(EXPERIMENTS), default="static", show_default=True)
+@click.option(
+    "--motion",
+    "drive",
+    metavar="hand|vehicle|T.csv",
+    default="hand",
+    show_default=True,
+    help="what moves the box in --experiment motion; a file of a trajectory or of force and rate",
+)
+@click.option(
+    "--seconds", type=click.FloatRange(min=0, min_open=True), help="length of the log (default: the experiment's own)"
+)
+@click.option(
+    "--runs", type=click.IntRange(1, 999), default=15, show_default=True, help="boots of a turn-on series, a log each"
+)
+@click.option(
+    "--rate-hz",
+    type=click.FloatRange(0.01, 3200),
+    default=50.0,
+    show_default=True,
+    help="frames per second; a frame reads every sensor once",
+)
+@click.option(
+    "--up",
+    type=click.Choice(UP_AXES),
+    default="+Z",
+    show_default=True,
+    help="the box axis that points up in a static log",
+)
+@click.option(
+    "--temperature",
+    "temperature_degc",
+    type=click.FloatRange(-40, 85),
+    default=25.0,
+    show_default=True,
+    help="degC, where the experiment has no profile of its own",
+)
+@click.option(
+    "--model",
+    "model_name",
+    metavar="MODEL",
+    default="datasheet",
+    show_default=True,
+    help="a model file, or one that comes with the package: datasheet, martin2013",
+)
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="CAL.toml",
+    help="units as this calibration found them, the rest from the model",
+)
+@click.option("--population", is_flag=True, help="draw every unit from its design, known ones too")
+@click.option("--without", metavar="EFFECT,...", default="", help="leave these effects out; no other draw changes")
+@click.option("--only", metavar="SENSOR,...", help="simulate only these sensors")
+@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="keys every draw")
+@click.option("--boot", type=click.IntRange(0), default=0, show_default=True, help="another run of the same units")
+@click.option("--single", is_flag=True, help="single precision: faster, 24 bits")
+@click.option(
+    "--workers", type=click.IntRange(1, 64), default=1, show_default=True, help="threads; the result is the same"
+)
+@click.option(
+    "--effects",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_list_effects,
+    help="list the effects and their parameters",
+)
+@force_option
+@json_option
+def command(
+    config: Path | None,
+    like: Path | None,
+    output: Path,
+    calibration: Path | None,
+    model_name: str,
+    population: bool,
+    without: str,
+    only: str | None,
+    seed: int,
+    single: bool,
+    workers: int,
+    force: bool,
+    as_json: bool,
+    **experiment: Any,
+) -> None:
+    """A log as the array of CONFIG would record it, or as RUN.h5 was recorded, from a model of its sensors.
+
+    Effects between truth and counts are those of the model, unit by unit; /truth holds what the box felt. The same seed
+    gives the same log.
+    """
+    from imuarray.simulate import Simulation, effects_of
+
+    if (config is None) == (like is None):
+        raise click.UsageError("say what to simulate: a CONFIG, or --like RUN.h5")
+    left_out = tuple(name for name in without.split(",") if name)
+    names = tuple(only.split(",")) if only else ()
+    with ExitStack() as stack:
+        log, runs = _runs(stack, config, like, output, names, **experiment)
+        model = _model(model_name, calibration, runs[0].plan)
+        for run in runs:
+            refuse_existing(run.path, force, source=like)
+        reports = []
+        for run in runs:
+            effects = effects_of(run.plan, model, seed, population=population, without=left_out)
+            simulation = Simulation(
+                run.plan, run.motion, effects, seed=seed, boot=run.boot, dtype="float32" if single else "float64"
+            )
+            note = _note(model.name, seed, run.boot, left_out, population)
+            written = _write(simulation, run.path, log, note, workers, force)
+            reports.append(_report(run.path, written, seed, run.boot, model.name))
+    spelled = {name: _spelled(effects[name], runs[0].plan.sensors[name][0].unit) for name in effects}
+    if as_json:
+        print_json({"logs": reports, "effects": spelled})
+        return
+    for report in reports:
+        click.echo(_line(report))
+
+
+def _runs(
+    stack: ExitStack,
+    config: Path | None,
+    like: Path | None,
+    output: Path,
+    only: tuple[str, ...],
+    *,
+    experiment: str,
+    runs: int,
+    rate_hz: float,
+    boot: int,
+    **wanted: Any,
+) -> tuple[Log | None, list[_Run]]:
+    """The logs to write; the recorded log that they are like, if there is one."""
+    from imuarray.log import open_log
+    from imuarray.simulate import plan_like
+    from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+    from imuarray.simulate.motion.like import LikeLog
+
+    if like is not None:
+        log = stack.enter_context(open_log(like))
+        return log, [_Run(output, plan_like(log, only), LikeLog(log), boot)]
+    array = _array(config, only)
+    if experiment == "turn-on":
+        return None, list(_series(array, output, runs, rate_hz, boot, wanted))
+    motion = EXPERIMENTS[experiment](Wanted(**wanted))
+    return None, [_run(array, output, motion, rate_hz, wanted["seconds"], boot)]
+
+
+def _run(array: ArrayConfig, path: Path, motion: Motion, rate_hz: float, seconds: float | None, boot: int) -> _Run:
+    from imuarray.simulate import plan_of
+
+    return _Run(path, plan_of(array, rate_hz, seconds or motion.seconds), motion, boot)
+
+
+def _array(config: Path | None, only: tuple[str, ...]) -> ArrayConfig:
+    from imuarray.array import load_array
+
+    array = load_array(find_config(config or Path()))
+    return array.only(only) if only else array
+
+
+def _series(
+    array: ArrayConfig, output: Path, runs: int, rate_hz: float, boot: int, wanted: Mapping[str, Any]
+) -> Iterator[_Run]:
+    """A log for every boot: SIM_01.h5, SIM_02.h5, ..."""
+    from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+
+    digits = max(2, len(str(runs)))
+    for k in range(1, runs + 1):
+        path = output.with_name(f"{output.stem}_{k:0{digits}}{output.suffix}")
+        motion = EXPERIMENTS["turn-on"](Wanted(**wanted, run=k))
+        yield _run(array, path, motion, rate_hz, wanted["seconds"], boot + k - 1)
+
+
+def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
+    from imuarray.simulate import load_model
+
+    model = load_model(find_model(Path(name)))
+    if calibration is None:
+        return model
+    from imuarray.calibrate import load_calibration
+    from imuarray.simulate.from_calibration import calibrated
+
+    headers = [header for header, _ in plan.sensors.values()]
+    return calibrated(model, load_calibration(calibration), headers)
+
+
+def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int, force: bool) -> Written:
+    """Write one log, with a bar on standard error."""
+    from imuarray.simulate import total_rows, write_log
+    from imuarray.simulate.record import EPOCH
+
+    with ExitStack() as stack:
+        done = stack.enter_context(progress(total_rows(simulation), str(path)))
+        threads = stack.enter_context(ThreadPoolExecutor(workers)) if workers > 1 else None
+        return write_log(
+            simulation,
+            path,
+            epoch=log.epoch if log else EPOCH,
+            note=note,
+            executor=threads,
+            workers=workers,
+            progress=done,
+            force=force,
+        )
+
+
+def _note(model: str, seed: int, boot: int, without: tuple[str, ...], population: bool) -> str:
+    """What a log says of where it comes from."""
+    drawn = ", units drawn" if population else ""
+    return f"model {model}{drawn}, seed {seed}, boot {boot}" + (f", without {', '.join(without)}" if without else "")
+
+
+def _spelled(effects: Any, unit: str) -> list[dict[str, Any]]:
+    """The effects of one unit with their parameters, as a model file spells them."""
+    from imuarray.simulate.parameters import to_table
+
+    return [{"effect": effect.name, **to_table(effect, unit)} for effect in effects]
+
+
+def _report(path: Path, written: Written, seed: int, boot: int, model: str) -> dict[str, Any]:
+    return {
+        "log": str(path),
+        "model": model,
+        "seed": seed,
+        "boot": boot,
+        "frames": written.frames,
+        "seconds": written.seconds,
+        "rows": written.rows,
+        "lost": {name: count for name, count in written.lost.items() if count},
+    }
+
+
+def _line(report: Mapping[str, Any]) -> str:
+    """One line about one log."""
+    lost = sum(report["lost"].values())
+    return (
+        f"{report['log']}: simulated, {report['frames']} frames in {report['seconds']:.1f} s, model {report['model']},"
+        f" seed {report['seed']}, boot {report['boot']}" + (f", {lost} readings dropped" if lost else "")
+    )
