@@ -21,8 +21,6 @@ import numpy.typing as npt
 Noise = Literal["white", "flicker", "random walk"]
 """Power laws of the series itself: spectrum flat, 1/f, 1/f^2; slope of the Allan deviation -1/2, 0, +1/2."""
 
-_POWERS: tuple[Noise, ...] = ("white", "flicker", "random walk")
-
 MIN_AVERAGES = 30
 """Fewer averages than this don't tell the noise type (SP 1065, "Lag 1 autocorrelation")."""
 
@@ -34,11 +32,14 @@ _REACH = 32
 
 
 @cache
-def degrees_of_freedom(noise: Noise, factor: int, terms: int) -> float:
-    """Equivalent degrees of freedom of an overlapping Allan variance: `terms` squares at an averaging `factor`."""
-    step = max(1, min(factor, terms) // _POINTS)
-    lags = np.arange(0, min(terms, _REACH * factor), step)
-    shares = (1 - lags / terms) * _correlation(noise, lags / factor, factor) ** 2
+def degrees_of_freedom(noise: Noise, factor: int, terms: int, stride: int = 1) -> float:
+    """Equivalent degrees of freedom of an overlapping Allan variance: `terms` squares at an averaging `factor`.
+
+    The terms start at every `stride`-th row. Sums over many lags are taken over every step-th of them.
+    """
+    step = max(1, min(factor // stride, terms) // _POINTS)
+    lags = np.arange(0, min(terms, _REACH * factor // stride), step)
+    shares = (1 - lags / terms) * _correlation(noise, lags * stride / factor, factor) ** 2
     return float(terms / (step * (2 * shares.sum() - shares[0])))
 
 
@@ -66,23 +67,23 @@ def _correlation(noise: Noise, lag: npt.NDArray[np.float64], factor: int) -> npt
     return np.asarray(fourth / fourth[0])
 
 
-def identify_noise(averages: npt.NDArray[np.float64]) -> Noise | None:
-    """Noise type of averages (n,) by their lag-1 autocorrelation; None if there are fewer than `MIN_AVERAGES`.
+def identify_noise(averages: npt.NDArray[np.float64], factor: int = 1) -> Noise | None:
+    """Noise type of averages (n,) over `factor` values each; None if there are fewer than `MIN_AVERAGES`.
 
-    A straight line is taken out; the series is differenced until it is stationary, d times; its lag-1 autocorrelation r
-    then gives the power law -2 (r / (1 + r) + d), to the nearest of those known (Riley and Greenhall, "Power law noise
-    identification using the lag 1 autocorrelation", EFTF 2004). What falls faster than white
-    noise counts as white: its intervals are then too wide rather than too narrow.
+    A straight line is taken out. With the lag-1 autocorrelation r, r / (1 + r) is 0 for white noise and 1/2 for flicker
+    noise (Riley and Greenhall, "Power law noise identification using the lag 1 autocorrelation", EFTF 2004); what is
+    nearer to white noise, or falls faster, is white. The rest is told apart by r of the differences, which averaging
+    changes: -0.22 for flicker noise, from 0 at factor 1 to 1/4 for a random walk.
     """
     if len(averages) < MIN_AVERAGES:
         return None
     series = _without_line(averages)
-    for differences in range(3):
-        delta = _fractional_order(series)
-        if delta < 0.25 or differences == 2:
-            break
-        series = np.diff(series)
-    return _POWERS[min(max(round(2 * (delta + differences)), 0), 2)]
+    r = _lag1(series)
+    if r < 1 / 3:
+        return "white"
+    one = np.array([0.0, 1.0])
+    limit = (_correlation("flicker", one, factor)[1] + _correlation("random walk", one, factor)[1]) / 2
+    return "flicker" if _lag1(np.diff(series)) < limit else "random walk"
 
 
 def _without_line(series: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -92,12 +93,11 @@ def _without_line(series: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.asarray(centred - at * (at @ centred / (at @ at)))
 
 
-def _fractional_order(series: npt.NDArray[np.float64]) -> float:
-    """r / (1 + r) with r the lag-1 autocorrelation; 0 for a constant series."""
+def _lag1(series: npt.NDArray[np.float64]) -> float:
+    """Lag-1 autocorrelation; 0 for a constant series."""
     centred = series - series.mean()
     power = float(centred @ centred)
-    r = float(centred[1:] @ centred[:-1]) / power if power > 0 else 0.0
-    return r / (1 + r)
+    return float(centred[1:] @ centred[:-1]) / power if power > 0 else 0.0
 
 
 def interval(

@@ -75,6 +75,32 @@ def test_noise_is_identified(noise: Noise, exponent: float) -> None:
     assert sum(identify_noise(_power_law(rng, exponent, 1000)) == noise for _ in range(200)) >= 198
 
 
+@pytest.mark.parametrize(("noise", "exponent"), [("white", 0.0), ("flicker", 1.0), ("random walk", 2.0)])
+def test_noise_is_identified_in_averages(noise: Noise, exponent: float) -> None:
+    """In 100 series of 500 averages over 16: averaging moves the correlations, and the next type is three standard
+    errors of them away (0.13 of 0.045), so that three may fail at most."""
+    rng = np.random.default_rng(18)
+    series = [_power_law(rng, exponent, 8000).reshape(500, 16).mean(axis=1) for _ in range(100)]
+    assert sum(identify_noise(averages, 16) == noise for averages in series) >= 97
+
+
+@pytest.mark.parametrize("noise", ["white", "flicker", "random walk"])
+@pytest.mark.parametrize(("factor", "stride"), [(16, 2), (40, 5), (64, 8), (512, 64), (512, 512)])
+def test_stride_by_definition(noise: Noise, factor: int, stride: int) -> None:
+    """2 / variance of the mean of squares, from the covariance of every pair of terms."""
+    covariance = {
+        "white": lambda t: -t / 2,
+        "flicker": lambda t: t**2 * np.log(np.maximum(t, 1)) / (2 * np.pi),
+        "random walk": lambda t: (t**3 - t) / 12,
+    }[noise]
+    starts = np.arange(0, 4 * factor, stride)
+    points = starts[:, None] + factor * np.arange(3)
+    apart = np.abs(points[:, None, :, None] - points[None, :, None, :]).astype(float)
+    r = np.einsum("ijab,a,b->ij", covariance(apart), [1, -2, 1], [1, -2, 1])
+    expected = (np.trace(r) ** 2) / (r**2).sum()
+    assert degrees_of_freedom(noise, factor, len(starts), stride) == pytest.approx(expected, rel=1e-6)
+
+
 def test_noise_type_of_odd_series() -> None:
     rng = np.random.default_rng(3)
     white = rng.normal(size=1000)

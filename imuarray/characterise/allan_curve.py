@@ -1,0 +1,103 @@
+"""An Allan curve: deviations at averaging times, how sure they are, and which noise they seem to be made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.characterise.freedom import Noise, degrees_of_freedom, identify_noise, interval
+
+CONFIDENCE = 0.95
+"""Share of intervals that hold the true deviation."""
+
+IDENTIFY = 8192
+"""The noise type is told from at most so many averages: their autocorrelation is then sure to 0.01."""
+
+STARTS = 8
+"""The decimated estimator starts at least so often in an averaging time; more starts tell next to nothing new."""
+
+
+@dataclass(frozen=True)
+class AllanCurve:
+    """Allan deviations in the unit of the series: a row per tau, and a column per column of the series if it had any.
+
+    `tau_s`, `terms` (squares averaged) and `stride` (rows between their starts, 1: fully overlapping) are (t,);
+    `deviation`, `low` and `high` (ends of its confidence interval), `freedom` (equivalent degrees of freedom) and
+    `noise` (the type that the interval assumes) are (t,) or (t, k). The series had `rows` values, one every
+    `interval_s`.
+    """
+
+    tau_s: npt.NDArray[np.float64]
+    deviation: npt.NDArray[np.float64]
+    terms: npt.NDArray[np.int64]
+    low: npt.NDArray[np.float64]
+    high: npt.NDArray[np.float64]
+    freedom: npt.NDArray[np.float64]
+    noise: npt.NDArray[np.str_]
+    stride: npt.NDArray[np.int64]
+    interval_s: float
+    rows: int
+
+    def column(self, number: int) -> AllanCurve:
+        """The curve of one column of a series that had some."""
+        parts = {name: getattr(self, name)[:, number] for name in ("deviation", "low", "high", "freedom", "noise")}
+        return replace(self, **parts)
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What was found in one column, per averaging factor: `sums` of squared second differences, and the first, or the
+    middle, `averages` side by side."""
+
+    sums: Sequence[float]
+    averages: Sequence[npt.NDArray[np.float64]]
+
+
+def octaves(rows: int) -> tuple[int, ...]:
+    """Averaging factors 1, 2, 4, ... up to a third of `rows`, where too few terms are left to mean anything."""
+    return tuple(1 << power for power in range(max(rows // 3, 1).bit_length()))
+
+
+def stride_of(factor: int) -> int:
+    """Rows between the starts of the decimated estimator: the largest divisor of `factor` up to an eighth of it.
+
+    A divisor, so that the running sum is needed at its multiples only.
+    """
+    limit = factor // STARTS
+    return next((stride for stride in range(limit, 0, -1) if factor % stride == 0), 1)
+
+
+def make_curve(
+    columns: Sequence[Moments],
+    factors: Sequence[int],
+    strides: Sequence[int],
+    rows: int,
+    interval_s: float,
+    shape: tuple[int, ...],
+    confidence: float,
+) -> AllanCurve:
+    """The curve of a series of `rows` values; `shape` is () for one column alone, (k,) for k of them."""
+    m, stride = np.array(factors, np.int64), np.array(strides, np.int64)
+    terms = rows // stride + 1 - 2 * (m // stride)
+    sums = np.array([column.sums for column in columns]).T.reshape(len(m), *shape)
+    across = (slice(None), *[None] * len(shape))
+    deviations = np.sqrt(sums / (2.0 * terms[across])) / m[across]
+    noises = [_noises(column.averages, factors) for column in columns]
+    points = list(zip(factors, terms.tolist(), strides, strict=True))
+    freedom = [[degrees_of_freedom(noise, *at) for noise, at in zip(found, points, strict=True)] for found in noises]
+    freedoms = np.array(freedom).T.reshape(deviations.shape)
+    low, high = interval(deviations, freedoms, confidence)
+    kinds = np.array(noises).T.reshape(deviations.shape)
+    tau_s = m * np.float64(interval_s)
+    return AllanCurve(tau_s, deviations, terms, low, high, freedoms, kinds, stride, float(interval_s), rows)
+
+
+def _noises(averages: Sequence[npt.NDArray[np.float64]], factors: Sequence[int]) -> list[Noise]:
+    """Noise type at each factor; one too long to tell has the type of the next shorter."""
+    known: dict[int, Noise] = {}
+    for m, found in sorted(zip(factors, averages, strict=True), key=lambda pair: pair[0]):
+        known[m] = identify_noise(found, m) or (list(known.values()) or ["white"])[-1]
+    return [known[m] for m in factors]

@@ -1,0 +1,96 @@
+"""Sums of squared second differences of a running sum, which is what Allan variances are made of.
+
+The running sum of whole numbers is kept as float64 of their distance from the first: exact while it stays below 2^53,
+and so are its differences; the rest is float64 too, and no conversion is needed on the way to the sum of squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Values = npt.NDArray[Any]
+Phase = npt.NDArray[np.float64]
+
+EXACT = 1 << 53
+"""Whole numbers below this are exact in float64."""
+
+_BLOCK = 32768
+"""Ends of second differences at once. At every distance in turn, so that what one distance read the next finds in the
+cache."""
+
+_DOT = 8192
+"""Products at once: up to 10,000 OpenBLAS adds them up without waking other threads."""
+
+
+def running_sum(values: Values) -> Phase:
+    """0 and the running sum (n + 1,) of the distance of `values` (n,) from a reference; ValueError if not finite.
+
+    A reference changes no second difference; it is whole, and the sum exact, where the values are whole numbers that
+    allow it, and else the mean, which keeps the sum small.
+    """
+    reference = values[0] if _fits(values) else values.mean(dtype=np.float64)
+    phase = np.zeros(len(values) + 1)
+    for start in range(0, len(values), _BLOCK):
+        part = phase[start + 1 : start + 1 + _BLOCK]
+        add_up(values[start : start + _BLOCK], reference, float(phase[start]), part)
+    return phase
+
+
+def add_up(values: Values, reference: Any, total: float, out: Phase) -> None:
+    """The running sum of the distance of `values` (b,) from `reference` beyond `total`, into `out` (b,); ValueError."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        if values.dtype.itemsize == 8 and isinstance(reference, np.integer) and _near(values, reference):
+            out[:] = (values - reference).view(np.int64)  # float64 would round before it subtracts
+        else:
+            np.subtract(values, reference, out=out, dtype=np.float64)
+        out[0] += total
+        np.cumsum(out, out=out)
+    if not np.isfinite(out[-1]):
+        raise ValueError("the series holds values that are not finite")
+
+
+def _near(values: Values, reference: np.integer[Any]) -> bool:
+    """Whether whole numbers are exact in float64 once the reference is taken off; their difference may wrap round."""
+    return max(int(values.max()) - int(reference), int(reference) - int(values.min())) < EXACT
+
+
+def _fits(values: Values) -> bool:
+    """Whether the running sum of the distance from one of the values is exact for certain."""
+    if values.dtype.kind not in "biu":
+        return False
+    span = 1 << 8 * values.dtype.itemsize if values.dtype.itemsize <= 2 else int(values.max()) - int(values.min())
+    return span * len(values) < EXACT
+
+
+def sums_of_squares(phase: Phase, distances: Sequence[int], first: int = 0) -> list[float]:
+    """Per distance m the sum of (x[e] - 2 x[e-m] + x[e-2m])^2 over the ends e from `first` on, as far as x reaches."""
+    totals = [0.0] * len(distances)
+    work = np.empty((2, min(2 * _BLOCK, len(phase))))
+    for start in range(first, len(phase), _BLOCK):
+        stop = min(start + _BLOCK, len(phase))
+        for index, m in enumerate(distances):
+            if stop > 2 * m:
+                totals[index] += _square(_second_differences(phase, m, max(start, 2 * m), stop, work))
+    return totals
+
+
+def _second_differences(phase: Phase, m: int, start: int, stop: int, work: Phase) -> Phase:
+    """Those that end from `start` to `stop`; at a short distance each first difference serves twice."""
+    count = stop - start
+    block, middle = work[0, :count], phase[start - m : stop - m]
+    if 4 * m <= count:
+        first = work[1, : count + m]
+        np.subtract(phase[start - m : stop], phase[start - 2 * m : stop - m], out=first)
+        return np.subtract(first[m:], first[:count], out=block)
+    np.subtract(phase[start:stop], middle, out=block)
+    np.subtract(block, middle, out=block)
+    return np.add(block, phase[start - 2 * m : stop - 2 * m], out=block)
+
+
+def _square(block: Phase) -> float:
+    parts = (block[at : at + _DOT] for at in range(0, len(block), _DOT))
+    return sum(float(np.dot(part, part)) for part in parts)

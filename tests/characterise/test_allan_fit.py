@@ -1,0 +1,212 @@
+"""Fitted noise coefficients: exact curves, intervals and p-values counted in simulations, curves that are no such sum.
+
+Flicker noise is drawn exactly (its differences are stationary) at four times the rate and averaged by fours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.signal import lfilter
+from scipy.stats import binom, kstest
+
+from imuarray.characterise import allan_deviation
+from imuarray.characterise.allan_covariance import TERMS, Term
+from imuarray.characterise.allan_fit import UNITS, USUAL, NoiseFit, fit_noise
+
+INTERVAL_S = 0.0025
+ROWS, REPEATS = 8192, 250
+
+
+def white(seed: int, rows: int = ROWS, repeats: int = REPEATS) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(rows, repeats))
+
+
+def flicker(seed: int) -> np.ndarray:
+    """Continuous flicker noise with B = 1 averaged over rows (n, r): spectrum 1 / (2 pi f)."""
+    fine = 4 * ROWS
+    covariance = 4 / (np.pi * (1 - 4 * np.arange(fine + 1.0) ** 2))
+    power = np.fft.rfft(np.concatenate([covariance, covariance[-2:0:-1]])).real
+    drawn = np.fft.rfft(np.random.default_rng(seed).normal(size=(REPEATS, 2 * fine))) * np.sqrt(power)
+    return np.cumsum(np.fft.irfft(drawn)[:, :fine], axis=1).reshape(REPEATS, ROWS, 4).mean(axis=2).T
+
+
+def fitted(series: np.ndarray, **options: Any) -> NoiseFit:
+    found = fit_noise(allan_deviation(series, INTERVAL_S), **options)
+    assert found is not None
+    return found
+
+
+def all_fitted(series: np.ndarray) -> list[NoiseFit]:
+    curve = allan_deviation(series, INTERVAL_S)
+    return [found for column in range(series.shape[1]) if (found := fit_noise(curve, column))]
+
+
+def covered(fits: list[NoiseFit], term: Term, truth: float) -> int:
+    return sum(found[term].low <= truth <= found[term].high for found in fits)
+
+
+def test_intervals_cover_and_p_is_uniform() -> None:
+    """White, flicker and random walk together, 250 times: terms, 95 % intervals, and p-values.
+
+    Intervals span two models and cover in 92 % to 99 %: a chance below 1e-4 each to fail if it is 93 % or more. The
+    largest distance of p-values from uniform fails with a chance of 1e-3.
+    """
+    series = white(1) + 0.2 * flicker(2) + 0.02 * np.cumsum(white(3), axis=0)
+    fits = all_fitted(series)
+    assert len(fits) == REPEATS
+    for term, truth in (("white", INTERVAL_S**0.5), ("flicker", 0.2), ("random walk", 0.02 / INTERVAL_S**0.5)):
+        assert covered(fits, term, truth) >= binom.ppf(1e-4, REPEATS, 0.93)
+    assert sum(found["random walk"].significant for found in fits) > 0.9 * REPEATS
+    assert kstest([found.p_value for found in fits], "uniform").pvalue > 1e-3
+    assert sum(bool(found.verdict) for found in fits) <= binom.isf(1e-4, REPEATS, 0.015)
+
+
+def test_terms_that_are_not_there_are_left_out() -> None:
+    """White noise alone: each other term stays in 1 % to 3 %, and what it could be is bounded."""
+    fits = all_fitted(white(4))
+    for term in ("flicker", "random walk"):
+        assert sum(found[term].significant for found in fits) <= binom.isf(1e-4, REPEATS, 0.03)
+        assert all(found[term].value == found[term].low == 0 for found in fits if not found[term].significant)
+    assert covered(fits, "white", INTERVAL_S**0.5) >= binom.ppf(1e-4, REPEATS, 0.94)
+    bound = np.median([found["flicker"].high for found in fits])
+    assert 0.02 < bound < 0.2
+    assert kstest([found.p_value for found in fits], "uniform").pvalue > 1e-3
+
+
+def test_random_walk_alone() -> None:
+    fits = all_fitted(np.cumsum(white(5), axis=0))
+    assert covered(fits, "random walk", INTERVAL_S**-0.5) >= binom.ppf(1e-4, REPEATS, 0.94)
+    assert all(found["random walk"].significant for found in fits)
+
+
+COEFFICIENTS: dict[Term, float] = {
+    "quantisation": 2e-4,
+    "white": 0.003,
+    "flicker": 0.02,
+    "random walk": 0.05,
+    "ramp": 0.02,
+}
+
+
+@pytest.mark.parametrize("left_out", [(), ("flicker",), ("quantisation", "ramp")])
+def test_exact_curve_gives_its_coefficients(left_out: tuple[Term, ...]) -> None:
+    """The variance of IEEE Std 952, annex C, without scatter; a random walk of readings differs at first."""
+    curve = allan_deviation(white(6, 1_000_000, 1)[:, 0], INTERVAL_S)
+    given = {term: 0.0 if term in left_out else value for term, value in COEFFICIENTS.items()}
+    Q, N, B, K, R = (given[term] for term in TERMS)
+    tau_s = curve.tau_s
+    steps = 1 + 1 / (2 * (tau_s / INTERVAL_S) ** 2)
+    variance = 3 * Q**2 / tau_s**2 + N**2 / tau_s + 2 * np.log(2) / np.pi * B**2 + K**2 * tau_s * steps / 3
+    exact = replace(curve, deviation=np.sqrt(variance + R**2 * tau_s**2 / 2))
+    found = fit_noise(exact, terms=[term for term in TERMS if term not in left_out], unit="dps")
+    assert found is not None
+    assert {item.term for item in found.coefficients} == set(TERMS) - set(left_out)
+    for item in found.coefficients:
+        assert item.low <= given[item.term] <= item.high
+        if item.significant:
+            assert item.unit == UNITS[item.term].format(unit="dps")
+    assert found["white"].value == pytest.approx(N, rel=1e-3)
+    assert found.p_value > 0.99
+    assert found.verdict == ""
+
+
+ROWS_ONE = 100_000
+TIME = np.arange(ROWS_ONE)
+ONE = np.random.default_rng(7).normal(size=ROWS_ONE)
+
+
+@pytest.mark.parametrize(
+    "series",
+    [
+        ONE + 0.5 * np.sin(2 * np.pi * 0.05 * TIME),
+        ONE + 0.05 * np.sin(2 * np.pi * 0.001 * TIME),
+        ONE + 3e-5 * TIME,
+        lfilter([0.5], [1, -0.5], ONE),
+        np.diff(np.append(ONE, 0.0)),
+    ],
+    ids=["strong tone", "weak tone", "ramp", "low-pass filter", "quantised angle"],
+)
+def test_bad_fit_says_so(series: np.ndarray) -> None:
+    found = fitted(series)
+    assert found.p_value < 1e-4
+    assert "no sum of white, flicker and random walk gives this curve" in found.verdict
+    assert f"at tau = {found.worst_tau_s:.3g} s" in found.verdict
+    assert abs(np.log(found.worst_ratio)) > 0.05
+
+
+def test_ramp_and_quantisation_in_the_model() -> None:
+    """The same ramp and the same quantised angle with their terms; 3e-5 a row is 0.012 a second."""
+    ramp = fitted(ONE + 3e-5 * TIME, terms=(*USUAL, "ramp"))
+    assert ramp.verdict == ""
+    assert ramp["ramp"].low < 3e-5 / INTERVAL_S < ramp["ramp"].high
+    assert ramp["ramp"].value == pytest.approx(3e-5 / INTERVAL_S, rel=0.05)
+    angle = fitted(np.diff(np.append(ONE, 0.0)), terms=TERMS)
+    assert angle.verdict == ""
+    assert angle["quantisation"].value == pytest.approx(INTERVAL_S, rel=0.02)
+
+
+def test_filtered_start_can_be_left_out() -> None:
+    """Behind a first-order filter with a time constant of 1.4 rows, from 32 rows on it is the white noise it was."""
+    found = fitted(lfilter([0.5], [1, -0.5], ONE), shortest_s=32 * INTERVAL_S)
+    assert found.tau_s[0] == pytest.approx(32 * INTERVAL_S)
+    assert found.verdict == ""
+    assert found["white"].value == pytest.approx(INTERVAL_S**0.5, rel=0.06)
+
+
+def test_column_and_scale() -> None:
+    """Coefficients scale with the series, and columns don't mix."""
+    two = fit_noise(allan_deviation(np.column_stack([np.cumsum(ONE), 3 * ONE]), INTERVAL_S), 1)
+    one = fitted(ONE)
+    assert two is not None
+    assert two["white"].value == pytest.approx(3 * one["white"].value, rel=1e-6)
+    assert two.p_value == pytest.approx(one.p_value, rel=1e-6)
+    np.testing.assert_allclose(two.deviation, 3 * one.deviation, rtol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1e-120, 1e120])
+def test_any_unit(scale: float) -> None:
+    """Deviations whose squares float64 does not hold."""
+    found, one = fitted(scale * ONE), fitted(ONE)
+    assert found["white"].value == pytest.approx(scale * one["white"].value, rel=1e-6)
+    assert found["flicker"].high == pytest.approx(scale * one["flicker"].high, rel=1e-6)
+
+
+def test_nothing_to_fit() -> None:
+    assert fit_noise(allan_deviation(np.zeros(100), 1.0)) is None
+    assert fit_noise(allan_deviation(ONE[:9], 1.0)) is None
+    assert fit_noise(allan_deviation(ONE, 1.0), shortest_s=1e6) is None
+    two = fit_noise(allan_deviation(ONE, 1.0, [1, 2]))
+    assert two is not None
+    assert [item.term for item in two.coefficients] == ["white", "flicker"]
+    with pytest.raises(KeyError):
+        two["ramp"]
+
+
+def test_refused() -> None:
+    curve = allan_deviation(ONE[:1000], 1.0)
+    with pytest.raises(ValueError, match="not none"):
+        fit_noise(curve, terms=())
+    with pytest.raises(ValueError, match="not pink"):
+        fit_noise(curve, terms=("pink",))  # type: ignore[arg-type]
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    hnp.arrays(np.float64, st.integers(20, 200), elements=st.floats(-1e3, 1e3, allow_subnormal=False)),
+    st.lists(st.sampled_from(TERMS), min_size=1, unique=True),
+)
+def test_anything_has_ordered_intervals(values: np.ndarray, terms: list[Term]) -> None:
+    found = fit_noise(allan_deviation(values, 0.1), terms=terms)
+    if found is None:
+        return
+    for item in found.coefficients:
+        assert 0 <= item.low <= item.value * (1 + 1e-9)
+        assert item.value <= item.high * (1 + 1e-9)
+    assert np.isnan(found.p_value) if found.freedom == 0 else 0 <= found.p_value <= 1
