@@ -1,8 +1,46 @@
-"""How noisy a sensor at rest is: Allan deviation, spread, correlation, codes, gaps; as numbers, text and a figure."""
+"""How noisy a sensor at rest is: Allan deviation and fitted noise, spectrum and lines, correlation, codes, times; as
+numbers, text and figures. The names below are loaded when first used: SciPy takes its time.
+"""
 
-from imuarray.characterise.allan import AllanCurve, allan_deviation
-from imuarray.characterise.noise import NoiseStatistics, noise_statistics
-from imuarray.characterise.result import characterise_log
-from imuarray.characterise.text import render_text
+from __future__ import annotations
 
-__all__ = ["AllanCurve", "NoiseStatistics", "allan_deviation", "characterise_log", "noise_statistics", "render_text"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from imuarray.characterise.allan import AllanCurve, AllanStream, allan_deviation
+    from imuarray.characterise.allan_fit import NoiseFit, fit_noise
+    from imuarray.characterise.noise import NoiseStatistics, noise_statistics
+    from imuarray.characterise.result import characterise_log
+    from imuarray.characterise.text import render_text
+
+_PUBLIC = {
+    "AllanCurve": "allan",
+    "AllanStream": "allan",
+    "NoiseFit": "allan_fit",
+    "NoiseStatistics": "noise",
+    "allan_deviation": "allan",
+    "characterise_log": "result",
+    "fit_noise": "allan_fit",
+    "noise_statistics": "noise",
+    "render_text": "text",
+}
+
+__all__ = [
+    "AllanCurve",
+    "AllanStream",
+    "NoiseFit",
+    "NoiseStatistics",
+    "allan_deviation",
+    "characterise_log",
+    "fit_noise",
+    "noise_statistics",
+    "render_text",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)

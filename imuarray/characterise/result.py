@@ -1,40 +1,48 @@
 """Everything that is known of a log's sensors at rest, as one JSON-ready object.
 
-Values are in counts; `unit_per_count` and `si_per_count` turn them into the sensor's unit and into SI by the data
-sheet's typical sensitivity (null where the log has none). Statistics and coefficients stand in all three.
+Values are in counts; `unit_per_count` turns them into the sensor's unit and `si_per_count` into SI, by a calibration or
+else by the data sheet's typical sensitivity (null where the log has none). Statistics and coefficients stand in all
+three.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.characterise.allan import CONFIDENCE, AllanCurve, allan_deviation
+from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.coefficients import floor, white_noise
+from imuarray.characterise.columns import column_of, spectrum_of, timing_of
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
+from imuarray.characterise.survey import Survey, survey
 from imuarray.errors import LogError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
-MIN_ROWS = 9
-"""A run shorter than this gives no Allan deviation: not even two octaves."""
-
 Progress = Callable[[], None]
 
 
 def characterise_log(
-    log: Log, phase: str | None = None, sensors: Sequence[str] | None = None, progress: Progress | None = None
+    log: Log,
+    phase: str | None = None,
+    sensors: Sequence[str] | None = None,
+    progress: Progress | None = None,
+    estimator: Estimator | None = None,
+    scales: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Noise of the triads of `log` (or of the `sensors` named, of any kind) in one stretch at rest.
 
     `phase` names the stretch; without it the longest phase at rest is taken, or the whole log; `stretch` says which.
+    `scales`: counts per unit of a sensor's axes (3,), where a calibration knows better than the data sheet.
+    `estimator` of the Allan deviation; None: overlapping, or for long runs decimated (`survey.EXACT_ROWS`).
     `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads.
     """
     chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
@@ -48,7 +56,9 @@ def characterise_log(
         "stretch": _stretch(stretch),
         "confidence": CONFIDENCE,
         "left_out_of_statistics": [name for name, flag in FLAGS.items() if flag & LEFT_OUT],
-        "sensors": [_sensor(sensor, stretch, progress or _nothing) for sensor in chosen],
+        "sensors": [
+            _sensor(sensor, stretch, estimator, scales.get(sensor.name), progress or _nothing) for sensor in chosen
+        ],
     }
     return {name: json_ready(value) for name, value in result.items()}
 
@@ -78,15 +88,23 @@ def _stretch(stretch: Stretch) -> dict[str, Any]:
     }
 
 
-def _sensor(sensor: SensorLog, stretch: Stretch, progress: Progress) -> dict[str, Any]:
+def _sensor(
+    sensor: SensorLog,
+    stretch: Stretch,
+    estimator: Estimator | None,
+    scale: Sequence[float] | None,
+    progress: Progress,
+) -> dict[str, Any]:
     """One sensor: what it is, its times and flags, and its axes."""
     rows = sensor.between(stretch.start_ns, stretch.end_ns)
     timing = find_timing(sensor, rows)
     statistics = noise_statistics(sensor, rows)
     run = _run(sensor, timing)
+    found = survey(sensor, rows, timing, run["interval_s"], estimator)
     count = statistics.rows or math.nan
+    per_count = _per_count(sensor, scale)
     return {
-        **_identity(sensor),
+        **_identity(sensor, per_count),
         "rows": statistics.rows,
         "rows_used": statistics.used,
         "flags": dict(statistics.flags),
@@ -96,13 +114,16 @@ def _sensor(sensor: SensorLog, stretch: Stretch, progress: Progress) -> dict[str
         "gaps": timing.gaps,
         "largest_gap_s": timing.largest_gap_s,
         "allan_run": run | {"left_out_share": 1 - run["rows"] / count},
-        "axes": _axes(sensor, timing, run["interval_s"], statistics, progress),
+        "allan_estimator": found and found.estimator,
+        "timing": found and timing_of(found),
+        "spectrum": found and spectrum_of(found),
+        "axes": _axes(sensor, per_count, found, statistics, progress),
     }
 
 
-def _identity(sensor: SensorLog) -> dict[str, Any]:
-    """What the log says of a sensor, and its scale."""
-    per_count = _per_count(sensor)
+def _identity(sensor: SensorLog, per_axis: npt.NDArray[np.float64]) -> dict[str, Any]:
+    """What the log says of a sensor, and its scale, that of its axes on average."""
+    per_count = float(per_axis.mean())
     return {
         "name": sensor.name,
         "chip": sensor.chip,
@@ -115,21 +136,27 @@ def _identity(sensor: SensorLog) -> dict[str, Any]:
     }
 
 
-def _per_count(sensor: SensorLog) -> float:
-    return 1 / sensor.sensitivity if sensor.sensitivity else math.nan
+def _per_count(sensor: SensorLog, scale: Sequence[float] | None) -> npt.NDArray[np.float64]:
+    """(k,) units per count: as calibrated, or as the data sheet has it; nan if it has nothing."""
+    known = np.full(int(sensor.counts.shape[1]), sensor.sensitivity or np.nan) if scale is None else np.array(scale)
+    return np.asarray(1 / known)
 
 
 def _axes(
-    sensor: SensorLog, timing: Timing, interval_s: float, statistics: NoiseStatistics, progress: Progress
+    sensor: SensorLog,
+    per_count: npt.NDArray[np.float64],
+    found: Survey | None,
+    statistics: NoiseStatistics,
+    progress: Progress,
 ) -> list[dict[str, Any]]:
-    """Every column: its statistics, and its Allan deviation over the unbroken run if that is long enough."""
-    counts = np.asarray(sensor.counts[timing.run])
-    per_count = _per_count(sensor)
-    scales = {"counts": 1.0, "unit": per_count, "si": per_count * SI_PER_UNIT[sensor.unit]}
+    """Every column: its statistics, and what the survey found in it."""
     axes = []
     for column, name in enumerate(_columns(sensor)):
-        curve = allan_deviation(counts[:, column], interval_s) if len(counts) >= MIN_ROWS else None
-        axes.append(_axis(name, column, statistics, curve, scales))
+        unit = float(per_count[column])
+        scales = {"counts": 1.0, "unit": unit, "si": unit * SI_PER_UNIT[sensor.unit]}
+        curve = found.curve.column(column) if found and found.curve else None
+        axis = _axis(name, column, statistics, curve, scales)
+        axes.append(axis | (column_of(found, column, sensor) if found else {}))
         progress()
     return axes
 
@@ -175,6 +202,7 @@ def _axis(
     }
     return {
         "axis": name,
+        "unit_per_count": scales["unit"],
         **{unit: {key: value * scale for key, value in values.items()} for unit, scale in scales.items()},
         "lag1": float(statistics.lag1[column]),
         "even_share": float(statistics.even_share[column]),

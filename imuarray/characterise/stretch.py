@@ -17,7 +17,8 @@ STILL_NAMES = frozenset({"static", "room"})
 FACE_NAMES = frozenset(f"{axis}_{way}" for axis in "xyz" for way in ("up", "down"))
 
 GAP = 1.5
-"""An interval longer than this many median intervals is a gap."""
+"""An interval longer than so many times the upper quartile of the intervals is a gap; an array that is polled to and
+fro has a short and a long interval in turn, and the long ones are none."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,15 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Timing:
-    """The times of one sensor's rows: median and longest interval (nan with fewer than 2 rows), number of gaps, and the
-    longest run of rows without a gap, lost readings, or a chip in doubt.
+    """The times of one sensor's rows: median and longest interval (nan with fewer than 2 rows), number of gaps, the
+    longest run of rows without a gap, lost readings, or a chip in doubt, and the interval beyond which there is a gap.
     """
 
     interval_s: float
     largest_gap_s: float
     gaps: int
     run: slice
+    gap_limit_s: float = float("inf")
 
 
 def choose_stretch(log: Log, phase: str | None = None) -> Stretch:
@@ -78,21 +80,24 @@ def find_timing(sensor: SensorLog, rows: slice, block: int = 1 << 16) -> Timing:
     """Median interval, gaps and longest unbroken run of `rows`, read `block` rows at a time.
 
     A run ends at a gap, where readings were lost or the chip was set up again, and at every row in which the chip is in
-    doubt. The median of more than `block` rows is the median of the blocks' medians. LogError if time doesn't increase.
+    doubt. The median of more than `block` rows is the median of the blocks' medians, and so is the quartile. LogError
+    if time doesn't increase.
     """
     if rows.stop - rows.start < 2:
         return Timing(float("nan"), float("nan"), 0, rows)
-    median = float(np.median([np.median(_intervals(sensor, part)) for part in _parts(rows, block)]))
+    quartiles = [np.quantile(_intervals(sensor, part), (0.5, 0.75)) for part in _parts(rows, block)]
+    median, upper = np.median(quartiles, axis=0).tolist()
     gaps, largest, begin, best = 0, 0, rows.start, slice(rows.start, rows.start)
     for part in _parts(rows, block):
         intervals = _intervals(sensor, part)
-        wide = intervals > GAP * median
+        wide = intervals > GAP * upper
         gaps += int(np.count_nonzero(wide))
         largest = max(largest, int(intervals.max()))
         for row in (part.start + 1 + np.flatnonzero(wide | _broken(sensor, part))).tolist():
             best = max(best, slice(begin, row), key=_length)
             begin = row
-    return Timing(median * 1e-9, largest * 1e-9, gaps, max(best, slice(begin, rows.stop), key=_length))
+    longest = max(best, slice(begin, rows.stop), key=_length)
+    return Timing(median * 1e-9, largest * 1e-9, gaps, longest, GAP * upper * 1e-9)
 
 
 def _parts(rows: slice, block: int) -> list[slice]:
@@ -110,9 +115,14 @@ def _intervals(sensor: SensorLog, part: slice) -> npt.NDArray[np.int64]:
 
 def _broken(sensor: SensorLog, part: slice) -> npt.NDArray[np.bool_]:
     """For every row but the first: the flags say that it doesn't continue the one before."""
-    status = np.asarray(sensor.status[part])
+    return broken_rows(np.asarray(sensor.status[part]))[1:]
+
+
+def broken_rows(status: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
+    """For each of (n,) flags: the row doesn't continue the one before; the first row, as far as its own flags say."""
     doubt = (status & SUSPECT) != 0
-    broken: npt.NDArray[np.bool_] = ((status[1:] & (LOST_BEFORE | RECONFIGURED)) != 0) | doubt[1:] | doubt[:-1]
+    broken: npt.NDArray[np.bool_] = ((status & (LOST_BEFORE | RECONFIGURED)) != 0) | doubt
+    broken[1:] |= doubt[:-1]
     return broken
 
 

@@ -6,20 +6,24 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from imuarray.characterise.findings import findings
+
 WIDTH = 110
 
 _HEAD = (
-    f"{'sensor':12} {'axis':4} {'mean':>10} {'std':>9} {'std':>8} {'error of':>9} {'N':>9} {'B':>10} {'at tau':>7} "
-    f"{'lag-1':>6} {'even':>5} {'stale':>6}"
+    f"{'sensor':12} {'axis':4} {'mean':>10} {'std':>9} {'std':>8} {'error of':>9} {'lag-1':>6} {'even':>5} {'stale':>6}"
 )
+_FIT_HEAD = f"{'sensor':12} {'axis':4} {'N':>17} {'B':>17} {'K':>17} {'p':>7} {'lowest':>10} {'at tau':>7}"
 _ROWS_HEAD = (
     f"{'sensor':12} {'chip':9} {'range':12} {'rate Hz':>7} {'rows':>9} {'gaps':>5} {'max ms':>9}  Allan deviation from"
 )
 _NOTES = (
     "error of the mean: its standard error, correlation allowed for. N: density of the white noise, two-sided "
-    "(IEEE Std 952); a data sheet's one-sided figure is 1.41 N. B: lowest point of the Allan deviation / 0.664; "
-    "'<' where the curve still falls at its end, so that B is a bound. Means are raw: bias, and for an "
-    "accelerometer gravity, are in them. Units by the data sheet's typical sensitivity."
+    "(IEEE Std 952; a data sheet's one-sided figure is 1.41 N), B: bias instability, K: rate random walk, fitted to "
+    "the Allan deviation with 95 % intervals; '<': not there, and no more than so much. p: chance that noise so made "
+    "gives such a misfit; '!' where it is too small to believe the figures. lowest: lowest point of the curve / 0.664, "
+    "'<' where it still falls at its end. Means are raw: bias, and for an accelerometer gravity, are in them. Units by "
+    "the calibration that was given, else by the data sheet's typical sensitivity."
 )
 
 
@@ -28,9 +32,15 @@ def render_text(result: Mapping[str, Any]) -> str:
     lines = list(_heading(result))
     for quantity in dict.fromkeys(sensor["quantity"] for sensor in result["sensors"]):
         sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] == quantity]
-        lines += ["", *_table(quantity, sensors)]
+        lines += ["", *_table(quantity, sensors), "", *_fits(sensors)]
+    if told := findings(result):
+        lines += ["", "what stands out", *(line for sentence in told for line in _indented(sentence))]
     lines += ["", _ROWS_HEAD, *(line for sensor in result["sensors"] for line in _rows(sensor))]
     return "\n".join([*lines, "", *_wrapped(_NOTES), ""])
+
+
+def _indented(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
 
 
 def _wrapped(text: str) -> list[str]:
@@ -52,7 +62,7 @@ def _heading(result: Mapping[str, Any]) -> Iterator[str]:
 def _table(quantity: str, sensors: list[Mapping[str, Any]]) -> Iterator[str]:
     unit = sensors[0]["unit"]
     title = quantity.replace("_", " ")
-    yield f"{title} in {unit}; N in {unit}/sqrt(Hz); the second std in counts; tau in s; shares in %"
+    yield f"{title} in {unit}; the second std in counts; shares in %"
     yield _HEAD
     yield f"{'':12} {'':4} {'':>10} {'':>9} {'counts':>8} {'the mean':>9}"
     for sensor in sensors:
@@ -62,14 +72,44 @@ def _table(quantity: str, sensors: list[Mapping[str, Any]]) -> Iterator[str]:
 def _line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
     """One axis; in counts if the log has no sensitivity."""
     values = axis["unit"] if sensor["unit_per_count"] is not None else axis["counts"]
-    bound = "<" if axis["bias_instability_is_bound"] else ""
     return (
         f"{_cut(sensor['name'], 12):12} {_cut(axis['axis'], 4):4} {_number(values['mean'], 4):>10} "
         f"{_number(values['std'], 4):>9} {_number(axis['counts']['std'], 4):>8} {_number(values['sem']):>9} "
-        f"{_number(values['noise_density']):>9} {bound + _number(values['bias_instability']):>10} "
-        f"{_number(axis['bias_instability_tau_s']):>7} {_fixed(axis['lag1'], 3):>6} "
-        f"{_fixed(axis['even_share'], 1, 100):>5} {_fixed(sensor['stale_share'], 2, 100):>6}"
+        f"{_fixed(axis['lag1'], 3):>6} {_fixed(axis['even_share'], 1, 100):>5} "
+        f"{_fixed(sensor['stale_share'], 2, 100):>6}"
     )
+
+
+def _fits(sensors: list[Mapping[str, Any]]) -> Iterator[str]:
+    unit = sensors[0]["unit"] if sensors[0]["unit_per_count"] is not None else "counts"
+    yield f"noise of the Allan deviation: N in {unit}/sqrt(Hz), B in {unit}, K in {unit}/sqrt(s), tau in s"
+    yield _FIT_HEAD
+    for sensor in sensors:
+        yield from (_fit_line(sensor, axis) for axis in sensor["axes"])
+
+
+def _fit_line(sensor: Mapping[str, Any], axis: Mapping[str, Any]) -> str:
+    scale = axis["unit_per_count"] if axis["unit_per_count"] is not None else 1.0
+    values = axis["unit"] if sensor["unit_per_count"] is not None else axis["counts"]
+    fit = axis.get("fit")
+    terms = [_term(fit, name, scale) for name in ("white", "flicker", "random walk")]
+    doubtful = "!" if fit and fit["verdict"] else ""
+    bound = "<" if axis["bias_instability_is_bound"] else ""
+    return (
+        f"{_cut(sensor['name'], 12):12} {_cut(axis['axis'], 4):4} {terms[0]:>17} {terms[1]:>17} {terms[2]:>17} "
+        f"{_number(fit['p_value'] if fit else None, 2) + doubtful:>7} "
+        f"{bound + _number(values['bias_instability']):>10} {_number(axis['bias_instability_tau_s']):>7}"
+    )
+
+
+def _term(fit: Mapping[str, Any] | None, name: str, scale: float) -> str:
+    """A coefficient with half its interval in per cent, or what it is below."""
+    term = fit["terms"].get(name) if fit else None
+    if term is None or term["value"] is None:
+        return "-"
+    if not term["significant"] or term["low"] <= 0:
+        return f"<{term['high'] * scale:.3g}"
+    return f"{term['value'] * scale:.3g} +-{50 * (term['high'] - term['low']) / term['value']:.2g} %"
 
 
 def _cut(name: str, width: int) -> str:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
-from imuarray.errors import ImuArrayError, MissingExtraError
+from imuarray.errors import ImuArrayError, MissingExtraError, OutputExistsError
 
 if TYPE_CHECKING:
+    from imuarray.characterise.allan import Estimator
     from imuarray.log import Log
 
 RESULT, FIGURE = "characterise.json", "allan.png"
@@ -28,22 +29,45 @@ RESULT, FIGURE = "characterise.json", "allan.png"
 )
 @click.option("--phase", metavar="NAME", help="the stretch to look at (default: the longest phase at rest)")
 @click.option("--sensor", "sensors", metavar="NAME,...", help="only these sensors (default: all with three axes)")
+@click.option(
+    "--estimator",
+    type=click.Choice(("overlapping", "decimated")),
+    help="of the Allan deviation (default: overlapping, decimated beyond 4 million rows: as sure, less memory)",
+)
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="CAL.toml",
+    help="scale factors to turn counts into units (default: the data sheet's)",
+)
 @json_option
 @force_option
-def command(run: Path, output: Path | None, phase: str | None, sensors: str | None, as_json: bool, force: bool) -> None:
-    """Allan deviation and noise table of the sensors in a log at rest.
+def command(
+    run: Path,
+    output: Path | None,
+    phase: str | None,
+    sensors: str | None,
+    estimator: Estimator | None,
+    calibration: Path | None,
+    as_json: bool,
+    force: bool,
+) -> None:
+    """Allan deviation, spectrum, correlation, codes and noise table of the sensors in a log at rest.
 
-    Prints mean, spread, density of the white noise, bias instability, correlation and stale readings of every axis, and
-    says which stretch of the log they are from.
+    Prints mean and spread of every axis, the white noise, bias instability and random walk of its Allan deviation with
+    intervals and how well they fit, what stands out (lines, missing codes, gaps, ...), and which stretch of the log it
+    is from. DIR also gets a Kalibr file (imu_NAME.yaml) for each accelerometer and gyroscope.
     """
     from imuarray.characterise import render_text
     from imuarray.log import open_log
 
     for name in (RESULT, FIGURE) if output else ():
         refuse_existing(Path(output or "") / name, force, in_new_folder=True)
+    if output and not force and (there := sorted(output.glob("imu_*.yaml"))):
+        raise OutputExistsError(there[0])
     with open_log(run) as log:
-        result = _characterise(log, phase, tuple(sensors.split(",")) if sensors else None)
-    written = _write(result, output) if output else []
+        result = _characterise(log, phase, tuple(sensors.split(",")) if sensors else None, estimator, calibration)
+    written = [*_write(result, output), *_write_kalibr(result, output)] if output else []
     if as_json:
         print_json(result)
     else:
@@ -52,7 +76,13 @@ def command(run: Path, output: Path | None, phase: str | None, sensors: str | No
         click.echo(f"imuarray: wrote {path}", err=True)
 
 
-def _characterise(log: Log, phase: str | None, sensors: tuple[str, ...] | None) -> dict[str, Any]:
+def _characterise(
+    log: Log,
+    phase: str | None,
+    sensors: tuple[str, ...] | None,
+    estimator: Estimator | None,
+    calibration: Path | None,
+) -> dict[str, Any]:
     """The result, with a bar on standard error while it is computed."""
     from imuarray.characterise import characterise_log
 
@@ -60,7 +90,18 @@ def _characterise(log: Log, phase: str | None, sensors: tuple[str, ...] | None) 
     columns = sum(int(sensor.counts.shape[1]) for sensor in chosen)
     count = itertools.count(1)
     with progress(columns, str(log.path)) as done:
-        return characterise_log(log, phase, sensors, lambda: done(next(count)))
+        return characterise_log(log, phase, sensors, lambda: done(next(count)), estimator, _scales(log, calibration))
+
+
+def _scales(log: Log, calibration: Path | None) -> dict[str, list[float]]:
+    """Counts per unit of the sensors that a calibration file knows."""
+    if calibration is None:
+        return {}
+    from imuarray.calibrate import load_calibration
+
+    known = load_calibration(calibration)
+    fitting = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors]
+    return {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
 
 
 def _write(result: dict[str, Any], output: Path) -> list[Path]:
@@ -79,4 +120,15 @@ def _write(result: dict[str, Any], output: Path) -> list[Path]:
         click.echo(f"imuarray: no {FIGURE}: {error}", err=True)
     except OSError as error:
         raise ImuArrayError(f"{error.filename or output}: {error.strerror or error}") from None
+    return paths
+
+
+def _write_kalibr(result: dict[str, Any], output: Path) -> list[Path]:
+    """The noise figures for Kalibr, a file an IMU."""
+    from imuarray.characterise.kalibr import imu_files
+
+    paths = []
+    for name, text in imu_files(result).items():
+        (output / name).write_text(text, encoding="utf-8")
+        paths.append(output / name)
     return paths

@@ -19,7 +19,7 @@ Row = dict[str, Any]
 
 HERE = Path(__file__).parent
 
-SOURCES = ("bus_arithmetic", "emulated_speed", "linux_path", "simulator_speed")
+SOURCES = ("bus_arithmetic", "emulated_speed", "linux_path", "simulator_speed", "allan_speed", "spectrum_speed")
 """Files beside this one; each has a function `rows() -> list[Row]`."""
 
 

@@ -188,7 +188,7 @@ def test_table_fits_and_says_what_it_shows(result: dict[str, Any]) -> None:
     text = render_text(result)
     assert "'static', 5.0 s to 55.0 s, +Z up (longest phase at rest)" in text
     assert "30.1 % left out" in text
-    assert sum(line.startswith(("A ", "E ", "G ")) for line in text.splitlines()) == 9 + 3
+    assert sum(line.startswith(("A ", "E ", "G ")) for line in text.splitlines()) == 2 * 9 + 3  # readings, fits; rows
 
 
 def test_table_warns_of_a_log_that_is_not_at_rest(tmp_path: Path) -> None:
@@ -201,3 +201,47 @@ def test_table_warns_of_a_log_that_is_not_at_rest(tmp_path: Path) -> None:
 def test_json_ready() -> None:
     value = {"a": np.array([1.0, np.nan]), "b": (np.int64(3), float("inf")), "c": np.array(["x"]), "d": np.bool_(True)}
     assert json_ready(value) == {"a": [1.0, None], "b": [3, None], "c": ["x"], "d": True}
+
+
+def test_a_calibrations_scale_takes_the_data_sheets_place(log_path: Path) -> None:
+    with open_log(log_path) as log:
+        found = characterise_log(log, sensors=["A"], scales={"A": [5000.0, 5460.0, 6000.0]})
+    axes = sensor(found, "A")["axes"]
+    assert [axis["unit_per_count"] for axis in axes] == [1 / 5000, 1 / 5460, 1 / 6000]
+    for axis in axes:
+        assert axis["unit"]["std"] == pytest.approx(axis["counts"]["std"] * axis["unit_per_count"])
+
+
+def test_the_decimated_estimator_says_so_and_agrees(log_path: Path) -> None:
+    with open_log(log_path) as log:
+        exact, fewer = (characterise_log(log, sensors=["A"], estimator=name) for name in ("overlapping", "decimated"))
+    for result, name in ((exact, "overlapping"), (fewer, "decimated")):
+        assert sensor(result, "A")["allan_estimator"] == name
+    ours, theirs = (sensor(result, "A")["axes"][0]["allan"] for result in (fewer, exact))
+    # the same squares up to a factor of 8 (every start), a subset of them beyond
+    np.testing.assert_allclose(ours["deviation"][:4], theirs["deviation"][:4], rtol=1e-12)
+    inside = [
+        low < value < high for value, low, high in zip(ours["deviation"], theirs["low"], theirs["high"], strict=True)
+    ]
+    assert all(inside)
+
+
+def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
+    import tracemalloc
+
+    peaks = []
+    for rows in (300_000, 1_200_000):
+        path = tmp_path / f"{rows}.h5"
+        header = SensorHeader("A", "bma180", "specific_force", "g", 2.0, 4096.0, rate_hz=400.0)
+        with LogWriter(path, [header], source="simulated", epoch="2020-01-01T00:00:00Z") as log:
+            generator = np.random.default_rng(1)
+            for start in range(0, rows, 100_000):
+                counts = np.rint(generator.normal(0, 5, (100_000, 3))).astype(np.int16)
+                times = np.arange(start, start + 100_000, dtype=np.int64) * 2_500_000
+                log.append("A", Block(times, counts, np.zeros(100_000, np.uint16)))
+        with open_log(path) as log:
+            tracemalloc.start()
+            characterise_log(log, estimator="decimated")
+            peaks.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]

@@ -1,0 +1,192 @@
+"""Which codes a converter gives, and what their density says: only even ones, codes that never come, clipped ends.
+
+The probabilities here take readings for independent. Of noise that is correlated over many rows (a drift of several
+codes) they come out too small: shares and counts stand beside them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan, sqrt
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import binom, norm
+
+Codes = npt.NDArray[np.int64]
+
+RARE = 1e-3
+"""The rarest codes, up to this share of the readings, don't count for the usual step: a glitch may give any code."""
+
+NARROW = 2.0
+"""With a spread under so many steps neither the share of even codes nor a pile at an end says anything: of Gaussian
+noise with this spread the shares of even and odd codes differ by (4 / pi) exp(-pi^2 spread^2 / 2) < 4e-9."""
+
+LISTED = 8
+"""So many gaps between codes are listed, the most improbable ones."""
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """The `codes` (c,) that occurred, ascending, and how often: `counts` (c,)."""
+
+    codes: Codes
+    counts: Codes
+
+    def merge(self, other: Histogram) -> Histogram:
+        """The histogram of both together."""
+        codes = np.union1d(self.codes, other.codes)
+        counts = np.zeros(len(codes), np.int64)
+        for part in (self, other):
+            counts[np.searchsorted(codes, part.codes)] += part.counts
+        return Histogram(codes, counts)
+
+
+NOTHING = Histogram(np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+
+def histogram(values: npt.NDArray[np.integer]) -> Histogram:
+    """Of whole numbers (n,); blocks are merged, which takes as much memory as there are codes."""
+    if len(values) == 0:
+        return NOTHING
+    low, high = int(values.min()), int(values.max())
+    if high - low > 4 * len(values) + 1024:
+        codes, counts = np.unique(values, return_counts=True)
+        return Histogram(codes.astype(np.int64), counts.astype(np.int64))
+    counts = np.bincount(values.astype(np.int64) - low)
+    codes = np.flatnonzero(counts)
+    return Histogram(codes + low, counts[codes])
+
+
+@dataclass(frozen=True)
+class MissingCodes:
+    """Codes `first` to `last` on the usual grid never came, though the ones before and after did.
+
+    `p_value`: the chance of that anywhere in the histogram, at most, if the density has one top: then each of the m
+    codes is at least as likely as the rarer of the two neighbours, and if that came n times, the chance that none of
+    the m did is (1 + m)^-n; times the number of neighbours looked at.
+    """
+
+    first: int
+    last: int
+    p_value: float
+
+
+@dataclass(frozen=True)
+class End:
+    """The lowest or highest `code`, the `share` of readings that have it, and the chance that it came so often.
+
+    Towards its ends a density falls, so that the last code comes at most as often as the one before: binomial law of
+    both together. nan where the spread is too narrow to tell.
+    """
+
+    code: int
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class CodeDensity:
+    """Moments and code-density test of one column of counts; nan where there are too few readings.
+
+    `skewness` and `excess_kurtosis` are unbiased for Gaussian noise and have standard errors (Joanes and Gill, The
+    Statistician 47, 1998; Cramer, "Mathematical methods of statistics", 29.3). `even_share` of all readings, `even_p`
+    the chance of a share so far from half. `step` divides every distance of codes, `usual_step` those of all but the
+    rarest codes; 0 for a constant column. `missing_codes` on the grid of the usual step between `low_end` and
+    `high_end`; the most improbable gaps are `missing`. `span_share` of the readings are at or beyond an end of the
+    converter's span (nan if unknown).
+    """
+
+    readings: int
+    mean: float
+    std: float
+    skewness: float
+    skewness_error: float
+    excess_kurtosis: float
+    kurtosis_error: float
+    even_share: float
+    even_p: float
+    step: int
+    usual_step: int
+    missing_codes: int
+    missing: tuple[MissingCodes, ...]
+    low_end: End
+    high_end: End
+    span_share: float
+
+
+def code_density(seen: Histogram, span: tuple[int, int] | None = None) -> CodeDensity:
+    """What a histogram says; `span` are the lowest and the highest code that there are. ValueError without readings."""
+    readings = int(seen.counts.sum())
+    if readings == 0:
+        raise ValueError("a histogram without readings says nothing")
+    moments = _moments(seen, readings)
+    std = moments[1]
+    step = _step(seen.codes)
+    usual = _step(_frequent(seen, readings))
+    even_share = float(seen.counts[seen.codes % 2 == 0].sum()) / readings
+    even_p = 2 * float(norm.sf(abs(2 * even_share - 1) * sqrt(readings))) if std >= NARROW else nan
+    gaps, missing = _missing(seen, usual)
+    low, high = _end(seen, 0, usual, std), _end(seen, -1, -usual, std)
+    beyond = nan if span is None else float(seen.counts[(seen.codes <= span[0]) | (seen.codes >= span[1])].sum())
+    share = beyond / readings
+    return CodeDensity(readings, *moments, even_share, even_p, step, usual, missing, gaps, low, high, share)
+
+
+def _moments(seen: Histogram, n: int) -> tuple[float, float, float, float, float, float]:
+    """Mean, standard deviation (n - 1), skewness and excess kurtosis, each with its standard error."""
+    origin = int(seen.codes[0])
+    codes = (seen.codes - origin).astype(np.float64)
+    mean = float(seen.counts @ codes) / n
+    second, third, fourth = (float(seen.counts @ (codes - mean) ** power) / n for power in (2, 3, 4))
+    std = sqrt(second * n / (n - 1)) if n > 1 else nan
+    if n < 4 or second == 0:
+        return origin + mean, std, nan, nan, nan, nan
+    skewness = third / second**1.5 * sqrt(n * (n - 1)) / (n - 2)
+    kurtosis = ((n + 1) * (fourth / second**2 - 3) + 6) * (n - 1) / ((n - 2) * (n - 3))
+    skewness_error = sqrt(6 * n * (n - 1) / ((n - 2) * (n + 1) * (n + 3)))
+    kurtosis_error = 2 * skewness_error * sqrt((n * n - 1) / ((n - 3) * (n + 5)))
+    return origin + mean, std, skewness, skewness_error, kurtosis, kurtosis_error
+
+
+def _frequent(seen: Histogram, readings: int) -> Codes:
+    """The codes without the rarest ones, ascending."""
+    order = np.argsort(seen.counts, kind="stable")
+    rare = int(np.searchsorted(np.cumsum(seen.counts[order]), RARE * readings, side="right"))
+    return np.sort(seen.codes[order[rare:]])
+
+
+def _step(codes: Codes) -> int:
+    """Greatest common divisor of the distances of codes (c,), 0 of a single one."""
+    return int(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 0
+
+
+def _missing(seen: Histogram, step: int) -> tuple[tuple[MissingCodes, ...], int]:
+    """The most improbable gaps, and how many codes are missing in all."""
+    codes, counts = _on_grid(seen, step)
+    if len(codes) < 2:
+        return (), 0
+    absent = np.diff(codes) // step - 1
+    rarer = np.minimum(counts[:-1], counts[1:])
+    p_value = np.minimum(1.0, len(absent) * (1.0 + absent) ** -rarer.astype(np.float64))
+    listed = [at for at in np.argsort(p_value, kind="stable")[:LISTED].tolist() if absent[at]]
+    gaps = [MissingCodes(int(codes[at]) + step, int(codes[at + 1]) - step, float(p_value[at])) for at in listed]
+    return tuple(gaps), int(absent.sum())
+
+
+def _on_grid(seen: Histogram, step: int) -> tuple[Codes, Codes]:
+    """Codes and counts on the grid of the most frequent code."""
+    if step == 0:
+        return seen.codes[:0], seen.counts[:0]
+    on = (seen.codes - seen.codes[np.argmax(seen.counts)]) % step == 0
+    return seen.codes[on], seen.counts[on]
+
+
+def _end(seen: Histogram, at: int, inwards: int, std: float) -> End:
+    """The code number `at` of a histogram, beside the one a step inwards."""
+    code, count = int(seen.codes[at]), int(seen.counts[at])
+    p_value = nan
+    if inwards and std >= NARROW * abs(inwards):
+        beside = int(seen.counts[seen.codes == code + inwards].sum())
+        p_value = float(binom.sf(count - 1, count + beside, 0.5))
+    return End(code, count / int(seen.counts.sum()), p_value)

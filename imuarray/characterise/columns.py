@@ -1,0 +1,102 @@
+"""What a survey found, column by column, as plain tables: fitted noise, spectrum and its lines, correlation, codes.
+
+Values are in counts; `unit_per_count` of the sensor turns them into its unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from imuarray.characterise.allan_fit import NoiseFit, fit_noise
+from imuarray.characterise.codes import Histogram, code_density
+from imuarray.characterise.lines import Line, aliases, find_lines
+from imuarray.characterise.spectrum import Spectrum
+from imuarray.characterise.survey import Survey
+from imuarray.log import SensorLog
+
+FILTER_TIMES = 5.0
+"""A chip's low-pass filter shapes the shortest taus: noise is fitted from so many of its time constants on."""
+
+_LISTED_CODES = 4096
+_ALIASES_TO_HZ = 500.0
+
+
+def timing_of(found: Survey) -> dict[str, Any]:
+    """Intervals, their jitter and gaps; how often a reading repeats the one before."""
+    intervals = asdict(found.intervals) | {"longest": [gap._asdict() for gap in found.intervals.longest]}
+    repeats = asdict(found.repeats)
+    rate_hz = 1 / found.intervals.mean_s if found.intervals.mean_s > 0 else math.nan
+    return {**intervals, "repeats": repeats | {"update_rate_hz": found.repeats.update_rate_hz(rate_hz)}}
+
+
+def spectrum_of(found: Survey) -> dict[str, Any]:
+    """What the spectra of all columns have in common."""
+    spectrum = found.spectrum
+    return {
+        "frequency_hz": spectrum.frequency_hz,
+        "freedom": spectrum.freedom[len(spectrum.freedom) // 2],
+        "segment_rows": spectrum.segment_rows,
+        "segments": spectrum.segments,
+        "resolution_hz": spectrum.resolution_hz,
+    }
+
+
+def column_of(found: Survey, column: int, sensor: SensorLog) -> dict[str, Any]:
+    """One column's fit, density (squared counts per Hz), lines, autocorrelation and codes."""
+    correlation = found.correlation
+    seen = found.histograms[column]
+    return {
+        "fit": _fit(found, column, sensor),
+        "density": found.spectrum.density[:, column],
+        **_lines(found.spectrum, column),
+        "autocorrelation": {
+            "correlation": correlation.correlation[:, column],
+            "error": correlation.error[:, column],
+            "p_value": correlation.p_value[column],
+        },
+        "codes": asdict(code_density(seen)) if seen.counts.sum() else None,
+        "histogram": _histogram(seen),
+    }
+
+
+def _fit(found: Survey, column: int, sensor: SensorLog) -> dict[str, Any] | None:
+    """White noise, flicker and random walk of the Allan curve; None for a curve that tells nothing."""
+    if found.curve is None:
+        return None
+    shortest_s = FILTER_TIMES / (2 * math.pi * sensor.bandwidth_hz) if sensor.bandwidth_hz > 0 else 0.0
+    fit = fit_noise(found.curve, column, unit="counts", shortest_s=shortest_s)
+    return None if fit is None else _fit_table(fit)
+
+
+def _fit_table(fit: NoiseFit) -> dict[str, Any]:
+    table = asdict(fit)
+    table["terms"] = {item.pop("term"): item for item in table.pop("coefficients")}
+    return table
+
+
+def _lines(spectrum: Spectrum, column: int) -> dict[str, Any]:
+    """The lines of one column, the noise floor below them, and the level that a line has to pass."""
+    search = find_lines(spectrum, column)
+    return {
+        "lines": [_line(line, spectrum.rate_hz) for line in search.lines],
+        "line_search": {
+            "first_hz": search.frequency_hz[0] if len(search.frequency_hz) else math.nan,
+            "false_alarm": search.false_alarm,
+            "floor": search.floor,
+            "level_over_floor": float(np.median(search.level / search.floor)) if len(search.floor) else math.nan,
+        },
+    }
+
+
+def _line(line: Line, rate_hz: float) -> Mapping[str, Any]:
+    return asdict(line) | {"aliases_hz": aliases(min(line.frequency_hz, rate_hz / 2), rate_hz, _ALIASES_TO_HZ)}
+
+
+def _histogram(seen: Histogram) -> dict[str, Any] | None:
+    """Codes and how often they came; None for so many that it would be no histogram of noise."""
+    return asdict(seen) if len(seen.codes) <= _LISTED_CODES else None

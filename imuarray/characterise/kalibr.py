@@ -1,0 +1,58 @@
+"""Noise figures as Kalibr's `imu.yaml` has them (ethz-asl/kalibr, wiki "IMU Noise Model"): SI, one file an IMU.
+
+An IMU there has one figure for all three axes: the largest of them, which Kalibr's own advice errs towards. The random
+walk is that of the bias (rate random walk K); where none is seen, the bound that the log allows stands in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+_PREFIX = {"specific_force": "accelerometer", "angular_rate": "gyroscope"}
+_UNITS = {"specific_force": "m/s^2", "angular_rate": "rad/s"}
+
+
+def imu_files(result: Mapping[str, Any]) -> dict[str, str]:
+    """File name ("imu_Gyro1.yaml") to text, for every accelerometer and gyroscope of a `characterise_log` result whose
+    noise could be fitted; the two halves of a six-axis chip ("IMU1_acc", "IMU1_gyro") share a file.
+    """
+    units: dict[str, list[Mapping[str, Any]]] = {}
+    for sensor in result["sensors"]:
+        if sensor["quantity"] in _PREFIX and _worst(sensor, "white") is not None:
+            units.setdefault(_unit_name(sensor["name"]), []).append(sensor)
+    return {f"imu_{name}.yaml": "\n".join(_text(sensors, result)) + "\n" for name, sensors in units.items()}
+
+
+def _unit_name(name: str) -> str:
+    for half in ("_acc", "_gyro"):
+        name = name.removesuffix(half)
+    return name
+
+
+def _text(sensors: list[Mapping[str, Any]], result: Mapping[str, Any]) -> Iterator[str]:
+    stretch = result["stretch"]
+    seconds = stretch["end_s"] - stretch["start_s"]
+    yield f"# {result['software']}: noise at rest, {seconds:.0f} s; the largest of three axes, discretised by no factor"
+    for sensor in sensors:
+        prefix, unit = _PREFIX[sensor["quantity"]], _UNITS[sensor["quantity"]]
+        density, walk = _worst(sensor, "white"), _worst(sensor, "random walk")
+        yield f"{prefix}_noise_density: {density:.6g}  # {unit}/sqrt(Hz)"
+        if walk is not None:
+            yield f"{prefix}_random_walk: {walk:.6g}  # {unit}/s/sqrt(Hz){_note(sensor)}"
+    if any(axis["fit"]["verdict"] for sensor in sensors for axis in sensor["axes"] if axis.get("fit")):
+        yield "# the Allan curve of one of the axes is none of these noises': see what stands out before trusting this"
+    yield f"update_rate: {sensors[0]['rate_hz']:.6g}  # Hz"
+
+
+def _worst(sensor: Mapping[str, Any], term: str) -> float | None:
+    """The largest of the axes' coefficients in SI (a bound where the term was not seen); None without a fit."""
+    found = [axis["fit"]["terms"].get(term) for axis in sensor["axes"] if axis.get("fit")]
+    values = [item["value"] if item["significant"] else item["high"] for item in found if item]
+    scale = sensor["si_per_count"]
+    return max(values) * scale if values and scale is not None else None
+
+
+def _note(sensor: Mapping[str, Any]) -> str:
+    seen = any(axis["fit"]["terms"]["random walk"]["significant"] for axis in sensor["axes"] if axis.get("fit"))
+    return "" if seen else "; an upper bound: none was seen"

@@ -1,0 +1,159 @@
+"""The noise under the peaks of an averaged spectrum, and how surely it is known.
+
+At each bin the floor is read off its neighbours: the medians of the log density of the bins below and of those above,
+leaving out the nearest two on each side, where a line at the bin itself would show, are joined by a straight line over
+log frequency. A power law is so met exactly, and a line among the neighbours doesn't lift a median. This, smoothed, is
+a trend; what it leaves of curvature (a filter's corner) is found by doing the same with the remainder and is added
+(Tukey, "Exploratory Data Analysis", 1977: twicing).
+
+The median of the gamma law that averaged periodograms follow lies below its mean; the floor is corrected for that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri, fdtri, gammaincinv, gammaln
+from scipy.stats import f
+
+from imuarray.characterise.spectrum import Spectrum
+
+Vector = npt.NDArray[np.float64]
+Bins = npt.NDArray[np.intp]
+
+FIRST_BIN = 24
+"""Lines of fewer cycles in a segment aren't looked for: there the floor can't be told from drift or a corner."""
+
+_GUARD = 2
+"""Bins on either side that share a line's power: the main lobe of the Hann window is four bins wide."""
+
+_LOWEST = 2
+"""Bins 0 and 1 have lost power with the mean of their segment."""
+
+_SIDE = 32
+"""Bins on either side that the floor is read off, at most; no more than a sixteenth of all."""
+
+_LEAST = 8
+"""Bins on either side, at least: a line takes three or four of them, which must not be half.
+
+So the floor can be read off from bin 12 on, and its remainder, which needs that on both sides, from twice that on."""
+
+_SHARE = 0.4
+"""... and no more than this share of the frequency, lest the bend of a filter's corner be lost."""
+
+_SIGNS = ((0, 1.0), (1, 0.293), (2, 0.018))
+"""Hann-windowed bins correlate by 4/9 and 1/36 in power, and so their signs about the median: 2 / pi arcsin of that."""
+
+_EXTREMES = (0.16, 0.84)
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Floor of one column at the `bins` (b,) that lines are looked for in: `density` (b,) in squared units per Hz.
+
+    `freedom` (b,) of the floor itself: its relative variance is 2 / freedom. `spectrum_freedom` (b,) of the density
+    above it, fewer than `Spectrum.freedom` says if the bins scatter more than that, as of noise that comes and goes.
+    """
+
+    bins: Bins
+    density: Vector
+    freedom: Vector
+    spectrum_freedom: Vector
+
+    def level(self, probability: float) -> Vector:
+        """Density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
+        pairs, which = np.unique([self.spectrum_freedom, self.freedom], axis=1, return_inverse=True)
+        return np.asarray(self.density * f.isf(probability, *pairs)[which])  # few pairs differ, and each takes long
+
+    def exceedance(self, density: Vector) -> Vector:
+        """Probability (b,) that noise exceeds `density` (b,) in a bin."""
+        return np.asarray(f.sf(density / self.density, self.spectrum_freedom, self.freedom))
+
+
+def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
+    """The noise floor of one column of a spectrum; no bins in it where the column has no noise or too few bins."""
+    power = np.array(spectrum.density[:, column])
+    last = len(power) - 1
+    if last < 4 * FIRST_BIN or not (power[_LOWEST:] > 0).all():
+        return NoiseFloor(np.zeros(0, np.intp), *[np.zeros(0)] * 3)
+    power[-1] *= 2  # the bin at half the rate has no twin
+    height = np.log(np.concatenate([power, power[-2:0:-1]]))  # ... and the bins above it mirror those below
+    wide = np.arange(FIRST_BIN // 2, last + 1)
+    trend = _smoothed(_joined_medians(height, wide, last), wide, last)
+    rest = np.zeros(len(height))
+    rest[wide] = height[wide] - trend
+    rest[last + 1 :] = rest[last - 1 : 0 : -1]
+    bins = wide[-(last + 1 - FIRST_BIN) :]
+    level = trend[-len(bins) :] + _joined_medians(rest, bins, last)
+    freedom = spectrum.freedom[bins]
+    floor_freedom = 2 / _variance(float(freedom[0]), bins, last)
+    freedom = freedom * _thinned(height[bins] - level, float(freedom[0]), float(np.median(floor_freedom)))
+    density = np.exp(level) / (chdtri(freedom[0], 0.5) / freedom[0])
+    density[-1] /= 2
+    return NoiseFloor(bins, density, floor_freedom, freedom)
+
+
+def _sides(bins: Bins, last: int) -> Bins:
+    """How many bins on either side of each of `bins` (b,) the floor is read off (b,)."""
+    return np.clip((_SHARE * bins).astype(np.intp), _LEAST, min(_SIDE, max(_LEAST, last // 16)))
+
+
+def _joined_medians(height: Vector, bins: Bins, last: int) -> Vector:
+    """At each bin the medians of the bins below and of those above, joined over log frequency (b,)."""
+    joined = np.empty(len(bins))
+    sides = _sides(bins, last)
+    for side in np.unique(sides):
+        which = sides == side
+        away = _GUARD + 1 + np.arange(side)
+        below, above = bins[which, np.newaxis] - away, bins[which, np.newaxis] + away
+        low, high = np.median(height[below], axis=1), np.median(height[above], axis=1)
+        left, right = np.log(below).mean(axis=1), np.log(above).mean(axis=1)
+        joined[which] = low + (high - low) * (np.log(bins[which]) - left) / (right - left)
+    return joined
+
+
+def _smoothed(height: Vector, bins: Bins, last: int) -> Vector:
+    """Means (b,) of the neighbours of each of all `bins` up to the last, half as far as the floor looks (b,)."""
+    half = np.minimum(_sides(bins, last) // 2, bins - bins[0])
+    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([height, height[-2 : -2 - _SIDE : -1]]))])
+    at = bins - bins[0]
+    return np.asarray((sums[at + half + 1] - sums[at - half]) / (2 * half + 1))
+
+
+def _variance(freedom: float, bins: Bins, last: int) -> Vector:
+    """Variance (b,) of the log of the floor: that of a gamma law's log at its median, 1 / (4 density^2), over the
+    number of bins that it is as sure as; mirrored bins bring nothing new.
+    """
+    half = freedom / 2
+    median = gammaincinv(half, 0.5)
+    single = 1 / (4 * np.exp(half * np.log(median) - median - gammaln(half)) ** 2)
+    sides = _sides(bins, last)
+    new = 1 - np.maximum(0, bins + _GUARD + sides - last) / (2 * sides)
+    return np.asarray(single * np.array([_share_of_one(side) for side in sides.tolist()]) / np.maximum(new, 0.5))
+
+
+@cache
+def _share_of_one(side: int) -> float:
+    """Variance of the log of the floor in units of that of one bin, as of means: the weights of all three steps.
+
+    Twice the weight of the bin itself is taken off: by so much more the bin's ratio to its floor scatters.
+    """
+    joined = np.concatenate([np.ones(side), np.zeros(2 * _GUARD + 1), np.ones(side)]) / (2 * side)
+    half = side // 2
+    trend = np.convolve(joined, np.full(2 * half + 1, 1 / (2 * half + 1)))
+    weights = -np.convolve(trend, joined)
+    weights[side + _GUARD : -(side + _GUARD)] += trend
+    weights[side + _GUARD + half : -(side + _GUARD + half)] += joined
+    shared = [correlation * float(weights[lag:] @ weights[: len(weights) - lag]) for lag, correlation in _SIGNS]
+    return 2 * sum(shared) - shared[0] - 2 * float(weights[len(weights) // 2])
+
+
+def _thinned(rest: Vector, freedom: float, floor_freedom: float) -> float:
+    """How much fewer degrees of freedom the scatter of the log ratios (b,) shows; 1 if within three standard errors."""
+    expected = float(np.diff(np.log(fdtri(freedom, floor_freedom, _EXTREMES)))[0])
+    spread = float(np.diff(np.quantile(rest, _EXTREMES))[0])
+    allowed = expected * (1 + 3 * np.sqrt(1.62 / len(rest)))
+    return 1.0 if spread <= allowed else (expected / spread) ** 2

@@ -1,0 +1,93 @@
+"""Readings that are the one before once more in all their columns, and how often the chip so seems to make new ones.
+
+A chip that is read more often than it measures gives each reading several times. New readings are equal by chance too,
+all columns at once, if noise is small against a count; how often is seen from rows that lie `APART` rows apart, where
+neither holding nor the correlation of filtered noise reaches. (Noise that changes by less than a count from row to row
+over longer times, in all columns, can't be told from repeats.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan
+
+import numpy as np
+import numpy.typing as npt
+
+Counts = npt.NDArray[np.integer]
+
+APART = 64
+"""Rows so far apart are equal by chance only, unless the chip measures less than once in so many rows."""
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """How often a row equals the one before; nan without two neighbouring rows.
+
+    `repeat_share` of the rows that have a row before them; `chance_share` of those `APART` rows on that are equal (nan
+    if there are none); `new_share` of the rows are new readings, equal by chance or not: 1 - (repeat_share -
+    chance_share) / (1 - chance_share), at most 1. The longest run of equal rows is `longest` rows long and starts at
+    `longest_row`, counted from 0.
+    """
+
+    rows: int
+    repeat_share: float
+    chance_share: float
+    new_share: float
+    longest: int
+    longest_row: int
+
+    def update_rate_hz(self, rate_hz: float) -> float:
+        """New readings per second of a log of `rate_hz` rows per second; what the chip does beyond that isn't seen."""
+        return self.new_share * rate_hz
+
+
+class RepeatTally:
+    """Compares rows of counts with those before them."""
+
+    def __init__(self) -> None:
+        self._before: Counts | None = None
+        self._compared = self._equal = self._far_compared = self._far_equal = 0
+        self._rows = self._begun = 0
+        self._longest = (0, 0)
+
+    def update(self, counts: Counts) -> None:
+        """The next rows (n, k) of the run."""
+        if len(counts) == 0:
+            return
+        rows = counts if self._before is None else np.concatenate([self._before, counts])
+        known = len(rows) - len(counts)
+        begin = max(known, 1)
+        equal = (rows[begin:] == rows[begin - 1 : -1]).all(axis=1)
+        self._compared += len(equal)
+        self._equal += int(np.count_nonzero(equal))
+        far = max(known, APART)
+        self._far_compared += max(0, len(rows) - far)
+        self._far_equal += int((rows[far:] == rows[far - APART : -APART]).all(axis=1).sum()) if len(rows) > far else 0
+        self._find_runs(self._rows + begin - known + np.flatnonzero(~equal))
+        self._rows += len(counts)
+        self._before = rows[-APART:].copy()
+
+    def end_run(self) -> None:
+        """A gap: the next row isn't compared with the one before."""
+        self._find_runs(np.array([self._rows]))
+        self._before = None
+
+    def result(self) -> Repeats:
+        """What is known of all rows so far; ends the run."""
+        self.end_run()
+        share = self._equal / self._compared if self._compared else nan
+        chance = self._far_equal / self._far_compared if self._far_compared else nan
+        by_chance = 0.0 if np.isnan(chance) else chance
+        new = min(1.0, (1 - share) / (1 - by_chance)) if self._compared and by_chance < 1 else nan
+        return Repeats(self._rows, share, chance, new, *self._longest)
+
+    def _find_runs(self, starts: npt.NDArray[np.int64]) -> None:
+        """Runs of equal rows that end where others start."""
+        if len(starts) == 0:
+            return
+        lengths = np.diff(starts, prepend=self._begun)
+        at = int(lengths.argmax())
+        if lengths[at] > self._longest[0]:
+            self._longest = (int(lengths[at]), int(starts[at] - lengths[at]))
+        self._begun = int(starts[-1])

@@ -1,0 +1,80 @@
+"""What stands out, in sentences, on simulated logs whose effects are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imuarray.array import parse_array
+from imuarray.characterise import characterise_log
+from imuarray.characterise.findings import findings
+from imuarray.characterise.kalibr import imu_files
+from imuarray.log import open_log
+from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
+from imuarray.simulate.motion import Still
+
+ARRAY = parse_array(
+    '[array]\nname = "a"\n[[sensor]]\nname = "G"\nchip = "l3g4200d"\naddress = 0x68\nrange = 250\nrate_hz = 800\n'
+)
+Characterise = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def characterised(tmp_path: Path) -> Characterise:
+    def made(*effects: tuple[str, dict[str, Any]], seconds: float = 200.0, rate_hz: float = 350.0) -> dict[str, Any]:
+        chain = [EFFECTS[name](**parameters) for name, parameters in effects]
+        path = tmp_path / "run.h5"
+        write_log(Simulation(plan_of(ARRAY, rate_hz, seconds), Still(), {"G": chain}, seed=2), path, force=True)
+        with open_log(path) as log:
+            return characterise_log(log)
+
+    return made
+
+
+NOISE = ("white_noise", {"rms": 0.18})
+
+
+def test_a_sound_sensor_gives_nothing_to_say(characterised: Characterise) -> None:
+    assert findings(characterised(NOISE)) == []
+
+
+def test_the_papers_gyroscope_has_its_line_and_its_correlation(characterised: Characterise) -> None:
+    """Appendix A: neighbours correlate by 0.4 at 350 Hz, and y alone has a line near 50 Hz (Figures 13 and 14)."""
+    shaped = ("bandwidth", {"cutoff_hz": 51.0})
+    told = findings(characterised(NOISE, shaped, ("tone", {"amplitude": (0.0, 0.06, 0.0), "frequency_hz": 50.0})))
+    assert next(text for text in told if "a line at 50 Hz" in text).startswith("G y: a line at 50 Hz, or of 300, 400")
+    assert "G x, z: neighbouring readings correlate by 0.40" in told
+
+
+def test_codes_repeats_and_losses_are_told(characterised: Characterise) -> None:
+    coarse = ("quantisation", {"step_lsb": 4})
+    told = findings(characterised(NOISE, coarse, ("stale_samples", {"probability": 0.3})))
+    assert "G x, y, z: only every 4th code" in told
+    assert any(text.startswith("G gives 24") and "is read 350 times" in text for text in told)  # 0.7 * 350 = 245
+    lossy = findings(characterised(NOISE, ("dropped_samples", {"probability": 0.01, "burst_rows": 50.0})))
+    assert any("gaps" in text and "s after" in text for text in lossy)
+
+
+def test_even_codes_of_a_fast_adxl345(tmp_path: Path) -> None:
+    array = parse_array(
+        '[array]\nname = "a"\n[[sensor]]\nname = "A"\nchip = "adxl345"\naddress = 0x53\nrange = 16\nrate_hz = 1600\n'
+    )
+    noise = EFFECTS["white_noise"](rms=0.02)  # type: ignore[call-arg]
+    write_log(Simulation(plan_of(array, 100.0, 100.0), Still(), {"A": [noise]}), tmp_path / "run.h5")
+    with open_log(tmp_path / "run.h5") as log:
+        assert "A x, y, z: only even codes" in findings(characterise_log(log))  # ADX-47
+
+
+def test_kalibrs_file_has_the_planted_figures_in_si(characterised: Characterise) -> None:
+    """0.18 dps rms at 350 Hz: 0.18 pi / 180 / sqrt(350) rad/s/sqrt(Hz); walk 0.002 dps/sqrt(s)."""
+    result = characterised(NOISE, ("random_walk", {"density": 0.002}), seconds=1500.0)
+    (name, text), = imu_files(result).items()  # fmt: skip
+    assert name == "imu_G.yaml"
+    values = {line.split(":")[0]: float(line.split(":")[1].split("#")[0]) for line in text.splitlines()[1:]}
+    assert values["gyroscope_noise_density"] == pytest.approx(0.18 * 3.14159265 / 180 / 350**0.5, rel=0.01)
+    assert values["gyroscope_random_walk"] == pytest.approx(0.002 * 3.14159265 / 180, rel=0.5)
+    assert values["update_rate"] == pytest.approx(350, rel=1e-3)
+    assert set(values) == {"gyroscope_noise_density", "gyroscope_random_walk", "update_rate"}

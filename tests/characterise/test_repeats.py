@@ -1,0 +1,71 @@
+"""Repeated readings of chips that are slower than their poll, by chance, and in blocks."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.characterise.repeats import APART, Repeats, RepeatTally
+
+
+def tally(counts: np.ndarray, block: int = 10_000) -> Repeats:
+    rows = RepeatTally()
+    for start in range(0, len(counts), block):
+        rows.update(counts[start : start + block])
+    return rows.result()
+
+
+@settings(deadline=None)
+@given(st.lists(st.lists(st.integers(0, 2), max_size=150), max_size=4), st.integers(1, 160), st.integers(1, 2))
+def test_as_counted(runs: list[list[int]], block: int, columns: int) -> None:
+    """Against Python's groupby, runs of the log apart; the second column is always the same."""
+    found = RepeatTally()
+    for run in runs:
+        counts = np.column_stack([run, np.full(len(run), 7)])[:, :columns].astype(np.int16)
+        for start in range(0, len(run), block):
+            found.update(counts[start : start + block])
+        found.end_run()
+    result = found.result()
+    lengths = [len(list(group)) for run in runs for _, group in groupby(run)]
+    pairs = sum(max(0, len(run) - 1) for run in runs)
+    far = [run[at] == run[at - APART] for run in runs for at in range(APART, len(run))]
+    assert (result.rows, result.longest) == (sum(map(len, runs)), max(lengths, default=0))
+    if lengths:
+        assert result.longest_row == sum(lengths[: lengths.index(max(lengths))])
+    if pairs:
+        assert result.repeat_share == pytest.approx((sum(lengths) - len(lengths)) / pairs)
+    else:
+        assert np.isnan([result.repeat_share, result.new_share]).all()
+    np.testing.assert_allclose(result.chance_share, np.mean(far) if far else np.nan)
+
+
+@pytest.mark.parametrize("spread", [0.4, 50.0])
+@pytest.mark.parametrize("rate_hz", [100.0, 270.0, 800.0])
+def test_update_rate(rate_hz: float, spread: float) -> None:
+    """A chip of 100, 270 and 800 Hz polled at 400 Hz, also where a third of new readings are equal by chance.
+
+    40,000 rows: the shares are sure to 0.0025, the rate to 2 Hz where chance takes a third off; 10 Hz are five.
+    """
+    fresh = np.rint(np.random.default_rng(1).normal(0, spread, (100_000, 3))).astype(np.int16)
+    found = tally(fresh[(np.arange(40_000) * rate_hz / 400).astype(int)])
+    assert found.update_rate_hz(400.0) == pytest.approx(min(rate_hz, 400.0), abs=10)
+    if spread < 1:
+        assert 0.2 < found.chance_share < 0.6
+    else:
+        assert found.chance_share < 1e-3
+
+
+def test_all_columns_must_repeat() -> None:
+    counts = np.array([[1, 2, 3], [1, 2, 4], [1, 2, 4], [1, 2, 4], [0, 2, 4]], np.int16)
+    found = tally(counts)
+    assert (found.repeat_share, found.longest, found.longest_row) == (0.5, 3, 1)
+
+
+def test_stuck_chip_has_no_rate_to_tell() -> None:
+    found = tally(np.full((500, 3), 9))
+    assert (found.repeat_share, found.longest) == (1, 500)
+    assert np.isnan(found.new_share)
