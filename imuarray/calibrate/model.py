@@ -8,42 +8,65 @@ Measurement model of a triad, counts of one reading::
 `stimulus_box` is the specific force in g or the angular rate in dps in the box frame; row k of `response` (counts per
 unit) is what the sensor's axis k answers to each box axis, so that scale factor, misalignment and orientation are all
 in it.
+
+Figures that one measurement gives together are a group (`GROUPS`): they are replaced together, and each group says
+where it came from.
 """
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import tomli_w
 
 from imuarray import __version__
+from imuarray.calibrate.entries import (
+    Reader,
+    covariance,
+    named_tables,
+    number,
+    numbers,
+    read_table,
+    table,
+    text,
+    to_table,
+)
+from imuarray.calibrate.stability import PROVENANCE, THERMAL, TURN_ON, Provenance, Thermal, TurnOn
 from imuarray.errors import CalibrationError, OutputExistsError
-from imuarray.log import SensorLog
+from imuarray.log import Log, SensorLog
 from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
 
 FORMAT_VERSION = 1
 
-_UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
-_HUGE = 1e6
+_LIST = re.compile(r'\[\n\s+((?:(?:[-+.\w]+|"[^"\\\n]*"),\s+)*(?:[-+.\w]+|"[^"\\\n]*")),\n\s*\]')
+"""A list of numbers or plain texts as tomli_w writes it, a line each. No text holds a line's end: TOML escapes it."""
 
-_SHAPES = {
-    "bias_lsb": (3,),
-    "bias_sem_lsb": (3,),
-    "response_lsb_per_unit": (3, 3),
-    "response_sem_lsb_per_unit": (3,),
-    "g_sensitivity_lsb_per_g": (3, 3),
-    "noise_lsb": (3,),
-}
+_SHORT = 80
+
+_UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
+
+GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "bias": ("bias_sem_lsb", "bias_lsb", "bias_covariance_lsb2", "temperature_degc"),
+        "response": ("response_sem_lsb_per_unit", "response_lsb_per_unit"),
+        "g_sensitivity": ("g_sensitivity_lsb_per_g", "g_sensitivity_sem_lsb_per_g"),
+        "noise": ("noise_lsb",),
+        "thermal": ("thermal",),
+        "turn_on": ("turn_on",),
+    }
+)
+"""Fields that are measured together; the first of each is None unless they were: a bias without an uncertainty was
+not measured."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +74,9 @@ class SensorCalibration:
     """One sensor's parameters; what was not measured is None (or, for `response`, the data sheet's).
 
     Shapes: `bias_lsb`, `bias_sem_lsb`, `response_sem_lsb_per_unit` (one figure per sensor axis) and `noise_lsb`
-    (standard deviation of single readings) (3,); `response_lsb_per_unit` and `g_sensitivity_lsb_per_g` (3, 3), rows
-    sensor axes, columns box axes.
+    (standard deviation of single readings) (3,); `response_lsb_per_unit`, `g_sensitivity_lsb_per_g` and its standard
+    errors (3, 3), rows sensor axes, columns box axes; `bias_covariance_lsb2` (3, 3) over the sensor axes.
+    `temperature_degc` is that of the bias. `provenance` says by group (`GROUPS`) where figures came from.
     """
 
     name: str
@@ -67,6 +91,29 @@ class SensorCalibration:
     temperature_degc: float | None = None
     range: float | None = None
     """The measuring range, in `unit`, at which this holds."""
+    bias_covariance_lsb2: Floats | None = None
+    g_sensitivity_sem_lsb_per_g: Floats | None = None
+    thermal: Thermal | None = None
+    turn_on: TurnOn | None = None
+    provenance: Mapping[str, Provenance] = field(default_factory=lambda: MappingProxyType({}))
+
+    def measured(self) -> tuple[str, ...]:
+        """The groups of figures that were measured."""
+        return tuple(group for group, names in GROUPS.items() if getattr(self, names[0]) is not None)
+
+    def bias_at(self, temperature_degc: npt.ArrayLike) -> Floats:
+        """The bias (3,), or (n, 3) for temperatures (n,), in counts at a (lagged) temperature in degC.
+
+        It is taken to hold at the temperature at which it was measured; where that is not known, or the thermometer of
+        the slopes has no zero, at the slopes' reference. Without slopes, and on an axis whose slope may be one of
+        scale, it stays as it is.
+        """
+        degc = np.asarray(temperature_degc, float)
+        if self.thermal is None:
+            return np.broadcast_to(self.bias_lsb, (*degc.shape, 3)).astype(float)
+        comparable = self.temperature_degc is not None and self.thermal.thermometer != "relative"
+        holds_at = self.temperature_degc if comparable else self.thermal.reference_degc
+        return np.asarray(self.bias_lsb + self.thermal.bias_change_lsb(degc, float(holds_at or 0.0)))
 
     @property
     def scale_lsb_per_unit(self) -> Floats:
@@ -116,6 +163,12 @@ class Calibration:
             sensors[name] = newer if older is None else _merge(older, newer)
         return Calibration(sensors, (*self.sources, *other.sources))
 
+    def stamped(self, logs: Sequence[Log]) -> Calibration:
+        """This calibration with the logs, software, epoch and bias temperature on every measured group that does not
+        say them yet.
+        """
+        return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
+
     def of(self, sensor: SensorLog) -> SensorCalibration:
         """What is known of `sensor`: the calibration if there is one, else the data sheet. CalibrationError if it
         does not fit.
@@ -141,16 +194,11 @@ class Calibration:
 
     def to_toml(self) -> str:
         """The file's text."""
-        return tomli_w.dumps(
-            {
-                "calibration": {
-                    "format_version": FORMAT_VERSION,
-                    "software": f"imuarray {__version__}",
-                    "sources": list(self.sources),
-                },
-                "sensor": [_to_table(sensor) for sensor in self.sensors.values()],
-            }
+        head = {"format_version": FORMAT_VERSION, "software": f"imuarray {__version__}", "sources": list(self.sources)}
+        text = tomli_w.dumps(
+            {"calibration": head, "sensor": [to_table(sensor) for sensor in self.sensors.values()]}, indent=2
         )
+        return _LIST.sub(lambda found: found[0] if len(found[1]) > _SHORT else _on_a_line(found[1]), text)
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
         """Write the file; OutputExistsError if it is there."""
@@ -180,16 +228,16 @@ def nominal(sensor: SensorLog) -> SensorCalibration:
 def load_calibration(path: str | PathLike[str]) -> Calibration:
     """Read a calibration file; CalibrationError names the file, the sensor and the key."""
     try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        file = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise CalibrationError(
             f"{path}: {getattr(error, 'strerror', None) or f'no calibration file: {error}'}"
         ) from None
-    head = table.get("calibration")
+    head = file.get("calibration")
     version = head.get("format_version") if isinstance(head, dict) else None
     if version != FORMAT_VERSION or not isinstance(head, dict):
         raise CalibrationError(f"{path}: calibration format_version is {version}; this software reads {FORMAT_VERSION}")
-    sources, entries = head.get("sources", []), table.get("sensor", [])
+    sources, entries = head.get("sources", []), file.get("sensor", [])
     if not isinstance(entries, list) or not isinstance(sources, list) or not all(isinstance(s, str) for s in sources):
         raise CalibrationError(f"{path}: a list of [[sensor]] and a list of texts as calibration.sources are wanted")
     sensors: dict[str, SensorCalibration] = {}
@@ -202,64 +250,65 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
 
 
 def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibration:
-    """`newer` where it measured something, else `older`. A bias without an uncertainty was not measured."""
+    """`newer` with the groups of figures that only `older` measured."""
     if (older.quantity, older.unit) != (newer.quantity, newer.unit):
         raise CalibrationError(
             f"sensor {newer.name}: calibrated as {older.quantity} before, as {newer.quantity} now: two of one name"
         )
-    kept = {item.name: getattr(older, item.name) for item in fields(newer) if getattr(newer, item.name) is None}
-    if newer.bias_sem_lsb is None:
-        kept["bias_lsb"] = older.bias_lsb
-    if newer.response_sem_lsb_per_unit is None:
-        kept["response_lsb_per_unit"] = older.response_lsb_per_unit
-    return replace(newer, **kept)
+    if None not in (older.range, newer.range) and older.range != newer.range:
+        raise CalibrationError(
+            f"sensor {newer.name}: calibrated at a range of {older.range:g} {older.unit} before, at {newer.range:g} now"
+        )
+    kept = {name: getattr(older, name) for group in GROUPS if group not in newer.measured() for name in GROUPS[group]}
+    if kept.get("temperature_degc") is None:
+        kept.pop("temperature_degc", None)
+    origins = {**older.provenance, **{group: newer.provenance.get(group) for group in newer.measured()}}
+    return replace(
+        newer,
+        **kept,
+        range=older.range if newer.range is None else newer.range,
+        provenance={group: origin for group, origin in origins.items() if origin is not None},
+    )
 
 
-def _to_table(sensor: SensorCalibration) -> dict[str, Any]:
-    table: dict[str, Any] = {}
-    for item in fields(sensor):
-        value = getattr(sensor, item.name)
-        if isinstance(value, np.ndarray):
-            table[item.name] = np.vectorize(lambda number: float(f"{number:.9g}"))(value).tolist()
-        elif value is not None:
-            table[item.name] = value
-    return table
+def _stamped(sensor: SensorCalibration, logs: Sequence[Log]) -> SensorCalibration:
+    """One sensor with its provenance."""
+    origin = Provenance(tuple(str(log.path) for log in logs), f"imuarray {__version__}", logs[0].epoch if logs else "")
+    warm = replace(origin, temperature_degc=sensor.temperature_degc)
+    fresh = {group: warm if group == "bias" else origin for group in sensor.measured()}
+    return replace(sensor, provenance={**fresh, **sensor.provenance})
 
 
-def _from_table(entry: Any, where: str) -> SensorCalibration:
-    known = {item.name for item in fields(SensorCalibration)}
-    if not isinstance(entry, dict) or not {"name", "quantity", "unit", "bias_lsb", "response_lsb_per_unit"} <= set(
-        entry
-    ):
-        raise CalibrationError(f"{where}: name, quantity, unit, bias_lsb and response_lsb_per_unit are wanted")
-    if unknown := set(entry) - known:
-        raise CalibrationError(f"{where}: unknown key {sorted(unknown)[0]!r}; allowed are {', '.join(sorted(known))}")
-    if not isinstance(entry["name"], str) or not entry["name"]:
-        raise CalibrationError(f"{where}: name {entry['name']!r}; a text is wanted")
-    if (entry["quantity"], entry["unit"]) not in list(_UNITS.items()):
+def _on_a_line(entries: str) -> str:
+    """A list whose entries stand on a line each."""
+    return "[" + re.sub(r",\n *", ", ", entries) + "]"
+
+
+def _from_table(entry: object, where: str) -> SensorCalibration:
+    sensor = read_table(entry, where, SensorCalibration, _SENSOR)
+    if _UNITS.get(sensor.quantity) != sensor.unit:
         allowed = ", ".join(f"{quantity} in {unit}" for quantity, unit in _UNITS.items())
-        raise CalibrationError(f"{where}: {entry['quantity']!r} in {entry['unit']!r}; allowed are {allowed}")
-    values: dict[str, Any] = {
-        key: _array(value, key, where) if key in _SHAPES else value for key, value in entry.items()
-    }
-    for key in ("temperature_degc", "range"):
-        number = values.get(key)
-        if number is not None and not (isinstance(number, int | float) and abs(number) < _HUGE):
-            raise CalibrationError(f"{where}: {key} is no number that a sensor could have")
-    for key in ("noise_lsb", "bias_sem_lsb", "response_sem_lsb_per_unit"):
-        if key in values and (values[key] < 0).any():
-            raise CalibrationError(f"{where}: {key} is negative")
-    sensor = SensorCalibration(**values)
+        raise CalibrationError(f"{where}: {sensor.quantity!r} in {sensor.unit!r}; allowed are {allowed}")
     if not np.linalg.cond(sensor.response_lsb_per_unit) < 1e3:
         raise CalibrationError(f"{where}: response_lsb_per_unit can't be inverted")
     return sensor
 
 
-def _array(value: Any, key: str, where: str) -> Floats:
-    try:
-        array = np.asarray(value, float)
-    except (TypeError, ValueError, OverflowError):
-        array = np.array([np.nan])
-    if array.shape != _SHAPES[key] or not np.isfinite(array).all():
-        raise CalibrationError(f"{where}: {key} wants {' x '.join(map(str, _SHAPES[key]))} finite numbers")
-    return array
+_SENSOR: Mapping[str, Reader] = {
+    "name": text(),
+    "quantity": text(),
+    "unit": text(),
+    "bias_lsb": numbers(3),
+    "response_lsb_per_unit": numbers(3, 3),
+    "bias_sem_lsb": numbers(3, lowest=0.0),
+    "bias_covariance_lsb2": covariance,
+    "response_sem_lsb_per_unit": numbers(3, lowest=0.0),
+    "g_sensitivity_lsb_per_g": numbers(3, 3),
+    "g_sensitivity_sem_lsb_per_g": numbers(3, 3, lowest=0.0),
+    "noise_lsb": numbers(3, lowest=0.0),
+    "temperature_degc": number(),
+    "range": number(),
+    "thermal": table(Thermal, THERMAL),
+    "turn_on": table(TurnOn, TURN_ON),
+    "provenance": named_tables(Provenance, PROVENANCE, tuple(GROUPS)),
+}

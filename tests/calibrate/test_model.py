@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -11,6 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from imuarray.calibrate import Calibration, SensorCalibration, load_calibration
+from imuarray.calibrate.model import GROUPS
+from imuarray.calibrate.stability import THERMOMETERS, BiasState, Provenance, Thermal, TurnOn
 from imuarray.errors import CalibrationError, ImuArrayError, OutputExistsError
 from imuarray.log import open_log
 from tests.calibrate.conftest import Part, WriteLog, accelerometer, gyroscope, ideal
@@ -21,6 +25,24 @@ SENSOR = (
     "bias_lsb = [1, 2, 3]\nresponse_lsb_per_unit = [[9, 0, 0], [0, 9, 0], [0, 0, 9]]\n"
 )
 
+HEATED = """[sensor.thermal]
+slope_lsb_per_degc = [0.1, 0.2, 0.3]
+slope_sem_lsb_per_degc = [0.01, 0.01, 0.01]
+reference_degc = 30.0
+meaning = ["bias", "bias", "bias or scale"]
+thermometer = "barometer"
+"""
+TURNED_ON = """[sensor.turn_on]
+rms_lsb = [1, 1, 1]
+rms_sem_lsb = [1, 1, 1]
+spread_lsb = [1, 1, 1]
+p_value = [0, 0, 0]
+runs = 7
+[[sensor.turn_on.states]]
+bias_lsb = [1, 2, 3]
+share = 0.5
+"""
+
 numbers = st.floats(-1e6, 1e6, allow_nan=False).filter(lambda x: x == 0 or abs(x) > 1e-6)
 positive = st.floats(1e-3, 1e6)
 
@@ -30,6 +52,45 @@ def triples(of: st.SearchStrategy[float]) -> st.SearchStrategy[np.ndarray]:
 
 
 matrices = st.lists(st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3), min_size=3, max_size=3)
+
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+counts = st.integers(0, 999)
+unknown_or_positive = st.lists(positive | st.just(float("nan")), min_size=3, max_size=3).map(np.array)
+
+thermals = st.builds(
+    Thermal,
+    slope_lsb_per_degc=triples(numbers),
+    slope_sem_lsb_per_degc=triples(positive),
+    reference_degc=st.floats(-40, 85),
+    meaning=st.tuples(*[st.sampled_from(["bias", "bias or scale"])] * 3),
+    thermometer=st.sampled_from(THERMOMETERS),
+    lag_s=st.floats(0, 1e4),
+    lag_interval_s=st.none() | st.lists(positive, min_size=2, max_size=2).map(np.array),
+    quadratic_lsb_per_degc2=st.none() | triples(numbers),
+    scale_slope_per_degc=st.none() | unknown_or_positive,
+    scale_slope_sem_per_degc=st.none() | unknown_or_positive,
+)
+states = st.builds(
+    BiasState, bias_lsb=triples(numbers), share=st.floats(0, 1), runs=st.lists(counts, max_size=4).map(tuple)
+)
+turn_ons = st.builds(
+    TurnOn,
+    rms_lsb=triples(positive),
+    rms_sem_lsb=triples(positive),
+    spread_lsb=triples(positive),
+    p_value=st.lists(st.floats(0, 1) | st.just(float("nan")), min_size=3, max_size=3).map(np.array),
+    runs=counts,
+    states=st.lists(states, max_size=2).map(tuple),
+    apart=st.lists(counts, max_size=3).map(tuple),
+    gravity_lsb=st.none() | triples(numbers),
+)
+origins = st.builds(
+    Provenance,
+    logs=st.lists(texts, max_size=2).map(tuple),
+    software=texts,
+    epoch=texts,
+    temperature_degc=st.none() | st.floats(-40, 85),
+)
 
 sensors = st.builds(
     SensorCalibration,
@@ -43,16 +104,33 @@ sensors = st.builds(
     g_sensitivity_lsb_per_g=st.none() | st.lists(triples(numbers), min_size=3, max_size=3).map(np.array),
     noise_lsb=st.none() | triples(positive),
     temperature_degc=st.none() | st.floats(-40, 85),
+    bias_covariance_lsb2=st.none() | matrices.map(lambda m: np.array(m) @ np.array(m).T + np.eye(3)),
+    g_sensitivity_sem_lsb_per_g=st.none() | st.lists(triples(positive), min_size=3, max_size=3).map(np.array),
+    thermal=st.none() | thermals,
+    turn_on=st.none() | turn_ons,
+    provenance=st.dictionaries(st.sampled_from(sorted(GROUPS)), origins, max_size=3),
 )
 
-ARRAYS = (
-    "bias_lsb",
-    "response_lsb_per_unit",
-    "bias_sem_lsb",
-    "response_sem_lsb_per_unit",
-    "g_sensitivity_lsb_per_g",
-    "noise_lsb",
-)
+
+def assert_alike(before: object, after: object) -> None:
+    """Arrays to nine digits (nan is nan), everything else exactly."""
+    if is_dataclass(before):
+        assert type(before) is type(after)
+        for item in fields(before):
+            assert_alike(getattr(before, item.name), getattr(after, item.name))
+    elif isinstance(before, np.ndarray):
+        assert isinstance(after, np.ndarray)
+        assert after == pytest.approx(before, rel=1e-8, abs=0, nan_ok=True)
+    elif isinstance(before, Mapping):
+        assert isinstance(after, Mapping) and before.keys() == after.keys()
+        for key, value in before.items():
+            assert_alike(value, after[key])
+    elif isinstance(before, tuple):
+        assert isinstance(after, tuple) and len(before) == len(after)
+        for one, other in zip(before, after, strict=True):
+            assert_alike(one, other)
+    else:
+        assert before == after
 
 
 @settings(max_examples=60, deadline=None)
@@ -67,14 +145,7 @@ def test_round_trip(written: list[SensorCalibration], sources: list[str]) -> Non
     assert list(read.sensors) == [sensor.name for sensor in written]
     assert list(read.sources) == sources
     for sensor in written:
-        back = read.sensors[sensor.name]
-        assert (back.quantity, back.unit) == (sensor.quantity, sensor.unit)
-        assert back.temperature_degc == sensor.temperature_degc
-        for key in ARRAYS:
-            before, after = getattr(sensor, key), getattr(back, key)
-            assert (before is None) == (after is None)
-            if before is not None:
-                assert after == pytest.approx(before, rel=1e-8, abs=0)
+        assert_alike(sensor, read.sensors[sensor.name])
 
 
 REFUSED = {
@@ -100,6 +171,25 @@ REFUSED = {
     "huge whole number": HEAD + SENSOR.replace("[1, 2, 3]", f"[1{'0' * 400}, 2, 3]"),
     "5000 digits": HEAD + f"x = {'9' * 5000}\n",
     "deep nesting": "x = " + "[" * 5000,
+    "number in quotes": HEAD + SENSOR.replace("[1, 2, 3]", '["1", "2", "3"]'),
+    "true for a number": HEAD + SENSOR.replace("[1, 2, 3]", "[true, 2, 3]"),
+    "asymmetric covariance": HEAD + SENSOR + "bias_covariance_lsb2 = [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]\n",
+    "negative variance": HEAD + SENSOR + "bias_covariance_lsb2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]\n",
+    "thermal a number": HEAD + SENSOR + "thermal = 5\n",
+    "thermal half said": HEAD + SENSOR + "[sensor.thermal]\nreference_degc = 25\n",
+    "unknown meaning": HEAD + SENSOR + HEATED.replace('["bias", ', '["colour", '),
+    "two meanings": HEAD + SENSOR + HEATED.replace('["bias", ', "["),
+    "unknown thermometer": HEAD + SENSOR + HEATED.replace("barometer", "thumb"),
+    "negative lag": HEAD + SENSOR + HEATED + "lag_s = -1\n",
+    "NaN slope": HEAD + SENSOR + HEATED.replace("[0.1, ", "[nan, "),
+    "share above one": HEAD + SENSOR + TURNED_ON.replace("share = 0.5", "share = 1.5"),
+    "runs half a run": HEAD + SENSOR + TURNED_ON.replace("runs = 7", "runs = 7.5"),
+    "negative spread": HEAD + SENSOR + TURNED_ON.replace("spread_lsb = [1", "spread_lsb = [-1"),
+    "probability of two": HEAD + SENSOR + TURNED_ON.replace("p_value = [0", "p_value = [2"),
+    "states a table": HEAD + SENSOR + TURNED_ON.replace("[[sensor.turn_on.states]]", "[sensor.turn_on.states]"),
+    "unknown group": HEAD + SENSOR + "[sensor.provenance.weather]\n",
+    "provenance a text": HEAD + SENSOR + 'provenance = "mine"\n',
+    "logs a text": HEAD + SENSOR + '[sensor.provenance.bias]\nlogs = "one"\n',
 }
 """What a file says, and CalibrationError is the answer."""
 
@@ -140,12 +230,25 @@ def test_malformed_files_are_refused_in_one_line(tmp_path: Path, text: str) -> N
     assert "\n" not in str(caught.value)
 
 
+WHOLE = HEAD + SENSOR + HEATED + TURNED_ON
+
+
+def test_the_tables_that_the_refused_files_spoil_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "cal.toml"
+    path.write_text(WHOLE, encoding="utf-8")
+    sensor = load_calibration(path).sensors["A"]
+    assert sensor.thermal is not None and sensor.turn_on is not None
+    assert sensor.thermal.meaning == ("bias", "bias", "bias or scale")
+    assert (sensor.turn_on.runs, sensor.turn_on.states[0].share) == (7, 0.5)
+    assert sensor.turn_on.states[0].bias_lsb.tolist() == [1, 2, 3]
+
+
 @settings(max_examples=150, deadline=None)
-@given(st.integers(0, len(HEAD + SENSOR) - 1), st.binary(max_size=6), st.integers(0, 20))
+@given(st.integers(0, len(WHOLE) - 1), st.binary(max_size=6), st.integers(0, 20))
 @example(0, b"\xff\xfe", 0)
 def test_a_damaged_file_is_read_or_refused(place: int, inserted: bytes, removed: int) -> None:
     """Bytes overwritten at a random place: never another exception than ours."""
-    good = (HEAD + SENSOR).encode()
+    good = WHOLE.encode()
     with TemporaryDirectory() as folder:
         path = Path(folder) / "cal.toml"
         path.write_bytes(good[:place] + inserted + good[place + removed :])
@@ -203,6 +306,88 @@ def test_what_was_measured_again_replaces_what_was_known() -> None:
     both = Calibration({"A": TUMBLED}).merged(Calibration({"A": newer})).sensors["A"]
     assert both.bias_lsb.tolist() == [4, 5, 6]
     assert both.response_lsb_per_unit[0, 0] == 2000
+
+
+HEATED_SENSOR = known(
+    thermal=Thermal(
+        slope_lsb_per_degc=np.array([0.5, -2.0, 4.0]),
+        slope_sem_lsb_per_degc=np.ones(3),
+        reference_degc=30.0,
+        meaning=("bias", "bias", "bias or scale"),
+        thermometer="barometer",
+        quadratic_lsb_per_degc2=np.array([0.0, 0.1, 0.0]),
+    )
+)
+STARTED = known(turn_on=TurnOn(np.ones(3), np.ones(3), np.ones(3), np.zeros(3), 7))
+FORCED = known(g_sensitivity_lsb_per_g=np.eye(3), g_sensitivity_sem_lsb_per_g=np.ones((3, 3)))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.permutations([TUMBLED, NOISY, HEATED_SENSOR, STARTED, FORCED]))
+def test_every_command_adds_what_it_measured_in_any_order(order: list[SensorCalibration]) -> None:
+    merged = Calibration()
+    for sensor in order:
+        group = sensor.measured()[0]
+        stamped = known(**{**vars(sensor), "provenance": {group: Provenance((f"{group}.h5",))}})
+        merged = merged.merged(Calibration({"A": stamped}))
+    both = merged.sensors["A"]
+    assert both.measured() == ("bias", "response", "g_sensitivity", "noise", "thermal", "turn_on")
+    assert both.bias_lsb.tolist() == [1, 2, 3]
+    assert both.temperature_degc == 25.0
+    assert both.thermal is HEATED_SENSOR.thermal and both.turn_on is STARTED.turn_on
+    assert {group: origin.logs for group, origin in both.provenance.items()} == {
+        group: (f"{group}.h5",) for group in ("bias", "g_sensitivity", "noise", "thermal", "turn_on")
+    }
+
+
+def test_what_belonged_to_a_bias_goes_with_it() -> None:
+    older = known(
+        **{**vars(TUMBLED), "bias_covariance_lsb2": np.eye(3), "provenance": {"bias": Provenance(("old.h5",))}}
+    )
+    newer = known(bias_lsb=np.array([4.0, 5, 6]), bias_sem_lsb=np.ones(3))
+    both = Calibration({"A": older}).merged(Calibration({"A": newer})).sensors["A"]
+    assert both.bias_covariance_lsb2 is None and both.temperature_degc is None
+    assert both.provenance == {}
+
+
+def test_figures_of_two_ranges_are_not_mixed() -> None:
+    with pytest.raises(CalibrationError, match="sensor A: calibrated at a range of 2 g before, at 16 now"):
+        Calibration({"A": known(range=2.0)}).merged(Calibration({"A": known(range=16.0)}))
+
+
+def test_a_bias_follows_its_slopes_from_where_it_was_measured() -> None:
+    """From 25 to 40 degC about 30: slopes by 15, squares 100 - 25; the axis that may be one of scale stays."""
+    moved = known(bias_lsb=np.array([1.0, 2.0, 3.0]), temperature_degc=25.0, thermal=HEATED_SENSOR.thermal)
+    expected = [1 + 0.5 * 15, 2 - 2 * 15 + 0.1 * 75, 3]
+    assert moved.bias_at(40.0) == pytest.approx(expected)
+    assert moved.bias_at([25.0, 40.0]) == pytest.approx(np.array([[1, 2, 3], expected]))
+
+
+def test_a_bias_whose_temperature_is_not_known_holds_at_the_reference() -> None:
+    moved = known(bias_lsb=np.array([1.0, 2.0, 3.0]), thermal=HEATED_SENSOR.thermal)
+    assert moved.bias_at(32.0) == pytest.approx([1 + 1, 2 - 4 + 0.4, 3])
+    assert known(bias_lsb=np.array([1.0, 2.0, 3.0])).bias_at([10.0, 20.0]).tolist() == [[1, 2, 3], [1, 2, 3]]
+
+
+def test_logs_and_conditions_are_stamped_on_what_was_measured(write_log: WriteLog) -> None:
+    part = Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3))
+    done = known(**{**vars(TUMBLED), "noise_lsb": np.ones(3), "provenance": {"noise": Provenance(("before.h5",))}})
+    with open_log(write_log([part], np.eye(3), name="one.h5")) as log:
+        stamped = Calibration({"A": done}).stamped([log]).sensors["A"].provenance
+    assert sorted(stamped) == ["bias", "noise", "response"]
+    assert stamped["noise"].logs == ("before.h5",)
+    assert [Path(path).name for path in stamped["bias"].logs] == ["one.h5"]
+    assert (stamped["bias"].epoch, stamped["bias"].temperature_degc) == ("2024-01-01T00:00:00Z", 25.0)
+    assert stamped["response"].software.startswith("imuarray ")
+
+
+def test_a_person_reads_a_list_on_a_line() -> None:
+    sensor = known(noise_lsb=np.array([7.0, 8.25, 1e-7]), thermal=HEATED_SENSOR.thermal)
+    lines = Calibration({"A": sensor}, ("a, b.h5",)).to_toml().splitlines()
+    assert "noise_lsb = [7.0, 8.25, 1e-07]" in lines
+    assert 'meaning = ["bias", "bias", "bias or scale"]' in lines
+    assert 'sources = ["a, b.h5"]' in lines
+    assert "  [0.0, 2048.0, 0.0]," in lines
 
 
 def test_other_sensors_are_kept() -> None:

@@ -1,0 +1,166 @@
+"""Sums of squares under noise that remembers: white noise plus a first-order Gauss-Markov process.
+
+Means of segments of an inertial sensor's output are not independent: its bias wanders. Their covariance is taken as::
+
+    C[i, j] = (1 - white) exp(-|t_i - t_j| / correlation time) + white (i = j),     times an unknown variance
+
+Nobody knows correlation time and white share beforehand, and one pair that fits well makes uncertainties too small.
+So a grid of them is kept, drawn in around those that are likely, each as heavy as its restricted likelihood (Harville,
+J. Am. Stat. Assoc. 72, 1977, p. 320), and what the pairs disagree about is part of the variance.
+
+Neighbours' differences z_i = y_i - r_i y_(i-1), r_i = exp(-dt_i / correlation time), have a tridiagonal covariance, so
+that every pair costs no more than a pass over the data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg.lapack import dpttrf, dpttrs
+from scipy.special import fdtrc
+
+Floats = npt.NDArray[np.float64]
+
+_CELLS = 6
+_ENOUGH = 8.0
+"""So many cells of the grid share the likelihood, or it is drawn in further."""
+
+_RIDGE = 1e-12
+"""What regressors that say the same are kept apart by: their coefficients are then as good as unknown."""
+
+_LOG_ODDS = (-4.0, 6.0)
+"""Of the white share: 0.02 to 0.998."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """A correlation time and the share of the variance that is white."""
+
+    correlation_s: float
+    white: float
+
+
+def likely_noises(score: Callable[[Sequence[Noise]], Floats], shortest_s: float, longest_s: float) -> tuple[Noise, ...]:
+    """A grid of noises around the likely ones; `score` gives their logarithmic likelihoods (g,), correlation times lie
+    between `shortest_s` and `longest_s`.
+    """
+    box = np.array([np.log([shortest_s, max(longest_s, 2 * shortest_s)]), _LOG_ODDS])
+    for _ in range(4):
+        points = np.array(list(product(*(np.linspace(low, high, _CELLS) for low, high in box))))
+        noises = tuple(Noise(float(np.exp(time)), float(1 / (1 + np.exp(-odds)))) for time, odds in points)
+        share = weights(score(noises))
+        if 1 / (share**2).sum() > _ENOUGH:
+            break
+        centre = share @ points
+        reach = np.maximum(3 * np.sqrt(share @ (points - centre) ** 2), np.diff(box)[:, 0] / (_CELLS - 1))
+        box = np.clip(np.stack([centre - reach, centre + reach], axis=1), box[:, :1], box[:, 1:])
+    return noises
+
+
+def products(columns: Floats, gaps_s: Floats, noise: Noise) -> tuple[Floats, float]:
+    """``columns.T @ inverse(C) @ columns`` (k, k) of columns (n, k), and the logarithm of C's determinant.
+
+    `gaps_s` (n - 1,) are the times between neighbours; an infinite one begins anew.
+    """
+    kept = np.exp(-gaps_s / noise.correlation_s)
+    steps = columns.copy()
+    steps[1:] -= kept[:, None] * columns[:-1]
+    diagonal = np.concatenate([[1.0], (1 - noise.white) * (1 - kept**2) + noise.white * (1 + kept**2)])
+    diagonal, below, _ = dpttrf(diagonal, -noise.white * kept)
+    solved, _ = dpttrs(diagonal, below, steps)
+    return np.asarray(steps.T @ solved), float(np.log(diagonal).sum())
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Least squares for one pair or for many (leading dimensions): coefficients (..., p), their covariance
+    (..., p, p), the logarithms of the profile likelihood and of the restricted one, and the variance.
+    """
+
+    coefficients: Floats
+    covariance: Floats
+    likelihood: Floats
+    restricted: Floats
+    variance: Floats
+
+
+def regress(sums: Floats, log_determinant: Floats, rows: int) -> Regression:
+    """Least squares from `products` (..., 1 + p, 1 + p) of a series (first) and its p regressors, over `rows` rows."""
+    cross = sums[..., 1:, 0]
+    inner = sums[..., 1:, 1:] * (1 + _RIDGE * np.eye(sums.shape[-1] - 1))
+    inverse = np.linalg.inv(inner)
+    coefficients = np.einsum("...ij,...j->...i", inverse, cross)
+    freedom = rows - inner.shape[-1]
+    left = sums[..., 0, 0] - np.einsum("...i,...i->...", coefficients, cross)
+    left = np.maximum(left, 1e-12 * np.maximum(sums[..., 0, 0], 1e-300))  # a series of nothing but its regressors
+    variance = left / freedom
+    return Regression(
+        coefficients,
+        variance[..., None, None] * inverse,
+        -(log_determinant + rows * np.log(left)) / 2,
+        -(log_determinant + np.linalg.slogdet(inner)[1] + freedom * np.log(left)) / 2,
+        variance,
+    )
+
+
+def weights(log_likelihood: Floats, axis: int | tuple[int, ...] = -1) -> Floats:
+    """Likelihoods over their sum along `axis`."""
+    raised = np.exp(log_likelihood - log_likelihood.max(axis=axis, keepdims=True))
+    return np.asarray(raised / raised.sum(axis=axis, keepdims=True))
+
+
+@dataclass(frozen=True)
+class MeanVariance:
+    """What is known of the variance of a run's mean: values (g,) under g noises, their shares (g,), and the degrees of
+    freedom that each has.
+    """
+
+    values: Floats
+    share: Floats
+    own_freedom: int
+
+    @property
+    def mean(self) -> float:
+        """The expected variance."""
+        return float(self.share @ self.values)
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of a chi-squared of this mean and variance."""
+        scatter = float(self.share @ (self.values**2 * (1 + 2 / self.own_freedom))) - self.mean**2
+        return 2 * self.mean**2 / scatter if scatter > 0 else float(self.own_freedom)
+
+    def chance_of(self, variance: float, freedom: int) -> float:
+        """Probability that run means that differ by this noise alone have so large a variance or a larger one: the
+        upper tail of F under each noise, by its share.
+        """
+        ratios = variance / np.maximum(self.values, 1e-300)
+        return float(self.share @ fdtrc(freedom, self.own_freedom, ratios))
+
+
+def mean_of_series(values: Floats, gaps_s: Floats, starts: npt.NDArray[np.int64]) -> MeanVariance:
+    """How well several runs' own means are known, averaged over the runs.
+
+    `values` (n,) are all runs one after the other, with infinite `gaps_s` (n - 1,) between runs that begin at rows
+    `starts` (r,). The noise is the same in all of them, the mean is not.
+    """
+    finite = gaps_s[np.isfinite(gaps_s)]
+    lengths = np.diff([*starts, len(values)])
+    member = np.zeros((len(values), len(starts)))
+    member[np.arange(len(values)), np.repeat(np.arange(len(starts)), lengths)] = 1.0
+    step = float(np.median(finite)) if len(finite) else 1.0
+    centred = values - np.repeat(np.add.reduceat(values, starts) / lengths, lengths)
+    columns = np.column_stack([centred, member])
+
+    def fit(noises: Sequence[Noise]) -> Regression:
+        sums = [products(columns, gaps_s, noise) for noise in noises]
+        return regress(np.array([each for each, _ in sums]), np.array([each for _, each in sums]), len(values))
+
+    noises = likely_noises(lambda grid: fit(grid).restricted, step / 2, 2 * step * float(lengths.max()))
+    fitted = fit(noises)
+    variances = np.diagonal(fitted.covariance, axis1=-2, axis2=-1).mean(axis=1)
+    return MeanVariance(variances, weights(fitted.restricted), len(values) - len(starts))

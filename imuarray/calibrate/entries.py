@@ -1,0 +1,172 @@
+"""Tables of the calibration file: written from dataclasses, read back key by key.
+
+A reader takes what stands in the file and the place where it stands, and gives the value or a CalibrationError; a table
+is read by a mapping from its keys to readers. The keys that a table must have are the fields without a default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import CalibrationError
+
+Floats = npt.NDArray[np.float64]
+Table = Mapping[str, object]
+Reader = Callable[[object, str], object]
+T = TypeVar("T")
+
+_HUGE = 1e6
+_ASYMMETRY = 1e-6
+"""Nine written digits leave a covariance this far from symmetric and from non-negative, of its largest entry."""
+
+
+def to_table(record: object) -> dict[str, Any]:
+    """The table of a dataclass: what is None or an empty mapping is left out, arrays have nine digits."""
+    if not is_dataclass(record):
+        raise TypeError(f"{type(record).__name__} is no dataclass")
+    values = {item.name: getattr(record, item.name) for item in fields(record)}
+    return {key: _plain(value) for key, value in values.items() if not (value is None or _is_empty(value))}
+
+
+def _is_empty(value: object) -> bool:
+    return isinstance(value, Mapping | tuple) and not value
+
+
+def _plain(value: object) -> object:
+    """What TOML has: numbers, texts, lists, tables."""
+    if isinstance(value, np.ndarray):
+        return [_plain(item) for item in value] if value.ndim else float(f"{value:.9g}")
+    if isinstance(value, np.floating):
+        return float(f"{value:.9g}")
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return to_table(value) if is_dataclass(value) else value
+
+
+def read_table(entry: object, where: str, kind: type[T], readers: Mapping[str, Reader]) -> T:
+    """A `kind` from a table; CalibrationError names a key that is missing, unknown or holds what it can't."""
+    wanted = [item.name for item in fields(kind) if item.default is MISSING and item.default_factory is MISSING]  # type: ignore[arg-type]
+    if not isinstance(entry, dict) or not set(wanted) <= set(entry):
+        raise CalibrationError(f"{where}: a table is wanted with {', '.join(wanted)}")
+    if unknown := set(entry) - set(readers):
+        raise CalibrationError(f"{where}: unknown key {sorted(unknown)[0]!r}; allowed are {', '.join(sorted(readers))}")
+    return kind(**{key: readers[key](value, f"{where}: {key}") for key, value in entry.items()})
+
+
+def table(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
+    """A reader of one table."""
+    return lambda value, where: read_table(value, where, kind, readers)
+
+
+def tables(kind: type[T], readers: Mapping[str, Reader]) -> Reader:
+    """A reader of an array of tables, into a tuple."""
+
+    def read(value: object, where: str) -> tuple[T, ...]:
+        return tuple(read_table(entry, f"{where} {i}", kind, readers) for i, entry in enumerate(_list(value, where), 1))
+
+    return read
+
+
+def named_tables(kind: type[T], readers: Mapping[str, Reader], allowed: tuple[str, ...]) -> Reader:
+    """A reader of a table of tables that may have the `allowed` names."""
+
+    def read(value: object, where: str) -> dict[str, T]:
+        if not isinstance(value, dict) or not set(value) <= set(allowed):
+            raise CalibrationError(f"{where}: tables called {', '.join(allowed)} are wanted")
+        return {name: read_table(entry, f"{where}.{name}", kind, readers) for name, entry in value.items()}
+
+    return read
+
+
+def numbers(*shape: int, lowest: float = -np.inf, highest: float = np.inf, unknown: bool = False) -> Reader:
+    """A reader of an array of numbers from `lowest` to `highest`; where `unknown` is true, nan says that it is."""
+
+    def read(value: object, where: str) -> Floats:
+        array = _array(value, shape)
+        if array is None or not (np.isfinite(array) | (unknown & np.isnan(array))).all():
+            raise CalibrationError(f"{where} wants {' x '.join(map(str, shape))} finite numbers")
+        if (array < lowest).any() or (array > highest).any():
+            way = f"below {lowest:g}" if (array < lowest).any() else f"above {highest:g}"
+            raise CalibrationError(f"{where} is {way}")
+        return array
+
+    return read
+
+
+def _array(value: object, shape: tuple[int, ...]) -> Floats | None:
+    """The nested lists as an array, None if they have another shape or hold anything but numbers."""
+    if not shape:
+        return np.array(float(value)) if _is_number(value) else None  # type: ignore[arg-type]
+    if not isinstance(value, list) or len(value) != shape[0]:
+        return None
+    rows = [_array(item, shape[1:]) for item in value]
+    return None if any(row is None for row in rows) else np.array(rows, float)
+
+
+def _is_number(value: object) -> bool:
+    """Whole numbers beyond a float's reach are none that a sensor could have."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and (value != value or abs(value) < 1e300)
+
+
+def covariance(value: object, where: str) -> Floats:
+    """A reader of a 3 x 3 covariance: symmetric, no negative variance in any direction."""
+    matrix = np.asarray(numbers(3, 3)(value, where))
+    slack = _ASYMMETRY * float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
+        raise CalibrationError(f"{where} is no covariance: not symmetric, or a variance is negative")
+    return matrix
+
+
+def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:
+    """A reader of one number from `lowest` to `highest`, as it stands."""
+
+    def read(value: object, where: str) -> object:
+        if not (_is_number(value) and lowest <= value <= highest):  # type: ignore[operator]
+            raise CalibrationError(f"{where} is no number that a sensor could have")
+        return value
+
+    return read
+
+
+def whole(value: object, where: str) -> int:
+    """A reader of a whole number from 0 to a million."""
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _HUGE:
+        raise CalibrationError(f"{where}: a whole number is wanted")
+    return value
+
+
+def text(*allowed: str, empty: bool = False) -> Reader:
+    """A reader of a text, one of `allowed` if any are named."""
+
+    def read(value: object, where: str) -> str:
+        if not isinstance(value, str) or not (value or empty) or (allowed and value not in allowed):
+            choice = f"; allowed are {', '.join(allowed)}" if allowed else "; a text is wanted"
+            raise CalibrationError(f"{where}: {value!r:.40}{choice}")
+        return value
+
+    return read
+
+
+def several(reader: Reader, count: int | None = None) -> Reader:
+    """A reader of a list, into a tuple, of `count` entries if that is said."""
+
+    def read(value: object, where: str) -> tuple[object, ...]:
+        entries = _list(value, where)
+        if count not in (None, len(entries)):
+            raise CalibrationError(f"{where}: {count} entries are wanted")
+        return tuple(reader(entry, where) for entry in entries)
+
+    return read
+
+
+def _list(value: object, where: str) -> list[object]:
+    if not isinstance(value, list):
+        raise CalibrationError(f"{where}: a list is wanted")
+    return value

@@ -1,0 +1,165 @@
+"""A long log in a few numbers: means over segments of some seconds, and what the thermometer said beside them.
+
+Rows are read a block at a time; what is kept is a row a segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import CalibrationError, LogError
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
+
+Floats = npt.NDArray[np.float64]
+
+_MOST_SEGMENTS = 20_000
+_FULL = 0.5
+"""A segment with fewer than this share of the usual number of rows is left out."""
+
+CHIP_DEGC: dict[str, tuple[float, float]] = {
+    "bma180": (24.0, 0.5),  # BMA-63
+    "l3g4200d": (0.0, -1.0),  # L3G-60: falls by a count per degree, and has no zero
+}
+"""Degrees at count 0, and degrees per count, of the chips' own thermometers."""
+
+_WITHOUT_ZERO = ("l3g4200d",)
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Means of rows: mid times (n,) in s since the log's epoch, and means (n, k) over the rows of each segment."""
+
+    time_s: Floats
+    mean: Floats
+
+
+@dataclass(frozen=True)
+class Thermometer:
+    """Temperatures (m,) in degC at times (m,) in s since the log's epoch; `kind` is one of `stability.THERMOMETERS`."""
+
+    kind: str
+    time_s: Floats
+    degc: Floats
+
+    def at(self, time_s: Floats) -> Floats:
+        """The temperature at other times: between two readings on a straight line."""
+        return np.interp(time_s, self.time_s, self.degc)
+
+    def lagged(self, time_s: Floats, lags_s: Sequence[float]) -> Floats:
+        """The temperature (len(time_s), len(lags_s)) behind first-order lags, each in balance at the first reading.
+
+        Exact for straight lines between the readings: with slope s a lag L follows x1 - s L + (y0 - x0 + s L)
+        exp(-dt / L).
+        """
+        lags = np.maximum(np.asarray(lags_s, float), 1e-9)
+        steps = np.diff(self.time_s)
+        slopes = np.diff(self.degc) / steps
+        behind = np.empty((len(self.degc), len(lags)))
+        behind[0] = self.degc[0]
+        kept = np.exp(-steps[:, None] / lags)
+        for i, slope in enumerate(slopes):
+            late = slope * lags
+            behind[i + 1] = self.degc[i + 1] - late + (behind[i] - self.degc[i] + late) * kept[i]
+        return np.stack([np.interp(time_s, self.time_s, column) for column in behind.T], axis=1)
+
+
+def segment_means(
+    sensor: SensorLog, width_s: float, left_out: Sequence[Phase] = (), within: slice | None = None
+) -> Segments:
+    """Mean counts (n, k) of a sensor over segments of `width_s` (longer where there were more than 20000 of them), of
+    all rows or of the rows `within`.
+
+    Stale, saturated and suspect rows and rows inside the phases `left_out` don't count. CalibrationError if nothing
+    is left.
+    """
+
+    def sound(rows: slice) -> npt.NDArray[np.bool_]:
+        time = np.asarray(sensor.time[rows])
+        inside = [(time >= phase.start_ns) & (time < phase.end_ns) for phase in left_out]
+        flagged = (np.asarray(sensor.status[rows]) & (STALE | SATURATED | SUSPECT)) != 0
+        return np.asarray(~np.any([flagged, *inside], axis=0))
+
+    rows = slice(0, len(sensor)) if within is None else within
+    return _means(sensor.time, lambda part: np.asarray(sensor.counts[part], float), sound, width_s, sensor.where, rows)
+
+
+def _means(
+    time: h5py.Dataset,
+    values: Callable[[slice], Floats],
+    sound: Callable[[slice], npt.NDArray[np.bool_]],
+    width_s: float,
+    where: str,
+    rows: slice,
+) -> Segments:
+    """Means of columns of values over segments of some rows."""
+    if rows.stop <= rows.start:
+        raise CalibrationError(f"{where}: no readings")
+    begin = int(time[rows.start])
+    span_ns = int(time[rows.stop - 1]) - begin + 1
+    width_ns = max(round(width_s * 1e9), -(-span_ns // _MOST_SEGMENTS))
+    count = -(-span_ns // width_ns)
+    number, moments, sums = np.zeros(count), np.zeros(count), np.zeros((0, 0))
+    for start in range(rows.start, rows.stop, 1 << 16):
+        part = slice(start, min(start + (1 << 16), rows.stop))
+        kept = sound(part)
+        since = (np.asarray(time[part])[kept] - begin).astype(np.int64)
+        segment, value = since // width_ns, values(part)[kept]
+        if len(segment) and (segment.min() < 0 or segment.max() >= count):
+            raise CalibrationError(f"{where}: time does not increase")
+        sums = np.zeros((count, value.shape[1])) if sums.size == 0 else sums
+        number += np.bincount(segment, minlength=count)
+        moments += np.bincount(segment, since, minlength=count)
+        for k in range(value.shape[1]):
+            sums[:, k] += np.bincount(segment, value[:, k], minlength=count)
+    if not number.any():
+        raise CalibrationError(f"{where}: no sound readings")
+    full = number >= _FULL * np.median(number[number > 0])
+    return Segments((begin + moments[full] / number[full]) * 1e-9, sums[full] / number[full, None])
+
+
+def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> Thermometer | None:
+    """The best thermometer for `sensor` in its log, averaged over `width_s`: the barometer's, that of `/reference`,
+    the chip's own, that of the other chips with one, first those that have a zero; None if there is none.
+    """
+    for barometer in log.of("pressure"):
+        with suppress(CalibrationError, LogError):  # imported without a temperature, say
+            return _read("barometer", barometer.time, barometer.compensated("temperature"), 0.0, 1.0, width_s)
+    track = log.reference
+    if track is not None and track.temperature is not None:
+        with suppress(CalibrationError):
+            return _read("reference", track.time, track.temperature, 0.0, 1.0, width_s)
+    return _chip_thermometer(log, sensor, width_s)
+
+
+def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Thermometer | None:
+    others = sorted(log.sensors.values(), key=lambda other: (other.name != sensor.name, other.chip in _WITHOUT_ZERO))
+    for other in others:
+        column = other.temperature_counts
+        if column is not None and other.chip in CHIP_DEGC and len(other):
+            kind = "relative" if other.chip in _WITHOUT_ZERO else "chip"
+            return _read(kind, other.time, column, *CHIP_DEGC[other.chip], width_s)
+    return None
+
+
+def _read(kind: str, time: h5py.Dataset, column: h5py.Dataset, zero: float, step: float, width_s: float) -> Thermometer:
+    """Segment means of a temperature column; values that are not finite don't count. CalibrationError if none are."""
+
+    def values(rows: slice) -> Floats:
+        return np.asarray(np.nan_to_num(np.asarray(column[rows], float), posinf=0.0, neginf=0.0)[:, None])
+
+    means = _means(
+        time,
+        values,
+        lambda part: np.isfinite(np.asarray(column[part], float)),
+        width_s,
+        column.name,
+        slice(0, int(time.shape[0])),
+    )
+    return Thermometer(kind, means.time_s, zero + step * means.mean[:, 0])

@@ -1,0 +1,148 @@
+"""What a bias does after it was calibrated: with temperature, and from one switch-on to the next; and where each
+figure came from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate.entries import Reader, number, numbers, several, tables, text, whole
+
+Floats = npt.NDArray[np.float64]
+
+BIAS = "bias"
+BIAS_OR_SCALE = "bias or scale"
+"""Of an axis that carried gravity while it was heated, in one orientation only: which of the two it is can't be told
+(section 5.2.5 of the paper leaves it open)."""
+
+THERMOMETERS = ("barometer", "reference", "chip", "relative")
+"""The log's barometer, its `/reference`, chips whose thermometer has a zero (BMA180: BMA-63) and chips whose has none
+(L3G4200D: L3G-60).
+"""
+
+
+@dataclass(frozen=True)
+class Thermal:
+    """How one sensor's counts change with temperature: ``slope (T - reference) + quadratic (T - reference)^2`` with T
+    the temperature of the `thermometer` after a first-order lag of `lag_s`.
+
+    Shapes: everything (3,), one figure per sensor axis, but `lag_interval_s` (2,): 95 % likelihood interval. `meaning`
+    says what the slope of an axis is: "bias", or "bias or scale" where one orientation could not tell. `scale_slope`
+    is a share of the scale factor, nan where no two orientations told it. For a "relative" thermometer degrees have no
+    zero and compare with nothing but that thermometer.
+    """
+
+    slope_lsb_per_degc: Floats
+    slope_sem_lsb_per_degc: Floats
+    reference_degc: float
+    meaning: tuple[str, ...]
+    thermometer: str
+    lag_s: float = 0.0
+    lag_interval_s: Floats | None = None
+    quadratic_lsb_per_degc2: Floats | None = None
+    scale_slope_per_degc: Floats | None = None
+    scale_slope_sem_per_degc: Floats | None = None
+
+    def bias_change_lsb(self, to_degc: npt.ArrayLike, from_degc: float) -> Floats:
+        """Change of bias (3,) or (n, 3) in counts between two lagged temperatures, zero on an axis whose slope may be
+        one of scale.
+        """
+        known = np.array([meaning == BIAS for meaning in self.meaning], float)
+        return known * (self._counts(np.asarray(to_degc, float)) - self._counts(np.asarray(from_degc, float)))
+
+    def _counts(self, degc: Floats) -> Floats:
+        above = (degc - self.reference_degc)[..., None]
+        curve = 0.0 if self.quadratic_lsb_per_degc2 is None else self.quadratic_lsb_per_degc2
+        return np.asarray(above * self.slope_lsb_per_degc + above**2 * curve)
+
+
+@dataclass(frozen=True)
+class BiasState:
+    """One of the biases (3,) that a sensor comes up with, in counts; the share of the runs in it, and their numbers."""
+
+    bias_lsb: Floats
+    share: float
+    runs: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class TurnOn:
+    """How a bias changes from run to run, per sensor axis (3,), in counts.
+
+    `rms_lsb`: standard deviation from run to run about the run's state, the scatter within runs and the slope with
+    temperature taken out, and its standard error; `spread_lsb`: the same with the scatter within runs left in, as a run
+    mean shows it; `p_value` of no change at all about the states, nan where nothing was known of the inside of runs
+    (which is then in `rms_lsb` too). `runs`: how many were used; `apart`: numbers of those that came up wrong. `states`
+    has one entry for a sensor that always comes up alike. `gravity_lsb`: what gravity was taken to be in the runs' pose
+    (accelerometers).
+    """
+
+    rms_lsb: Floats
+    rms_sem_lsb: Floats
+    spread_lsb: Floats
+    p_value: Floats
+    runs: int
+    states: tuple[BiasState, ...] = ()
+    apart: tuple[int, ...] = ()
+    gravity_lsb: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a group of figures came from: logs, the software that made them, when the first log began (ISO 8601 UTC)
+    and how warm it was (mean, degC).
+    """
+
+    logs: tuple[str, ...] = ()
+    software: str = ""
+    epoch: str = ""
+    temperature_degc: float | None = None
+
+
+_TRIPLE = numbers(3)
+_POSITIVE = numbers(3, lowest=0.0)
+
+THERMAL: Mapping[str, Reader] = MappingProxyType(
+    {
+        "slope_lsb_per_degc": _TRIPLE,
+        "slope_sem_lsb_per_degc": _POSITIVE,
+        "reference_degc": number(),
+        "meaning": several(text(BIAS, BIAS_OR_SCALE), 3),
+        "thermometer": text(*THERMOMETERS),
+        "lag_s": number(0.0),
+        "lag_interval_s": numbers(2, lowest=0.0),
+        "quadratic_lsb_per_degc2": _TRIPLE,
+        "scale_slope_per_degc": numbers(3, unknown=True),
+        "scale_slope_sem_per_degc": numbers(3, lowest=0.0, unknown=True),
+    }
+)
+"""Readers of the file's keys, here and below."""
+
+STATE: Mapping[str, Reader] = MappingProxyType({"bias_lsb": _TRIPLE, "share": number(0.0, 1.0), "runs": several(whole)})
+
+TURN_ON: Mapping[str, Reader] = MappingProxyType(
+    {
+        "rms_lsb": _POSITIVE,
+        "rms_sem_lsb": _POSITIVE,
+        "spread_lsb": _POSITIVE,
+        "p_value": numbers(3, lowest=0.0, highest=1.0, unknown=True),
+        "runs": whole,
+        "states": tables(BiasState, STATE),
+        "apart": several(whole),
+        "gravity_lsb": _TRIPLE,
+    }
+)
+
+PROVENANCE: Mapping[str, Reader] = MappingProxyType(
+    {
+        "logs": several(text(empty=True)),
+        "software": text(empty=True),
+        "epoch": text(empty=True),
+        "temperature_degc": number(),
+    }
+)

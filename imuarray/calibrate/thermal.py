@@ -1,0 +1,196 @@
+"""`calibrate thermal`: counts against temperature, with drift and thermal lag allowed for; what the slope of an axis
+that carries 1 g is, where that can be told; and what opposing axes cancel.
+
+A slope of an axis that carries g gs of gravity is ``bias slope + g * sensitivity * scale slope``. One orientation gives
+one such equation and two unknowns (section 5.2.5 of the paper); logs of opposite faces give both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import UP_AXES, up_vector
+from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
+from imuarray.calibrate.opposed import OpposedSlopes, opposed_slopes
+from imuarray.calibrate.segments import Thermometer, segment_means, thermometer_of
+from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
+from imuarray.calibrate.thermal_fit import AxesFit, fit_axes
+from imuarray.errors import CalibrationError
+from imuarray.log import Log, SensorLog
+from imuarray.units import INERTIAL
+
+Floats = npt.NDArray[np.float64]
+
+SEGMENT_S = 5.0
+
+CARRIES_G = 0.5
+"""An axis with more gravity along it than this carries it; slopes at gravities that differ by more tell bias from
+scale."""
+
+_FEWEST_SEGMENTS = 20
+_LEAST_CHANGE_DEGC = 2.0
+_LEAST_BEND = 0.05
+
+
+@dataclass(frozen=True)
+class Heating:
+    """One sensor in one log: the fit of its axes, the thermometer's kind and span (coldest, warmest, degC), and the
+    gravity (3,) in g along its axes.
+    """
+
+    sensor: str
+    log: str
+    thermometer: str
+    span_degc: tuple[float, float]
+    gravity_g: Floats
+    fit: AxesFit
+
+    @property
+    def carries_gravity(self) -> tuple[bool, ...]:
+        """For each axis, whether more than half a g lay along it."""
+        return tuple((np.abs(self.gravity_g) > CARRIES_G).tolist())
+
+
+@dataclass(frozen=True)
+class ThermalResult:
+    """What was found: the calibration (with nothing in it but `thermal`), every sensor in every log, and the pairs."""
+
+    calibration: Calibration
+    heatings: tuple[Heating, ...]
+    pairs: tuple[OpposedSlopes, ...]
+
+
+def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult:
+    """Slopes of every inertial sensor of one log, or of several of the same array in different orientations.
+
+    The box stands still in a log; what it does in a phase called `motion` is left out. CalibrationError says which log
+    has no thermometer, is too short, or hardly changed its temperature, and which was not of one orientation.
+    """
+    first = logs[0]
+    sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in INERTIAL and len(sensor)]
+    if not sensors:
+        raise CalibrationError(f"{first.path}: no inertial sensor in it")
+    ups = [up_of(log, segment_s) for log in logs]
+    found = {sensor.name: _heatings(sensor, logs, ups, segment_s) for sensor in sensors}
+    fitted = {sensor.name: _combined(sensor, found[sensor.name]) for sensor in sensors}
+    return ThermalResult(
+        Calibration(fitted, tuple(str(log.path) for log in logs)).stamped(logs),
+        tuple(heating for each in found.values() for heating in each),
+        tuple(opposed_slopes(sensors, fitted)),
+    )
+
+
+def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
+    """The unit vector (3,) in the box frame that pointed up in a log: what its phases say, else what its
+    accelerometers felt; None without either. CalibrationError if the phases name several.
+    """
+    named = {phase.up for phase in log.phases if phase.up}
+    if len(named) > 1 or not named <= set(UP_AXES):
+        raise CalibrationError(
+            f"{log.path}: its phases say up {', '.join(sorted(named))}; one orientation a log is wanted"
+        )
+    if named:
+        return np.array(up_vector(named.pop()))
+    felt = [
+        sensor.orientation @ segment_means(sensor, segment_s).mean.mean(axis=0) / sensor.sensitivity
+        for sensor in log.of("specific_force")
+        if len(sensor) and sensor.sensitivity > 0
+    ]
+    mean = np.sum(felt, axis=0) if felt else np.zeros(3)
+    return np.asarray(mean / np.linalg.norm(mean)) if mean.any() else None
+
+
+def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | None], segment_s: float) -> list[Heating]:
+    """The sensor in every log, all about the mean temperature of the first."""
+    found: list[Heating] = []
+    for log, up in zip(logs, ups, strict=True):
+        here = log[sensor.name]
+        if (here.range, here.axes, here.sensitivity) != (sensor.range, sensor.axes, sensor.sensitivity):
+            raise CalibrationError(f"{here.where}: another range or other axes than in {sensor.where}")
+        thermometer = thermometer_of(log, here, segment_s)
+        if thermometer is None:
+            raise CalibrationError(f"{here.where}: no thermometer: no barometer, no reference, and none in the chips")
+        if found and thermometer.kind != found[0].thermometer:
+            raise CalibrationError(f"{here.where}: another thermometer than in {sensor.where}")
+        reference = found[0].fit.reference_degc if found else round(float(thermometer.degc.mean()), 2)
+        found.append(_heating(here, log, up, thermometer, reference, segment_s))
+    return found
+
+
+def _heating(
+    sensor: SensorLog, log: Log, up: Floats | None, thermometer: Thermometer, reference_degc: float, segment_s: float
+) -> Heating:
+    """Fit one sensor of one log; CalibrationError if there is too little to fit."""
+    segments = segment_means(sensor, segment_s, [phase for phase in log.phases if phase.name == "motion"])
+    if len(segments.time_s) < _FEWEST_SEGMENTS:
+        raise CalibrationError(
+            f"{sensor.where}: {len(segments.time_s)} segments of {segment_s:g} s; {_FEWEST_SEGMENTS} are wanted"
+        )
+    degc = thermometer.at(segments.time_s)
+    span = (float(degc.min()), float(degc.max()))
+    if span[1] - span[0] < _LEAST_CHANGE_DEGC:
+        raise CalibrationError(
+            f"{sensor.where}: the temperature changed by {np.ptp(degc):.1f} degC; {_LEAST_CHANGE_DEGC:g} are wanted"
+        )
+    steady = np.polynomial.Polynomial.fit(segments.time_s, degc, 1)(segments.time_s)
+    if np.std(degc - steady) < _LEAST_BEND * np.std(degc):
+        raise CalibrationError(f"{sensor.where}: the temperature changed so steadily that its effect could be drift")
+    gravity = np.zeros(3) if up is None else np.asarray(sensor.orientation.T @ up)
+    fit = fit_axes(segments, thermometer, reference_degc)
+    return Heating(sensor.name, str(log.path), thermometer.kind, span, gravity, fit)
+
+
+def _combined(sensor: SensorLog, heatings: Sequence[Heating]) -> SensorCalibration:
+    """One sensor's slopes from all its heatings; the lag of the one that knows it best."""
+    slopes, sems, curves, gravity = (
+        np.array(values)
+        for values in zip(
+            *(
+                (h.fit.slope_lsb_per_degc, h.fit.slope_sem_lsb_per_degc, h.fit.quadratic_lsb_per_degc2, h.gravity_g)
+                for h in heatings
+            ),
+            strict=True,
+        )
+    )
+    feels = sensor.quantity == "specific_force"
+    axes = [_axis(slopes[:, k], sems[:, k], gravity[:, k] * feels, sensor.sensitivity) for k in range(3)]
+    bias, bias_sem, scale, scale_sem = np.array([values for values, _ in axes]).T
+    sharpest = min(heatings, key=lambda heating: float(np.diff(np.log(heating.fit.lag_interval_s + 1.0))[0]))
+    thermal = Thermal(
+        slope_lsb_per_degc=bias,
+        slope_sem_lsb_per_degc=bias_sem,
+        reference_degc=heatings[0].fit.reference_degc,
+        meaning=tuple(meaning for _, meaning in axes),
+        thermometer=heatings[0].thermometer,
+        lag_s=sharpest.fit.lag_s,
+        lag_interval_s=sharpest.fit.lag_interval_s,
+        quadratic_lsb_per_degc2=np.mean(curves, axis=0) if curves.any() else None,
+        scale_slope_per_degc=scale if np.isfinite(scale).any() else None,
+        scale_slope_sem_per_degc=scale_sem if np.isfinite(scale).any() else None,
+    )
+    return replace(nominal(sensor), thermal=thermal)
+
+
+def _axis(slopes: Floats, sems: Floats, gravity_g: Floats, sensitivity: float) -> tuple[tuple[float, ...], str]:
+    """(slope, its standard error, scale slope as a share, its standard error) of one axis from its slopes (n,) at n
+    gravities, nan for a scale slope that can't be told; and what the slope means.
+
+    Weighted least squares; slopes that scatter more than their standard errors say make these larger.
+    """
+    apart = float(np.ptp(gravity_g)) > CARRIES_G
+    sems = np.maximum(sems, 1e-12)  # counts that never moved
+    design = np.column_stack([np.ones(len(slopes)), gravity_g])[:, : 2 if apart else 1]
+    weighted = design / sems[:, None]
+    covariance = np.linalg.inv(weighted.T @ weighted)
+    values = covariance @ weighted.T @ (slopes / sems)
+    freedom = len(slopes) - design.shape[1]
+    excess = float(np.sum(((slopes - design @ values) / sems) ** 2)) / freedom if freedom else 1.0
+    errors = np.sqrt(np.diag(covariance) * max(1.0, excess))
+    if apart:
+        return (values[0], errors[0], values[1] / sensitivity, errors[1] / sensitivity), BIAS
+    meaning = BIAS_OR_SCALE if np.abs(gravity_g).max() > CARRIES_G else BIAS
+    return (values[0], errors[0], np.nan, np.nan), meaning

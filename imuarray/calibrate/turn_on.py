@@ -1,0 +1,182 @@
+"""`calibrate turn-on`: how much a bias changes from one switch-on to the next, beyond what it does within a run.
+
+Runs that came up wrong are set apart first; then the others are asked for two states; what is left about the states,
+and about a line in temperature (a warm-up is no turn-on), is compared with what the scatter within runs makes of a
+run's mean: for each noise that those may have, the ratio of the two variances follows an F distribution if switching
+on changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import fdtrc
+
+from imuarray.calibrate.model import Calibration, nominal
+from imuarray.calibrate.runs import Runs, read_runs
+from imuarray.calibrate.stability import BiasState, TurnOn
+from imuarray.calibrate.states import SIGNIFICANT, BootFault, Ranges, explained_range, runs_apart, two_states
+from imuarray.errors import CalibrationError
+from imuarray.log import Log
+from imuarray.units import INERTIAL
+
+Floats = npt.NDArray[np.float64]
+
+NO_RANGES: Ranges = MappingProxyType({})
+_NONE: Mapping[float, float] = MappingProxyType({})
+
+_FEWEST_RUNS = 3
+
+
+@dataclass(frozen=True)
+class TurnOnResult:
+    """One sensor, arrays (3,) in counts.
+
+    `run_sd_lsb` from run to run about the states and about the line in temperature, with `run_freedom` degrees of
+    freedom; `in_run_sd_lsb` what a run's mean scatters by what happened within runs, with `in_run_freedom`; `p_value`
+    of so large a ratio if switching on changed nothing, before allowing for many axes (`holm`). nan where nothing is
+    known of the inside of runs. `slope_lsb_per_degc` None where temperatures were not known. `p_states` is the
+    probability of as good a split by chance; where it is not below 0.01 there is one state.
+    """
+
+    runs: Runs
+    apart: tuple[BootFault, ...]
+    states: tuple[BiasState, ...]
+    p_states: float
+    slope_lsb_per_degc: Floats | None
+    run_sd_lsb: Floats
+    run_freedom: int
+    in_run_sd_lsb: Floats
+    in_run_freedom: Floats
+    p_value: Floats
+
+    def turn_on(self) -> TurnOn:
+        """What the calibration file keeps of it.
+
+        The scatter within runs is taken out of the variance; the standard error of the root is to first order, or
+        where nothing is left, the root of half the variance's error.
+        """
+        inside = np.nan_to_num(self.in_run_sd_lsb) ** 2
+        both = self.run_sd_lsb**2
+        rms = np.sqrt(np.maximum(both - inside, 0.0))
+        error = np.sqrt(2 * both**2 / self.run_freedom + np.nan_to_num(2 * inside**2 / self.in_run_freedom))
+        return TurnOn(
+            rms_lsb=rms,
+            rms_sem_lsb=error / (2 * np.maximum(rms, np.sqrt(error / 2) + 1e-12)),
+            spread_lsb=self.run_sd_lsb,
+            p_value=self.p_value,
+            runs=len(self.runs.numbers) - len(self.apart),
+            states=self.states,
+            apart=tuple(fault.run for fault in self.apart),
+            gravity_lsb=self.runs.gravity_lsb if self.runs.gravity_lsb.any() else None,
+        )
+
+
+def calibrate_turn_on(
+    logs: Sequence[Log], ranges: Ranges = NO_RANGES, seed: int = 1
+) -> tuple[Calibration, tuple[TurnOnResult, ...]]:
+    """Every inertial sensor from logs of one pose, switched off in between: a run a log, or a phase `run <k>` a run.
+
+    `ranges` are the sensitivities that tell in which range a faulty run came up. CalibrationError if there are fewer
+    than three runs, or if logs don't go together.
+    """
+    if not logs:
+        raise CalibrationError("no log")
+    sensors = [sensor for sensor in logs[0].sensors.values() if sensor.quantity in INERTIAL]
+    if not sensors:
+        raise CalibrationError(f"{logs[0].path}: no inertial sensor in it")
+    results, known = [], {}
+    for sensor in sensors:
+        result = compare_runs(read_runs(logs, sensor), ranges.get(sensor.chip, {}), seed)
+        results.append(result)
+        known[sensor.name] = replace(nominal(sensor), turn_on=result.turn_on())
+    return Calibration(known, tuple(str(log.path) for log in logs)).stamped(logs), tuple(results)
+
+
+def compare_runs(runs: Runs, ranges: Mapping[float, float] = _NONE, seed: int = 1) -> TurnOnResult:
+    """One sensor's runs (see the head of this file); CalibrationError if fewer than three are left."""
+    apart = _faults(runs, ranges)
+    used = [place for place, number in enumerate(runs.numbers) if number not in {fault.run for fault in apart}]
+    if len(used) < _FEWEST_RUNS:
+        raise CalibrationError(f"sensor {runs.sensor}: {len(used)} sound runs, at least {_FEWEST_RUNS} are wanted")
+    means, warm = runs.mean_lsb[used], None if runs.temperature_degc is None else runs.temperature_degc[used]
+    second, p_states = two_states(means, warm, seed)
+    groups = [~second, second] if p_states < SIGNIFICANT else [np.ones(len(used), bool)]
+    slope, sd, freedom = _about(means, groups, warm)
+    inside = runs.in_run(used)
+    numbers = np.array(runs.numbers)[used]
+    states = tuple(
+        BiasState(means[group].mean(axis=0) - runs.gravity_lsb, float(group.mean()), tuple(numbers[group].tolist()))
+        for group in groups
+    )
+    return TurnOnResult(
+        runs,
+        apart,
+        states,
+        p_states,
+        slope,
+        sd,
+        freedom,
+        np.array([each.mean for each in inside]) ** 0.5 if inside else np.full(3, np.nan),
+        np.array([each.freedom for each in inside]) if inside else np.full(3, np.nan),
+        np.array([each.chance_of(float(spread) ** 2, freedom) for each, spread in zip(inside, sd, strict=True)])
+        if inside
+        else np.full(3, np.nan),
+    )
+
+
+def variance_ratio_p(
+    run_sd: npt.ArrayLike, run_freedom: npt.ArrayLike, in_run_sd: npt.ArrayLike, in_run_freedom: npt.ArrayLike
+) -> Floats:
+    """Probability of so large a ratio of variances if both are the same: the upper tail of F."""
+    ratio = (np.asarray(run_sd, float) / np.asarray(in_run_sd, float)) ** 2
+    return np.asarray(fdtrc(run_freedom, in_run_freedom, ratio))
+
+
+def holm(p_values: npt.ArrayLike) -> Floats:
+    """Probabilities (n,) that allow for there being n of them: one below 0.05 is then a false alarm in one of twenty
+    arrays, not of twenty axes (Holm, Scand. J. Stat. 6, 1979, p. 65). nan stays nan and does not count.
+    """
+    values = np.asarray(p_values, float)
+    allowed = np.full(len(values), np.nan)
+    known = np.flatnonzero(np.isfinite(values))
+    order = known[np.argsort(values[known])]
+    raised = values[order] * np.arange(len(order), 0, -1)
+    allowed[order] = np.minimum(np.maximum.accumulate(raised), 1.0)
+    return allowed
+
+
+def _faults(runs: Runs, ranges: Mapping[float, float]) -> tuple[BootFault, ...]:
+    """The runs that came up wrong: without a sound reading, in another range, or far from all others."""
+    read = np.asarray(np.isfinite(runs.mean_lsb).all(axis=1))
+    if not read.any():
+        raise CalibrationError(f"sensor {runs.sensor}: no sound readings in any run")
+    usual = np.median(runs.mean_lsb[read], axis=0)
+    told: list[tuple[float, float | None]] = [(np.nan, None)] * len(read)
+    if runs.quantity == "specific_force":  # a gyroscope's bias says nothing of its range
+        told = [explained_range(mean, usual, runs.sensitivity, ranges) for mean in runs.mean_lsb]
+    wrong = ~read | np.array([found is not None for _, found in told])
+    sound = np.flatnonzero(~wrong)
+    floor = np.array([each.mean for each in runs.in_run(sound.tolist())] or [0.0] * 3) ** 0.5
+    wrong[sound[runs_apart(runs.mean_lsb[sound], floor)]] = True
+    return tuple(BootFault(runs.numbers[i], told[i][0], told[i][1], runs.unit) for i in np.flatnonzero(wrong))
+
+
+def _about(
+    means: Floats, groups: Sequence[npt.NDArray[np.bool_]], warm: Floats | None
+) -> tuple[Floats | None, Floats, int]:
+    """Slope with temperature (3,), standard deviation (3,) of run means (r, 3) about their groups and that slope, and
+    its degrees of freedom. Without temperatures, with the same one always, or with too few runs for it: no slope.
+    """
+    design = np.array(groups, float).T
+    usable = warm is not None and np.ptp(warm) > 0 and len(means) > len(groups) + _FEWEST_RUNS - 1
+    if usable and warm is not None:
+        design = np.column_stack([design, warm - warm.mean()])
+    values, _, rank, _ = np.linalg.lstsq(design, means, rcond=None)
+    freedom = len(means) - int(rank)
+    sd = np.sqrt(((means - design @ values) ** 2).sum(axis=0) / freedom)
+    return (values[-1] if usable else None), sd, freedom

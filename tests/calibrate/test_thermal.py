@@ -1,0 +1,380 @@
+"""Slopes with temperature: honest errors under noise that remembers, lag, bias against scale, and opposing pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from imuarray.calibrate import load_calibration
+from imuarray.calibrate.correlated import Noise, products, regress
+from imuarray.calibrate.opposed import cancelled
+from imuarray.calibrate.segments import Segments, Thermometer, segment_means
+from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
+from imuarray.calibrate.thermal_fit import fit_axes
+from imuarray.errors import CalibrationError
+from imuarray.log import Block, LogWriter, Stimulus, open_log
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.paper.thermal import pair_of
+from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope, ideal
+
+STEP_S = 10.0
+TIME_S = np.arange(0, 2400, STEP_S)
+ROOM_HEAT_COOL = np.interp(TIME_S, [0, 300, 600, 900, 1200, 2400], [24.0, 24, 42, 33, 50, 26])
+
+
+def first_order_lag(degc: Floats, step_s: float, lag_s: float) -> Floats:
+    """Behind a first-order lag, by small Euler steps: independent of the closed form under test."""
+    fine = 200
+    inside = np.interp(np.arange(len(degc) * fine) / fine, np.arange(len(degc)), degc)
+    behind = np.empty(len(inside))
+    state = inside[0]
+    for i, value in enumerate(inside.tolist()):
+        behind[i] = state
+        state += (value - state) * step_s / fine / lag_s
+    return behind[::fine]
+
+
+LAGGED = first_order_lag(ROOM_HEAT_COOL, STEP_S, 60.0)
+
+
+def gauss_markov(rng: np.random.Generator, rows: int, step_s: float, rms: float, correlation_s: float) -> Floats:
+    kept = np.exp(-step_s / correlation_s)
+    drawn = rng.normal(0, rms, rows)
+    for i in range(1, rows):
+        drawn[i] = kept * drawn[i - 1] + np.sqrt(1 - kept**2) * drawn[i]
+    return drawn
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    """201 intervals of 95 %, white noise, wander of 100 s and of 300 s, each with drift: 90 % to 98 % hold the slope.
+
+    Were the share 95 %, fewer than 90 % or more than 98.5 % would come of less than 1 % of all seeds.
+    """
+    assert binom.cdf(180, 201, 0.95) + binom.sf(198, 201, 0.95) < 0.01
+    rng = np.random.default_rng(2)
+    thermometer, slopes = Thermometer("barometer", TIME_S, ROOM_HEAT_COOL), np.array([0.1, -0.2, 0.3])
+    held, lags = [], []
+    for _ in range(67):
+        noise = rng.normal(0, [1.0, 0.7, 0.3], (len(TIME_S), 3))
+        noise[:, 1] += gauss_markov(rng, len(TIME_S), STEP_S, 0.7, 100.0)
+        noise[:, 2] += gauss_markov(rng, len(TIME_S), STEP_S, 1.0, 300.0)
+        drift = np.array([0.0, 1e-4, -5e-4]) * TIME_S[:, None]
+        fit = fit_axes(Segments(TIME_S, 50 + slopes * LAGGED[:, None] + drift + noise), thermometer, 30.0)
+        held.append(np.abs(fit.slope_lsb_per_degc - slopes) < 1.96 * fit.slope_sem_lsb_per_degc)
+        lags.append(fit.lag_interval_s[0] <= 60 <= fit.lag_interval_s[1])
+    assert 0.90 <= np.mean(held) <= 0.985
+    assert np.mean(lags) >= 0.88  # 95 % less three standard errors of 67
+
+
+def test_wander_makes_the_errors_larger_than_white_noise_would() -> None:
+    """A wander of 300 s over 2400 s: ordinary least squares would claim several times less."""
+    rng = np.random.default_rng(4)
+    counts = np.stack([gauss_markov(rng, len(TIME_S), STEP_S, 1.0, 300.0) for _ in range(3)], axis=1)
+    fit = fit_axes(Segments(TIME_S, counts), Thermometer("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
+    ordinary = counts.std() / np.sqrt(len(TIME_S)) / ROOM_HEAT_COOL.std()
+    assert (fit.slope_sem_lsb_per_degc > 2 * ordinary).all()
+
+
+def test_without_noise_everything_comes_back() -> None:
+    quadratic = np.array([0.0, 0.01, -0.02])
+    warm = (LAGGED - 30.0)[:, None]
+    exact = (
+        [100, 0, -50]
+        + np.array([0.5, -1, 2]) * warm
+        + quadratic * warm**2
+        + np.array([0, 1e-3, -2e-3]) * TIME_S[:, None]
+    )
+    noise = np.random.default_rng(1).normal(0, 1e-3, exact.shape)
+    fit = fit_axes(Segments(TIME_S, exact + noise), Thermometer("barometer", TIME_S, ROOM_HEAT_COOL), 30.0)
+    assert fit.lag_s == pytest.approx(60, rel=0.15)
+    assert fit.slope_lsb_per_degc == pytest.approx([0.5, -1, 2], abs=0.03)
+    assert fit.quadratic_lsb_per_degc2 == pytest.approx(quadratic, abs=2e-3)
+    assert fit.quadratic_lsb_per_degc2[0] == 0
+
+
+def test_a_lag_follows_its_differential_equation() -> None:
+    lagged = Thermometer("barometer", TIME_S, ROOM_HEAT_COOL).lagged(TIME_S, [0.0, 60.0, 1e9])
+    assert lagged[:, 0] == pytest.approx(ROOM_HEAT_COOL)
+    assert lagged[:, 1] == pytest.approx(LAGGED, abs=0.01)
+    assert lagged[:, 2] == pytest.approx(np.full(len(TIME_S), 24.0), abs=1e-4)
+
+
+def test_products_are_those_of_the_whole_covariance() -> None:
+    rng = np.random.default_rng(3)
+    time, columns = np.sort(rng.uniform(0, 100, 30)), rng.normal(size=(30, 3))
+    for noise in (Noise(20.0, 0.3), Noise(500.0, 0.9), Noise(1.0, 1.0)):
+        whole = (1 - noise.white) * np.exp(-np.abs(time[:, None] - time) / noise.correlation_s) + noise.white * np.eye(
+            30
+        )
+        found, determinant = products(columns, np.diff(time), noise)
+        assert found == pytest.approx(columns.T @ np.linalg.solve(whole, columns))
+        assert determinant == pytest.approx(np.linalg.slogdet(whole)[1])
+
+
+def test_least_squares_from_products_are_those_of_numpy() -> None:
+    rng = np.random.default_rng(6)
+    design, series = rng.normal(size=(40, 3)), rng.normal(size=40)
+    columns = np.column_stack([series, design])
+    fit = regress(columns.T @ columns, np.zeros(()), 40)
+    expected, left, _, _ = np.linalg.lstsq(design, series, rcond=None)
+    assert fit.coefficients == pytest.approx(expected)
+    assert fit.covariance == pytest.approx(np.linalg.inv(design.T @ design) * left[0] / 37)
+
+
+# Whole logs: 20 minutes at 5 Hz.
+ROWS = 6000
+NS = np.arange(ROWS, dtype=np.int64) * 200_000_000
+WARM = np.interp(NS * 1e-9, [0, 200, 500, 1200], [24.0, 24.0, 50.0, 30.0])
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Writes a heating: sensors, their slopes (3,) in counts/degC at 25 degC, and where up is in the box frame."""
+
+    def made(
+        sensors: Sequence[tuple[SensorHeader, Sequence[float]]],
+        up: str = "+Z",
+        *,
+        name: str = "heat.h5",
+        phases: Sequence[Phase] | None = None,
+        scale_slopes: Mapping[str, Sequence[float]] = {},
+        thermometer: str = "barometer",
+        warm: Floats = WARM,
+        seed: int = 1,
+    ) -> Path:
+        rng = np.random.default_rng(seed)
+        gravity = np.zeros(3)
+        gravity["XYZ".index(up[1])] = 1 if up[0] == "+" else -1
+        headers = [header for header, _ in sensors]
+        barometer = SensorHeader(
+            "P", "bmp180", "pressure", "Pa", 0.0, 0.0, columns=("ut", "up"), compensated=("temperature", "pressure")
+        )
+        extra = [barometer] if thermometer == "barometer" else []
+        with LogWriter(tmp_path / name, [*headers, *extra], source="simulated", epoch=EPOCH) as writer:
+            for header, slopes in sensors:
+                above = (warm - 25.0)[:, None]
+                felt = ideal(header.axes, header.sensitivity) @ gravity * (header.quantity == "specific_force")
+                swollen = 1 + above * np.array(scale_slopes.get(header.name, (0.0, 0.0, 0.0)))
+                counts = 10 + felt * swollen + above * np.array(slopes) + rng.normal(0, 2.0, (ROWS, 3))
+                own = {"bma180": 2 * (warm - 24), "l3g4200d": 45 - warm}.get(header.chip, warm)
+                block = Block(
+                    NS,
+                    np.rint(counts).astype(np.int16),
+                    np.zeros(ROWS, np.uint16),
+                    np.rint(own).astype(np.int16) if header.has_temperature else None,
+                )
+                writer.append(header.name, block)
+            if extra:
+                air = {"temperature": np.round(warm, 1), "pressure": np.full(ROWS, 1e5)}
+                writer.append("P", Block(NS, np.zeros((ROWS, 2), np.int32), np.zeros(ROWS, np.uint16), None, air))
+            if thermometer == "reference":
+                nothing = np.zeros((ROWS, 3))
+                writer.stimulus("reference", Stimulus(NS, nothing, nothing, warm))
+            for phase in [Phase(0, 10**13, "heat", up)] if phases is None else phases:
+                writer.phase(phase)
+        return tmp_path / name
+
+    return made
+
+
+def run(*paths: Path) -> ThermalResult:
+    logs = [open_log(path) for path in paths]
+    try:
+        return calibrate_thermal(*logs)
+    finally:
+        for log in logs:
+            log.close()
+
+
+def with_thermometer(header: SensorHeader) -> SensorHeader:
+    return SensorHeader(**{**vars(header), "has_temperature": True})
+
+
+def test_one_orientation_cannot_tell_bias_from_scale(write: Write) -> None:
+    accelerometer_slopes, gyroscope_slopes = (0.2, -0.3, 0.5), (0.25, 0.1, -2.0)
+    path = write([(accelerometer("A", "+Y+X-Z"), accelerometer_slopes), (gyroscope("G"), gyroscope_slopes)])
+    result = run(path)
+    box, spun = result.calibration.sensors["A"].thermal, result.calibration.sensors["G"].thermal
+    assert box is not None and spun is not None
+    assert box.meaning == ("bias", "bias", "bias or scale")
+    assert spun.meaning == ("bias", "bias", "bias")
+    assert box.scale_slope_per_degc is None
+    for found, truth in ((box, accelerometer_slopes), (spun, gyroscope_slopes)):
+        error = np.abs(found.slope_lsb_per_degc - truth) / found.slope_sem_lsb_per_degc
+        assert (error < 4).all()  # four standard errors of six slopes: 4e-4
+        assert (found.slope_sem_lsb_per_degc < 0.02).all()
+        assert found.thermometer == "barometer"
+    assert [heating.carries_gravity for heating in result.heatings] == [(False, False, True)] * 2
+    origin = result.calibration.sensors["A"].provenance["thermal"]
+    assert origin.logs == (str(path),) and origin.epoch == EPOCH
+
+
+def test_opposite_faces_tell_bias_from_scale(write: Write, tmp_path: Path) -> None:
+    """Scale 1e-4 of itself per degC makes 0.2048 counts per degC under 1 g; the bias 0.5."""
+    sensors, swelling = [(accelerometer("A", "+Y+X-Z"), (0.2, -0.3, 0.5))], {"A": (0.0, 0.0, 1e-4)}
+    paths = [write(sensors, up, name=f"{i}.h5", scale_slopes=swelling, seed=i) for i, up in enumerate(("+Z", "-Z"))]
+    alone = run(paths[0]).calibration.sensors["A"].thermal
+    assert alone is not None
+    assert alone.slope_lsb_per_degc[2] == pytest.approx(0.5 - 0.2048, abs=0.03)
+    both = run(*paths)
+    found = both.calibration.sensors["A"].thermal
+    assert found is not None and found.scale_slope_per_degc is not None and found.scale_slope_sem_per_degc is not None
+    assert found.meaning == ("bias", "bias", "bias")
+    assert np.abs(found.slope_lsb_per_degc - [0.2, -0.3, 0.5]).max() < 4 * found.slope_sem_lsb_per_degc.max()
+    assert np.isnan(found.scale_slope_per_degc[:2]).all()
+    assert abs(found.scale_slope_per_degc[2] - 1e-4) < 4 * found.scale_slope_sem_per_degc[2] < 2e-5
+    both.calibration.save(tmp_path / "cal.toml")
+    again = load_calibration(tmp_path / "cal.toml").sensors["A"].thermal
+    assert again is not None and again.scale_slope_per_degc == pytest.approx(found.scale_slope_per_degc, nan_ok=True)
+
+
+def test_without_phases_the_accelerometers_say_where_up_is(write: Write) -> None:
+    result = run(write([(accelerometer("A", "+Y+X-Z"), (0.2, 0.2, 0.2))], "-X", phases=()))
+    thermal = result.calibration.sensors["A"].thermal
+    assert thermal is not None and thermal.meaning == ("bias", "bias or scale", "bias")
+
+
+@pytest.mark.parametrize(("chip", "kind"), [("bma180", "chip"), ("l3g4200d", "relative"), ("adxl345", "chip")])
+def test_chips_help_out_where_there_is_no_thermometer(write: Write, chip: str, kind: str) -> None:
+    """BMA180: 24 degC and half a degree a count (BMA-63). L3G4200D: a count less per degree, without zero (L3G-60).
+    An ADXL345 has none: its neighbour's.
+    """
+    own = SensorHeader("S", chip, "specific_force", "g", 16.0, 512.0, has_temperature=chip != "adxl345")
+    neighbour = with_thermometer(accelerometer("N"))
+    result = run(write([(own, (0.5, 0.3, 0.1)), (neighbour, (0.1, 0.1, 0.1))], thermometer="none"))
+    found = result.calibration.sensors["S"].thermal
+    assert found is not None and found.thermometer == kind
+    assert found.slope_lsb_per_degc[:2] == pytest.approx([0.5, 0.3], abs=0.02)
+    coldest, warmest = result.heatings[0].span_degc
+    assert warmest - coldest == pytest.approx(26, abs=1)
+    if kind == "chip":
+        assert coldest == pytest.approx(24, abs=0.5)
+
+
+def test_a_reference_thermometer_is_used(write: Write) -> None:
+    found = run(write([(gyroscope("G"), (0.5, 0.3, 0.1))], thermometer="reference")).calibration.sensors["G"].thermal
+    assert found is not None and found.thermometer == "reference"
+    assert found.slope_lsb_per_degc == pytest.approx([0.5, 0.3, 0.1], abs=0.02)
+
+
+def test_opposing_gyroscopes_of_table_8(write: Write) -> None:
+    """Gyro1 and Gyro2: y and z oppose each other, x are parallel; Gyro3 has another range."""
+    slopes = {"Gyro1": (0.235, 0.265, 0.221), "Gyro2": (0.521, 0.261, 0.187), "Gyro3": (0.904, 2.133, -2.782)}
+    axes = {"Gyro1": "+X+Y+Z", "Gyro2": "+X-Y-Z", "Gyro3": "-X-Y+Z"}
+    sensors = [
+        (
+            SensorHeader(
+                name, "l3g4200d", "angular_rate", "dps", 250 if name == "Gyro3" else 2000, 1 / 0.07, axes=axes[name]
+            ),
+            slope,
+        )
+        for name, slope in slopes.items()
+    ]
+    pairs = run(write(sensors)).pairs
+    assert [(pair.first, pair.second, pair.box_axis) for pair in pairs] == [
+        ("Gyro1 y", "Gyro2 y", "Y"),
+        ("Gyro1 z", "Gyro2 z", "Z"),
+    ]
+    for pair, axis in zip(pairs, "yz", strict=True):
+        printed = float(pair_of(f"Gyro1 {axis}", f"Gyro2 {axis}").fused_slope)
+        assert abs(pair.half_difference - printed) < 4 * pair.sem
+        assert pair.sem < 0.005
+        assert pair.p_cancels < 1e-6 and pair.is_bias
+        assert pair.reduction > 5
+
+
+@pytest.mark.parametrize(
+    ("slopes", "sems", "half", "sem", "reduction", "cancels", "nothing_left"),
+    [
+        # One-sided tails of 2, 3 and 1 standard errors: 0.02275, 0.00135, 0.15866; two-sided of 0 is 1.
+        ((0.2, 0.3), (0.1, 0.1), -0.05, np.sqrt(0.02) / 2, 5.0, 0.02275, 0.47950),
+        ((-0.2, -0.2), (0.1, 0.1), 0.0, np.sqrt(0.02) / 2, np.inf, 0.02275, 1.0),
+        ((0.2, -0.1), (0.1, 0.1), 0.15, np.sqrt(0.02) / 2, 1.0, 0.84134, 0.03389),
+    ],
+)
+def test_what_a_pair_cancels_by_hand(
+    slopes: tuple[float, float],
+    sems: tuple[float, float],
+    half: float,
+    sem: float,
+    reduction: float,
+    cancels: float,
+    nothing_left: float,
+) -> None:
+    found = cancelled(*slopes, *sems)
+    assert found == pytest.approx((half, sem, reduction, cancels, nothing_left), abs=1e-5)
+
+
+def test_a_chance_cancellation_is_rarely_called_one() -> None:
+    """One axis drifts, its opponent does not at all: 5 % of 4000 tests, three binomial standard errors."""
+    rng = np.random.default_rng(8)
+    called = [cancelled(5.0, slope, 0.1, 0.1)[3] < 0.05 for slope in rng.normal(0, 0.1, 4000)]
+    assert np.mean(called) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 4000)
+
+
+def test_paper_pair_at_the_papers_precision() -> None:
+    """0.265 and 0.261 LSB/degC leave 0.002, 131.5 times less."""
+    half, _, reduction, _, _ = cancelled(0.265, 0.261, 0.001, 0.001)
+    assert (half, reduction) == (pytest.approx(0.002), pytest.approx(131.5))
+
+
+def test_segments_are_means_of_sound_rows(write: Write) -> None:
+    path = write([(gyroscope("G"), (0.0, 0.0, 0.0))])
+    with open_log(path) as log:
+        segments = segment_means(log["G"], 100.0, [Phase(0, 200 * 10**9, "motion")])
+        counts = np.asarray(log["G"].counts, float)
+    assert segments.time_s == pytest.approx(np.arange(249.9, 1200, 100.0))
+    assert segments.mean == pytest.approx(counts.reshape(12, 500, 3).mean(axis=1)[2:])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"warm": np.full(ROWS, 25.0)}, r"G: the temperature changed by 0\.0 degC"),
+        ({"warm": 24 + NS * 1e-11}, "G: the temperature changed so steadily"),
+        ({"thermometer": "none"}, "G: no thermometer"),
+        ({"phases": [Phase(0, 1, "z_up", "+Z"), Phase(1, 2, "x_up", "+X")]}, r"its phases say up \+X, \+Z"),
+        ({"phases": [Phase(0, 1190 * 10**9, "motion")]}, "G: 2 segments of 5 s"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(write: Write, options: dict[str, object], message: str) -> None:
+    path = write([(gyroscope("G"), (0.1, 0.1, 0.1))], **options)
+    with pytest.raises(CalibrationError, match=message):
+        run(path)
+
+
+def test_logs_of_differently_set_sensors_do_not_go_together(write: Write) -> None:
+    one = write([(gyroscope("G"), (0.1, 0.1, 0.1))], name="one.h5")
+    other = write([(gyroscope("G", "-X-Y+Z"), (0.1, 0.1, 0.1))], name="other.h5")
+    with pytest.raises(CalibrationError, match=r"other\.h5, sensor G: another range or other axes than in .*one\.h5"):
+        run(one, other)
+
+
+def test_a_sensor_that_stands_still_in_two_logs_has_no_slope(write: Write) -> None:
+    paths = [write([(gyroscope("G"), (0.0, 0.0, 0.0))], name=f"{i}.h5") for i in (1, 2)]
+    for path in paths:
+        with h5py.File(path, "r+") as file:
+            file["sensors/G/counts"][:] = 7
+    thermal = run(*paths).calibration.sensors["G"].thermal
+    assert thermal is not None and thermal.slope_lsb_per_degc == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+def test_two_temperatures_alone_tell_no_curve() -> None:
+    """A step: the square of the temperature says nothing that the temperature does not."""
+    step = np.where(TIME_S < 1200, 20.0, 40.0)
+    counts = np.random.default_rng(9).normal(size=(len(TIME_S), 3)) + 0.5 * step[:, None]
+    fit = fit_axes(Segments(TIME_S, counts), Thermometer("reference", TIME_S, step), 30.0)
+    assert (fit.quadratic_lsb_per_degc2 == 0).all()
+    assert (np.abs(fit.slope_lsb_per_degc - 0.5) < 4 * fit.slope_sem_lsb_per_degc).all()
+
+
+def test_a_log_without_inertial_sensors_is_refused(write: Write) -> None:
+    with pytest.raises(CalibrationError, match="no inertial sensor"):
+        run(write([]))
