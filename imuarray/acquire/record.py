@@ -19,7 +19,7 @@ from imuarray.bus.mux import MuxChannel
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event, Phase
 from imuarray.log.headers import header_of
-from imuarray.log.writer import LogWriter, Stimulus
+from imuarray.log.writer import Block, LogWriter, Stimulus
 
 BATCH = 1024
 """Frames between two writes."""
@@ -52,20 +52,22 @@ def record(
     wall_time: datetime | None = None,
     stopped: Callable[[], bool] = lambda: False,
     progress: Callable[[int], None] = lambda frames: None,
+    observe: Callable[[str, Block], None] = lambda sensor, block: None,
     force: bool = False,
 ) -> Summary:
     """Record `array` on `bus` into a new log at `path`: `rate_hz` frames a second for `seconds`, or until `stopped()`.
 
     `phase` names the whole log, with `up` the box axis that points up; `phases` (times on the bus's clock) name parts
-    of it. `wall_time` is the UTC time of the start (None: read the wall clock, once). Raises SensorError before the
-    first frame if a sensor is missing or wrong, OutputExistsError if `path` exists.
+    of it. `observe` sees every block of a sensor's rows as it is written. `wall_time` is the UTC time of the start
+    (None: read the wall clock, once). Raises SensorError before the first frame if a sensor is missing or wrong,
+    OutputExistsError if `path` exists.
     """
     stations = connect(array, bus)
     start_ns = bus.clock.now_ns()
     epoch = wall_time or datetime.now(UTC)
     headers = [header_of(station.sensor, station.driver.header()) for station in stations]
     with LogWriter(path, headers, source=bus.source, epoch=_iso(epoch), config=array.text, force=force) as log:
-        poll = _Poll(stations, bus, log, rate_hz, start_ns, progress)
+        poll = _Poll(stations, bus, log, rate_hz, start_ns, progress, observe)
         poll.run(seconds, stopped)
         end_ns = bus.clock.now_ns() - start_ns
         if phase:
@@ -90,6 +92,7 @@ class _Poll:
         rate_hz: float,
         epoch_ns: int,
         progress: Callable[[int], None],
+        observe: Callable[[str, Block], None],
     ) -> None:
         self.pending = {id(station): Pending(station) for station in stations}
         self.orders = [
@@ -101,6 +104,7 @@ class _Poll:
         self.log = log
         self.epoch_ns = epoch_ns
         self.progress = progress
+        self.observe = observe
         self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
         self.truth: Callable[[int], Any] | None = getattr(bus, "truth", None)
         self.truth_rows: list[tuple[int, Any]] = []
@@ -195,7 +199,9 @@ class _Poll:
         for pending in self.pending.values():
             count = self.watch.trusted_rows(pending)
             if count:
-                self.log.append(pending.station.sensor.name, pending.take(count, self.epoch_ns, self.rate_hz))
+                block = pending.take(count, self.epoch_ns, self.rate_hz)
+                self.log.append(pending.station.sensor.name, block)
+                self.observe(pending.station.sensor.name, block)
                 self.watch.taken(pending, count)
         if self.truth_rows:
             self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.calibrate.poses import Pose, find_poses
 from imuarray.calibrate.stability import TurnOn
 from imuarray.calibrate.states import Ranges, explained_range
+from imuarray.errors import CalibrationError
+from imuarray.log import Log
 
 Floats = npt.NDArray[np.float64]
 
+_SECONDS = 10.0
+_STILL = ("static", "room", "run ")
 _NO_RANGES: Ranges = MappingProxyType({})
 
 
@@ -28,6 +34,14 @@ class StartUp:
     distance: float
     fault: bool
     explanation: str = ""
+
+    def sentence(self, name: str, calibration: Calibration) -> str:
+        """What a person should know of sensor `name`; empty if it came up as ever."""
+        known = calibration.sensors[name].turn_on
+        if self.fault:
+            return f"{name} came up wrong ({self.explanation}): don't use it, switch it off and on again"
+        states = 0 if known is None else len(known.states)
+        return f"{name} came up in state {self.state + 1} of {states}: that state's bias holds" if states > 1 else ""
 
 
 def state_of(
@@ -70,3 +84,49 @@ def _start_up(
         )
     far = not distance <= limit
     return StartUp(state, distance, far, f"{distance:.1f} spreads from every state" if far else "")
+
+
+def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> tuple[Calibration, dict[str, StartUp]]:
+    """The calibration with the biases of the states in which the sensors of a log came up, and how each did.
+
+    Told from the first seconds at rest: a phase that says so, else a pose that is found. Nothing is told, and nothing
+    changed, of a log without one. Where most accelerometers are far from their states the box lies another way than in
+    the calibrating runs, and nothing is said of accelerometers but a wrong range.
+    """
+    means = _first_means(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])
+    found = _in_this_pose(state_of(means, calibration, ranges=ranges), calibration)
+    sensors = dict(calibration.sensors)
+    for name, start in found.items():
+        known = sensors[name].turn_on
+        if known is not None and len(known.states) > 1 and not start.fault:
+            sensors[name] = replace(sensors[name], bias_lsb=known.states[start.state].bias_lsb)
+    return replace(calibration, sensors=sensors), found
+
+
+def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:
+    """Mean counts (3,) over the first seconds at rest, by sensor; without sensors that read nothing there."""
+    still = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name.startswith(_STILL)]
+    if names and not still:
+        with suppress(CalibrationError):
+            still = find_poses(log)
+    means: dict[str, Floats] = {}
+    for name in names if still else ():
+        if name in log.sensors:
+            start_ns = still[0].phase.start_ns
+            end_ns = min(still[0].phase.end_ns, start_ns + round(_SECONDS * 1e9))
+            counts = np.asarray(log[name].counts[log[name].between(start_ns, end_ns)], float)
+            if len(counts):
+                means[name] = counts.mean(axis=0)
+    return means
+
+
+def _in_this_pose(found: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
+    """Without accelerometers that are merely far off, if most are: the box lies another way."""
+    feel = [name for name in found if calibration.sensors[name].quantity == "specific_force"]
+    far = [name for name in feel if found[name].fault]
+    elsewhere = 2 * len(far) > len(feel)
+    return {
+        name: start
+        for name, start in found.items()
+        if not (elsewhere and name in feel) or start.explanation.endswith(calibration.sensors[name].unit)
+    }

@@ -59,6 +59,7 @@ def command(
     with open_log(run) as log:
         names = [log[name].name for name in only.split(",")] if only else []
         uncalibrated = _uncalibrated(log, calibration, names, calibration_file)
+        calibration, starts, names = _come_up(log, calibration, names)
         calibration = with_noise(log, calibration, technique)
         rows = max(len(sensor) for sensor in log.sensors.values())
         with progress(rows, technique) as done:
@@ -79,6 +80,7 @@ def command(
             "technique": technique,
             "frames": frames,
             "uncalibrated": uncalibrated,
+            "start_up": starts,
             "changes": _changes(log, calibration, technique, names),
             "error": results[technique] if log.truth or log.reference else {},
             "results": results,
@@ -100,6 +102,21 @@ def _uncalibrated(log: Log, calibration: Calibration, names: Sequence[str], file
             f"{file}: knows {', '.join(calibration.sensors) or 'no sensor'}, but none of {log.path}: {', '.join(fused)}"
         )
     return unknown
+
+
+def _come_up(log: Log, calibration: Calibration, names: list[str]) -> tuple[Calibration, list[str], list[str]]:
+    """The calibration with the biases of the states in which sensors came up; what to say of them; the sensors to fuse,
+    those that came up wrong left out.
+    """
+    from imuarray.calibrate.start_up import came_up
+    from imuarray.chips import CHIPS
+
+    ranges = {name: CHIPS[sensor.chip].sensitivity for name, sensor in log.sensors.items() if sensor.chip in CHIPS}
+    chosen, found = came_up(log, calibration, ranges)
+    wrong = [name for name, start in found.items() if start.fault]
+    said = [start.sentence(name, calibration) for name, start in found.items()]
+    inertial = names or [sensor.name for sensor in _inertial(log)]
+    return chosen, [text for text in said if text], [name for name in inertial if name not in wrong] if wrong else names
 
 
 def _inertial(log: Log) -> list[SensorLog]:
@@ -159,6 +176,8 @@ def _print(report: dict[str, Any]) -> None:
     click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
     if report["uncalibrated"]:
         click.echo(f"  not calibrated, data sheet's values: {', '.join(report['uncalibrated'])}")
+    for sentence in report["start_up"]:
+        click.echo(f"  {sentence}")
     if technique != "mean":
         changes = ", ".join(report["changes"])
         click.echo(f"  {technique} changes {changes or _NOTHING}")

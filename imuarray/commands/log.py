@@ -24,6 +24,8 @@ from imuarray.errors import ConfigError
 
 if TYPE_CHECKING:
     from imuarray.acquire import Summary
+    from imuarray.array import ArrayConfig
+    from imuarray.log.writer import Block
 
 
 @click.command("log")
@@ -50,6 +52,12 @@ if TYPE_CHECKING:
     "--transcript", type=click.Path(path_type=Path), metavar="T.jsonl", help="also write every transaction here"
 )
 @click.option("--only", metavar="SENSOR,...", help="read only these sensors")
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="CAL.toml",
+    help="of `calibrate turn-on`: say after the first seconds at rest which sensor came up wrong",
+)
 @force_option
 @json_option
 def command(
@@ -62,6 +70,7 @@ def command(
     up: str | None,
     transcript: Path | None,
     only: str | None,
+    calibration: Path | None,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -85,6 +94,7 @@ def command(
     if only:
         array = array.only(tuple(only.split(",")))
     refuse_existing(output, force)
+    first = _FirstSeconds(array, calibration) if calibration else None
     with ExitStack() as stack:
         bus = stack.enter_context(open_bus(url, array))
         if transcript:
@@ -104,12 +114,14 @@ def command(
             up=up or face_up(phase),
             stopped=lambda: stop.asked,
             progress=done,
+            observe=first.observe if first else lambda sensor, block: None,
             force=force,
         )
-    _tell(summary, output, as_json)
+    said = first.say() if first else []
+    _tell(summary, output, said, as_json)
 
 
-def _tell(summary: Summary, output: Path, as_json: bool) -> None:
+def _tell(summary: Summary, output: Path, start_up: list[str], as_json: bool) -> None:
     """What was recorded, for a person or a program."""
     lost = {name: count for name, count in summary.lost.items() if count}
     if as_json:
@@ -120,6 +132,7 @@ def _tell(summary: Summary, output: Path, as_json: bool) -> None:
                 "late": summary.late,
                 "lost": lost,
                 "seconds": summary.seconds,
+                "start_up": start_up,
             }
         )
         return
@@ -127,6 +140,50 @@ def _tell(summary: Summary, output: Path, as_json: bool) -> None:
     click.echo(f"{output}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
     for name, count in lost.items():
         click.echo(f"  {name}: {count} readings lost (see events: imuarray info {output})")
+
+
+class _FirstSeconds:
+    """Collects the first seconds of every sensor and says how they came up, once, while the log goes on."""
+
+    SECONDS = 10.0
+
+    def __init__(self, array: ArrayConfig, calibration: Path) -> None:
+        from imuarray.calibrate import load_calibration
+
+        self._array = array
+        self._calibration = load_calibration(calibration)
+        self._blocks: dict[str, list[Block]] = {sensor.name: [] for sensor in array.sensors if sensor.spec.sensitivity}
+        self._said: list[str] | None = None
+
+    def observe(self, sensor: str, block: Block) -> None:
+        """Rows that were written."""
+        if self._said is None and sensor in self._blocks:
+            self._blocks[sensor].append(block)
+            if all(parts and parts[-1].time[-1] >= self.SECONDS * 1e9 for parts in self._blocks.values()):
+                self.say()
+
+    def say(self) -> list[str]:
+        """What there is to say, on standard error the first time."""
+        from imuarray.calibrate.start_up import state_of
+
+        if self._said is None:
+            means = {name: _mean(parts, self.SECONDS) for name, parts in self._blocks.items() if parts}
+            ranges = {sensor.name: sensor.spec.sensitivity for sensor in self._array.sensors}
+            found = state_of(means, self._calibration, ranges=ranges)
+            texts = [start.sentence(name, self._calibration) for name, start in found.items()]
+            self._said = [text for text in texts if text]
+            for text in self._said:
+                click.echo(f"imuarray: {text}", err=True)
+        return self._said
+
+
+def _mean(parts: list[Block], seconds: float) -> Any:
+    """Mean counts (3,) of the first seconds."""
+    import numpy as np
+
+    time = np.concatenate([part.time for part in parts])
+    counts = np.concatenate([part.counts for part in parts])
+    return counts[time <= time[0] + seconds * 1e9].mean(axis=0)
 
 
 class _Interruptible:

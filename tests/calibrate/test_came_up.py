@@ -1,0 +1,134 @@
+"""How sensors came up: the state's bias is taken, a sensor in the wrong range is named, while a log is being recorded
+and before one is fused.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imuarray.array import parse_array
+from imuarray.calibrate.start_up import came_up
+from imuarray.calibrate.turn_on import calibrate_turn_on
+from imuarray.chips import CHIPS
+from imuarray.cli import main
+from imuarray.log import open_log
+from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.motion import turn_on_run
+
+TEXT = """
+[array]
+name = "two"
+[[sensor]]
+name = "B"
+chip = "bma180"
+address = 0x40
+range = 16
+[[sensor]]
+name = "B2"
+chip = "bma180"
+address = 0x41
+range = 16
+[[sensor]]
+name = "G"
+chip = "l3g4200d"
+address = 0x68
+range = 250
+"""
+ARRAY = parse_array(TEXT)
+RANGES = {name: spec.sensitivity for name, spec in CHIPS.items()}
+BY_SENSOR = {sensor.name: sensor.spec.sensitivity for sensor in ARRAY.sensors}
+OFFSET_DPS = (0.11, -0.05, 0.02)
+"""Between the two states; 12.6 counts on x, as the paper's Gyro3 (Table 7)."""
+
+
+def effect(name: str, **parameters: Any) -> Effect:
+    return EFFECTS[name](**parameters)
+
+
+def write(path: Path, boot: int, *, second: bool, faulty: bool = False) -> Path:
+    chains = {
+        "G": [effect("white_noise", rms=0.18), effect("bias", offset=0.3), effect("turn_on_bias", rms=0.002)],
+        "B": [effect("white_noise", rms=0.016), effect("turn_on_bias", rms=0.0003)],
+        "B2": [effect("white_noise", rms=0.016), effect("turn_on_bias", rms=0.0003)],
+    }
+    if second:
+        chains["G"].append(effect("bistable_bias", offset=OFFSET_DPS, probability=1.0))
+    if faulty:
+        chains["B"].append(effect("range_reset", range=2.0, offset=(0.2, 0.23, 0.004)))
+    plan = plan_of(ARRAY, 50.0, 60.0)
+    write_log(Simulation(plan, turn_on_run(boot + 1, 60.0), chains, seed=1, boot=boot), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def calibration_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    paths = [write(folder / f"{boot}.h5", boot, second=boot % 3 == 0) for boot in range(12)]
+    logs = [open_log(path) for path in paths]
+    calibration, _ = calibrate_turn_on(logs, RANGES, seed=1)
+    for log in logs:
+        log.close()
+    calibration.save(folder / "cal.toml")
+    return folder / "cal.toml"
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, second: bool) -> None:
+    from imuarray.calibrate import load_calibration
+
+    known = load_calibration(calibration_file)
+    with open_log(write(tmp_path / "today.h5", 50, second=second)) as log:
+        chosen, starts = came_up(log, known, BY_SENSOR)
+    lsb_per_dps = 1 / 0.00875  # L3G-40
+    expected = [(0.3 + second * offset) * lsb_per_dps for offset in OFFSET_DPS]
+    # a state's bias is known to 0.2 counts (turn-on 0.23, noise 20 / sqrt(3000), over four runs at least)
+    assert chosen.sensors["G"].bias_lsb == pytest.approx(expected, abs=1.0)
+    assert not any(start.fault for start in starts.values())
+    assert "came up in state" in starts["G"].sentence("G", known)
+    assert starts["B"].sentence("B", known) == ""
+
+
+def test_a_sensor_in_the_wrong_range_is_named_and_left_out(
+    calibration_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = write(tmp_path / "today.h5", 60, second=False, faulty=True)
+    arguments = ["fuse", str(run), "--calibration", str(calibration_file), "-o", str(tmp_path / "f.h5"), "--json"]
+    assert main(arguments) == 0
+    report = json.loads(capsys.readouterr().out)
+    (said,) = [text for text in report["start_up"] if text.startswith("B ")]
+    assert "came up at 2 g" in said
+    # B alone would pull the mean of two by half its 0.2 g
+    assert abs(report["results"]["mean"]["specific_force"]["mean"][0]) < 0.02 * 9.80665
+
+
+def test_a_log_without_rest_says_nothing(calibration_file: Path, tmp_path: Path) -> None:
+    from imuarray.calibrate import load_calibration
+    from imuarray.simulate.motion import HandShake
+
+    known = load_calibration(calibration_file)
+    shaken = HandShake(still_s=0.5, motion_s=59.0)
+    chains = {"G": [effect("white_noise", rms=0.18)]}
+    write_log(Simulation(plan_of(ARRAY, 50.0, 60.0), shaken, chains), tmp_path / "shaken.h5")
+    with open_log(tmp_path / "shaken.h5") as log:
+        _, starts = came_up(log, known, BY_SENSOR)
+    assert "B" not in starts or not starts["B"].fault
+
+
+def test_log_says_it_while_it_records(
+    calibration_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The emulated units have biases of their own, far from those of the file: all of them come up wrong."""
+    config = tmp_path / "two.toml"
+    config.write_text(TEXT, encoding="utf-8")
+    arguments = ["log", str(config), "--bus", "emulated:", "--seconds", "25", "-o", str(tmp_path / "run.h5")]
+    assert main([*arguments, "--calibration", str(calibration_file), "--json"]) == 0
+    captured = capsys.readouterr()
+    report = json.loads(captured.out)
+    assert any(text.startswith("G came up wrong") for text in report["start_up"])
+    for text in report["start_up"]:
+        assert f"imuarray: {text}" in captured.err
