@@ -82,7 +82,8 @@ def test_a_log_without_a_truth_is_fused_without_a_verdict(
 def test_the_calibration_is_used(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, known = write_run(parts(BIAS_G)), tmp_path / "cal.toml"
     calibration(parts()).save(known)
-    known.write_text(known.read_text().replace("    0.0,\n", f"    {BIAS_G * 2048},\n", 3), encoding="utf-8")
+    biased = f"bias_lsb = [{', '.join([str(BIAS_G * 2048)] * 3)}]"
+    known.write_text(known.read_text().replace("bias_lsb = [0.0, 0.0, 0.0]", biased, 1), encoding="utf-8")
     output = tmp_path / "fused.h5"
     assert main(["fuse", str(path), "--calibration", str(known), "--only", "A1", "-o", str(output), "--json"]) == 0
     mean = np.array(json.loads(capsys.readouterr().out)["error"]["specific_force"]["mean"]) / G
@@ -94,7 +95,8 @@ def test_a_bias_without_an_uncertainty_is_used_by_every_technique(
 ) -> None:
     path, known = write_run(parts(BIAS_G), phases=STATIC), tmp_path / "cal.toml"
     calibration(parts(), noise=False).save(known)
-    known.write_text(known.read_text().replace("    0.0,\n", f"    {BIAS_G * 2048},\n", 3), encoding="utf-8")
+    biased = f"bias_lsb = [{', '.join([str(BIAS_G * 2048)] * 3)}]"
+    known.write_text(known.read_text().replace("bias_lsb = [0.0, 0.0, 0.0]", biased, 1), encoding="utf-8")
     means = []
     for name in ("mean", "planes"):
         output = str(tmp_path / f"{name}.h5")
