@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from imuarray.characterise.allan import Estimator
     from imuarray.log import Log
 
-RESULT, FIGURE = "characterise.json", "allan.png"
+RESULT = "characterise.json"
 
 
 @click.command("characterise")
@@ -25,7 +25,7 @@ RESULT, FIGURE = "characterise.json", "allan.png"
     "--output",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help=f"write {RESULT} and, with matplotlib, {FIGURE} into DIR",
+    help=f"write {RESULT} and, with matplotlib, figures into DIR",
 )
 @click.option("--phase", metavar="NAME", help="the stretch to look at (default: the longest phase at rest)")
 @click.option("--sensor", "sensors", metavar="NAME,...", help="only these sensors (default: all with three axes)")
@@ -61,7 +61,7 @@ def command(
     from imuarray.characterise import render_text
     from imuarray.log import open_log
 
-    for name in (RESULT, FIGURE) if output else ():
+    for name in _files() if output else ():
         refuse_existing(Path(output or "") / name, force, in_new_folder=True)
     if output and not force and (there := sorted(output.glob("imu_*.yaml"))):
         raise OutputExistsError(there[0])
@@ -104,20 +104,28 @@ def _scales(log: Log, calibration: Path | None) -> dict[str, list[float]]:
     return {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
 
 
+def _files() -> list[str]:
+    """What is written into a folder."""
+    from imuarray.characterise.plots import FIGURES
+
+    return [RESULT, *FIGURES]
+
+
 def _write(result: dict[str, Any], output: Path) -> list[Path]:
-    """The files that were written into `output`; without matplotlib the figure is left out and that is said."""
+    """The files that were written into `output`; without matplotlib figures are left out and that is said."""
     import json
 
-    from imuarray.characterise.plots import allan_figure
+    from imuarray.characterise.plots import FIGURES
 
     paths = [output / RESULT]
     try:
         output.mkdir(parents=True, exist_ok=True)
         paths[0].write_text(json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
-        allan_figure(result).savefig(output / FIGURE, metadata={"Software": None})
-        paths.append(output / FIGURE)
+        for name, draw in FIGURES.items():
+            draw(result).savefig(output / name, metadata={"Software": None})
+            paths.append(output / name)
     except MissingExtraError as error:
-        click.echo(f"imuarray: no {FIGURE}: {error}", err=True)
+        click.echo(f"imuarray: no figures: {error}", err=True)
     except OSError as error:
         raise ImuArrayError(f"{error.filename or output}: {error.strerror or error}") from None
     return paths

@@ -1,0 +1,36 @@
+"""What `characterise_log` found as figures, drawn from its result alone.
+
+Needs matplotlib (extra "report"), imported when a figure is drawn. Bare `Figure`s with the Agg canvas: no display, no
+global state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from imuarray.characterise.plots.allan import allan_figure
+from imuarray.characterise.plots.autocorrelation import autocorrelation_figure
+from imuarray.characterise.plots.codes import histogram_figure
+from imuarray.characterise.plots.frame import COLOURS
+from imuarray.characterise.plots.spectrum import spectrum_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "COLOURS",
+    "FIGURES",
+    "allan_figure",
+    "autocorrelation_figure",
+    "histogram_figure",
+    "spectrum_figure",
+]
+
+FIGURES: dict[str, Callable[[Mapping[str, Any]], Figure]] = {
+    "allan.png": allan_figure,
+    "spectrum.png": spectrum_figure,
+    "autocorrelation.png": autocorrelation_figure,
+    "histogram.png": histogram_figure,
+}
+"""What each file shows; every function takes a result and raises MissingExtraError without matplotlib."""

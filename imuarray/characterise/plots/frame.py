@@ -1,0 +1,231 @@
+"""What the figures have in common: sensors grouped by quantity, their colours and dashes, titles, scales, legends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Table = Mapping[str, Any]
+Vector = npt.NDArray[np.float64]
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Okabe and Ito's palette (Color Universal Design, 2008) without its yellow, which white paper swallows."""
+
+FALSE_ALARM = 0.01
+"""Chance, about, that a figure of white Gaussian noise singles out any axis; shared among the axes."""
+
+_DASHES = ((), (5, 1.5), (1.2, 1.2), (5, 1.2, 1.2, 1.2))
+_TITLES = {
+    "specific_force": "Accelerometers",
+    "angular_rate": "Gyroscopes",
+    "magnetic_field": "Magnetometers",
+    "pressure": "Barometers",
+    "temperature": "Thermometers",
+}
+_LEGEND_ROWS = 22
+
+
+class Curve(NamedTuple):
+    """One axis of one sensor, how much of `Kind.unit` a count is, and how it is drawn."""
+
+    sensor: Table
+    axis: Table
+    scale: float
+    colour: Any
+    dashes: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """The `sensors` that share a panel, with their `colours`: those of one quantity in one unit."""
+
+    quantity: str
+    unit: str
+    sensors: tuple[Table, ...]
+    colours: tuple[Any, ...]
+
+    @property
+    def is_crowded(self) -> bool:
+        """Whether there are more sensors than the palette has colours: thin lines without bands then."""
+        return len(self.sensors) > len(COLOURS)
+
+    @property
+    def title(self) -> str:
+        """What the panel is headed with."""
+        return _TITLES.get(self.quantity, self.quantity)
+
+    def curves(self) -> Iterator[Curve]:
+        """Every axis: colour is the sensor, dashes are the axis."""
+        for sensor, colour in zip(self.sensors, self.colours, strict=True):
+            for axis, dashes in zip(sensor["axes"], cycle(_DASHES), strict=False):
+                yield Curve(sensor, axis, scale_of(axis, self.unit), colour, dashes)
+
+
+def kinds(result: Table, shown: Callable[[Table], bool]) -> list[Kind]:
+    """Panels for the sensors with an axis that can be `shown`; a sensor's colour is the same in every figure."""
+    groups: dict[tuple[str, str], list[Table]] = {}
+    for sensor in result["sensors"]:
+        groups.setdefault((sensor["quantity"], unit_of(sensor)), []).append(sensor)
+    found = []
+    for (quantity, unit), sensors in groups.items():
+        colours = zip(sensors, _colours(len(sensors)), strict=True)
+        drawn = [pair for pair in colours if any(map(shown, pair[0]["axes"]))]
+        if drawn:
+            found.append(Kind(quantity, unit, *map(tuple, zip(*drawn, strict=True))))
+    return found
+
+
+def unit_of(sensor: Table) -> str:
+    """The unit that the sensor's counts are drawn in: g, dps, gauss; counts if the log has no sensitivity."""
+    return str(sensor["unit"]) if sensor["unit_per_count"] is not None else "counts"
+
+
+def scale_of(axis: Table, unit: str) -> float:
+    """How much of the `unit` a count of this axis is, without its sign."""
+    return 1.0 if unit == "counts" else abs(float(axis["unit_per_count"]))
+
+
+def panel_figure(
+    result: Table,
+    title: str,
+    reading: str,
+    shown: Callable[[Table], bool],
+    draw: Callable[[Axes, Kind], None],
+    height: float,
+    otherwise: str,
+) -> Figure:
+    """A panel of `height` inches for every kind; `reading` tells below how to read them, or `otherwise` what lacks."""
+    figure = new_figure(result, title)
+    drawn = kinds(result, shown)
+    set_height(figure, height, len(drawn))
+    if not drawn:
+        figure.text(0.5, 0.4, otherwise, ha="center")
+        return figure
+    panels = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
+    for panel, kind in zip(panels, drawn, strict=True):
+        draw(panel, kind)
+        panel.set_title(plain(kind.title), loc="left", fontsize=10, fontweight="bold")
+        panel.grid(which="major", color="0.88", linewidth=0.8)
+        panel.grid(which="minor", color="0.95", linewidth=0.5)
+        panel.set_axisbelow(True)
+        panel.spines[["top", "right"]].set_visible(False)
+    figure.align_ylabels(panels)
+    how_to_read(figure, reading)
+    return figure
+
+
+def new_figure(result: Table, title: str) -> Figure:
+    """An empty figure that says what it shows; MissingExtraError if there is no matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError("matplotlib", "report") from None
+    figure = Figure(layout="constrained", dpi=120)
+    FigureCanvasAgg(figure)
+    stretch = result["stretch"]
+    emulated = " (emulated, no hardware)" if result["source"] == "emulated" else ""
+    which = "the whole log" if stretch["phase"] is None else f"phase {stretch['phase']}"
+    name = str(result["log"]).replace("\\", "/").rsplit("/", 1)[-1]
+    length_s = stretch["end_s"] - stretch["start_s"]
+    figure.suptitle(plain(f"{title} of {name}{emulated}: {which}, {length_s:.4g} s"), fontsize=11)
+    return figure
+
+
+def set_height(figure: Figure, height: float, rows: int) -> None:
+    """10 inches wide, and so high that each row of panels has `height` inches."""
+    figure.set_size_inches(10.0, 1.2 + height * max(1, rows))
+
+
+def how_to_read(figure: Figure, reading: str) -> None:
+    """A line or two for newcomers at the foot of a figure."""
+    figure.supxlabel(reading, fontsize=8.5, color="0.3")
+
+
+def plain(text: str) -> str:
+    """Text in which matplotlib sees no mathematics."""
+    return text.replace("$", r"\$")
+
+
+def floats(values: Sequence[float | None]) -> Vector:
+    """Numbers of a result; nan for None."""
+    return np.array(values, np.float64)
+
+
+def plot(panel: Axes, x: Vector, y: Vector, curve: Curve, **style: Any) -> None:
+    """The line of one axis in its colour and dashes."""
+    line = panel.plot(x, y, color=curve.colour, **style)[0]
+    if curve.dashes:
+        line.set_dashes(curve.dashes)
+
+
+def logarithmic(panel: Axes, lowest: float, highest: float, top: float = 1.6) -> None:
+    """Both scales logarithmic with plain numbers; upwards from below `lowest` to `top` times `highest`."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    panel.set(xscale="log", yscale="log", ylim=(lowest / 1.6, highest * top))
+    numbers = FuncFormatter(lambda value, _: f"{value:g}")
+    left, right = panel.get_xlim()
+    for scale, ratio in ((panel.xaxis, right / left), (panel.yaxis, highest / lowest)):
+        scale.set_major_formatter(numbers)
+        scale.set_minor_formatter(numbers if ratio < 100 else NullFormatter())
+        if ratio < 100 or scale is panel.yaxis:
+            scale.set_minor_locator(LogLocator(subs=(2, 5)))
+    panel.tick_params(which="minor", labelsize=8, labelcolor="0.35")
+
+
+def legend(panel: Axes, kind: Kind, more: Sequence[Artist], notes: Mapping[str, str] | None = None) -> None:
+    """Beside the panel: sensors by colour, each with its note below, axes by dashes, and what `more` there is."""
+    from matplotlib.lines import Line2D
+
+    handles: list[Artist] = []
+    for sensor, colour in zip(kind.sensors, kind.colours, strict=True):
+        note = (notes or {}).get(sensor["name"], "")
+        handles.append(Line2D([], [], color=colour, linewidth=3, label=plain(label(sensor) + note)))
+    names = dict.fromkeys(axis["axis"] for sensor in kind.sensors for axis in sensor["axes"])
+    for name, dashes in zip(names, cycle(_DASHES), strict=False):
+        handle = Line2D([], [], color="0.25", linewidth=1.4, label=f"axis {plain(name)}")
+        if dashes:
+            handle.set_dashes(dashes)
+        handles.append(handle)
+    handles += more
+    panel.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(1.01, 1.0),
+        frameon=False,
+        fontsize=8,
+        ncols=1 + (len(handles) - 1) // _LEGEND_ROWS,
+        handlelength=2.4,
+    )
+
+
+def label(sensor: Table) -> str:
+    """A sensor's name and range."""
+    return f"{sensor['name']} ±{sensor['range']:g} {sensor['unit']}" if sensor["range"] else str(sensor["name"])
+
+
+def axes_of(result: Table) -> int:
+    """How many axes share a figure's chance of a false alarm; at least 1."""
+    return max(1, sum(len(sensor["axes"]) for sensor in result["sensors"]))
+
+
+def _colours(count: int) -> list[Any]:
+    """So many colours that can be told apart; beyond the palette, an even walk through cividis."""
+    if count <= len(COLOURS):
+        return list(COLOURS[:count])
+    from matplotlib import colormaps
+
+    return list(colormaps["cividis"](np.linspace(0, 0.95, count)))

@@ -1,0 +1,186 @@
+"""The amplitude spectral density of every sensor axis: a panel per quantity, log-log, with the lines marked.
+
+Towards high frequencies the bins of a sixth of an octave are averaged, without those of lines, so that many curves
+beside each other stay curves. Lines stand above them as they were found.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.characterise.plots.frame import (
+    Curve,
+    Kind,
+    Table,
+    Vector,
+    floats,
+    legend,
+    logarithmic,
+    panel_figure,
+    plain,
+    plot,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BANDS_PER_OCTAVE = 6
+
+MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
+"""The mains and what its rectifiers and transformers make of it."""
+
+_MAINS_WITHIN_HZ = 0.1
+_BINS = slice(2, -1)
+"""Bin 0 is the mean, of bin 1 a part has gone with the mean of every segment, and the last has half a density."""
+
+_LINE_BINS = 3
+"""A line reaches so many bins to either side."""
+
+_LABELS_APART = 1.1
+"""Frequencies nearer than this ratio share a label, that of the highest peak."""
+
+_MOST_LABELS = 12
+_HEADROOM = 0.65
+"""Of the height of all curves and peaks, for the labels above."""
+
+_READING = (
+    "Flat: white noise. Rising to the left: drift and flicker noise. Falling to the right: a filter. A marked peak, "
+    "with its axes and frequency: a line,\nof vibration or mains. Sampling folds lines beyond half the rate down; if a "
+    "mains frequency would come out there, it is named."
+)
+
+
+def spectrum_figure(result: Table) -> Figure:
+    """Amplitude spectral densities, one-sided, in the sensors' units per root hertz, and the lines found in them.
+
+    Colour is the sensor, dashes are the axis, the light band is the 95 % interval; more sensors than the palette has
+    colours get thin lines without bands. MissingExtraError if there is no matplotlib.
+    """
+    return panel_figure(
+        result,
+        "Amplitude spectral density",
+        _READING,
+        _is_shown,
+        _draw,
+        4.2,
+        "no sensor has an unbroken run long enough for a spectrum",
+    )
+
+
+class Bands(NamedTuple):
+    """Mean frequency and density (b,) of so many `bins` (b,) each."""
+
+    frequency_hz: Vector
+    density: Vector
+    bins: Vector
+
+
+def bands(frequency_hz: Vector, density: Vector, taken: npt.NDArray[np.bool_]) -> Bands:
+    """Means over a sixth of an octave of the bins (m,) that are `taken` (m,); a band may be a single bin.
+
+    `frequency_hz` is that of bin 0, 1, 2 ... of a spectrum; bands are the same for all spectra of one resolution.
+    """
+    bin_ = np.flatnonzero(taken)
+    band = np.floor(BANDS_PER_OCTAVE * np.log2(bin_)).astype(int)
+    _, member, bins = np.unique(band, return_inverse=True, return_counts=True)
+    mean_hz, mean = (np.bincount(member, values[bin_]) / bins for values in (frequency_hz, density))
+    return Bands(mean_hz, mean, bins.astype(float))
+
+
+def interval(found: Bands, freedom: float) -> tuple[Vector, Vector]:
+    """Ends (b,) of the 95 % interval of the band's density, of bins with `freedom` degrees of freedom each.
+
+    Powers of neighbouring bins correlate by 4/9 and of the next by 1/36: those of a Hann window's transform squared.
+    """
+    from scipy.special import chdtri
+
+    n = found.bins
+    shared = 1 + 2 * (np.maximum(n - 1, 0) * 4 / 9 + np.maximum(n - 2, 0) / 36) / n
+    total = freedom * n / shared
+    return found.density * total / chdtri(total, 0.025), found.density * total / chdtri(total, 0.975)
+
+
+def _is_shown(axis: Table) -> bool:
+    """Whether there is a density; a constant series can't stand on a logarithmic scale."""
+    return any(value for value in axis.get("density", ())[_BINS])
+
+
+def _draw(panel: Axes, kind: Kind) -> None:
+    """One quantity's curves, bands, lines and legend."""
+    from matplotlib.lines import Line2D
+
+    drawn = [curve for curve in kind.curves() if _is_shown(curve.axis)]
+    for curve in drawn:
+        _draw_axis(panel, curve, kind.is_crowded)
+    has_lines = any(curve.axis["lines"] for curve in drawn)
+    heights = np.concatenate([np.asarray(line.get_xydata())[:, 1] for line in panel.get_lines()])
+    lowest, highest = float(heights.min()), float(heights.max())
+    logarithmic(panel, lowest, highest, 1.6 * (highest / lowest) ** (_HEADROOM if has_lines else 0))
+    _label_lines(panel, drawn)
+    panel.set(xlabel="frequency (Hz)", ylabel=f"density ({kind.unit}/√Hz)")
+    more = [Line2D([], [], color="0.88", linewidth=6.0, label="bands: 95 %")] if not kind.is_crowded else []
+    if has_lines:
+        more.append(Line2D([], [], color="0.25", linewidth=0.8, marker="D", markersize=4, label="a line"))
+    legend(panel, kind, more)
+
+
+def _draw_axis(panel: Axes, curve: Curve, is_crowded: bool) -> None:
+    """One curve, its band if there is room, and its lines, each from the curve up to its peak."""
+    common = curve.sensor["spectrum"]
+    frequency_hz, density = floats(common["frequency_hz"]), floats(curve.axis["density"])
+    peaks = [_bin(line, common) for line in curve.axis["lines"]]
+    taken = np.zeros(len(density), bool)
+    taken[_BINS] = density[_BINS] > 0
+    for peak in peaks:
+        taken[max(0, peak - _LINE_BINS) : peak + _LINE_BINS + 1] = False
+    found = bands(frequency_hz, density, taken)
+    height = np.sqrt(found.density) * curve.scale
+    plot(panel, found.frequency_hz, height, curve, linewidth=0.6 if is_crowded else 1.2)
+    if not is_crowded:
+        low, high = (np.sqrt(end) * curve.scale for end in interval(found, common["freedom"]))
+        panel.fill_between(found.frequency_hz, low, high, color=curve.colour, alpha=0.06, linewidth=0)
+    top = [_height(line, curve) for line in curve.axis["lines"]]
+    foot = np.interp(frequency_hz[peaks], found.frequency_hz, height)
+    if peaks:
+        panel.vlines(frequency_hz[peaks], foot, top, color=curve.colour, linewidth=0.8)
+        panel.plot(frequency_hz[peaks], top, "D", color=curve.colour, markersize=4, gid="lines")
+
+
+def _bin(line: Table, common: Table) -> int:
+    """The bin of a line's peak, inside the spectrum."""
+    nearest: int = round(line["frequency_hz"] / common["resolution_hz"])
+    return min(nearest, len(common["frequency_hz"]) - 1)
+
+
+def _height(line: Table, curve: Curve) -> float:
+    """Of a line's peak in the panel."""
+    return float(np.sqrt(curve.axis["density"][_bin(line, curve.sensor["spectrum"])])) * curve.scale
+
+
+def _label_lines(panel: Axes, drawn: list[Curve]) -> None:
+    """Frequencies above the peaks and the axes that have them, the highest first, none over another."""
+    peaks = [(_height(line, curve), line, curve) for curve in drawn for line in curve.axis["lines"]]
+    labelled: list[float] = []
+    for height, line, curve in sorted(peaks, key=lambda peak: -peak[0]):
+        at_hz, apart_hz = line["frequency_hz"], 2 * curve.sensor["spectrum"]["resolution_hz"]
+        if len(labelled) < _MOST_LABELS and all(
+            max(at_hz / other, other / at_hz) > _LABELS_APART for other in labelled
+        ):
+            labelled.append(at_hz)
+            same = {one.axis["axis"] for _, other, one in peaks if abs(other["frequency_hz"] - at_hz) <= apart_hz}
+            text = f"{', '.join(sorted(same))}: {line_label(line)}"
+            style: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "bottom", "fontsize": 7.5, "color": "0.2"}
+            panel.annotate(plain(text), (at_hz, height), (0, 5), textcoords="offset points", **style)
+
+
+def line_label(line: Table) -> str:
+    """A line's frequency, and the mains frequency that would come out there if it isn't that itself."""
+    for mains_hz in MAINS_HZ:
+        if any(abs(alias_hz - mains_hz) <= _MAINS_WITHIN_HZ for alias_hz in line["aliases_hz"]):
+            really = "" if abs(line["frequency_hz"] - mains_hz) <= _MAINS_WITHIN_HZ else f"{mains_hz:g} Hz "
+            return f"{line['frequency_hz']:.4g} Hz ({really}mains?)"
+    return f"{line['frequency_hz']:.4g} Hz"
