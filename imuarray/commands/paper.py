@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+
+if TYPE_CHECKING:
+    from imuarray.paper.replica import Observed, Replica
+
+_NO_FIGURES = "; no figures, they need matplotlib: pip install 'imuarray[report]'"
+_REPLICA_FILES = ("replica.json", "paper.html")
 
 output_option = click.option(
     "-o",
     "--output",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="write paper.json, one CSV file per table and, with matplotlib, figures (or replica.json) into DIR",
+    help="write paper.json, one CSV file per table and, with matplotlib, figures (--replica: replica.json and the page "
+    "paper.html) into DIR",
 )
 
 
@@ -40,25 +48,52 @@ def command(output: Path | None, replica: bool, seed: int, as_json: bool, force:
     written = write(result, output, force=force) if output else ()
     click.echo(to_json(result) if as_json else render_text(result), nl=False)
     if output:
-        figures = "" if can_draw() else "; no figures, they need matplotlib: pip install 'imuarray[report]'"
-        click.echo(f"{output}: {len(written)} files written{figures}", err=True)
+        click.echo(f"{output}: {len(written)} files written{'' if can_draw() else _NO_FIGURES}", err=True)
 
 
 def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
     """The paper's experiments on the simulated array beside its tables."""
-    import json
+    from imuarray.paper.replica import Replica, compare, observe, render_text
 
-    from imuarray.paper.replica import render_text, replicate
-
-    path = output / "replica.json" if output else None
-    if path:
-        refuse_existing(path, force, in_new_folder=True)
+    if output:
+        _prepare(output, force)
     with progress(100, "replica") as done:
-        found = replicate(seed, progress=lambda so_far, total, what: done(round(100 * so_far / total)))
-    if path:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        observed = observe(seed, progress=lambda so_far, total, what: done(round(100 * so_far / total)))
+    found = Replica(seed, tuple(compare(observed)))
+    if output:
+        _write_replica(output, found, observed)
     if as_json:
         print_json(found.as_json())
     else:
         click.echo(render_text(found), nl=False)
+
+
+def _prepare(folder: Path, force: bool) -> None:
+    """Make the folder, or say at once why it can't be written to."""
+    from imuarray.errors import ImuArrayError
+
+    for name in _REPLICA_FILES:
+        refuse_existing(folder / name, force, in_new_folder=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ImuArrayError(f"{error.filename or folder}: {error.strerror or error}") from error
+
+
+def _write_replica(folder: Path, found: Replica, observed: Observed) -> None:
+    """The numbers, and the page with as much as the optional packages allow."""
+    import json
+
+    from imuarray.errors import MissingExtraError
+    from imuarray.paper.files import can_draw
+    from imuarray.paper.replica import curves_of
+    from imuarray.report.paper_page import write_paper_page
+
+    numbers, page = (folder / name for name in _REPLICA_FILES)
+    numbers.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    try:
+        write_paper_page(page, found, curves_of(observed) if can_draw() else None, force=True)
+    except MissingExtraError as error:
+        click.echo(f"{folder}: replica.json only; the page: {error}", err=True)
+        return
+    click.echo(f"{folder}: 2 files written{'' if can_draw() else _NO_FIGURES}", err=True)

@@ -15,6 +15,8 @@ _TITLES = {
     "table5": "Table 5 in-run",
     "table9": "Table 9 gyroscope noise",
     "table11": "Table 11 turn-on",
+    "derived": "Tables 2, 9, 11, further",
+    "stated": "figures in the text",
 }
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 
@@ -65,6 +67,13 @@ def _key_lines(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield (
         "logging rate",
         f"{rate['table10_hz']['mean']:.1f} Hz (Table 10), {rate['table11_hz']['mean']:.1f} Hz (Table 11)",
+    )
+    yield (
+        "standard errors",
+        "; ".join(
+            f"{found['table']} {found['log']}: {found['least']} to {found['most']} readings"
+            for found in result["readings"]
+        ),
     )
     for fault in result["boot_fault"]:
         yield (

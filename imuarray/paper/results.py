@@ -9,7 +9,9 @@ from typing import Any
 from imuarray.paper import accelerometers, gyroscopes, noise, orientation, stability, startup, thermal
 from imuarray.paper.cells import RecomputedRow, tally
 from imuarray.paper.conclusions import conclusions
+from imuarray.paper.derived import derived, readings
 from imuarray.paper.slips import slips
+from imuarray.paper.stated import stated
 
 SOURCE = (
     "H. Martin, P. Groves, M. Newman, R. Faragher, A New Approach to Better Low-Cost MEMS IMU Performance Using Sensor "
@@ -33,7 +35,16 @@ TABLES: dict[str, Callable[[], tuple[RecomputedRow, ...]]] = {
 }
 """The paper's tables, each with what follows for it from the others."""
 
+FURTHER: dict[str, Callable[[], tuple[RecomputedRow, ...]]] = {"derived": derived, "stated": stated}
+"""Further columns of Tables 2, 9 and 11, and figures in the text: a row per number."""
+
 _DIGITS = Context(prec=34)
+
+
+def recomputed_rows() -> dict[str, tuple[RecomputedRow, ...]]:
+    """Everything of `TABLES` and `FURTHER` by name; a caller's decimal context does not matter."""
+    with localcontext(_DIGITS):
+        return {name: build() for name, build in (TABLES | FURTHER).items()}
 
 
 def recompute() -> dict[str, Any]:
@@ -42,11 +53,13 @@ def recompute() -> dict[str, Any]:
     `table1` ... `table11` hold rows with the CSV files' column names; a recomputed column `x` is followed by the
     printed one as `printed_x`; it is rounded as that is if they agree. `matches` counts per table and column [equal
     to the printed digits, all], `within_input_rounding` [explained by the rounding of the printed inputs, all].
-    `pairs`, `boot_fault`, `bias_states`, `blending`, `planes` and `logging_rate` are results that have no printed
-    column; `slips` and `conclusions` are lists of {claim, evidence, holds}; `source` is the citation.
+    `derived` and `stated` are further columns and the text's figures, a row each, with the difference, both verdicts
+    and what it follows from. `pairs`, `boot_fault`, `bias_states`, `blending`, `planes`, `logging_rate`, `readings`
+    and `range_over_deviation` are results that have no printed column; `slips` and `conclusions` are lists of {claim,
+    evidence, holds}; `source` is the citation.
     """
+    tables = recomputed_rows()
     with localcontext(_DIGITS):
-        tables = {name: build() for name, build in TABLES.items()}
         return {
             "source": SOURCE,
             "matches": _tallies(tables, within_input_rounding=False),
@@ -58,6 +71,8 @@ def recompute() -> dict[str, Any]:
             "blending": noise.bma180_blend().as_json(),
             "planes": noise.planes(),
             "logging_rate": noise.logging_rate(),
+            "readings": [found.as_json() for found in readings()],
+            "range_over_deviation": stability.range_over_deviation(),
             "slips": [statement.as_json() for statement in slips()],
             "conclusions": [statement.as_json() for statement in conclusions()],
         }

@@ -10,12 +10,24 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 
 from imuarray.paper.replica import faces, others, runs
+from imuarray.paper.replica.curves import Curves, curves_of
 from imuarray.paper.replica.experiments import Observed, Progress, observe
 from imuarray.paper.replica.page import render_text
 from imuarray.paper.replica.statistic import Replica, Statistic, Summary
 from imuarray.paper.replica.tabulate import tabulate
 
-__all__ = ["Replica", "Statistic", "Summary", "compare", "render_text", "replicate"]
+__all__ = [
+    "Curves",
+    "Observed",
+    "Replica",
+    "Statistic",
+    "Summary",
+    "compare",
+    "curves_of",
+    "observe",
+    "render_text",
+    "replicate",
+]
 
 
 def replicate(seed: int = 1, executor: Executor | None = None, progress: Progress | None = None) -> Replica:

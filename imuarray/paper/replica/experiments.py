@@ -22,7 +22,7 @@ import numpy.typing as npt
 from imuarray.array import ArrayConfig, load_array
 from imuarray.paper.model_units import high_rate_degc
 from imuarray.paper.noise import HIGH_RATE_HZ, logging_rate
-from imuarray.paper.replica.windows import Line, Triad, Window, blocks, line, windows
+from imuarray.paper.replica.windows import Kept, Line, Series, Triad, Window, blocks, line, windows
 from imuarray.paper.room import DEGC, FACES_DEGC
 from imuarray.paper.startup import bias_states, boot_faults
 from imuarray.paper.tables import number_in, table
@@ -41,6 +41,8 @@ Progress = Callable[[int, int, str], None]
 BOOTS = 150
 """Switch-ons that are looked at."""
 SENSORS = tuple(row["sensor"] for row in table(1))
+WARMED = ("ADXL1", "Gyro1", "Gyro2")
+"""The sensors of Figures 8 to 10."""
 _PEEK_S = 4.0
 
 
@@ -55,7 +57,8 @@ class HighRate(NamedTuple):
 class Observed:
     """Everything simulated, by sensor: `faces` seven windows in Table 10's order, `parts` and `runs` fifteen,
     `heated` the straight-line fits, `high_rate` by range as Table 9 prints it; `even` the share of even counts; how
-    many of `BOOTS` switch-ons BMA1 came up faulty in and Gyro3 in its second state.
+    many of `BOOTS` switch-ons BMA1 came up faulty in and Gyro3 in its second state. For figures: every reading of the
+    continuous run (`still`) and of the sensors `WARMED` while heated (`warm`).
     """
 
     faces: Mapping[str, Sequence[Window]]
@@ -66,6 +69,8 @@ class Observed:
     even: Mapping[str, float]
     faulty: int
     second: int
+    still: Mapping[str, Series]
+    warm: Mapping[str, Series]
 
 
 class State(NamedTuple):
@@ -85,11 +90,11 @@ def observe(seed: int, executor: Executor | None = None, progress: Progress | No
         done.append(result)
         if progress:
             progress(number, len(jobs), name)
-    faces, parts, heated, slow, fast, even, *runs = done
+    faces, (parts, still), (heated, warm), slow, fast, even, *runs = done
     by_run = {name: [run[name][0] for run in runs] for name in SENSORS}
     high_rate = {"250dps": slow, "2k dps": fast}
     counts = (sum(state.faulty for state in states), sum(state.second for state in states))
-    return Observed(faces, parts, by_run, heated, high_rate, even, *counts)
+    return Observed(faces, parts, by_run, heated, high_rate, even, *counts, still, warm)
 
 
 @lru_cache(maxsize=1024)
@@ -177,14 +182,18 @@ def _faces(seed: int, boot: int) -> dict[str, list[Window]]:
     return {n: windows(s, spans) for n, s in _simulation(seed, boot, motion, array_rate_hz(10))}
 
 
-def _parts(seed: int, boot: int) -> dict[str, list[Window]]:
+def _parts(seed: int, boot: int) -> tuple[dict[str, list[Window]], dict[str, Series]]:
     """Fifteen windows in a row; a straight drift by d a window has a deviation of d sqrt(15 16 / 12)."""
     drift = DEGC[11, "cont_std_of_means"] / np.sqrt(PARTS * (PARTS + 1) / 12)
     start = DEGC[11, "cont_mean"] - drift * PARTS / 2
     motion = Still("+Z", PARTS * WINDOW_S, float(start), drift_degc_per_h=float(drift) * 3600 / WINDOW_S)
     step = round(WINDOW_S * 1e9)
     spans = [(part * step, (part + 1) * step) for part in range(PARTS)]
-    return {n: windows(s, spans) for n, s in _simulation(seed, boot, motion, array_rate_hz(11))}
+    means, still = {}, {}
+    for name, sensor in _simulation(seed, boot, motion, array_rate_hz(11)):
+        kept = Kept(sensor)
+        means[name], still[name] = windows(kept, spans), kept.series
+    return means, still
 
 
 def _run(seed: int, boot: int, run: int) -> dict[str, list[Window]]:
@@ -193,9 +202,15 @@ def _run(seed: int, boot: int, run: int) -> dict[str, list[Window]]:
     return {n: windows(s, whole) for n, s in _simulation(seed, boot, motion, array_rate_hz(11))}
 
 
-def _heating(seed: int, boot: int) -> dict[str, Line]:
+def _heating(seed: int, boot: int) -> tuple[dict[str, Line], dict[str, Series]]:
     motion = Heating()
-    return {n: line(s, motion) for n, s in _simulation(seed, boot, motion, array_rate_hz(10))}
+    lines, warm = {}, {}
+    for name, sensor in _simulation(seed, boot, motion, array_rate_hz(10)):
+        kept = Kept(sensor) if name in WARMED else sensor
+        lines[name] = line(kept, motion)
+        if isinstance(kept, Kept):
+            warm[name] = kept.series
+    return lines, warm
 
 
 def _high_rate(seed: int, boot: int, range_name: str) -> HighRate:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
-from imuarray.paper.replica.statistic import Replica, Statistic, Summary, summary
+from imuarray.paper.replica.statistic import Replica, Statistic, Summary
 
 _LISTED = 3.0
 _WIDTH = 100
@@ -30,17 +30,8 @@ def _together(replica: Replica) -> Iterator[str]:
     yield f"Together: {whole.count} statistics, within 1: {one}, within 2: {two}, within 3: {three}"
     yield "Chi-square per degree (statistics that don't follow from others; 95 % of true models)"
     yield _chi_square("all", whole)
-    for name, rows in _kinds(replica.statistics).items():
-        yield _chi_square(name, summary(rows))
-
-
-def _kinds(rows: Iterable[Statistic]) -> dict[str, list[Statistic]]:
-    """The statistics by whether the model was fitted to them, and by what they tell of."""
-    kinds: dict[str, list[Statistic]] = {"fitted to": [], "foretold": [], "axes": [], "thermometers": []}
-    for row in rows:
-        kinds["fitted to" if row.fitted else "foretold"].append(row)
-        kinds["thermometers" if " t" in row.channel else "axes"].append(row)
-    return kinds
+    for name, found in replica.kinds.items():
+        yield _chi_square(name, found)
 
 
 def _chi_square(name: str, found: Summary) -> str:

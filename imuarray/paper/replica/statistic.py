@@ -120,6 +120,15 @@ class Replica:
         """Of all statistics."""
         return summary(self.statistics)
 
+    @property
+    def kinds(self) -> dict[str, Summary]:
+        """The summaries of what the model was "fitted to" and what it "foretold", and of "axes" and "thermometers"."""
+        kinds: dict[str, list[Statistic]] = {"fitted to": [], "foretold": [], "axes": [], "thermometers": []}
+        for row in self.statistics:
+            kinds["fitted to" if row.fitted else "foretold"].append(row)
+            kinds["thermometers" if " t" in row.channel else "axes"].append(row)
+        return {name: summary(rows) for name, rows in kinds.items()}
+
     def of(self, table: str) -> tuple[Statistic, ...]:
         """The statistics of "Table 8", "Figure 13", ..."""
         return tuple(row for row in self.statistics if row.table == table)

@@ -34,6 +34,32 @@ class Window(NamedTuple):
     std: Floats
 
 
+class Series(NamedTuple):
+    """Every reading of a sensor: ns since the run began (n,), counts (n, 3)."""
+
+    time_ns: npt.NDArray[np.int64]
+    counts: npt.NDArray[np.int16]
+
+
+class Kept:
+    """A sensor that keeps what is read of it: a figure needs no second simulation."""
+
+    def __init__(self, sensor: Triad) -> None:
+        self.rows = sensor.rows
+        self._sensor = sensor
+        self._blocks: list[Block] = []
+
+    def block(self, start: int, stop: int) -> Block:
+        """Rows start ... stop - 1 of the sensor."""
+        self._blocks.append(self._sensor.block(start, stop))
+        return self._blocks[-1]
+
+    @property
+    def series(self) -> Series:
+        """What was read so far, in the order of reading."""
+        return Series(*(np.concatenate(column) for column in zip(*(b[:2] for b in self._blocks), strict=True)))
+
+
 class Line(NamedTuple):
     """A straight line per axis: LSB per degC and LSB at 0 degC (3,)."""
 
