@@ -6,18 +6,16 @@ what is allowed. Units are the data sheets' (g, dps, gauss, Hz); lengths in mm.
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter
 from os import PathLike
-from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from imuarray.axes import Matrix, orientation_of
 from imuarray.chips import CHIPS, ChipSpec
-from imuarray.complaints import complaints
 from imuarray.errors import ConfigError
+from imuarray.toml_files import parse_toml, read_text
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -148,35 +146,17 @@ class ArrayConfig(BaseModel):
 
 def load_array(path: str | PathLike[str]) -> ArrayConfig:
     """Read an array's TOML file; ConfigError names the file and, one after the other, every mistake in it."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}") from None
-    return parse_array(text, str(path))
+    return parse_array(read_text(path), str(path))
 
 
 def parse_array(text: str, where: str = "configuration") -> ArrayConfig:
     """An array from TOML text; `where` stands at the head of every message."""
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{where}: not TOML: {error}") from None
-    try:
-        file = _checked(table, where)
-    except RecursionError:
-        raise ConfigError(f"{where}: tables nested without end") from None
+    file = parse_toml(text, _File, where)
     array = ArrayConfig(
         name=file.array.name, bus=file.array.bus, mux=file.array.mux, sensors=tuple(file.sensor), text=text
     )
     _check_places(array, where)
     return array
-
-
-def _checked(table: dict[str, Any], where: str) -> _File:
-    try:
-        return _File.model_validate(table)
-    except ValidationError as error:
-        raise ConfigError(f"{where}: {complaints(error, table, _File)}") from None
 
 
 def _one_of(key: str, value: float | None, allowed: tuple[float, ...], style: str) -> None:

@@ -1,12 +1,19 @@
-"""What pydantic found wrong with a TOML table, in words: the place, what came, what is allowed."""
+"""Reading a TOML file as a model, and what is wrong with it in words: the place, what came, what is allowed."""
 
 from __future__ import annotations
 
 import difflib
+import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
+
+from imuarray.errors import ConfigError
+
+File = TypeVar("File", bound=BaseModel)
 
 _IN_OTHER_WORDS = {
     "int_type": "{came}: a whole number without quotes is wanted (0x40 is one)",
@@ -16,6 +23,36 @@ _IN_OTHER_WORDS = {
     "missing": "is missing",
 }
 """What pydantic says in the words of its own types."""
+
+
+def read_text(path: str | PathLike[str]) -> str:
+    """The text of a file; ConfigError names the file if there is none."""
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}") from None
+
+
+def parse_toml(text: str, model: type[File], where: str) -> File:
+    """TOML text as a `model`; ConfigError, one line that begins with `where`, says all that is wrong with it.
+
+    Numbers without end and tables nested without end are refused like everything else.
+    """
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{where}: not TOML: {error}") from None
+    try:
+        return _checked(table, model, where)
+    except RecursionError:
+        raise ConfigError(f"{where}: tables nested without end") from None
+
+
+def _checked(table: Mapping[str, Any], model: type[File], where: str) -> File:
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {complaints(error, table, model)}") from None
 
 
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,22 +22,12 @@ from imuarray.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from imuarray.array import ArrayConfig
     from imuarray.log import Log
-    from imuarray.simulate import Model, Motion, Plan, Written
+    from imuarray.simulate import Model, Plan, Written
+    from imuarray.simulate.series import Run
 
 EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion")
 """Those of `imuarray.simulate.experiments`, which takes NumPy along."""
-
-
-@dataclass(frozen=True)
-class _Run:
-    """One log to write: where, of what, and which boot it is."""
-
-    path: Path
-    plan: Plan
-    motion: Motion
-    boot: int
 
 
 def _list_effects(context: click.Context, _: click.Parameter, asked: bool) -> None:
@@ -207,47 +196,19 @@ def _runs(
     rate_hz: float,
     boot: int,
     **wanted: Any,
-) -> tuple[Log | None, list[_Run]]:
+) -> tuple[Log | None, list[Run]]:
     """The logs to write; the recorded log that they are like, if there is one."""
+    from imuarray.array import load_array
     from imuarray.log import open_log
-    from imuarray.simulate import plan_like
-    from imuarray.simulate.experiments import EXPERIMENTS, Wanted
-    from imuarray.simulate.motion.like import LikeLog
+    from imuarray.simulate.experiments import Wanted
+    from imuarray.simulate.series import run_like, runs_of
 
     if like is not None:
         log = stack.enter_context(open_log(like))
-        return log, [_Run(output, plan_like(log, only), LikeLog(log), boot)]
-    array = _array(config, only)
-    if experiment == "turn-on":
-        return None, list(_series(array, output, runs, rate_hz, boot, wanted))
-    motion = EXPERIMENTS[experiment](Wanted(**wanted))
-    return None, [_run(array, output, motion, rate_hz, wanted["seconds"], boot)]
-
-
-def _run(array: ArrayConfig, path: Path, motion: Motion, rate_hz: float, seconds: float | None, boot: int) -> _Run:
-    from imuarray.simulate import plan_of
-
-    return _Run(path, plan_of(array, rate_hz, seconds or motion.seconds), motion, boot)
-
-
-def _array(config: Path | None, only: tuple[str, ...]) -> ArrayConfig:
-    from imuarray.array import load_array
-
+        return log, [run_like(log, output, only, boot)]
     array = load_array(find_config(config or Path()))
-    return array.only(only) if only else array
-
-
-def _series(
-    array: ArrayConfig, output: Path, runs: int, rate_hz: float, boot: int, wanted: Mapping[str, Any]
-) -> Iterator[_Run]:
-    """A log for every boot: SIM_01.h5, SIM_02.h5, ..."""
-    from imuarray.simulate.experiments import EXPERIMENTS, Wanted
-
-    digits = max(2, len(str(runs)))
-    for k in range(1, runs + 1):
-        path = output.with_name(f"{output.stem}_{k:0{digits}}{output.suffix}")
-        motion = EXPERIMENTS["turn-on"](Wanted(**wanted, run=k))
-        yield _run(array, path, motion, rate_hz, wanted["seconds"], boot + k - 1)
+    array = array.only(only) if only else array
+    return None, runs_of(array, output, experiment, Wanted(**wanted), rate_hz=rate_hz, boot=boot, runs=runs)
 
 
 def _model(name: str, calibration: Path | None, plan: Plan) -> Model:

@@ -14,18 +14,15 @@ from 0, last included.
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from os import PathLike
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
 from imuarray.axes import face_up, orientation_of
-from imuarray.complaints import complaints
-from imuarray.errors import ConfigError
+from imuarray.toml_files import parse_toml, read_text
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -147,12 +144,4 @@ class TableMap(BaseModel):
 
 def load_map(path: str | PathLike[str]) -> TableMap:
     """Read a map's TOML file; ConfigError names the file and every mistake in it."""
-    try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        return TableMap.model_validate(table)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
-    except ValidationError as error:
-        raise ConfigError(f"{path}: {complaints(error, table, TableMap)}") from None
+    return parse_toml(read_text(path), TableMap, str(path))

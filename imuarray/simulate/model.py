@@ -15,19 +15,16 @@ carry the sensor's unit in their keys ("offset_g").
 from __future__ import annotations
 
 import math
-import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from os import PathLike
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, create_model, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, create_model, model_validator
 
 from imuarray.chips import CHIPS
-from imuarray.complaints import complaints
 from imuarray.errors import ConfigError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
@@ -37,6 +34,7 @@ from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.parameters import from_table, spelled
 from imuarray.simulate.population import Recipe, at_ends, drawn, figure_of, table_of
 from imuarray.simulate.streams import Streams
+from imuarray.toml_files import parse_toml, read_text
 
 TRIADS = {name: spec for name, spec in CHIPS.items() if spec.sensitivity}
 """The chips whose readings pass through effects."""
@@ -133,23 +131,12 @@ class Model:
 
 def load_model(path: str | PathLike[str]) -> Model:
     """Read a model's TOML file; ConfigError names the file, the table, the key and what is allowed."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'is not a text file'}") from None
-    return parse_model(text, str(path))
+    return parse_model(read_text(path), str(path))
 
 
 def parse_model(text: str, where: str = "model") -> Model:
     """A model from TOML text; `where` stands at the head of every message."""
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{where}: not TOML: {error}") from None
-    try:
-        return _model_of(table, text, where)
-    except RecursionError:
-        raise ConfigError(f"{where}: tables nested without end") from None
+    return _model_of(parse_toml(text, _File, where), text, where)
 
 
 def noise_bandwidth_hz(sensor: SensorHeader) -> float:
@@ -228,11 +215,7 @@ class _File(BaseModel):
     sensor: list[_Sensor] = []  # type: ignore[valid-type]
 
 
-def _model_of(table: dict[str, Any], text: str, where: str) -> Model:
-    try:
-        file = _File.model_validate(table)
-    except ValidationError as error:
-        raise ConfigError(f"{where}: {complaints(error, table, _File)}") from None
+def _model_of(file: _File, text: str, where: str) -> Model:
     designs, sensors = (
         tuple(_part(entry, f"{where}: {key} {number}") for number, entry in enumerate(getattr(file, key), start=1))
         for key in ("design", "sensor")

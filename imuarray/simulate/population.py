@@ -19,10 +19,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic import Field as Limits
 from scipy.special import ndtr, ndtri
 
-from imuarray.complaints import complaints
 from imuarray.errors import ConfigError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.streams import Streams
+from imuarray.toml_files import complaints
 
 Floats = npt.NDArray[np.float64]
 
