@@ -23,8 +23,8 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "info": "what a log holds",
         "import": "turn a foreign recording into a log",
         "simulate": "a log as an array would record it, from a model of its sensors",
-        "characterise": "Allan deviation and noise table of a log",
-        "calibrate": "sensor parameters from a log: tumble, noise",
+        "characterise": "Allan deviation, spectrum, codes and noise table of a log",
+        "calibrate": "sensor parameters from logs: tumble, noise, thermal, turn-on",
         "fuse": "one specific force and angular rate from all sensors",
         "paper": "the paper's tables and conclusions, recomputed from its published data",
     }

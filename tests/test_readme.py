@@ -17,6 +17,12 @@ SHELL = [line for kind, block in BLOCKS if kind == "sh" for line in block.splitl
 COMMANDS = [line for line in SHELL if line.startswith("imuarray ")]
 
 
+def expanded(arguments: list[str], folder: Path) -> list[str]:
+    """As a shell would: names with * in place of the patterns."""
+    found = [sorted(path.name for path in folder.glob(item)) if "*" in item else [item] for item in arguments]
+    return [name for names in found for name in names]
+
+
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which the README's commands have been run, one after the other, as from the root of a checkout."""
@@ -26,7 +32,7 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for line in COMMANDS:
-            assert main(shlex.split(line)[1:]) == 0, line
+            assert main(expanded(shlex.split(line)[1:], folder)) == 0, line
     return folder
 
 

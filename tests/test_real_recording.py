@@ -44,7 +44,20 @@ def report(folder: Path) -> dict[str, Any]:
 def test_the_twenty_orientations_are_found_and_fit(report: dict[str, Any]) -> None:
     assert (report["method"], report["poses"]) == ("gravity", 20)
     assert sorted(report["residual_mg"]) == ACCELEROMETERS
-    assert max(report["residual_mg"].values()) < 1.0  # hand placed, 8 s each
+    assert report["left_out"] == []
+    assert max(report["residual_mg"].values()) <= 0.5  # hand placed, 8 s each
+    # In poses that the calibration has not seen; unit 4's z axis wanders by 0.8 mg from pose to pose.
+    apart = report["residual_apart_mg"]
+    assert max(value for name, value in apart.items() if name != "IMU4_acc") <= 0.5
+    assert apart["IMU4_acc"] < 0.8
+
+
+def test_only_one_axis_scatters_more_than_its_noise(report: dict[str, Any]) -> None:
+    """Once the drift of the warm-up is told, noise explains what is left of the others."""
+    rows = {row["name"]: row for row in report["sensors"] if row["quantity"] == "specific_force"}
+    beyond = {name: np.array(row["repeatability_lsb"]) / 2.048 for name, row in rows.items()}
+    assert [(name, axis) for name in rows for axis in range(3) if beyond[name][axis] > 0] == [("IMU4_acc", 2)]
+    assert beyond["IMU4_acc"][2] == pytest.approx(0.85, abs=0.1)
 
 
 def biases_mg(report: dict[str, Any]) -> np.ndarray:

@@ -5,109 +5,205 @@ Every axis is a straight line in the direction of gravity: ``mean counts = respo
 reading of each of the six faces the least-squares solution is the appendix's: half differences and the mean of six. A
 face that was read again tells the drift and is not part of the fit, except in a gyroscope's bias, which the paper
 takes over all readings (Table 4).
+
+Readings may be off by more than noise: a table leans, a bias wanders. That shows in the two degrees of freedom that
+six faces leave an axis; where it is significant it is part of the standard errors, as much in every reading of a
+sensor. A leaning table is felt by all sensors: their errors are then alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, left_out_of, moved_within, worst
+from imuarray.calibrate.fits import TriadFit, straight_lines
+from imuarray.calibrate.labels import axes_text, check_labels
 from imuarray.calibrate.model import SensorCalibration, nominal
-from imuarray.calibrate.poses import Pose, Reading, read_pose
+from imuarray.calibrate.poses import Pose
+from imuarray.calibrate.readings import PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
 
 Floats = npt.NDArray[np.float64]
 
-_WORST_RESIDUAL_G = 0.1
-"""A face further than this from the fit was mislabelled, or moved while it was read."""
+_WANTED = "z_up, x_up, y_up, x_down, y_down, z_down are wanted"
+
+LEANS_G = 0.01
+"""A face this far from the straight line through the others did not stand as its label says: 0.6 degrees."""
+
+_HALFWAY = 0.8
+"""Cosine of 37 degrees: an axis further from where it should be points elsewhere."""
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Named faces that were found sound: those of the fit, those that were read again, and those left out."""
+
+    fitted: tuple[Pose, ...]
+    checks: tuple[Pose, ...]
+    left_out: tuple[LeftOut, ...]
+
+    @property
+    def up_box(self) -> Floats:
+        """(k, 3) what the labels of the fitted ones say."""
+        return np.array([pose.up_box for pose in self.fitted], float).reshape(-1, 3)
+
+
+def sound_faces(accelerometers: Sequence[SensorLog], poses: Sequence[Pose]) -> Faces:
+    """The named faces without those in which the box moved or stood otherwise than the label says.
+
+    CalibrationError for labels that accelerometers contradict, and if too few faces remain: it names what was wrong.
+    """
+    first = accelerometers[0]
+    _refuse_too_few(first, [pose for pose in poses if not pose.is_check], ())
+    readings = read_poses(accelerometers, poses)
+    up_box = np.array([pose.up_box for pose in poses], float)
+    check_labels(readings, up_box)
+    bad = moved_within(readings)
+    place = _leaning(readings, up_box, bad)
+    if place is not None:
+        bad[place[0]] = place[1]
+    left_out = tuple(left_out_of(poses[place], reason) for place, reason in sorted(bad.items()))
+    kept = [pose for place, pose in enumerate(poses) if place not in bad]
+    fitted = tuple(pose for pose in kept if not pose.is_check)
+    _refuse_too_few(first, fitted, left_out)
+    return Faces(fitted, tuple(pose for pose in kept if pose.is_check), left_out)
+
+
+def _refuse_too_few(sensor: SensorLog, faces: Sequence[Pose], left_out: Sequence[LeftOut]) -> None:
+    """Faces that don't tell a bias and three columns apart."""
+    ups = np.array([pose.up_box for pose in faces], float).reshape(-1, 3)
+    if len(faces) < 4 or np.linalg.matrix_rank(np.column_stack([ups, np.ones(len(ups))])) < 4:
+        names = ", ".join(pose.phase.name for pose in faces) or "none"
+        why = "".join(f"; phase {each.phase!r}: {each.reason}" for each in left_out)
+        raise CalibrationError(f"{sensor.where}: faces {names}: too few; {_WANTED}{why}")
+
+
+def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tuple[int, str] | None:
+    """The face that stood otherwise than its label says, by place, and how far in words; None if none did.
+
+    The mean of all accelerometers is one triad, and what one face is off by shows in its distance from the line
+    through the others. Six faces leave two of a pair alike; then it is the one that is further from where the
+    configured axes promise it. CalibrationError where that does not tell either.
+    """
+    used = [place for place in range(len(readings.poses)) if place not in bad]
+    design = np.column_stack([up_box[used], np.ones(len(used))])
+    force = readings.force_box_g()[:, used].mean(axis=0)
+    hat = design @ np.linalg.pinv(design)
+    residual = force - hat @ force
+    free = np.maximum(1 - np.diag(hat), 1e-9)  # a face that nothing else tells has none
+    squares = (residual**2).sum(axis=1)
+    whole = float(squares.sum())
+    freedom = 3 * (len(used) - round(np.trace(hat)) - 1)
+    chances = [
+        chance_of_misfit(whole, whole - float(each / share), 3, freedom) if share > 1e-6 else 1.0
+        for each, share in zip(squares, free, strict=True)
+    ]
+    off_g = np.sqrt(squares) / free
+    found = worst(chances, off_g, LEANS_G)
+    if found is None:
+        return None
+    alike = np.flatnonzero(off_g > 0.9 * off_g[found])
+    promised = np.linalg.norm(force - up_box[used] - np.median(force - up_box[used], axis=0), axis=1)
+    order = alike[np.argsort(promised[alike])[::-1]]
+    names = [readings.poses[used[place]].phase.name for place in order]
+    words = f"{1e3 * off_g[found]:.0f} mg off the straight line through the other faces"
+    if len(order) > 1 and promised[order[0]] < 2 * promised[order[1]]:
+        either = " or ".join(f"phase {name!r}" for name in sorted(names))
+        raise CalibrationError(
+            f"{readings.sensors[0].where}: {either} is {words}: moved or disturbed; read these faces again"
+        )
+    return used[int(order[0])], words
 
 
 def fit_faces(sensor: SensorLog, poses: Sequence[Pose]) -> tuple[SensorCalibration, Floats]:
     """Calibrate one inertial triad from named faces; also the drift (3,) in counts, first reading of a face minus its
     check.
 
-    CalibrationError if faces are missing, if a reading does not fit its face, or if the axes are not where the log
-    says.
+    CalibrationError if faces are missing, or if the axes are not where the log says.
     """
     faces = [pose for pose in poses if not pose.is_check]
-    ups = np.array([pose.up_box for pose in faces], float)
-    if len(faces) < 4 or np.linalg.matrix_rank(np.column_stack([ups, np.ones(len(ups))])) < 4:
-        names = ", ".join(pose.phase.name for pose in faces) or "none"
-        raise CalibrationError(
-            f"{sensor.where}: faces {names}: too few; z_up, x_up, y_up, x_down, y_down, z_down are wanted"
-        )
-    readings = [read_pose(sensor, pose) for pose in faces]
-    response, bias, bias_sem, response_sem, residual = _straight_line(ups, readings)
-    drift = _drift(sensor, poses)
+    _refuse_too_few(sensor, faces, ())
+    fit = face_fit(sensor, faces)
+    checks = [pose for pose in poses if pose.is_check]
+    drift = face_drift(sensor, faces, checks)
     if sensor.quantity == "specific_force":
-        _check_faces(sensor, faces, residual, response)
-        fitted = replace(
-            nominal(sensor),
-            bias_lsb=bias,
-            bias_sem_lsb=bias_sem,
-            response_lsb_per_unit=response,
-            response_sem_lsb_per_unit=response_sem,
-        )
-        return fitted, drift
-    everything = [*readings, *(read_pose(sensor, pose) for pose in poses if pose.is_check)]
-    mean = np.mean([reading.mean_lsb for reading in everything], axis=0)
-    sem = np.sqrt(np.sum([reading.sem_lsb**2 for reading in everything], axis=0)) / len(everything)
-    return replace(nominal(sensor), bias_lsb=mean, bias_sem_lsb=sem, g_sensitivity_lsb_per_g=response), drift
+        _check_axes(sensor, fit.coefficients[:, :3])
+        return accelerometer_of(sensor, fit), drift
+    return gyroscope_of(sensor, fit, [*faces, *checks]), drift
 
 
-def _straight_line(ups: Floats, readings: Sequence[Reading]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Least squares of the readings (k, 3) on up vectors (k, 3): response, bias, their standard errors, residuals (k,
-    3).
-    """
+def face_fit(sensor: SensorLog, faces: Sequence[Pose]) -> TriadFit:
+    """The straight lines of one triad through its readings of `faces`."""
+    readings = read_poses([sensor], faces)
+    ups = np.array([pose.up_box for pose in faces], float)
     design = np.column_stack([ups, np.ones(len(ups))])
-    means = np.array([reading.mean_lsb for reading in readings])
-    solver = np.linalg.pinv(design)
-    solution = solver @ means
-    variance = np.array([reading.sem_lsb**2 for reading in readings])
-    errors = np.sqrt(solver**2 @ variance)
-    return solution[:3].T, solution[3], errors[3], errors[:3].max(axis=0), means - design @ solution
+    return straight_lines(readings.mean_lsb[0], readings.variance_lsb2[0], design)[0]
 
 
-def _drift(sensor: SensorLog, poses: Sequence[Pose]) -> Floats:
-    """First reading of a face minus its check, zeros if none was read again."""
-    for check in (pose for pose in poses if pose.is_check):
-        first = next((pose for pose in poses if pose.up_box == check.up_box and not pose.is_check), None)
+def accelerometer_of(sensor: SensorLog, fit: TriadFit) -> SensorCalibration:
+    """Bias and response."""
+    return replace(
+        nominal(sensor),
+        bias_lsb=fit.coefficients[:, 3],
+        bias_sem_lsb=fit.bias_sem_lsb,
+        bias_covariance_lsb2=fit.bias_covariance_lsb2,
+        response_lsb_per_unit=fit.coefficients[:, :3],
+        response_sem_lsb_per_unit=fit.response_sem.max(axis=1),
+    )
+
+
+def gyroscope_of(sensor: SensorLog, fit: TriadFit, readings: Sequence[Pose]) -> SensorCalibration:
+    """Bias, the mean over all readings as in Table 4, and g-sensitivity, half differences."""
+    everything = read_poses([sensor], readings)
+    variance = everything.variance_lsb2[0].sum(axis=0) / len(readings) ** 2
+    variance = variance + fit.repeatability_lsb**2 / len(readings)
+    return replace(
+        nominal(sensor),
+        bias_lsb=everything.mean_lsb[0].mean(axis=0),
+        bias_sem_lsb=np.sqrt(variance),
+        bias_covariance_lsb2=np.diag(variance),
+        g_sensitivity_lsb_per_g=fit.coefficients[:, :3],
+        g_sensitivity_sem_lsb_per_g=fit.response_sem,
+    )
+
+
+def faces_apart(sensor: SensorLog, faces: Sequence[Pose]) -> Floats:
+    """(k,) length of an accelerometer's specific force less one g in each face, by the straight lines through the other
+    faces; nan where these are too few.
+    """
+    mean = read_poses([sensor], faces).mean_lsb[0]
+    design = np.column_stack([np.array([pose.up_box for pose in faces], float), np.ones(len(faces))])
+    apart = np.full(len(faces), np.nan)
+    for face in range(len(faces)):
+        others = np.arange(len(faces)) != face
+        if np.linalg.matrix_rank(design[others]) == design.shape[1]:
+            line = np.linalg.lstsq(design[others], mean[others], rcond=None)[0]
+            apart[face] = np.linalg.norm(np.linalg.solve(line[:3].T, mean[face] - line[3])) - 1
+    return apart
+
+
+def face_drift(sensor: SensorLog, faces: Sequence[Pose], checks: Sequence[Pose]) -> Floats:
+    """(3,) first reading of a face minus its check in counts, zeros if none was read again."""
+    for check in checks:
+        first = next((pose for pose in faces if pose.up_box == check.up_box), None)
         if first is not None:
-            return read_pose(sensor, first).mean_lsb - read_pose(sensor, check).mean_lsb
+            both = read_poses([sensor], [first, check]).mean_lsb[0]
+            return np.asarray(both[0] - both[1])
     return np.zeros(3)
 
 
-def _misfit(sensor: SensorLog, faces: Sequence[Pose]) -> tuple[int, float]:
-    """The face that fits its label least, and by how much (g): what the log's own axes say that each should have read.
-
-    A least-squares residual would not tell: it spreads evenly over a face and its opposite.
-    """
-    means = np.array([read_pose(sensor, pose).mean_lsb for pose in faces])
-    promised = np.array([pose.up_box for pose in faces]) @ sensor.orientation * sensor.sensitivity
-    off = np.linalg.norm(means - promised - np.median(means - promised, axis=0), axis=1) / sensor.sensitivity
-    return int(off.argmax()), float(off.max())
-
-
-def _check_faces(sensor: SensorLog, faces: Sequence[Pose], residual: Floats, response: Floats) -> None:
-    """Refuse a face that does not fit, and axes that point elsewhere than the log says."""
-    error_g = np.linalg.norm(residual, axis=1) / sensor.sensitivity
-    if error_g.max() > _WORST_RESIDUAL_G:
-        wrong, off_g = _misfit(sensor, faces)
-        raise CalibrationError(
-            f"{sensor.where}: phase {faces[wrong].phase.name!r} is {off_g:.2f} g off the other faces:"
-            " mislabelled, or moved while it was read"
-        )
+def _check_axes(sensor: SensorLog, response: Floats) -> None:
+    """Refuse axes that point elsewhere than the log says."""
     rows = response / np.linalg.norm(response, axis=1)[:, None]
     agreement = np.sum(rows * sensor.orientation.T, axis=1)
-    if agreement.min() < 0.8:
+    if agreement.min() < _HALFWAY:
         axis = "xyz"[int(agreement.argmin())]
-        seen = "".join(
-            f"{'+' if row[np.abs(row).argmax()] > 0 else '-'}{'XYZ'[int(np.abs(row).argmax())]}" for row in rows
-        )
         raise CalibrationError(
-            f"{sensor.where}: axis {axis} does not point as axes {sensor.axes!r} says; the faces say {seen!r}"
+            f"{sensor.where}: axis {axis} does not point as axes {sensor.axes!r} says; the faces say"
+            f" {axes_text(rows)!r}"
         )

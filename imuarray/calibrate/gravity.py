@@ -1,24 +1,30 @@
-"""Any static poses, no table, no labels: in every one of them the specific force is one g long.
+"""Any static poses, no table, no labels: in every one of them the specific force is one g long, and all accelerometers
+feel the same.
 
-Per accelerometer, ``|shape @ (mean - bias)| = 1 g`` over all poses gives the bias (3) and a triangular shape matrix
-(6): scale factors and the angles between its own axes (an ellipsoid; Skog & Handel, Proc. XVII IMEKO World Congress,
-2006). What is left, a rotation per sensor, comes from the other sensors: all of them saw the same gravity, so their
-directions are turned onto each other, and the array as a whole keeps the orientation that its configuration says.
+From directions near the truth (`ellipsoid`) all sensors and all directions are fitted at once (`bundle`), biases that
+drift while the box is tumbled among them, and what no calibration explains is left out.
+
+Weights are those of the noise within poses; an axis whose readings scatter more from pose to pose than that gets a
+variance of its own, so large that its residuals are what they should be.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+from scipy.special import chdtrc
 
-from imuarray.calibrate.model import SensorCalibration, nominal
-from imuarray.calibrate.poses import Pose, Reading, read_pose
+from imuarray.calibrate.bundle import Bundle, in_box_frame, solve
+from imuarray.calibrate.disturbed import LeftOut, another_go, chance_of_misfit, left_out_of, moved_within, worst
+from imuarray.calibrate.ellipsoid import directions_of, same_sides
+from imuarray.calibrate.faces import accelerometer_of
+from imuarray.calibrate.fits import DRIFTS, TriadFit, beyond_noise
+from imuarray.calibrate.model import SensorCalibration
+from imuarray.calibrate.poses import Pose
+from imuarray.calibrate.readings import PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
 
@@ -27,122 +33,217 @@ Floats = npt.NDArray[np.float64]
 MIN_POSES = 9
 """Nine unknowns per sensor."""
 
-_TRIANGLE = np.triu_indices(3)
+STRANGE_G = 0.001
+"""A pose in which most accelerometers feel so much more or less than one g by the calibration that the other poses give
+was not at rest; a hand that holds a box does that, a table does not."""
+
+_SOFTEST = 1e-5
+"""Of `Bundle.stiffness`: below, some turn of the directions is as good as unknown."""
+
+_MOST_DRIFT = 2
+"""A bias drifts along a parabola in time at most: warming up, it goes fast at first."""
 
 
-def fit_gravity(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> tuple[list[SensorCalibration], Floats]:
-    """Calibrate accelerometers jointly from static poses; also the residual of each sensor, rms over the poses, in g.
+@dataclass(frozen=True)
+class GravityFit:
+    """Accelerometers calibrated together from `poses` (k), in the order of the sensors (s).
 
-    CalibrationError if there are fewer than nine poses or they do not spread enough.
+    `up_box` (k, 3) directions of gravity's reaction; `force_g` (s, k) lengths of the calibrated specific force, drift
+    allowed for, and `force_apart_g` the same by a calibration from all other poses (nan where those are too few);
+    `drift_lsb` (s, 3) bias in the first pose less that in the last, and `drift_terms` how many powers of time it took.
+    `covariance` is that of all sensors' bias and response (12 s, 12 s): rows of `fits`' coefficients without the drift,
+    one sensor after the other. `up_covariance` (3 k, 3 k) is that of the directions.
     """
-    if len(poses) < MIN_POSES:
-        raise CalibrationError(f"{sensors[0].where}: {len(poses)} static poses, at least {MIN_POSES} are wanted")
-    ellipsoids = [_ellipsoid(sensor, [read_pose(sensor, pose) for pose in poses]) for sensor in sensors]
-    turns = _common_frame([orient @ gravity for orient, gravity in _nominal_directions(sensors, ellipsoids)])
-    fitted, residuals = [], []
-    for sensor, ellipsoid, turn in zip(sensors, ellipsoids, turns, strict=True):
-        # gravity_sensor = shape @ (counts - bias); gravity_box = turn @ orientation @ gravity_sensor
-        response = np.asarray(np.linalg.inv(turn @ sensor.orientation @ ellipsoid.shape), float)
-        fitted.append(
-            replace(
-                nominal(sensor),
-                bias_lsb=ellipsoid.bias_lsb,
-                bias_sem_lsb=ellipsoid.bias_sem_lsb,
-                response_lsb_per_unit=response,
-                response_sem_lsb_per_unit=ellipsoid.response_sem,
-            )
+
+    calibrations: tuple[SensorCalibration, ...]
+    fits: tuple[TriadFit, ...]
+    covariance: Floats
+    poses: tuple[Pose, ...]
+    up_box: Floats
+    up_covariance: Floats
+    force_g: Floats
+    force_apart_g: Floats
+    drift_lsb: Floats
+    drift_terms: int
+    left_out: tuple[LeftOut, ...]
+
+    @property
+    def residual_g(self) -> Floats:
+        """(s,) rms over the poses of the specific force's length less one g."""
+        return np.asarray(np.sqrt(np.mean((self.force_g - 1) ** 2, axis=1)))
+
+    @property
+    def residual_apart_g(self) -> Floats:
+        """(s,) the same in poses that the calibration has not seen."""
+        return np.asarray(np.sqrt(np.mean((self.force_apart_g - 1) ** 2, axis=1)))
+
+
+def fit_gravity(
+    sensors: Sequence[SensorLog], poses: Sequence[Pose], progress: Callable[[int], None] = lambda done: None
+) -> GravityFit:
+    """Calibrate accelerometers jointly from static poses; `progress` hears how many poses were left out in turn.
+
+    CalibrationError if there are fewer than nine poses, if they do not spread enough, or if too few are undisturbed.
+    """
+    _refuse_few(sensors[0], len(poses), [])
+    return fit_readings(read_poses(sensors, poses), progress)
+
+
+def fit_readings(everything: PoseReadings, progress: Callable[[int], None] = lambda done: None) -> GravityFit:
+    """`fit_gravity` of readings that are there already."""
+    sensors, poses = everything.sensors, everything.poses
+    others = another_go(poses) if everything.one_run else {}
+    reasons = {**(others if len(poses) - len(others) >= MIN_POSES else {}), **moved_within(everything)}
+    bad = {place: left_out_of(poses[place], reason) for place, reason in reasons.items()}
+    while True:
+        kept = [place for place in range(len(poses)) if place not in bad]
+        left_out = [bad[place] for place in sorted(bad)]
+        _refuse_few(sensors[0], len(kept), left_out)
+        joint = _joint(everything.only(kept))
+        apart, chances = _one_left_out(joint, progress)
+        off_g = np.median(np.abs(apart - 1), axis=0)
+        strange = worst(chances, np.nan_to_num(off_g), STRANGE_G)
+        if strange is None:
+            return _told(joint, apart, left_out)
+        reason = f"{1e3 * off_g[strange]:.1f} mg from one g by the calibration of the other poses: not at rest"
+        bad[kept[strange]] = left_out_of(poses[kept[strange]], reason)
+
+
+def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[LeftOut]) -> None:
+    if count < MIN_POSES:
+        why = "".join(f"; {each.phase}: {each.reason}" for each in left_out)
+        sound = "static" if not left_out else "undisturbed"
+        raise CalibrationError(f"{sensor.where}: {count} {sound} poses, at least {MIN_POSES} are wanted{why}")
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """All axes (a = 3 s) in all poses (k) in g: readings, weights and terms (k, q) of the fit `bundle`; the scatter
+    beyond noise (a,), chi-squared and freedom (a,) by noise alone.
+    """
+
+    readings: PoseReadings
+    values: Floats
+    weight: Floats
+    terms: Floats
+    bundle: Bundle
+    beyond: Floats
+    chi_squared: Floats
+    freedom: Floats
+
+
+def _joint(readings: PoseReadings) -> _Joint:
+    """Everything at once, with as much drift and scatter as the readings show."""
+    scale = readings.sensitivity[:, None, None]
+    values = _by_axis(readings.mean_lsb / scale)
+    noise = _by_axis(readings.variance_lsb2 / scale**2)
+    terms, bundle = _drifting(readings, values, noise, directions_of(readings))
+    if bundle.stiffness < _SOFTEST:
+        raise CalibrationError(same_sides(readings.sensors[0]))
+    beyond = np.zeros(len(values))
+    chi_squared, freedom = _by_noise(bundle)
+    for _ in range(10):
+        squares, own = _by_noise(bundle)
+        fits = np.abs(squares - own) < 0.05 * own
+        more = [beyond_noise(each, free, len(own)) for each, free in zip(squares, own, strict=True)]
+        change = (np.array(more) | (beyond > 0)) & ~fits & (own > 0.5)
+        if not change.any():
+            break
+        total = (1 / bundle.weight).mean(axis=1) * squares / np.maximum(own, 0.5)
+        beyond = np.where(change, np.maximum(total - noise.mean(axis=1), 0.0), beyond)
+        bundle = solve(values, 1 / (noise + beyond[:, None]), terms, bundle.up_box)
+    return _Joint(readings, values, bundle.weight, terms, bundle, np.sqrt(beyond), chi_squared, freedom)
+
+
+def _by_axis(triads: Floats) -> Floats:
+    """(3 s, k) from (s, k, 3)."""
+    return triads.transpose(0, 2, 1).reshape(-1, triads.shape[1])
+
+
+def _by_noise(bundle: Bundle) -> tuple[Floats, Floats]:
+    """(a,) chi-squared of every axis and its freedom."""
+    return (bundle.weight * bundle.residual**2).sum(axis=1), bundle.axis_freedom()
+
+
+def _drifting(readings: PoseReadings, values: Floats, noise: Floats, up_box: Floats) -> tuple[Floats, Bundle]:
+    """The terms beside the response, and the fit with them: powers of time as long as each fits better beyond chance.
+
+    All terms but the bias have zero mean over the poses: it is the mean one. Poses that don't tell a drift from
+    the rest leave it to what biases scatter.
+    """
+    powers = readings.powers_of_time(_MOST_DRIFT)
+    terms = powers[:, :1]
+    best = solve(values, 1 / noise, terms, up_box)
+    for more in range(2, powers.shape[1] + 1):
+        tried = solve(values, 1 / noise, powers[:, :more], best.up_box)
+        chance = chance_of_misfit(best.chi_squared, tried.chi_squared, len(values), tried.freedom)
+        if tried.freedom <= 0 or not tried.is_linear or chance > DRIFTS:
+            break
+        terms, best = powers[:, :more], tried
+    return terms, best
+
+
+def _one_left_out(joint: _Joint, progress: Callable[[int], None]) -> tuple[Floats, list[float]]:
+    """For each pose the lengths (s, k) of the specific force by a calibration from all others, and the chance that it
+    fits as badly as it does: by the scatter of the others, and by that which the weights stand for.
+    """
+    sensors, poses = len(joint.readings.sensors), len(joint.readings.poses)
+    lengths, chances = np.full((sensors, poses), np.nan), [1.0] * poses
+    number = 3 * sensors - 2
+    if joint.bundle.freedom - number <= 0:
+        return lengths, chances
+    for pose in range(poses):
+        others = np.delete(np.arange(poses), pose)
+        without = solve(
+            joint.values[:, others], joint.weight[:, others], joint.terms[others], joint.bundle.up_box[others], 2
         )
-        residuals.append(float(np.sqrt(np.mean((np.linalg.norm(ellipsoid.gravity_g, axis=0) - 1) ** 2))))
-    return fitted, np.array(residuals)
+        if without.stiffness > _SOFTEST:
+            lengths[:, pose] = _lengths(without.coefficients, joint.values[:, [pose]], joint.terms[[pose]])[:, 0]
+            squares, fewer = joint.bundle.chi_squared, without.chi_squared
+            by_the_rest = chance_of_misfit(squares, fewer, number, joint.bundle.freedom - number)
+            chances[pose] = max(by_the_rest, float(chdtrc(number, max(squares - fewer, 0.0))))
+        progress(pose + 1)
+    return lengths, chances
 
 
-class _Ellipsoid(NamedTuple):
-    """One sensor's fit.
-
-    Bias (3,) in counts and its standard error, shape (3, 3) in g per count, the standard error of the response (3,) in
-    counts per g (the largest entry of each row), gravity (3, k) in g in the sensor frame.
-    """
-
-    bias_lsb: Floats
-    bias_sem_lsb: Floats
-    shape: Floats
-    response_sem: Floats
-    gravity_g: Floats
+def _lengths(coefficients: Floats, values: Floats, terms: Floats) -> Floats:
+    """(s, k) lengths of the specific force in g that readings (3 s, k) mean."""
+    response = coefficients[:, :3].reshape(-1, 3, 3)
+    pulled = (values - coefficients[:, 3:] @ terms.T).reshape(len(response), 3, -1)
+    return np.asarray(np.linalg.norm(np.linalg.solve(response, pulled), axis=1))
 
 
-def _shape_of(parameters: Floats) -> Floats:
-    """The upper triangle (3, 3) from the nine parameters."""
-    shape = np.zeros((3, 3))
-    shape[_TRIANGLE] = parameters[3:]
-    return shape
-
-
-def _ellipsoid(sensor: SensorLog, readings: Sequence[Reading]) -> _Ellipsoid:
-    """Fit one sensor; CalibrationError if the poses do not tell bias from scale."""
-    means = np.array([reading.mean_lsb for reading in readings]) / sensor.sensitivity
-
-    def gravity(parameters: Floats) -> Floats:
-        return np.asarray(_shape_of(parameters) @ (means - parameters[:3]).T)
-
-    start = np.concatenate([np.zeros(3), np.eye(3)[_TRIANGLE]])
-    fit = least_squares(lambda parameters: np.linalg.norm(gravity(parameters), axis=0) - 1, start)
-    information = fit.jac.T @ fit.jac
-    if not fit.success or np.linalg.cond(information) > 1e8:
-        raise CalibrationError(
-            f"{sensor.where}: the poses do not tell bias from scale; put the box on more different sides"
+def _told(joint: _Joint, apart: Floats, left_out: Sequence[LeftOut]) -> GravityFit:
+    """The result in counts and in the box frame."""
+    readings, bundle = joint.readings, joint.bundle
+    orientations = np.array([sensor.orientation for sensor in readings.sensors])
+    boxed = in_box_frame(bundle, orientations)
+    axes, p = boxed.coefficients.shape
+    counts = np.repeat(readings.sensitivity, 3)
+    covariance = boxed.covariance * np.outer(np.repeat(counts, p), np.repeat(counts, p))
+    rows = boxed.coefficients * counts[:, None]
+    fits = [
+        TriadFit(
+            rows[3 * s : 3 * s + 3],
+            covariance[3 * p * s : 3 * p * (s + 1), 3 * p * s : 3 * p * (s + 1)],
+            float(joint.chi_squared[3 * s : 3 * s + 3].sum()),
+            float(joint.freedom[3 * s : 3 * s + 3].sum()),
+            (joint.beyond * counts)[3 * s : 3 * s + 3],
         )
-    covariance = np.linalg.inv(information) * _variance(sensor, readings, 2 * fit.cost)
-    changes = np.array([_response_change(fit.x, index) for index in range(len(fit.x))])
-    response_variance = np.einsum("pij,pq,qij->ij", changes, covariance, changes)
-    return _Ellipsoid(
-        bias_lsb=fit.x[:3] * sensor.sensitivity,
-        bias_sem_lsb=np.sqrt(np.diag(covariance)[:3]) * sensor.sensitivity,
-        shape=_shape_of(fit.x) / sensor.sensitivity,
-        response_sem=np.sqrt(response_variance).max(axis=1) * sensor.sensitivity,
-        gravity_g=gravity(fit.x),
-    )
-
-
-def _variance(sensor: SensorLog, readings: Sequence[Reading], squares: float) -> float:
-    """Variance of one pose's specific force in g^2: from the residuals, but never far below what the readings' scatter
-    says: with nine poses there are no residuals, and with few of them they can be small by luck.
-    """
-    freedom = len(readings) - MIN_POSES
-    scatter = float(np.mean([np.mean(reading.sem_lsb**2) for reading in readings])) / sensor.sensitivity**2
-    return scatter if freedom == 0 else max(squares / freedom, scatter / 4)
-
-
-def _response_change(parameters: Floats, index: int) -> Floats:
-    """Derivative (3, 3) of the response, in the sensor's own frame, by one parameter: -inverse @ change @ inverse."""
-    if index < 3:
-        return np.zeros((3, 3))
-    change = np.zeros(9)
-    change[index] = 1.0
-    inverse = np.linalg.inv(_shape_of(parameters))
-    return np.asarray(-inverse @ _shape_of(change) @ inverse)
-
-
-def _nominal_directions(sensors: Sequence[SensorLog], ellipsoids: Sequence[_Ellipsoid]) -> list[tuple[Floats, Floats]]:
-    """Each sensor's orientation and its gravity directions (3, k), unit length, in its own frame."""
-    return [
-        (sensor.orientation, ellipsoid.gravity_g / np.linalg.norm(ellipsoid.gravity_g, axis=0))
-        for sensor, ellipsoid in zip(sensors, ellipsoids, strict=True)
+        for s in range(len(readings.sensors))
     ]
-
-
-def _common_frame(directions: Sequence[Floats]) -> list[Floats]:
-    """A small rotation (3, 3) for each sensor that brings its directions (3, k) onto the array's common ones.
-
-    The common directions are the normalised mean; the rotations are those of Kabsch (1976), their mean turned to
-    identity.
-    """
-    turned = list(directions)
-    turns = [np.eye(3) for _ in directions]
-    for _ in range(3):
-        common = np.mean(turned, axis=0)
-        common /= np.linalg.norm(common, axis=0)
-        turns = [Rotation.align_vectors(common.T, own.T)[0].as_matrix() for own in directions]
-        mean = Rotation.from_matrix(np.array(turns)).mean().as_matrix()
-        turns = [mean.T @ turn for turn in turns]
-        turned = [turn @ own for turn, own in zip(turns, directions, strict=True)]
-    return turns
+    mine = np.tile(np.arange(p) < 4, axes)
+    change = joint.terms[0] - joint.terms[-1]
+    return GravityFit(
+        calibrations=tuple(accelerometer_of(sensor, fit) for sensor, fit in zip(readings.sensors, fits, strict=True)),
+        fits=tuple(fits),
+        covariance=covariance[np.ix_(mine, mine)],
+        poses=readings.poses,
+        up_box=boxed.up_box,
+        up_covariance=boxed.up_covariance,
+        force_g=_lengths(bundle.coefficients, joint.values, joint.terms),
+        force_apart_g=apart,
+        drift_lsb=(rows[:, 3:] @ change).reshape(-1, 3),
+        drift_terms=joint.terms.shape[1] - 1,
+        left_out=tuple(left_out),
+    )

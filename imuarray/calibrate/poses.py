@@ -1,7 +1,8 @@
 """Static poses: stretches in which the box did not move, and what every sensor read in them.
 
 A log whose phases name the faces (`z_up`, `x_down`, ...) says itself where they are. Any other log is searched:
-windows of half a second in which the accelerometers hardly move, joined as long as their means agree.
+windows of half a second in which the accelerometers hardly move and no gyroscope turns, joined as long as their means
+agree.
 """
 
 from __future__ import annotations
@@ -24,10 +25,15 @@ MIN_POSE_S = 1.5
 SAME_POSE_G = 0.02
 """Neighbouring windows whose means differ by more belong to two poses."""
 
+TURNING_DPS = 0.5
+"""Windows in which the gyroscopes read so much more than when the box is still belong to no pose: the slow beginning
+and end of a turn, and turns about the vertical, are not felt by accelerometers."""
+
 _CLIPPED_SHARE = 1e-3
 """A mean of readings whose tail is cut off is wrong by more than its standard error long before it looks wrong."""
 
 _BATCHES = 16
+_WIDTH_NS = round(WINDOW_S * 1e9)
 
 
 @dataclass(frozen=True)
@@ -63,11 +69,15 @@ class Pose:
 
 @dataclass(frozen=True)
 class Reading:
-    """Mean counts (3,) of one sensor over one pose, their standard error (3,) and the number of rows."""
+    """Mean counts (3,) of one sensor over one pose, their standard error (3,) and the number of rows; the standard
+    deviation of single rows, and the mean of the second half less that of the first.
+    """
 
     mean_lsb: Floats
     sem_lsb: Floats
     rows: int
+    sd_lsb: Floats
+    change_lsb: Floats
 
 
 def named_faces(log: Log) -> list[Pose]:
@@ -99,48 +109,74 @@ def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
         )
     batches = [batch.mean(axis=0) for batch in np.array_split(counts, min(_BATCHES, len(counts)))]
     sem = np.std(batches, axis=0, ddof=1) / np.sqrt(len(batches))
-    return Reading(counts.mean(axis=0), sem, len(counts))
+    half = len(counts) // 2
+    change = counts[-half:].mean(axis=0) - counts[:half].mean(axis=0)
+    return Reading(counts.mean(axis=0), sem, len(counts), counts.std(axis=0), change)
 
 
 def find_poses(log: Log) -> list[Pose]:
-    """Static stretches of a log that names none, found by its accelerometers, first and last window cut off."""
+    """Static stretches of a log that names none, found by its accelerometers, and its gyroscopes if it has any; first
+    and last window cut off.
+    """
     sensors = [sensor for sensor in log.of("specific_force") if len(sensor)]
     if not sensors:
         raise CalibrationError(f"{log.path}: no accelerometer, so nothing tells when the box stood still")
-    starts_ns, mean_g, std_g = _windows(sensors)
-    # Most logs are still for a good part of the time: the quiet quarter of the windows shows the noise at rest.
-    known = np.isfinite(std_g)
-    still = known & (std_g <= 2.5 * np.quantile(std_g[known], 0.25)) if known.any() else known
-    jump = np.abs(np.diff(mean_g, axis=0)).max(axis=1) > SAME_POSE_G
-    edges = np.flatnonzero(jump | (still[1:] != still[:-1])) + 1
-    width_ns = round(WINDOW_S * 1e9)
-    poses: list[Pose] = []
-    for run in np.split(np.arange(len(still)), edges):
-        if still[run[0]] and len(run) * WINDOW_S >= MIN_POSE_S:
-            margin_ns = width_ns if len(run) >= 5 else 0
-            start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + width_ns
-            poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None, log))
-    return poses
-
-
-def _windows(sensors: Sequence[SensorLog]) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
-    """Start (w,), mean (w, 3) and largest standard deviation (w,) of every window, in g, averaged over the sensors.
-
-    Each sensor's axes are turned into the box frame first, so that what moves is the box and not one chip.
-    """
-    width_ns = round(WINDOW_S * 1e9)
     begin = max(int(sensor.time[0]) for sensor in sensors)
     end = min(int(sensor.time[len(sensor) - 1]) for sensor in sensors)
-    count = max(0, (end - begin) // width_ns)
+    count = max(0, (end - begin) // _WIDTH_NS)
     if count < 4:
         raise CalibrationError(
             f"{sensors[0].where}: {(end - begin) * 1e-9:.1f} s of data, too short to hold several poses"
         )
+    starts_ns = begin + _WIDTH_NS * np.arange(count)
+    mean_g, std_g = _windows(sensors, begin, count)
+    # Most logs are still for a good part of the time: the quiet quarter of the windows shows the noise at rest.
+    known = np.isfinite(std_g)
+    still = known & (std_g <= 2.5 * np.quantile(std_g[known], 0.25)) if known.any() else known
+    still &= ~_turning([sensor for sensor in log.of("angular_rate") if len(sensor)], starts_ns, still)
+    jump = np.abs(np.diff(mean_g, axis=0)).max(axis=1) > SAME_POSE_G
+    edges = np.flatnonzero(jump | (still[1:] != still[:-1])) + 1
+    poses: list[Pose] = []
+    for run in np.split(np.arange(len(still)), edges):
+        if still[run[0]] and len(run) * WINDOW_S >= MIN_POSE_S:
+            margin_ns = _WIDTH_NS if len(run) >= 5 else 0
+            start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + _WIDTH_NS
+            poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None, log))
+    return poses
+
+
+def _turning(
+    gyroscopes: Sequence[SensorLog], starts_ns: npt.NDArray[np.int64], still: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """(w,) whether the gyroscopes turn in a window: they read otherwise than in the median of the `still` ones.
+
+    A window in which one read nothing is left to the accelerometers.
+    """
+    if not gyroscopes or not still.any():
+        return np.zeros(len(starts_ns), bool)
+    mean_dps, std_dps = _windows(gyroscopes, int(starts_ns[0]), len(starts_ns))
+    usual = np.median(mean_dps[still], axis=0)
+    rows = max(1.0, WINDOW_S * min(len(sensor) / _length_s(sensor) for sensor in gyroscopes))
+    noise = float(np.median(std_dps[still])) / np.sqrt(rows)
+    off = np.abs(mean_dps - usual).max(axis=1)
+    return np.asarray(np.isfinite(std_dps) & (off > TURNING_DPS + 5 * np.nan_to_num(noise, posinf=0.0)))
+
+
+def _length_s(sensor: SensorLog) -> float:
+    return max((int(sensor.time[len(sensor) - 1]) - int(sensor.time[0])) * 1e-9, 1e-9)
+
+
+def _windows(sensors: Sequence[SensorLog], begin: int, count: int) -> tuple[Floats, Floats]:
+    """Mean (w, 3) and largest standard deviation (w,) of every window from `begin` (ns), in the sensors' unit, averaged
+    over the sensors.
+
+    Each sensor's axes are turned into the box frame first, so that what moves is the box and not one chip.
+    """
     means, spreads = np.zeros((count, 3)), np.zeros((count, 3))
     for sensor in sensors:
         sums, squares, rows = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
         for block in sensor.blocks():
-            window = (np.asarray(sensor.time[block]) - begin) // width_ns
+            window = (np.asarray(sensor.time[block]) - begin) // _WIDTH_NS
             inside = (window >= 0) & (window < count)
             value = np.asarray(sensor.counts[block], float)[inside] / sensor.sensitivity @ sensor.orientation.T
             np.add.at(sums, window[inside], value)
@@ -150,4 +186,4 @@ def _windows(sensors: Sequence[SensorLog]) -> tuple[npt.NDArray[np.int64], Float
         rows = np.maximum(rows, 1)[:, None]
         means += sums / rows / len(sensors)
         spreads += np.sqrt(np.maximum(squares / rows - (sums / rows) ** 2, 0)) / len(sensors)
-    return begin + width_ns * np.arange(count), means, spreads.max(axis=1)
+    return means, spreads.max(axis=1)

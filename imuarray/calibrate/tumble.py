@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.calibrate.faces import fit_faces
+from imuarray.calibrate.disturbed import LeftOut
+from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces
+from imuarray.calibrate.fits import TriadFit
+from imuarray.calibrate.g_sensitivity import fit_g_sensitivity
 from imuarray.calibrate.gravity import fit_gravity
-from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
-from imuarray.calibrate.poses import Pose, find_poses, named_faces, read_pose
+from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.calibrate.poses import Pose, find_poses, named_faces
+from imuarray.calibrate.readings import read_poses
+from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
+from imuarray.units import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
 
@@ -21,66 +29,186 @@ Floats = npt.NDArray[np.float64]
 class Tumble:
     """The calibration, how it was made and how well it fits.
 
-    `method` is "faces" or "gravity"; `drift_lsb` (3,) by sensor for a face read twice; `residual_g` rms over the
-    poses by accelerometer (distance of the specific force from one g).
+    `method` is "faces" or "gravity", `poses` how many readings were used. By sensor: `drift_lsb` (3,), first reading
+    less last of the same bias, as a face read twice or a fitted drift says; `fits`; `turns` of gyroscopes that had
+    enough of them. By accelerometer, over the poses named `pose_names` (k): `pose_residual_g` (k,) length of the
+    calibrated specific force less one g, a fitted drift allowed for, and `residual_g` its rms; `residual_apart_g` the
+    rms in poses that the calibration had not seen (nan where those that remain are too few); `residual_steady_g` the
+    rms by the mean bias alone, which is what the calibration keeps. `left_out` names what was not used, and why.
     """
 
     calibration: Calibration
     method: str
     poses: int
+    drift_lsb: Mapping[str, Floats]
+    residual_g: Mapping[str, float]
+    residual_apart_g: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    residual_steady_g: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    pose_names: tuple[str, ...] = ()
+    pose_residual_g: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
+    fits: Mapping[str, TriadFit] = field(default_factory=lambda: MappingProxyType({}))
+    turns: Mapping[str, TurnFit] = field(default_factory=lambda: MappingProxyType({}))
+    left_out: tuple[LeftOut, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """What the accelerometers gave: their calibrations, fits and drifts by name; the length of the calibrated specific
+    force less one g in each pose, and the same by a calibration from the others; directions (k, 3) in all `poses`, and
+    their covariance (3 k, 3 k).
+    """
+
+    method: str
+    poses: tuple[Pose, ...]
+    up_box: Floats
+    up_covariance: Floats
+    known: dict[str, SensorCalibration]
+    fits: dict[str, TriadFit]
     drift_lsb: dict[str, Floats]
-    residual_g: dict[str, float]
+    names: tuple[str, ...]
+    residual_g: dict[str, Floats]
+    apart_g: dict[str, Floats]
+    left_out: tuple[LeftOut, ...]
 
 
-def calibrate_tumble(*logs: Log) -> Tumble:
-    """Bias and response of the accelerometers, bias and g-sensitivity of the gyroscopes, from one log or from several
-    of the same array (a log a face, say).
+def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lambda what, done, of: None) -> Tumble:
+    """Bias and response of the accelerometers, bias, g-sensitivity and (from turns) response of the gyroscopes: from
+    one log or from several of the same array (a log a face, say).
 
-    With named faces by Appendix B; without, from at least nine static poses that are found in the logs.
-    CalibrationError says what is missing or which face does not fit.
+    With named faces by Appendix B; without, from at least nine static poses that are found in the logs. `progress`
+    hears what is being done, and how much of it is done. CalibrationError says what is missing or which face does not
+    fit.
     """
     first = logs[0]
     accelerometers, gyroscopes = first.of("specific_force"), first.of("angular_rate")
     if not accelerometers:
         raise CalibrationError(f"{first.path}: no accelerometer in it; tumble needs gravity")
-    faces = [pose for log in logs for pose in named_faces(log)]
-    if faces:
-        fits = {sensor.name: fit_faces(sensor, faces) for sensor in (*accelerometers, *gyroscopes)}
-        fitted = {name: calibration for name, (calibration, _) in fits.items()}
-        drift = {name: drift for name, (_, drift) in fits.items()}
-        poses, method = faces, "faces"
-    else:
-        poses, method, drift = [pose for log in logs for pose in find_poses(log)], "gravity", {}
-        joint, _ = fit_gravity(accelerometers, poses)
-        fitted = {calibration.name: calibration for calibration in joint}
-        fitted.update({sensor.name: _still_bias(sensor, poses) for sensor in gyroscopes})
-    temperature = _temperature(first, poses)
-    fitted = {name: replace(calibration, temperature_degc=temperature) for name, calibration in fitted.items()}
+    named = [pose for log in logs for pose in named_faces(log)]
+    faces = sound_faces(accelerometers, named) if named else None
+    reference = _by_gravity(accelerometers, logs, progress) if faces is None else _by_faces(accelerometers, faces)
+    known, fits, drift = dict(reference.known), dict(reference.fits), dict(reference.drift_lsb)
+    turns: dict[str, TurnFit] = {}
+    felt = [(sensor, known[sensor.name]) for sensor in accelerometers]
+    for done, sensor in enumerate(gyroscopes, start=1):
+        at_rest = _at_rest(sensor, reference, faces)
+        known[sensor.name], fits[sensor.name], drift[sensor.name] = at_rest
+        turned = fit_turns(sensor, known[sensor.name], reference.poses, reference.up_box, reference.up_covariance, felt)
+        if turned is not None:
+            turns[sensor.name] = turned
+            known[sensor.name] = _with_turns(known[sensor.name], turned)
+        progress("gyroscopes", done, len(gyroscopes))
+    temperature = _temperature(first, reference.poses)
+    calibrated = {name: replace(calibration, temperature_degc=temperature) for name, calibration in known.items()}
     return Tumble(
-        Calibration(fitted, tuple(str(log.path) for log in logs)),
-        method,
-        len(poses),
+        Calibration(calibrated, tuple(str(log.path) for log in logs)).stamped(logs),
+        reference.method,
+        len(reference.poses),
         drift,
-        {sensor.name: _residual_g(sensor, poses, fitted[sensor.name]) for sensor in accelerometers},
+        {name: _rms(residual) for name, residual in reference.residual_g.items()},
+        {name: _rms(residual) for name, residual in reference.apart_g.items()},
+        {name: _rms(residual) for name, residual in _steady_g(felt, reference).items()},
+        reference.names,
+        reference.residual_g,
+        fits,
+        turns,
+        reference.left_out,
     )
 
 
-def _still_bias(sensor: SensorLog, poses: list[Pose]) -> SensorCalibration:
-    """A gyroscope's bias: the mean over all poses, each as heavy as the next."""
-    readings = [read_pose(sensor, pose) for pose in poses]
-    mean = np.mean([reading.mean_lsb for reading in readings], axis=0)
-    sem = np.sqrt(np.sum([reading.sem_lsb**2 for reading in readings], axis=0)) / len(readings)
-    return replace(nominal(sensor), bias_lsb=mean, bias_sem_lsb=sem)
+def _by_gravity(
+    accelerometers: Sequence[SensorLog], logs: Sequence[Log], progress: Callable[[str, int, int], None]
+) -> _Reference:
+    """Any poses."""
+    poses = [pose for log in logs for pose in find_poses(log)]
+    fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))
+    names = [sensor.name for sensor in accelerometers]
+    return _Reference(
+        "gravity",
+        fit.poses,
+        fit.up_box,
+        fit.up_covariance,
+        dict(zip(names, fit.calibrations, strict=True)),
+        dict(zip(names, fit.fits, strict=True)),
+        dict(zip(names, fit.drift_lsb, strict=True)),
+        tuple(pose.phase.name for pose in fit.poses),
+        dict(zip(names, fit.force_g - 1, strict=True)),
+        dict(zip(names, fit.force_apart_g - 1, strict=True)),
+        fit.left_out,
+    )
 
 
-def _residual_g(sensor: SensorLog, poses: list[Pose], calibration: SensorCalibration) -> float:
-    """Rms over the poses of (length of the calibrated specific force minus one g), in g."""
-    means = np.array([read_pose(sensor, pose).mean_lsb for pose in poses if not pose.is_check])
-    force_g = (means - calibration.bias_lsb) @ np.linalg.inv(calibration.response_lsb_per_unit).T
-    return float(np.sqrt(np.mean((np.linalg.norm(force_g, axis=1) - 1) ** 2)))
+def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
+    """Appendix B. Directions are those that the calibrated accelerometers felt: a table leans, and turns tell more."""
+    everything = sorted((*faces.fitted, *faces.checks), key=_place_and_time)
+    found = {sensor.name: fit_faces(sensor, everything) for sensor in accelerometers}
+    known = {name: calibration for name, (calibration, _) in found.items()}
+    readings = read_poses(accelerometers, everything)
+    forces = np.array(
+        [_force_g(known[s.name], mean) for s, mean in zip(accelerometers, readings.mean_lsb, strict=True)]
+    )
+    up_box = forces.mean(axis=0)
+    fits = {sensor.name: face_fit(sensor, faces.fitted) for sensor in accelerometers}
+    spread = [np.mean(fits[s.name].repeatability_lsb ** 2) / s.sensitivity**2 for s in accelerometers]
+    noise = (readings.variance_lsb2 / readings.sensitivity[:, None, None] ** 2).mean(axis=(1, 2))
+    fitted = [place for place, pose in enumerate(everything) if not pose.is_check]
+    return _Reference(
+        "faces",
+        tuple(everything),
+        up_box / np.linalg.norm(up_box, axis=1, keepdims=True),
+        float(np.mean(spread) + np.sum(noise) / len(noise) ** 2) * np.eye(up_box.size),
+        known,
+        fits,
+        {name: drift for name, (_, drift) in found.items()},
+        tuple(everything[place].phase.name for place in fitted),
+        {s.name: np.linalg.norm(force[fitted], axis=1) - 1 for s, force in zip(accelerometers, forces, strict=True)},
+        {sensor.name: faces_apart(sensor, faces.fitted) for sensor in accelerometers},
+        faces.left_out,
+    )
 
 
-def _temperature(log: Log, poses: list[Pose]) -> float | None:
+def _place_and_time(pose: Pose) -> tuple[str, int]:
+    """Poses of one log one after the other."""
+    return "" if pose.log is None else str(pose.log.path), pose.phase.start_ns
+
+
+def _at_rest(
+    sensor: SensorLog, reference: _Reference, faces: Faces | None
+) -> tuple[SensorCalibration, TriadFit, Floats]:
+    """A gyroscope from its readings at rest: bias and g-sensitivity, the fit, the drift."""
+    if faces is None:
+        return fit_g_sensitivity(sensor, reference.poses, reference.up_box)
+    known, drift = fit_faces(sensor, [*faces.fitted, *faces.checks])
+    return known, face_fit(sensor, faces.fitted), drift
+
+
+def _with_turns(known: SensorCalibration, turned: TurnFit) -> SensorCalibration:
+    """The response from turns, if they tell all of it."""
+    if turned.untold:
+        return known
+    return replace(known, response_lsb_per_unit=turned.response, response_sem_lsb_per_unit=turned.sem.max(axis=1))
+
+
+def _force_g(known: SensorCalibration, mean_lsb: Floats) -> Floats:
+    """(k, 3) specific force in g in the box frame."""
+    return np.asarray(known.stimulus_box(mean_lsb) / STANDARD_GRAVITY)
+
+
+def _steady_g(
+    accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], reference: _Reference
+) -> dict[str, Floats]:
+    """(k,) length of the specific force less one g in the fitted poses, by the bias as it is kept."""
+    poses = [pose for pose in reference.poses if not pose.is_check]
+    return {
+        sensor.name: np.linalg.norm(_force_g(known, read_poses([sensor], poses).mean_lsb[0]), axis=1) - 1
+        for sensor, known in accelerometers
+    }
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _temperature(log: Log, poses: Sequence[Pose]) -> float | None:
     """Mean temperature over the poses in degC, from an independent thermometer if the log has one."""
     for sensor in log.of("pressure"):
         parts = []

@@ -11,7 +11,10 @@ import pytest
 from imuarray.calibrate import load_calibration
 from imuarray.cli import main
 from imuarray.log import open_log
-from tests.calibrate.conftest import Part, WriteLog, accelerometer, directions, gyroscope, ideal
+from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from tests.calibrate.conftest import FACES, Part, WriteLog, accelerometer, directions, gyroscope, ideal
+from tests.calibrate.tumbled import Tumbled, attitudes, record
 
 PARTS = (
     Part(accelerometer("A1"), ideal("+X+Y+Z", 2100), np.array([50.0, -60.0, 70.0]), 20.0),
@@ -58,7 +61,7 @@ def test_tumble_writes_what_it_found(run: Path, tmp_path: Path, capsys: pytest.C
 def test_tumble_prints_a_table(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "tumble", str(run), "-o", str(tmp_path / "cal.toml")]) == 0
     out = capsys.readouterr().out
-    lines = {line[:14].strip(): line for line in out.splitlines()}
+    lines = {line[:14].strip(): line for line in reversed(out.splitlines())}  # the first table
     assert "7 named faces" in out
     assert " mg " in lines["A1 x"] and lines["G1 z"].rstrip().endswith("dps")
     assert f"wrote {tmp_path / 'cal.toml'}" in out
@@ -74,6 +77,44 @@ def test_tumble_of_unnamed_poses(write_log: WriteLog, tmp_path: Path, capsys: py
         # 14 poses of some 250 rows; nine parameters share them.
         pull = part.response @ ups.mean(axis=0) if row["name"] == "G1" else np.zeros(3)
         assert row["bias_lsb"] == pytest.approx(part.bias + pull, abs=6.0)
+
+
+def test_tumble_tells_gyroscopes_residuals_and_what_was_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hand-tumbled log; the table and the JSON object say the same."""
+    motion = Tumbled(attitudes(14, np.random.default_rng(2)))
+    still = {name: (WhiteNoise((0.002,) * 3),) for name in ("BMA1", "BMA2")}
+    effects = {**still, "Gyro1": (WhiteNoise((0.1,) * 3), Scale((0.02,) * 3))}
+    path, output = record(tmp_path / "run.h5", motion, effects, only=tuple(effects)), str(tmp_path / "cal.toml")
+    assert main(["calibrate", "tumble", str(path), "-o", output, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    gyro = next(row for row in report["sensors"] if row["name"] == "Gyro1")
+    assert (gyro["turns"]["used"], gyro["turns"]["untold"], gyro["turns"]["left_out"]) == (13, "", [])
+    assert np.abs(gyro["turns"]["response_lsb_per_dps"]).max() == pytest.approx(1.02 / 0.07, rel=0.005)
+    assert report["left_out"] == []
+    assert list(report["pose_residuals_mg"]["BMA1"]) == [f"pose {k}" for k in range(1, 15)]
+    for name, residual in report["residual_mg"].items():
+        by_pose = list(report["pose_residuals_mg"][name].values())
+        assert residual == pytest.approx(np.sqrt(np.mean(np.square(by_pose))))
+        assert residual < report["residual_apart_mg"][name] < 4 * residual
+        assert report["residual_steady_mg"][name] == pytest.approx(residual)  # nothing drifts
+    assert main(["calibrate", "tumble", str(path), "-o", output, "--force"]) == 0
+    out = capsys.readouterr().out
+    assert "13 turns, missed by" in out and "g-sensitivity (LSB/g)" in out and "over noise" in out
+    known = load_calibration(output).sensors["Gyro1"]
+    assert known.provenance["response"].logs == (str(path),)
+
+
+def test_tumble_says_what_was_left_out(write_log: WriteLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One face of six leans by 5 degrees."""
+    ups = np.array([up for _, _, up in FACES], float)
+    ups[2] = (0.0, np.cos(np.radians(5)), np.sin(np.radians(5)))
+    run = write_log(PARTS, ups, names=[(name, up) for name, up, _ in FACES], rows=400)
+    assert main(["calibrate", "tumble", str(run), "-o", str(tmp_path / "cal.toml")]) == 0
+    out = capsys.readouterr().out
+    assert "left out: y_up: 87 mg off the straight line through the other faces" in out
+    assert "6 named faces" in out
 
 
 def test_nothing_is_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

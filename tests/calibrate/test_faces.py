@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import chi2
 
 from imuarray.calibrate import Tumble, calibrate_tumble
-from imuarray.calibrate.faces import fit_faces
+from imuarray.calibrate.faces import face_fit, fit_faces
 from imuarray.calibrate.poses import named_faces
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
@@ -119,6 +119,7 @@ def test_table_10_gives_table_4(table_10: Tumble, name: str) -> None:
     assert found.bias_lsb == pytest.approx(bias, abs=7e-4)
     assert found.g_sensitivity_lsb_per_g is not None
     assert 2 * found.g_sensitivity_lsb_per_g == pytest.approx(np.array(difference), abs=8e-4)
+    assert found.g_sensitivity_sem_lsb_per_g is not None
     assert table_10.drift_lsb[name] == pytest.approx(drift, abs=3e-4)
 
 
@@ -155,6 +156,26 @@ def test_stated_uncertainty_is_honest(write_log: WriteLog) -> None:
     # sem comes from 16 batches a face: its scatter widens the ratios by about 1 + 1 / (6 * 15).
     for sums in ((np.array(bias) ** 2).sum(axis=0), (np.array(response) ** 2).sum(axis=0)):
         assert (sums > low).all() and (sums < high * (1 + 1 / 30)).all(), sums
+
+
+def test_parameters_of_200_sensors_are_within_their_covariance(write_log: WriteLog) -> None:
+    """Normalised error squared of all twelve parameters, mean over 200 draws: chi-square with 2400 degrees of freedom
+    over 200, 2 / 88 larger since the noise comes from 6 faces of 15 batches; two-sided error rate 1e-3.
+    """
+    rng = np.random.default_rng(21)
+    parts = [
+        Part(accelerometer(f"A{i:03}"), skewed("+X+Y+Z", 2048, rng), rng.uniform(-200, 200, 3), 20.0)
+        for i in range(200)
+    ]
+    squares = []
+    with open_log(write_log.faces(parts, rows=64, seed=22)) as log:
+        faces = [pose for pose in named_faces(log) if not pose.is_check]
+        for part in parts:
+            fit = face_fit(log[part.header.name], faces)
+            error = (fit.coefficients - np.column_stack([part.response, part.bias])).ravel()
+            squares.append(error @ np.linalg.solve(fit.covariance, error))
+    low, high = chi2.ppf((0.0005, 0.9995), 12 * 200) / 200
+    assert low < np.mean(squares) < high * (1 + 2 / 88)
 
 
 def test_a_gyroscope_s_bias_is_as_sure_as_all_seven_readings_together(write_log: WriteLog) -> None:

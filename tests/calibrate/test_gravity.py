@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,13 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.linalg import polar
 from scipy.stats import chi2, norm, t
 
 from imuarray.calibrate import SensorCalibration
-from imuarray.calibrate.gravity import fit_gravity
+from imuarray.calibrate.gravity import GravityFit, fit_gravity, fit_readings
 from imuarray.calibrate.poses import Pose
+from imuarray.calibrate.readings import PoseReadings
 from imuarray.errors import CalibrationError
-from imuarray.log import open_log
+from imuarray.log import SensorLog, open_log
+from imuarray.log.format import Phase
 from tests.calibrate.conftest import Floats, Part, WriteLog, accelerometer, directions, ideal, skewed
 
 AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z")
@@ -39,7 +44,8 @@ def array(count: int, rng: np.random.Generator, sigma: float = SIGMA) -> list[Pa
 def fit(write_log: WriteLog, parts: list[Part], ups: Floats, seed: int = 1) -> tuple[list[SensorCalibration], Floats]:
     names = [(f"pose {index}", "") for index in range(len(ups))]
     with open_log(write_log(parts, ups, names=names, rows=ROWS, seed=seed)) as log:
-        return fit_gravity(list(log.sensors.values()), [Pose(phase, None) for phase in log.phases])
+        found = fit_gravity(list(log.sensors.values()), [Pose(phase, None) for phase in log.phases])
+        return list(found.calibrations), found.residual_g
 
 
 class Draws(NamedTuple):
@@ -83,21 +89,23 @@ def draws(poses: int) -> Draws:
 
 
 def sums_of_squares(ratios: Floats, freedom: int) -> Floats:
-    """(3,) sums over the draws of the squared normal scores of ratios that are Student t with `freedom`."""
+    """(3,) sums over the draws of the squared normal scores of ratios that are Student t with `freedom`: the scatter
+    within poses is known from 15 batches of each.
+    """
     return np.asarray((norm.ppf(t.cdf(ratios, freedom)) ** 2).sum(axis=0))
 
 
 @pytest.mark.parametrize("poses", [20, 36])
 def test_bias_is_within_its_stated_uncertainty(poses: int) -> None:
     """Chi-square over 100 draws; two-sided error rate 1e-3 for each of three axes and two pose counts."""
-    sums = sums_of_squares(draws(poses).bias_ratios(), poses - 9)
+    sums = sums_of_squares(draws(poses).bias_ratios(), 15 * poses)
     low, high = chi2.ppf((0.0005, 0.9995), 100)
     assert (sums > low).all() and (sums < high).all(), sums
 
 
 def test_response_is_within_its_stated_uncertainty() -> None:
     """Chi-square over 100 draws; error rate 1e-3 for each axis. (A sem that is too large would pass.)"""
-    sums = sums_of_squares(draws(36).scale_ratios(), 36 - 9)
+    sums = sums_of_squares(draws(36).scale_ratios(), 15 * 36)
     assert (sums < chi2.ppf(0.999, 100)).all(), sums
 
 
@@ -114,11 +122,13 @@ def test_response_is_recovered() -> None:
 
 
 def test_residuals_are_those_of_the_noise() -> None:
-    """Sum of squares over sigma^2 / rows is chi-square with 27 a sensor; error rate 1e-3 over 100 sensors."""
+    """Sum of squares over sigma^2 / rows is chi-square with 32 a sensor: a hundred of them know where up is, and of 36
+    readings along it the four unknowns of a straight line take their leverages. Error rate 1e-3 over 100 sensors.
+    """
     found = draws(36)
     scale = np.array([np.linalg.norm(part.response, axis=1).mean() for part in found.parts])
     total = np.sum(found.residuals**2 * 36 / (SIGMA / scale) ** 2 * ROWS)
-    low, high = chi2.ppf((0.0005, 0.9995), 27 * 100)
+    low, high = chi2.ppf((0.0005, 0.9995), 32 * 100)
     # Rounding adds 1/12 to 1600 counts^2; scale factors differ by up to 2 %.
     assert 0.96 * low < total < 1.04 * high
 
@@ -157,6 +167,142 @@ def test_a_turned_sensor_is_turned_back_onto_the_others(write_log: WriteLog) -> 
     azimuth = [calibration.azimuth_elevation_deg()[0, 0] for calibration in fitted]
     assert azimuth[0] - np.mean(azimuth[1:]) == pytest.approx(-2.0, abs=0.02)
     assert np.mean(azimuth) == pytest.approx(0.0, abs=0.02)
+
+
+NEES_POSES = 12
+NEES_PARTS = 2
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[SensorLog, ...]]:
+    """Two accelerometers that point in different ways; readings of theirs are drawn, not recorded."""
+    parts = array(NEES_PARTS, np.random.default_rng(30))
+    with open_log(WriteLog(tmp_path_factory.mktemp("pair"))(parts, np.eye(3), rows=2)) as log:
+        yield tuple(log.sensors.values())
+
+
+def drawn(
+    sensors: Sequence[SensorLog],
+    rng: np.random.Generator,
+    poses: int,
+    *,
+    wander: float = 0.0,
+    drift: float = 0.0,
+    strange: float = 0.0,
+) -> tuple[PoseReadings, Floats]:
+    """Readings of `poses` random directions and the true coefficients (6, 4), turned so that no common turn is left.
+
+    Noise of SIGMA over ROWS rows, known from 15 batches a pose; biases that `wander` (counts) from pose to pose or
+    `drift` (counts from first to last); in the last pose `strange` g more than gravity.
+    """
+    parts = array(len(sensors), np.random.default_rng(30))
+    rows = np.concatenate([np.column_stack([part.response, part.bias]) for part in parts])
+    turned = [part.header.sensitivity * sensor.orientation.T for part, sensor in zip(parts, sensors, strict=True)]
+    # The turn that makes the mean response symmetric in the box frame, by the polar decomposition.
+    mean = np.sum([n.T @ part.response for n, part in zip(turned, parts, strict=True)], axis=0)
+    rows[:, :3] = rows[:, :3] @ polar(mean)[0].T
+    ups = directions(poses, rng)
+    ups[-1] *= 1 + strange
+    noise = SIGMA / np.sqrt(ROWS)
+    exact = np.column_stack([ups, np.ones(poses)]) @ rows.T + drift * np.linspace(-0.5, 0.5, poses)[:, None]
+    means = exact + rng.normal(0, np.hypot(noise, wander), exact.shape)
+    shape = (len(sensors), poses, 3)
+    variance = np.repeat(noise**2 * rng.chisquare(15 * poses, (len(sensors), 1, 3)) / (15 * poses), poses, axis=1)
+    second = 1_000_000_000
+    phases = [Phase(10 * k * second, (10 * k + 8) * second, f"pose {k + 1}") for k in range(poses)]
+    readings = PoseReadings(
+        tuple(sensors),
+        tuple(Pose(phase, None) for phase in phases),
+        means.reshape(poses, len(sensors), 3).transpose(1, 0, 2),
+        variance,
+        rng.normal(0, 2 * noise, shape),
+        np.full(shape, 2 * noise),
+    )
+    return readings, rows
+
+
+def squared_errors(found: GravityFit, truth: Floats) -> float:
+    """Normalised error squared of all parameters of all sensors; chi-square with three less than there are."""
+    error = np.concatenate([fitted.coefficients[:, :4] for fitted in found.fits]) - truth
+    inverse = np.linalg.pinv(found.covariance, rcond=1e-9, hermitian=True)
+    return float(error.ravel() @ inverse @ error.ravel())
+
+
+@pytest.mark.parametrize(("drift", "poses", "count"), [(0.0, NEES_POSES, 200), (40.0, 20, 50)])
+def test_parameters_are_within_their_covariance_over_many_draws(
+    pair: tuple[SensorLog, ...], drift: float, poses: int, count: int
+) -> None:
+    """Mean of the normalised error squared, chi-square with 21 degrees of freedom a draw; two-sided error rate 1e-3 for
+    each of two cases. Noise known from 15 degrees of freedom a pose makes it larger by 2 / (15 poses - 2).
+    """
+    rng = np.random.default_rng(31)
+    found = [fit_drawn(pair, rng, poses, drift=drift) for _ in range(count)]
+    drifting = [fitted.drift_terms > 0 for fitted, _ in found]
+    assert sum(bool(fitted.left_out) for fitted, _ in found) <= 2  # one in a thousand
+    assert np.mean(drifting) > 0.9 if drift else np.mean(drifting) < 0.02
+    total = np.mean([squared_errors(*each) for each in found])
+    low, high = chi2.ppf((0.0005, 0.9995), 21 * count) / count
+    assert low < total < high * (1 + 2 / (15 * poses - 2))
+
+
+def fit_drawn(
+    pair: tuple[SensorLog, ...], rng: np.random.Generator, poses: int, **options: float
+) -> tuple[GravityFit, Floats]:
+    readings, truth = drawn(pair, rng, poses, **options)
+    return fit_readings(readings), truth
+
+
+def test_biases_that_wander_from_pose_to_pose_are_in_the_covariance(pair: tuple[SensorLog, ...]) -> None:
+    """Biases that scatter by three times the noise: chi-squared by noise alone is 10; with each axis's own scatter,
+    known from some 24 - 4 - 48 / 6 = 12 degrees of freedom, the error squared is larger by 12 / 10 than chi-square.
+    Over 30 draws its mean is within 3.3 standard errors of that.
+    """
+    rng = np.random.default_rng(32)
+    totals, reduced, wander = [], [], []
+    for _ in range(30):
+        found, truth = fit_drawn(pair, rng, 24, wander=15.0)
+        totals.append(squared_errors(found, truth))
+        reduced += [fitted.reduced_chi_squared for fitted in found.fits]
+        wander += [fitted.repeatability_lsb for fitted in found.fits]
+    assert np.mean(reduced) == pytest.approx(1 + 15**2 / 5**2, rel=0.1)
+    assert np.sqrt(np.mean(np.square(wander))) == pytest.approx(15.0, rel=0.1)
+    assert np.mean(totals) / 21 == pytest.approx(1.2, abs=3.3 * np.std(totals) / 21 / 30**0.5)
+
+
+def test_a_drift_is_told_from_the_rest(pair: tuple[SensorLog, ...]) -> None:
+    found, _ = fit_drawn(pair, np.random.default_rng(33), 20, drift=80.0)
+    assert found.drift_terms == 1
+    # First less last; a slope over 20 poses is known to 5 sqrt(12 / 20) of a noise of 5 counts.
+    assert found.drift_lsb == pytest.approx(np.full((2, 3), -80.0), abs=6 * 5 * np.sqrt(12 / 20))
+    assert found.residual_g.max() < 4 * 5 / 2048
+    assert found.residual_apart_g.max() < 8 * 5 / 2048
+
+
+def test_a_pose_that_was_not_at_rest_is_left_out_and_named(pair: tuple[SensorLog, ...]) -> None:
+    found, truth = fit_drawn(pair, np.random.default_rng(34), 20, strange=0.05)
+    assert [each.phase for each in found.left_out] == ["pose 20"]
+    assert float(found.left_out[0].reason.split()[0]) == pytest.approx(50.0, abs=20.0)  # mg
+    assert "not at rest" in found.left_out[0].reason
+    low, high = chi2.ppf((0.0005, 0.9995), 21)
+    assert low < squared_errors(found, truth) < high
+
+
+def test_disturbed_poses_are_named_where_too_few_remain(pair: tuple[SensorLog, ...]) -> None:
+    readings, _ = drawn(pair, np.random.default_rng(35), 9)
+    readings.change_lsb[:, 3] = 100.0 * np.array([sensor.orientation.T @ (1.0, 0.0, 0.0) for sensor in pair])
+    with pytest.raises(
+        CalibrationError, match=r"8 undisturbed poses, at least 9 .* pose 4: the box moved: .* 48\.8 mg"
+    ):
+        fit_readings(readings)
+
+
+def test_poses_of_another_go_are_left_out(pair: tuple[SensorLog, ...]) -> None:
+    readings, _ = drawn(pair, np.random.default_rng(36), 12)
+    late = [pose.phase._replace(start_ns=10**12, end_ns=10**12 + 10**10) for pose in readings.poses[-1:]]
+    poses = (*readings.poses[:-1], *(Pose(phase, None) for phase in late))
+    found = fit_readings(replace(readings, poses=poses))
+    assert [each.phase for each in found.left_out] == ["pose 12"]
+    assert "11 poses that were read in one go" in found.left_out[0].reason
 
 
 @pytest.mark.parametrize("count", [0, 1, 8])

@@ -14,7 +14,7 @@ from imuarray.calibrate.poses import Pose, find_poses, named_faces, read_pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase
-from tests.calibrate.conftest import EPOCH, Floats, Part, WriteLog, accelerometer, directions, skewed
+from tests.calibrate.conftest import EPOCH, Floats, Part, WriteLog, accelerometer, directions, gyroscope, skewed
 
 RATE_HZ = 100.0
 
@@ -105,6 +105,23 @@ def test_a_box_that_is_shaken_has_no_poses(tmp_path: Path) -> None:
     felt = np.random.default_rng(4).normal(0, 0.5, (6000, 3)) + np.array([0, 0, 1])
     with open_log(felt_log(tmp_path, felt)) as log:
         assert find_poses(log) == []
+
+
+def test_a_turn_about_the_vertical_is_no_rest(tmp_path: Path) -> None:
+    """Accelerometers feel nothing of it; a gyroscope reads 5 dps for 4 of 20 s, from 8 s on."""
+    time = np.arange(2000, dtype=np.int64) * 10_000_000
+    part, path = two_sensors()[0], tmp_path / "run.h5"
+    turning = np.where((time >= 8 * 10**9) & (time < 12 * 10**9), round(5 / 0.00875), 0)
+    counts = np.random.default_rng(2).normal(40, 10, (2000, 3)) + turning[:, None] * np.array([0.0, 0.0, 1.0])
+    still = np.zeros(2000, np.uint16)
+    with LogWriter(path, [part.header, gyroscope("G")], source="simulated", epoch=EPOCH) as writer:
+        up = np.tile([0.0, 0.0, 1.0], (2000, 1))
+        writer.append(part.header.name, Block(time, part.read(up, np.random.default_rng(1)), still))
+        writer.append("G", Block(time, np.rint(counts).astype(np.int16), still))
+    with open_log(path) as log:
+        found = [(pose.phase.start_ns * 1e-9, pose.phase.end_ns * 1e-9) for pose in find_poses(log)]
+    # Windows of half a second, and one more cut off at each end.
+    assert found == [pytest.approx((0.5, 7.5)), pytest.approx((12.5, 19.0))]
 
 
 def test_a_log_too_short_to_hold_poses_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,97 @@
+"""How well a triad's fit is known: covariance of its parameters, and readings that scatter more than their noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtrc
+
+Floats = npt.NDArray[np.float64]
+
+MORE_THAN_NOISE = 0.01
+"""Residuals that noise alone makes so large less often than this are no noise: a bias wandered or the box did not
+stand as it was said to. Below, what looks like more is taken for luck."""
+
+DRIFTS = 1e-3
+"""Drift terms that fit so much better by chance less often than this are real."""
+
+_ENOUGH = 6.0
+"""So many degrees of freedom tell an axis's own scatter."""
+
+
+@dataclass(frozen=True)
+class TriadFit:
+    """One sensor's straight lines, counts on directions of gravity and other terms.
+
+    `coefficients` (3, p): rows sensor axes, columns the response to box X, Y, Z, the bias, and drift terms if any;
+    `covariance` (3 p, 3 p) over them row by row. `chi_squared` of the residuals by the noise within poses alone, with
+    `freedom` degrees; `repeatability_lsb` (3,): what readings of one axis scatter beyond that noise from pose to pose,
+    which is in the covariance; zero where nothing says so.
+    """
+
+    coefficients: Floats
+    covariance: Floats
+    chi_squared: float
+    freedom: float
+    repeatability_lsb: Floats
+
+    @property
+    def reduced_chi_squared(self) -> float:
+        """About 1 if noise within poses explains the residuals; nan if nothing is left to tell."""
+        return self.chi_squared / self.freedom if self.freedom > 0.5 else float("nan")
+
+    @property
+    def bias_covariance_lsb2(self) -> Floats:
+        """(3, 3) over the sensor axes."""
+        places = 3 + self._width * np.arange(3)
+        return np.asarray(self.covariance[np.ix_(places, places)])
+
+    @property
+    def bias_sem_lsb(self) -> Floats:
+        """(3,)."""
+        return np.sqrt(np.diag(self.bias_covariance_lsb2))
+
+    @property
+    def response_sem(self) -> Floats:
+        """(3, 3) standard errors of the response's entries."""
+        return np.sqrt(np.diag(self.covariance)).reshape(3, self._width)[:, :3]
+
+    @property
+    def _width(self) -> int:
+        return int(self.coefficients.shape[1])
+
+
+def straight_lines(mean: Floats, variance: Floats, design: Floats) -> tuple[TriadFit, Floats]:
+    """Least squares of readings (k, 3), each as heavy as the next, on a design (k, p), response columns first; and the
+    residuals (k, 3).
+
+    Scatter beyond the noise `variance` (k, 3) is each axis's own, or pooled over the three where one has too few
+    readings to tell.
+    """
+    solver = np.linalg.pinv(design)
+    coefficients = (solver @ mean).T
+    residual = mean - design @ coefficients.T
+    left = 1 - np.einsum("kp,pk->k", design, solver)
+    freedom = len(design) - int(np.linalg.matrix_rank(design))
+    squares, expected = (residual**2).sum(axis=0), np.maximum(left @ variance, 1e-300)
+    chi_squared = freedom * squares / expected
+    excess = np.maximum(squares - expected, 0.0) / max(freedom, 1)
+    if freedom < _ENOUGH:
+        excess = np.full(3, excess.mean()) * beyond_noise(float(chi_squared.sum()), 3 * freedom)
+    else:
+        excess = excess * [beyond_noise(float(each), freedom, 3) for each in chi_squared]
+    p = design.shape[1]
+    covariance = np.zeros((3 * p, 3 * p))
+    for axis in range(3):
+        place = slice(axis * p, (axis + 1) * p)
+        covariance[place, place] = (solver * (variance[:, axis] + excess[axis])) @ solver.T
+    return TriadFit(coefficients, covariance, float(chi_squared.sum()), 3.0 * freedom, np.sqrt(excess)), residual
+
+
+def beyond_noise(chi_squared: float, freedom: float, among: int = 1) -> bool:
+    """Whether residuals are larger than noise makes them but once in a hundred cases, one of `among` being looked at
+    at once.
+    """
+    return freedom > 0.5 and float(chdtrc(freedom, chi_squared)) < MORE_THAN_NOISE / among

@@ -1,0 +1,267 @@
+"""Gyroscopes from the turns between poses, with the accelerometers as reference: scale factors and axes.
+
+A gyroscope's rates, integrated from one pose to the next, must carry gravity's direction before the turn into that
+after it. Each turn says two things (a turn about the vertical is not seen) of nine, the response's inverse::
+
+    rate_box = inverse @ (counts - bias - g_sensitivity @ force)
+
+The bias over a turn is what the gyroscope read in the poses before and after it, so that drift does not matter. Rates
+are linear between readings; their rotation is that of the mean rate and the coning term ``dt^2 / 12 (w0 x w1)`` (Bortz,
+IEEE Trans. AES 7, 1971; Savage, J. Guidance 21, 1998). Nonlinear least squares; the noise that the poses show, carried
+through a turn, is the weight, raised where residuals say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, worst
+from imuarray.calibrate.fits import beyond_noise
+from imuarray.calibrate.model import SensorCalibration
+from imuarray.calibrate.poses import Pose, read_pose
+from imuarray.log import SensorLog
+from imuarray.log.format import SATURATED, SUSPECT
+from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
+
+Floats = npt.NDArray[np.float64]
+
+FEWEST_TURNS = 6
+"""Twelve equations for nine unknowns."""
+
+LONGEST_S = 20.0
+"""A turn that takes longer is left out: what it adds of noise and bias outgrows what it tells."""
+
+_GAP = 3.0
+"""A pause between readings of so many usual ones is a hole in the integral."""
+
+_TOLD = 0.01
+"""A response whose standard error is a larger share of the sensitivity than this was not measured: data sheets promise
+three per cent."""
+
+_FAR_DEG = 0.3
+"""A turn that misses by less is not left out, however well the others fit."""
+
+_PRIOR = 0.3
+"""How far from the data sheet a response may be, as a share of the sensitivity: ten times what is promised. It keeps
+what no turn tells in place."""
+
+_ITERATIONS = 10
+
+
+@dataclass(frozen=True)
+class TurnFit:
+    """One gyroscope's response from turns.
+
+    `response` (3, 3) in counts per dps and its standard errors `sem`; `untold`: the box axes about which too little was
+    turned, whose columns are not known to one per cent; `turns` that were used, `residual_deg` rms of the directions
+    that they missed by, `chi_squared` by the noise at rest with `freedom` degrees, and turns `left_out`.
+    """
+
+    response: Floats
+    sem: Floats
+    covariance: Floats
+    untold: str
+    turns: int
+    residual_deg: float
+    chi_squared: float
+    freedom: int
+    left_out: tuple[LeftOut, ...]
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """The way from one pose to the next: steps between readings (n - 1,) in s, mean counts less bias (n, 3), gravity
+    before and after (3,), the variance of its end in rad^2 by the gyroscope's noise, a name, and the place of the pose
+    before it.
+    """
+
+    name: str
+    log: str
+    place: int
+    steps_s: Floats
+    counts: Floats
+    before: Floats
+    after: Floats
+    variance: float
+
+
+def fit_turns(
+    sensor: SensorLog,
+    known: SensorCalibration,
+    poses: Sequence[Pose],
+    up_box: Floats,
+    up_covariance: Floats,
+    accelerometers: Sequence[tuple[SensorLog, SensorCalibration]] = (),
+) -> TurnFit | None:
+    """A gyroscope's response from the turns between neighbouring `poses`, in which `up_box` (k, 3) pointed up, with
+    covariance (3 k, 3 k); None if fewer than six turns can be used.
+
+    `known` has its g-sensitivity; the calibrated `accelerometers` say what it felt on the way.
+    """
+    good: list[_Turn] = []
+    left_out: list[LeftOut] = []
+    for place, (first, second) in enumerate(pairwise(poses)):
+        if first.log is not second.log:
+            continue
+        turn = _turn(sensor, known, (first, second), place, up_box, accelerometers)
+        if isinstance(turn, LeftOut):
+            left_out.append(turn)
+        else:
+            good.append(turn)
+    while len(good) >= FEWEST_TURNS:
+        fit, chances, off = _fit(sensor, good, up_covariance, left_out)
+        strange = worst(chances, off, np.radians(_FAR_DEG))
+        if strange is None:
+            return fit
+        reason = f"ends {np.degrees(off[strange]):.2f} degrees from where the other turns let it end"
+        left_out.append(LeftOut(good[strange].name, good[strange].log, reason))
+        good.pop(strange)
+    return None
+
+
+def _turn(
+    sensor: SensorLog,
+    known: SensorCalibration,
+    ends: tuple[Pose, Pose],
+    place: int,
+    up_box: Floats,
+    accelerometers: Sequence[tuple[SensorLog, SensorCalibration]],
+) -> _Turn | LeftOut:
+    """What the gyroscope read between two poses, the first at `place`; a note where that can't be integrated."""
+    (first, second), before, after = ends, up_box[place], up_box[place + 1]
+    here, _ = first.rows_of(sensor)
+    name, log = f"{first.phase.name} to {second.phase.name}", "" if first.log is None else str(first.log.path)
+    inside = here.between(first.phase.end_ns, second.phase.start_ns)
+    rows = slice(max(inside.start - 1, 0), inside.stop + 1)
+    time = np.asarray(here.time[rows]) * 1e-9
+    seconds = float(time[-1] - time[0])
+    readings = [read_pose(sensor, pose) for pose in (first, second)]
+    rests_s = [(pose.phase.end_ns - pose.phase.start_ns) * 1e-9 for pose in (first, second)]
+    usual_s = rests_s[0] / readings[0].rows
+    clipped = int(np.count_nonzero(np.asarray(here.status[rows]) & (SATURATED | SUSPECT)))
+    if clipped:
+        return LeftOut(name, log, f"{clipped} readings clip or are suspect")
+    if seconds > LONGEST_S:
+        return LeftOut(name, log, f"took {seconds:.0f} s")
+    if len(time) < 4 or np.diff(time).max() > _GAP * usual_s:
+        return LeftOut(name, log, "readings are missing")
+    share = ((time - time[0]) / seconds)[:, None]
+    means = [reading.mean_lsb for reading in readings]
+    counts = np.asarray(here.counts[rows], float) - means[0] - share * (means[1] - means[0])
+    if accelerometers and known.g_sensitivity_lsb_per_g is not None:
+        felt = _felt_g(accelerometers, first, time) - before - share * (after - before)
+        counts = counts - felt @ known.g_sensitivity_lsb_per_g.T
+    rad_per_lsb = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
+    mean_variance = np.array([np.mean(reading.sem_lsb**2) for reading in readings]) * rad_per_lsb**2
+    white = float(np.mean(mean_variance * rests_s))  # rad^2/s: a mean's variance times the time that it took
+    variance = white * seconds + float(mean_variance.sum()) * seconds**2 / 4
+    return _Turn(name, log, place, np.diff(time), counts, before, after, max(variance, 1e-12))
+
+
+def _felt_g(accelerometers: Sequence[tuple[SensorLog, SensorCalibration]], pose: Pose, time_s: Floats) -> Floats:
+    """(n, 3) specific force in g in the box frame at these times: the mean of all accelerometers."""
+    forces = []
+    for sensor, known in accelerometers:
+        here, _ = pose.rows_of(sensor)
+        rows = here.between(round(time_s[0] * 1e9) - 10**8, round(time_s[-1] * 1e9) + 10**8)
+        own = np.asarray(here.time[rows]) * 1e-9
+        force = known.stimulus_box(np.asarray(here.counts[rows])) / STANDARD_GRAVITY
+        forces.append(np.stack([np.interp(time_s, own, column) for column in force.T], axis=1))
+    return np.asarray(np.mean(forces, axis=0))
+
+
+def _fit(
+    sensor: SensorLog, turns: Sequence[_Turn], up_covariance: Floats, left_out: Sequence[LeftOut]
+) -> tuple[TurnFit, list[float], Floats]:
+    """The response from all `turns`; for each of them the chance that it misses as far as it does, and how far in
+    radians, by what the others say.
+    """
+    nominal = np.asarray(sensor.orientation) * SI_PER_UNIT[sensor.unit] / sensor.sensitivity
+    prior = (_PRIOR * SI_PER_UNIT[sensor.unit] / sensor.sensitivity) ** -2
+    inverse = nominal.copy()
+    for _ in range(_ITERATIONS):
+        parts = [_missed(turn, inverse) for turn in turns]
+        missed = np.concatenate([part.missed for part in parts])
+        slopes = np.concatenate([part.slope for part in parts])
+        weight = np.linalg.inv(_variance(turns, parts, up_covariance))
+        own = np.linalg.inv(slopes.T @ weight @ slopes + prior * np.eye(9))
+        step = own @ (slopes.T @ weight @ missed + prior * (nominal - inverse).ravel())
+        inverse = inverse + step.reshape(3, 3)
+        if np.abs(step).max() < 1e-7 * np.abs(nominal).max():
+            break
+    chi_squared, freedom = float(missed @ weight @ missed), 2 * len(turns) - 9
+    excess = chi_squared / freedom if beyond_noise(chi_squared, freedom) else 1.0
+    chances, off = _each_alone(missed, weight - weight @ slopes @ own @ slopes.T @ weight, chi_squared, freedom)
+    response = np.asarray(np.linalg.inv(inverse), float) * SI_PER_UNIT[sensor.unit]
+    change = -np.einsum("ia,bj->ijab", response, response).reshape(9, 9) / SI_PER_UNIT[sensor.unit]
+    covariance = excess * change @ own @ change.T
+    sem = np.sqrt(np.diag(covariance)).reshape(3, 3)
+    untold = "".join("XYZ"[axis] for axis in range(3) if sem[:, axis].max() > _TOLD * sensor.sensitivity)
+    residual_deg = float(np.degrees(np.sqrt((missed**2).sum() / len(turns))))
+    fit = TurnFit(response, sem, covariance, untold, len(turns), residual_deg, chi_squared, freedom, tuple(left_out))
+    return fit, chances, off
+
+
+def _variance(turns: Sequence[_Turn], parts: Sequence[_Missed], up_covariance: Floats) -> Floats:
+    """(2 t, 2 t) of what turns miss by: the gyroscope's noise, and the directions at both ends, which neighbours
+    share.
+    """
+    answer = np.zeros((2 * len(turns), len(up_covariance)))
+    for row, (turn, part) in enumerate(zip(turns, parts, strict=True)):
+        ends = slice(3 * turn.place, 3 * turn.place + 6)
+        answer[2 * row : 2 * row + 2, ends] = part.across @ np.hstack([-part.onward, np.eye(3)])
+    own = np.repeat([turn.variance for turn in turns], 2)
+    return np.asarray(answer @ up_covariance @ answer.T + np.diag(own))
+
+
+def _each_alone(missed: Floats, projected: Floats, chi_squared: float, freedom: int) -> tuple[list[float], Floats]:
+    """For each turn the chance that it misses as far as it does by the scatter of the others, and how far (t,): the
+    shift that would explain it, of the projected weights (2 t, 2 t).
+    """
+    pulls = (projected @ missed).reshape(-1, 2)
+    blocks = np.array([projected[row : row + 2, row : row + 2] for row in range(0, len(missed), 2)])
+    alone = np.linalg.solve(blocks, pulls[:, :, None])[:, :, 0]
+    gains = (pulls * alone).sum(axis=1)
+    chances = [chance_of_misfit(chi_squared, chi_squared - float(gain), 2, freedom - 2) for gain in gains]
+    return chances, np.linalg.norm(alone, axis=1)
+
+
+@dataclass(frozen=True)
+class _Missed:
+    """How far (2,) the rates carry gravity beside where it was, in radians along two directions `across` (2, 3) it; the
+    derivative (2, 9) of where they carry it by the inverse response, row by row; and the turn (3, 3) `onward`.
+    """
+
+    missed: Floats
+    slope: Floats
+    across: Floats
+    onward: Floats
+
+
+def _missed(turn: _Turn, inverse: Floats) -> _Missed:
+    """Carry gravity through a turn."""
+    rates = turn.counts @ inverse.T
+    steps = turn.steps_s[:, None]
+    angles = steps * (rates[1:] + rates[:-1]) / 2 + steps**2 / 12 * np.cross(rates[:-1], rates[1:])
+    onward = _products(Rotation.from_rotvec(angles).as_matrix())
+    carried = onward[0].T @ turn.before
+    across = np.linalg.svd(turn.after[None])[2][1:]
+    middle = steps * (turn.counts[1:] + turn.counts[:-1]) / 2
+    turned = np.einsum("nji,nl->ijl", np.concatenate([onward[1:], np.eye(3)[None]]), middle).reshape(3, 9)
+    slope = across @ np.cross(carried[None], turned.T).T
+    return _Missed(across @ (turn.after - carried), slope, across, onward[0].T)
+
+
+def _products(rotations: Floats) -> Floats:
+    """(n, 3, 3): the product of each rotation and all that follow it, in log2 n steps."""
+    products, reach = rotations.copy(), 1
+    while reach < len(products):
+        products[:-reach] = products[:-reach] @ products[reach:]
+        reach *= 2
+    return products

@@ -1,0 +1,92 @@
+"""What `imuarray calibrate thermal` says."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from imuarray.calibrate import SensorCalibration, ThermalResult
+    from imuarray.calibrate.opposed import OpposedSlopes
+    from imuarray.calibrate.thermal import Heating
+
+
+def report_of(result: ThermalResult) -> dict[str, Any]:
+    """Every sensor's slopes, every sensor in every log, and the opposing pairs with their p-values, of `pairs` looked
+    at at once (Holm), JSON-ready.
+    """
+    from imuarray.calibrate import holm
+
+    cancels = holm([pair.p_cancels for pair in result.pairs])
+    nothing = holm([pair.p_nothing_left for pair in result.pairs])
+    return {
+        "sensors": [_sensor(sensor) for sensor in result.calibration.sensors.values()],
+        "heatings": [_heating(heating) for heating in result.heatings],
+        "pairs": [_pair(*each) for each in zip(result.pairs, cancels.tolist(), nothing.tolist(), strict=True)],
+    }
+
+
+def _sensor(sensor: SensorCalibration) -> dict[str, Any]:
+    """What the calibration file keeps."""
+    from imuarray.calibrate.entries import to_table
+
+    return {"name": sensor.name, "unit": sensor.unit, **to_table(sensor.thermal)}
+
+
+def _heating(heating: Heating) -> dict[str, Any]:
+    fit = heating.fit
+    return {
+        "sensor": heating.sensor,
+        "log": heating.log,
+        "thermometer": heating.thermometer,
+        "span_degc": list(heating.span_degc),
+        "gravity_g": heating.gravity_g.tolist(),
+        "slope_lsb_per_degc": fit.slope_lsb_per_degc.tolist(),
+        "slope_sem_lsb_per_degc": fit.slope_sem_lsb_per_degc.tolist(),
+        "drift_lsb_per_s": fit.drift_lsb_per_s.tolist(),
+        "quadratic_lsb_per_degc2": fit.quadratic_lsb_per_degc2.tolist(),
+        "lag_s": fit.lag_s,
+        "lag_interval_s": fit.lag_interval_s.tolist(),
+    }
+
+
+def _pair(pair: OpposedSlopes, cancels: float, nothing: float) -> dict[str, Any]:
+    return {**vars(pair), "p_cancels": cancels, "p_nothing_left": nothing}
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """Slopes of every axis, then what opposing axes cancel."""
+    for log in dict.fromkeys(heating["log"] for heating in report["heatings"]):
+        first = next(heating for heating in report["heatings"] if heating["log"] == log)
+        low, high = first["span_degc"]
+        click.echo(f"{log}: {low:.1f} to {high:.1f} degC by {first['thermometer']}")
+    click.echo(f"{'axis':14} {'slope':>10} {'+-':>8}  {'lag':>6} {'95 % from':>9} {'to':>6}  of")
+    click.echo(f"{'':14} {'LSB/degC':>10} {'':>8}  {'s':>6} {'s':>9} {'s':>6}")
+    for row in report["sensors"]:
+        low, high = row.get("lag_interval_s", (row["lag_s"], row["lag_s"]))
+        for index, axis in enumerate("xyz"):
+            slope, sem = row["slope_lsb_per_degc"][index], row["slope_sem_lsb_per_degc"][index]
+            line = f"{row['name'] + ' ' + axis:14} {slope:10.4f} {sem:8.4f}  {row['lag_s']:6.0f} {low:9.0f} {high:6.0f}"
+            click.echo(f"{line}  {row['meaning'][index]}{_scale(row, index)}")
+    _print_pairs(report["pairs"])
+
+
+def _scale(row: dict[str, Any], index: int) -> str:
+    """The slope of the scale factor, if it is known."""
+    slopes, sems = row.get("scale_slope_per_degc"), row.get("scale_slope_sem_per_degc")
+    if not slopes or not sems or slopes[index] is None:
+        return ""
+    return f"; scale {1e6 * slopes[index]:+.0f} +- {1e6 * sems[index]:.0f} ppm/degC"
+
+
+def _print_pairs(pairs: list[dict[str, Any]]) -> None:
+    if pairs:
+        click.echo("opposing axes of one design: slopes, and half their difference, which is what their mean drifts by")
+        click.echo(f"  {'':25} {'LSB/degC':>9} {'LSB/degC':>9} {'half':>9} {'+-':>8} {'less by':>8} {'p cancels':>9}")
+    for pair in pairs:
+        less = "-" if pair["reduction"] is None else f"{pair['reduction']:.1f}"
+        line = f"  {pair['first']} and {pair['second']}"
+        line = f"{line:27} {pair['slope_first']:9.4f} {pair['slope_second']:9.4f} {pair['half_difference']:9.4f}"
+        line += f" {pair['sem']:8.4f} {less:>8} {pair['p_cancels']:9.2g}"
+        click.echo(line + ("" if pair["is_bias"] else "  (bias or scale)"))

@@ -1,0 +1,183 @@
+"""What `imuarray calibrate tumble` says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from imuarray.units import READABLE
+
+if TYPE_CHECKING:
+    from imuarray.calibrate import Tumble, TurnFit
+    from imuarray.calibrate.fits import TriadFit
+    from imuarray.log import Log, SensorLog
+
+
+def report_of(log: Log, result: Tumble) -> dict[str, Any]:
+    """Everything that was found, JSON-ready; residuals in mg, biases in g or dps, what can't be told None."""
+    from imuarray.calibrate import cancellation
+
+    inertial = [sensor for sensor in log.sensors.values() if sensor.name in result.calibration.sensors]
+    return {
+        "method": result.method,
+        "poses": result.poses,
+        "residual_mg": {name: 1e3 * value for name, value in result.residual_g.items()},
+        "residual_apart_mg": {name: 1e3 * value for name, value in result.residual_apart_g.items()},
+        "residual_steady_mg": {name: 1e3 * value for name, value in result.residual_steady_g.items()},
+        "pose_residuals_mg": {
+            name: dict(zip(result.pose_names, (1e3 * residual).tolist(), strict=True))
+            for name, residual in result.pose_residual_g.items()
+        },
+        "left_out": [vars(each) for each in result.left_out],
+        "sensors": [_sensor(sensor, result) for sensor in inertial],
+        "cancellation": [vars(pair) for pair in cancellation(inertial, result.calibration)],
+    }
+
+
+def _sensor(sensor: SensorLog, result: Tumble) -> dict[str, Any]:
+    """One sensor's Appendix B figures; the matrices, too."""
+    known = result.calibration.of(sensor)
+    row: dict[str, Any] = {
+        "name": sensor.name,
+        "chip": sensor.chip,
+        "quantity": sensor.quantity,
+        "range": sensor.range,
+        "unit": sensor.unit,
+        "bias_lsb": known.bias_lsb.tolist(),
+        "bias_sem_lsb": None if known.bias_sem_lsb is None else known.bias_sem_lsb.tolist(),
+        "bias": known.bias_in_units().tolist(),
+    }
+    if sensor.quantity == "specific_force":
+        row["scale_lsb_per_g"] = known.scale_lsb_per_unit.tolist()
+        row["azimuth_deg"], row["elevation_deg"] = known.azimuth_elevation_deg().T.tolist()
+        row["response_lsb_per_g"] = known.response_lsb_per_unit.tolist()
+    if known.g_sensitivity_lsb_per_g is not None and known.g_sensitivity_sem_lsb_per_g is not None:
+        row["g_sensitivity_lsb_per_g"] = known.g_sensitivity_lsb_per_g.tolist()
+        row["g_sensitivity_sem_lsb_per_g"] = known.g_sensitivity_sem_lsb_per_g.tolist()
+    if sensor.name in result.drift_lsb:
+        row["drift_lsb"] = result.drift_lsb[sensor.name].tolist()
+    if sensor.name in result.fits:
+        row |= _fit(result.fits[sensor.name])
+    if sensor.name in result.turns:
+        row["turns"] = _turns(result.turns[sensor.name])
+    return row
+
+
+def _fit(fit: TriadFit) -> dict[str, Any]:
+    return {
+        "reduced_chi_squared": fit.reduced_chi_squared,
+        "freedom": fit.freedom,
+        "repeatability_lsb": fit.repeatability_lsb.tolist(),
+    }
+
+
+def _turns(fit: TurnFit) -> dict[str, Any]:
+    return {
+        "used": fit.turns,
+        "untold": fit.untold,
+        "response_lsb_per_dps": fit.response.tolist(),
+        "sem_lsb_per_dps": fit.sem.tolist(),
+        "residual_deg": fit.residual_deg,
+        "reduced_chi_squared": fit.chi_squared / fit.freedom,
+        "left_out": [vars(each) for each in fit.left_out],
+    }
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """Appendix B and Table 4, gyroscopes by turns, residuals, what was left out, and what opposing axes cancel."""
+    how = "named faces (Appendix B)" if report["method"] == "faces" else "static poses found in the log"
+    click.echo(f"{report['poses']} {how}")
+    _print_axes(report["sensors"])
+    _print_g_sensitivity([row for row in report["sensors"] if "g_sensitivity_lsb_per_g" in row], report["method"])
+    _print_turns([row for row in report["sensors"] if "turns" in row])
+    _print_residuals(report)
+    for each in report["left_out"]:
+        click.echo(f"left out: {each['phase']}: {each['reason']}")
+    _print_cancellation(report["cancellation"])
+
+
+def _print_axes(rows: Sequence[dict[str, Any]]) -> None:
+    click.echo(f"{'axis':14} {'bias':>10} {'+-':>7} {'bias':>10}      {'scale':>10} {'azimuth':>8} {'elevation':>9}")
+    click.echo(f"{'':14} {'LSB':>10} {'LSB':>7} {'mg or dps':>10}      {'LSB/g':>10} {'deg':>8} {'deg':>9}")
+    for row in rows:
+        factor, unit = READABLE[row["unit"]]
+        for index, axis in enumerate("xyz"):
+            line = f"{row['name'] + ' ' + axis:14} {row['bias_lsb'][index]:10.3f} "
+            line += f"{row['bias_sem_lsb'][index]:7.3f} " if row["bias_sem_lsb"] else " " * 8
+            line += f"{factor * row['bias'][index]:10.3f} {unit:3}  "
+            if "scale_lsb_per_g" in row:
+                angles = f"{row['azimuth_deg'][index]:8.2f} {row['elevation_deg'][index]:9.2f}"
+                line += f"{row['scale_lsb_per_g'][index]:10.2f} {angles}"
+            click.echo(line.rstrip())
+
+
+def _print_g_sensitivity(rows: Sequence[dict[str, Any]], method: str) -> None:
+    """The matrix by box axes; in brackets what two standard errors, or between faces half the drift, make alone."""
+    by_drift = "" if method == "gravity" else ", or than half the drift"
+    if rows:
+        click.echo(
+            f"g-sensitivity (LSB/g) along box X, Y, Z; [in brackets] no larger than two standard errors{by_drift}"
+        )
+    for row in rows:
+        values, sems = np.array(row["g_sensitivity_lsb_per_g"]), np.array(row["g_sensitivity_sem_lsb_per_g"])
+        drift = np.abs(np.array(row["drift_lsb"]))[:, None] / 2 * (method == "faces")
+        doubtful = (np.abs(values) < 2 * sems) | (np.abs(values) < drift)
+        for index, axis in enumerate("xyz"):
+            cells = [
+                f"{f'[{value:.3f}]' if doubted else f'{value:.3f} ':>10} +-{sem:6.3f}"
+                for value, sem, doubted in zip(values[index], sems[index], doubtful[index], strict=True)
+            ]
+            click.echo(f"{row['name'] + ' ' + axis:14} {' '.join(cells)}")
+
+
+def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
+    """Response to rates about the box axes; what turns do not tell."""
+    if rows:
+        click.echo("response (LSB/dps) to rates about box X, Y, Z, from turns between poses")
+    for row in rows:
+        turns = row["turns"]
+        response, sem = np.array(turns["response_lsb_per_dps"]), np.array(turns["sem_lsb_per_dps"])
+        for index, axis in enumerate("xyz"):
+            cells = [f"{a:10.3f} +-{b:6.3f}" for a, b in zip(response[index], sem[index], strict=True)]
+            click.echo(f"{row['name'] + ' ' + axis:14} {' '.join(cells)}")
+        told = f"; not told, so the data sheet stays: turns about box {', '.join(turns['untold'])} are wanted"
+        click.echo(
+            f"{'':14} {turns['used']} turns, missed by {turns['residual_deg']:.2f} deg rms"
+            f"{told if turns['untold'] else ''}"
+        )
+        for each in turns["left_out"]:
+            click.echo(f"{'':14} left out: {each['phase']}: {each['reason']}")
+
+
+def _print_residuals(report: dict[str, Any]) -> None:
+    """Rms over the poses in mg: as fitted, in poses left out in turn, and by the bias that is kept; the drift."""
+    click.echo("length of the calibrated specific force less 1 g, rms over the poses (mg):")
+    click.echo(
+        f"{'':14} {'fitted':>8} {'others':>8} {'steady':>8}   {'over noise':>10}   worst pose, drift of the bias"
+    )
+    rows = {row["name"]: row for row in report["sensors"]}
+    for name, value in report["residual_mg"].items():
+        apart, reduced = report["residual_apart_mg"].get(name), rows[name].get("reduced_chi_squared")
+        cells = [f"{'-' if each is None else f'{each:.3f}':>8}" for each in (value, apart)]
+        cells += [
+            f"{report['residual_steady_mg'][name]:8.3f}",
+            f"{'-' if reduced is None else f'{reduced**0.5:.2f}':>12}",
+        ]
+        worst = max(report["pose_residuals_mg"][name].items(), key=lambda pair: abs(pair[1]))
+        scales = zip(rows[name]["drift_lsb"], rows[name]["scale_lsb_per_g"], strict=True)
+        drift = " ".join(f"{-1e3 * change / scale:+.2f}" for change, scale in scales)
+        click.echo(f"{name:14} {' '.join(cells)}   {worst[0]} {worst[1]:+.3f}, {drift}")
+    click.echo("fitted: drift allowed for; others: poses left out in turn; steady: by the mean bias, which is kept")
+
+
+def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
+    click.echo("bias in the box frame: axes of one design that point along, those against, and both ways averaged")
+    for pair in pairs:
+        factor, unit = READABLE[pair["unit"]]
+        line = f"  {pair['chip']:10} {pair['box_axis']}:"
+        for key in ("along", "against", "opposed"):
+            line += f"  {key} {'none' if pair[key] is None else f'{factor * pair[key]:.2f}':>9}"
+        click.echo(f"{line}  single rms {factor * pair['single_rms']:9.2f} {unit}")

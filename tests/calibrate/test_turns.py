@@ -1,0 +1,160 @@
+"""Gyroscopes from the turns between poses: planted responses found within their covariance, and what can't be told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from imuarray.calibrate import Tumble, calibrate_tumble
+from imuarray.calibrate.turns import _missed, _Turn
+from imuarray.log import open_log
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.g_sensitivity import GSensitivity
+from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from tests.calibrate.conftest import Floats, Part, WriteLog, accelerometer, directions, gyroscope, ideal
+from tests.calibrate.tumbled import Tumbled, attitudes, record
+
+ACCELEROMETERS = ("BMA1", "BMA2")
+GYROSCOPES = ("Gyro1", "Gyro3")
+SCALE = (0.02, -0.03, 0.015)
+LEAN = Misalignment((0.5, -1.0, 0.8, 0.3, -0.6, 1.2))
+G_SENSITIVITY = (0.10, -0.05, 0.02, 0.03, 0.08, -0.06, -0.04, 0.01, 0.07)
+"""dps per g."""
+
+
+def effects(noise_g: float, noise_dps: float) -> dict[str, tuple[Effect, ...]]:
+    """Ideal accelerometers but for noise and bias; gyroscopes with errors of all kinds that a tumble tells."""
+    still = {name: (WhiteNoise((noise_g,) * 3), Bias((0.1, -0.05, 0.02))) for name in ACCELEROMETERS}
+    turning = (
+        WhiteNoise((noise_dps,) * 3),
+        Bias((0.5, -0.7, 0.3)),
+        Scale(SCALE),
+        LEAN,
+        GSensitivity(G_SENSITIVITY),
+    )
+    return {**still, **dict.fromkeys(GYROSCOPES, turning)}
+
+
+def planted(sensitivity: float, orientation: Floats) -> Floats:
+    """The response (3, 3) in counts per dps that the effects make of an ideal sensor's."""
+    leaning = np.eye(3) + np.tan(np.radians([[0, 0.5, -1.0], [0.8, 0, 0.3], [-0.6, 1.2, 0]]))
+    leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
+    return np.asarray(sensitivity * np.diag(1 + np.array(SCALE)) @ leaning @ orientation.T)
+
+
+def tumble(
+    path: Path, motion: Tumbled, noise_g: float, noise_dps: float, seed: int, gyroscopes: tuple[str, ...] = GYROSCOPES
+) -> tuple[Tumble, dict[str, Floats]]:
+    """What a calibration of a simulated log finds, and the true responses."""
+    record(path, motion, effects(noise_g, noise_dps), seed=seed, only=(*ACCELEROMETERS, *gyroscopes))
+    with open_log(path) as log:
+        truth = {name: planted(log[name].sensitivity, log[name].orientation) for name in gyroscopes}
+        return calibrate_tumble(log), truth
+
+
+def test_responses_are_within_their_covariance(tmp_path: Path) -> None:
+    """Noise of the paper's chips; the mean over 12 draws of a normalised error squared with nine parameters is
+    chi-square with 108 degrees of freedom over 12; two-sided error rate 1e-3. Bias and g-sensitivity, within six
+    standard errors each.
+    """
+    squares = []
+    for seed in range(6):
+        motion = Tumbled(attitudes(12, np.random.default_rng(seed)))
+        result, truth = tumble(tmp_path / f"{seed}.h5", motion, 0.017, 0.18, seed)
+        for name, true in truth.items():
+            fit, known = result.turns[name], result.calibration.sensors[name]
+            error = (fit.response - true).ravel()
+            squares.append(error @ np.linalg.solve(fit.covariance, error))
+            assert fit.untold == "" and fit.turns == 11 and fit.left_out == ()
+            assert known.response_lsb_per_unit == pytest.approx(fit.response)
+            per_dps = np.linalg.norm(true, axis=1).mean() / (1 + np.mean(SCALE))
+            assert known.bias_sem_lsb is not None and known.g_sensitivity_lsb_per_g is not None
+            assert known.g_sensitivity_sem_lsb_per_g is not None
+            assert np.abs(known.bias_lsb - per_dps * np.array([0.5, -0.7, 0.3])).max() < 6 * known.bias_sem_lsb.max()
+            with open_log(tmp_path / f"{seed}.h5") as log:
+                pull = per_dps * np.array(G_SENSITIVITY).reshape(3, 3) @ log[name].orientation.T
+            off = np.abs(known.g_sensitivity_lsb_per_g - pull) / known.g_sensitivity_sem_lsb_per_g
+            assert off.max() < 6
+    low, high = chi2.ppf((0.0005, 0.9995), 9 * len(squares)) / len(squares)
+    assert low < np.mean(squares) < high
+
+
+def test_turns_about_one_axis_do_not_tell_the_others(tmp_path: Path) -> None:
+    """Ten poses on a cone tell the accelerometers' parameters, but every turn is about one box axis."""
+    still = Rotation.from_euler("xy", [[0, 0], [0, 40], [0, 80]], degrees=True)
+    steps = Rotation.from_rotvec(np.outer(np.arange(14) * np.radians(55), (1.0, 0.0, 0.0)))
+    # Rows about box X; two changes of the cone about other axes leave their turns too few to tell Y and Z.
+    made = Rotation.concatenate([still[0] * steps[:6], still[1] * steps[6:10], still[2] * steps[10:]])
+    result, _ = tumble(tmp_path / "run.h5", Tumbled(made), 0.017, 0.18, 1, ("Gyro3",))
+    fit, known = result.turns["Gyro3"], result.calibration.sensors["Gyro3"]
+    assert "X" not in fit.untold
+    assert fit.untold
+    assert known.response_sem_lsb_per_unit is None
+    assert np.abs(known.response_lsb_per_unit).max() == pytest.approx(1 / 0.00875)
+
+
+def test_turns_that_clip_are_left_out_and_named(tmp_path: Path) -> None:
+    """A turn's rate is 2.19 times the mean one at its peak (35 / 16, the smooth step's slope): within 1 s those of more
+    than 114 degrees may clip at 250 dps, and only those.
+    """
+    motion = Tumbled(attitudes(16, np.random.default_rng(5), 60, 170), turn_s=1.0)
+    result, _ = tumble(tmp_path / "run.h5", motion, 0.002, 0.03, 1)
+    angles = np.degrees(np.linalg.norm(motion.turns[:-1], axis=1))
+    fast = result.turns["Gyro3"]
+    assert fast.left_out and all("clip" in each.reason for each in fast.left_out)
+    assert fast.turns + len(fast.left_out) == 15
+    assert 0 < len(fast.left_out) <= np.count_nonzero(angles > 250 * 16 / 35 / 1.05)
+    assert result.turns["Gyro1"].turns == 15
+
+
+def test_rates_are_carried_as_if_they_were_linear_between_readings() -> None:
+    """Against a product of fifty times as many small turns; without the coning term it would be off by 100 times more.
+
+    Random rates of some 100 dps that change direction from reading to reading, 20 ms apart.
+    """
+    rng = np.random.default_rng(6)
+    rates = np.radians(rng.normal(0, 60, (40, 3)))
+    fine = (np.arange(39 * 50) + 0.5) / 50
+    small = np.stack([np.interp(fine, np.arange(40), column) for column in rates.T], axis=1)
+    attitude = Rotation.identity()
+    for rate in small:
+        attitude = attitude * Rotation.from_rotvec(rate * 0.02 / 50)
+    for up in np.eye(3):
+        turn = _Turn("a to b", "", 0, np.full(39, 0.02), rates, up, attitude.inv().apply(up), 1.0)
+        assert np.abs(_missed(turn, np.eye(3)).missed).max() < 3e-6
+
+
+def test_a_cone_is_carried_through() -> None:
+    """Attitude Rz(a) Ry(30 degrees) Rz(-a), whose rate is a' (z seen from the box less z), in 400 steps a cone.
+
+    What lies between readings is not known: trapezoids err by (2 pi / 400)^2 / 12 of what they integrate.
+    """
+    around = 2 * np.pi * np.linspace(0, 0.7, 281)
+    made = Rotation.from_euler("z", around[:, None]) * Rotation.from_rotvec([0.0, np.radians(30.0), 0.0])
+    made = made * Rotation.from_euler("z", -around[:, None])
+    rates = 2 * np.pi * (made.inv().apply([0.0, 0.0, 1.0]) - [0.0, 0.0, 1.0])
+    for up in np.eye(3):
+        turn = _Turn("", "", 0, np.full(280, 1 / 400), rates, made[0].inv().apply(up), made[-1].inv().apply(up), 1.0)
+        assert np.abs(_missed(turn, np.eye(3)).missed).max() < 2 * (2 * np.pi / 400) ** 2 / 12 * around[-1] / 2
+
+
+def test_too_few_turns_tell_nothing(write_log: WriteLog) -> None:
+    """Readings are missing in all turns but one: the response stays the data sheet's."""
+    ups = directions(14, np.random.default_rng(3))
+    parts = [
+        Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 5.0),
+        Part(gyroscope("G"), np.zeros((3, 3)), np.zeros(3), 2.0),
+    ]
+    keep = lambda name, time: np.asarray((name == "A") | (time * 1e-7 % 350 < 300) | (time < 4 * 10**9))  # noqa: E731
+    with open_log(write_log(parts, ups, rows=300, moving_rows=50, keep=keep)) as log:
+        result = calibrate_tumble(log)
+    assert result.poses == 14
+    assert result.turns == {}
+    assert result.calibration.sensors["G"].response_sem_lsb_per_unit is None
