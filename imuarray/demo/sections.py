@@ -114,8 +114,7 @@ def noise_section(noise: dict[str, Any]) -> Section:
             ),
             Figure(
                 allan_figure(noise),
-                "Allan deviation: straight lines of slope -1/2 are white noise; a curve "
-                "that flattens shows drift.",
+                "Allan deviation: straight lines of slope -1/2 are white noise; a curve that flattens shows drift.",
                 "Allan deviation curves of every inertial sensor axis",
             ),
         ],
