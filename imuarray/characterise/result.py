@@ -37,10 +37,12 @@ def characterise_log(
     progress: Progress | None = None,
     estimator: Estimator | None = None,
     scales: Mapping[str, Sequence[float]] = MappingProxyType({}),
+    stretch: Stretch | None = None,
 ) -> dict[str, Any]:
     """Noise of the triads of `log` (or of the `sensors` named, of any kind) in one stretch at rest.
 
-    `phase` names the stretch; without it the longest phase at rest is taken, or the whole log; `stretch` says which.
+    `phase` names the stretch; without it the longest phase at rest is taken, else a `stretch` that somebody found to be
+    at rest, else the whole log; the result says which.
     `scales`: counts per unit of a sensor's axes (3,), where a calibration knows better than the data sheet.
     `estimator` of the Allan deviation; None: overlapping, or for long runs decimated (`survey.EXACT_ROWS`).
     `progress` is called after every column. LogError for an unknown phase or sensor, or a log without triads.
@@ -48,16 +50,19 @@ def characterise_log(
     chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
     if not chosen:
         raise LogError(f"{log.path}: no accelerometer, gyroscope or magnetometer in it")
-    stretch = choose_stretch(log, phase)
+    chosen_stretch = choose_stretch(log, phase)
+    if chosen_stretch.phase is None and stretch is not None:
+        chosen_stretch = stretch
     result = {
         "log": str(log.path),
         "source": log.source,
         "software": log.software,
-        "stretch": _stretch(stretch),
+        "stretch": _stretch(chosen_stretch),
         "confidence": CONFIDENCE,
         "left_out_of_statistics": [name for name, flag in FLAGS.items() if flag & LEFT_OUT],
         "sensors": [
-            _sensor(sensor, stretch, estimator, scales.get(sensor.name), progress or _nothing) for sensor in chosen
+            _sensor(sensor, chosen_stretch, estimator, scales.get(sensor.name), progress or _nothing)
+            for sensor in chosen
         ],
     }
     return {name: json_ready(value) for name, value in result.items()}

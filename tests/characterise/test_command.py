@@ -113,3 +113,28 @@ def test_heavy_packages_stay_out() -> None:
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_log_without_phases_is_characterised_where_it_rests(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Shaken for twenty seconds between rests of ten and (after the log's end) more: the rest before is the longest."""
+    from dataclasses import replace as changed
+
+    from imuarray.array import parse_array
+    from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
+    from imuarray.simulate.motion import HandShake
+
+    class Unlabelled(HandShake):
+        phases = ()
+
+    array = parse_array('[array]\nname = "a"\n[[sensor]]\nname = "B"\nchip = "bma180"\naddress = 0x40\nrange = 16\n')
+    noise = EFFECTS["white_noise"](rms=0.016)  # type: ignore[call-arg]
+    plan = changed(plan_of(array, 50.0, 40.0), config="")
+    write_log(Simulation(plan, Unlabelled(still_s=12.0, motion_s=20.0), {"B": [noise]}), tmp_path / "run.h5")
+    assert main(["characterise", str(tmp_path / "run.h5"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["stretch"]["phase"].startswith("pose")
+    assert result["stretch"]["end_s"] <= 12.0
+    # 16 mg of noise are 8.2 counts; the shaking would make hundreds of them
+    assert result["sensors"][0]["axes"][0]["counts"]["std"] == pytest.approx(8.2, rel=0.2)
