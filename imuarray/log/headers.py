@@ -1,11 +1,14 @@
-"""What a log says of a sensor that is set as an array's configuration says."""
+"""What a log says of a sensor: of one that is set as an array's configuration says, and of one that was recorded."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import cast
 
 from imuarray.array import SensorConfig
 from imuarray.log.format import SensorHeader
+from imuarray.log.reader import SensorLog
+from imuarray.units import Quantity
 
 
 def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> SensorHeader:
@@ -28,4 +31,25 @@ def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> S
         has_temperature=spec.has_thermometer and not sensor.fifo,
         compensated=("temperature", "pressure") if barometer else (),
         extra=extra,
+    )
+
+
+def recorded_header(sensor: SensorLog) -> SensorHeader:
+    """The header with which a log like the one that `sensor` is from would be written."""
+    x, y, z = sensor.position_mm.tolist()
+    columns = ("ut", "up") if sensor.quantity == "pressure" else ("x", "y", "z")
+    return SensorHeader(
+        name=sensor.name,
+        chip=sensor.chip,
+        quantity=cast(Quantity, sensor.quantity),
+        unit=sensor.unit,
+        range=sensor.range,
+        sensitivity=sensor.sensitivity,
+        rate_hz=sensor.rate_hz,
+        bandwidth_hz=sensor.bandwidth_hz,
+        axes=sensor.axes,
+        position_mm=(x, y, z),
+        columns=columns,
+        has_temperature=sensor.temperature_counts is not None,
+        compensated=("temperature", "pressure") if sensor.quantity == "pressure" else (),
     )

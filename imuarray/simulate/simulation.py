@@ -7,16 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.errors import ConfigError, LogError
-from imuarray.log import Log, SensorLog
+from imuarray.log import Log
 from imuarray.log.format import SensorHeader
-from imuarray.log.headers import header_of
+from imuarray.log.headers import header_of, recorded_header
 from imuarray.log.writer import Stimulus
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
@@ -26,7 +25,6 @@ from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Codes, Motion
 from imuarray.simulate.streams import Streams
 from imuarray.simulate.timeline import Polled, Recorded, Timeline, frames_in, poll
-from imuarray.units import Quantity
 
 _FRAMES_LIKE_HZ = 50.0
 """How often `/truth` is written for a log that is simulated after a recorded one."""
@@ -58,7 +56,7 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     chosen = {name: log[name] for name in only or log.sensors}
     known = {sensor.name: sensor for sensor in parse_array(log.config).sensors} if log.config else {}
     sensors = {
-        name: (header_of(known[name], {}) if name in known else _header_like(sensor), Recorded(sensor))
+        name: (header_of(known[name], {}) if name in known else recorded_header(sensor), Recorded(sensor))
         for name, sensor in chosen.items()
         if len(sensor)
     }
@@ -67,27 +65,6 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))
     frames, period_ns = frames_in(_FRAMES_LIKE_HZ, (end_ns + 1) * 1e-9)
     return Plan(sensors, Polled(frames, period_ns), log.config)
-
-
-def _header_like(sensor: SensorLog) -> SensorHeader:
-    """What a log without a configuration says of a sensor."""
-    x, y, z = sensor.position_mm.tolist()
-    columns = ("ut", "up") if sensor.quantity == "pressure" else ("x", "y", "z")
-    return SensorHeader(
-        name=sensor.name,
-        chip=sensor.chip,
-        quantity=cast(Quantity, sensor.quantity),
-        unit=sensor.unit,
-        range=sensor.range,
-        sensitivity=sensor.sensitivity,
-        rate_hz=sensor.rate_hz,
-        bandwidth_hz=sensor.bandwidth_hz,
-        axes=sensor.axes,
-        position_mm=(x, y, z),
-        columns=columns,
-        has_temperature=sensor.temperature_counts is not None,
-        compensated=("temperature", "pressure") if sensor.quantity == "pressure" else (),
-    )
 
 
 class Simulation:
