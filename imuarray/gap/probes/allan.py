@@ -1,0 +1,35 @@
+"""How means over more and more rows differ from the next ones."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from imuarray.gap.probes.probe import NOTHING, Floats, PhaseProbe, log
+from imuarray.gap.summary import Summary
+
+_TERMS = 12
+"""Fewer differences, four of them in an averaging time, say too little."""
+
+
+def at(octave: int, summary: Summary) -> Floats:
+    """Log of the Allan variance at 2^octave rows over that of white noise with the variance at one row."""
+    variance, terms = summary.allan
+    known = terms[octave] >= _TERMS
+    return np.asarray(log(variance[octave] * 2.0**octave) - log(variance[0])) if known else NOTHING
+
+
+def longest(summary: Summary) -> Floats:
+    """The same at the longest averaging time that the phase has enough rows for."""
+    known = np.flatnonzero(summary.allan.terms >= _TERMS)
+    return at(int(known[-1]), summary) if len(known) else NOTHING
+
+
+_MOVED = ("bias_instability", "random_walk", "popcorn_noise", "common_mode", "bandwidth", "tone")
+
+OCTAVE_PROBES = {
+    1 << octave: PhaseProbe("allan", f"log Allan variance at {1 << octave} rows", "", _MOVED, partial(at, octave))
+    for octave in (1, 3, 5, 7, 9, 11)
+}
+LONGEST = PhaseProbe("allan", "log Allan variance at the longest averaging time", "", _MOVED, longest)

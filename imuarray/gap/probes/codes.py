@@ -1,0 +1,88 @@
+"""Which codes come, whatever the signal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imuarray.characterise.codes import Histogram
+from imuarray.gap.probes.probe import Floats, PhaseProbe, arcsine, one_row
+from imuarray.gap.summary import Summary
+from imuarray.simulate.converters import code_span
+
+_MIDDLE = (0.05, 0.95)
+"""Codes that never come are looked for between these quantiles."""
+
+
+def odd(summary: Summary) -> Floats:
+    """arcsine of the share of odd codes."""
+    return arcsine(_having(summary, 1), summary.rows)
+
+
+def second_bit(summary: Summary) -> Floats:
+    """arcsine of the share of codes with the second lowest bit set."""
+    return arcsine(_having(summary, 2), summary.rows)
+
+
+def absent(summary: Summary) -> Floats:
+    """arcsine of the share of codes in the middle nine tenths that never came."""
+    found = [_absent(seen) for seen in summary.codes]
+    return arcsine([missing for missing, _ in found], [codes for _, codes in found])
+
+
+def at_ends(summary: Summary) -> Floats:
+    """arcsine of the share of readings at or beyond an end of the code span."""
+    span = code_span(summary.header)
+    beyond = [(seen.codes <= span.lowest) | (seen.codes >= span.highest) for seen in summary.codes]
+    ends = [int(seen.counts[out].sum()) for seen, out in zip(summary.codes, beyond, strict=True)]
+    return arcsine(ends, summary.rows)
+
+
+def pile(summary: Summary) -> Floats:
+    """How much more often the outermost code came than the next one inwards, in standard deviations, at the worse end.
+
+    The root of a Poisson count scatters by 1/2 whatever its mean.
+    """
+    return np.array([_pile(seen.counts) for seen in summary.codes])
+
+
+def _having(summary: Summary, bit: int) -> list[int]:
+    return [int(seen.counts[(seen.codes & bit) != 0].sum()) for seen in summary.codes]
+
+
+def _absent(seen: Histogram) -> tuple[int, int]:
+    """Codes that are missing, and how many there are in all, between the quantiles."""
+    if len(seen.codes) == 0:
+        return 0, 0
+    upto = np.cumsum(seen.counts)
+    low, high = np.searchsorted(upto, np.array(_MIDDLE) * upto[-1])
+    span = int(seen.codes[high] - seen.codes[low]) + 1
+    return span - int(high - low) - 1, span
+
+
+def _pile(counts: np.ndarray) -> float:
+    if len(counts) < 2:
+        return float("nan")
+    roots = np.sqrt(counts[[0, 1, -2, -1]] + 3 / 8)
+    return float(np.sqrt(2) * max(roots[0] - roots[1], roots[3] - roots[2]))
+
+
+def _one_code(summary: Summary) -> float:
+    """What one missing code of the narrowest axis makes, which chance can."""
+    spans = [_absent(seen)[1] for seen in summary.codes]
+    return float(0.5 / np.sqrt(max(min(spans, default=1), 1)))
+
+
+_STEPS = ("quantisation", "odr_error")
+_CLIPPED = ("saturation", "range_reset", "scale", "nonlinearity")
+
+ODD = PhaseProbe("codes", "arcsine of the share of odd codes", "", _STEPS, odd, True, one_row)
+SECOND_BIT = PhaseProbe(
+    "codes", "arcsine of the share of codes with bit 1 set", "", ("quantisation",), second_bit, True, one_row
+)
+ABSENT = PhaseProbe(
+    "codes", "arcsine of the share of codes in the middle that never came", "", _STEPS, absent, True, _one_code
+)
+ENDS = PhaseProbe("codes", "arcsine of the share at the ends of the span", "", _CLIPPED, at_ends, True, one_row)
+PILE = PhaseProbe(
+    "codes", "by how much the outermost code outnumbers the next", "", _CLIPPED, pile, True, lambda _: 1.0
+)

@@ -1,0 +1,64 @@
+"""Where the readings lie, and whether they stay there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imuarray.gap.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log
+from imuarray.gap.summary import Summary
+
+
+def mean(summary: Summary) -> Floats:
+    """Mean reading by the nominal sensitivity."""
+    part = summary.segments
+    held = part.rows > 0
+    total = (part.rows[held, None] * part.mean[held]).sum(axis=0)
+    return np.asarray(total / (summary.rows * summary.header.sensitivity)) if summary.rows else NOTHING
+
+
+def halves(summary: Summary) -> Floats:
+    """Mean of the second half's segments less that of the first half's."""
+    part = summary.segments.mean / summary.header.sensitivity
+    first, second = (half[np.isfinite(half[:, 0])] for half in np.array_split(part, 2))
+    return np.asarray(second.mean(axis=0) - first.mean(axis=0)) if len(first) and len(second) else NOTHING
+
+
+def wander(summary: Summary) -> Floats:
+    """Log of the variance of the segments' means about a straight line, over what independent readings would give."""
+    part = summary.segments
+    held = part.rows > 1
+    if np.count_nonzero(held) < 4:
+        return NOTHING
+    expected = (part.steady_variance[held] / (part.rows[held, None] - 1)).mean(axis=0)
+    design = np.stack([np.ones(int(held.sum())), part.time_s[held] - part.time_s[held].mean()], axis=1)
+    left = part.mean[held] - design @ np.linalg.lstsq(design, part.mean[held], rcond=None)[0]
+    return np.asarray(log((left**2).sum(axis=0) / (len(design) - 2)) - log(expected))
+
+
+def returned(phases: Sequence[Summary]) -> Floats:
+    """Mean of the last phase less that of the first one on the same face."""
+    last = phases[-1]
+    before = [phase for phase in phases[:-1] if phase.phase.up == last.phase.up]
+    return mean(last) - mean(before[0]) if before else NOTHING
+
+
+_SLOW = ("bias_instability", "random_walk", "popcorn_noise", "common_mode")
+
+MEAN = PhaseProbe(
+    "level",
+    "mean reading",
+    "{u}",
+    ("bias", "scale", "misalignment", "axis_error", "turn_on_bias", "bistable_bias", "range_reset", "channel_swap"),
+    mean,
+)
+HALVES = PhaseProbe(
+    "level", "mean of the second half less that of the first", "{u}", (*_SLOW, "thermal_bias", "range_reset"), halves
+)
+WANDER = PhaseProbe(
+    "level", "log of the variance of segments' means about a straight line, over that of white noise", "", _SLOW, wander
+)
+RETURN = LogProbe(
+    "level", "mean of the last phase less that of the first on the same face", "{u}", ("random_walk",), returned
+)

@@ -1,0 +1,140 @@
+"""How a sensor follows a motion that the others of its kind feel too: in size, in direction, in time, in place.
+
+The reference is the mean of the other sensors that measure the same, along the axes that this one nominally has. It is
+noisy itself, which makes gains a little too small; as much so in a simulation of the same motion.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from imuarray.gap.cross import Cross
+from imuarray.gap.probes.probe import NOTHING, CrossProbe, Floats, log
+
+AXES = np.arange(3)
+
+
+def gain(cross: Cross, sensor: str) -> Floats:
+    """What the axis shows of motion along it, as a share."""
+    return np.asarray(_gains(cross, sensor)[AXES, AXES])
+
+
+def next_axis(cross: Cross, sensor: str) -> Floats:
+    """What the axis shows of motion along the next one."""
+    return np.asarray(_gains(cross, sensor)[AXES, (AXES + 1) % 3])
+
+
+def axis_after(cross: Cross, sensor: str) -> Floats:
+    """What the axis shows of motion along the one after that."""
+    return np.asarray(_gains(cross, sensor)[AXES, (AXES + 2) % 3])
+
+
+def delay(cross: Cross, sensor: str) -> Floats:
+    """By how many seconds the axis is behind: y(t) = r(t - delay) is about r - delay dr/dt, and so the delay is what y
+    lacks of r, along the change of r.
+    """
+    found = _beside(cross, sensor)
+    if found is None:
+        return NOTHING
+    turning, changes = (found.weights @ moments @ found.weights.T for moments in (cross.turning, cross.changes))
+    own, reference = AXES, AXES + 3
+    lacks = turning[reference, reference] - turning[own, reference]
+    square = changes[reference, reference]
+    ratio = np.divide(lacks, square, out=NOTHING.copy(), where=square > 0)
+    return np.asarray(ratio * cross.window_s)
+
+
+def residual(cross: Cross, sensor: str) -> Floats:
+    """Log of the variance that the reference doesn't explain."""
+    found = _beside(cross, sensor)
+    return NOTHING if found is None else log(_left(found.moments, AXES, AXES + 3))
+
+
+def coupling(cross: Cross, sensor: str) -> Floats:
+    """Log of that variance over what is left when an accelerometer's is explained by products of angular rates and
+    angular accelerations too, a gyroscope's by the force that accelerometers feel.
+    """
+    found = _beside(cross, sensor)
+    if found is None or found.moments.shape[0] == 6:
+        return NOTHING
+    everything = np.arange(3, found.moments.shape[0])
+    return np.asarray(log(_left(found.moments, AXES, AXES + 3)) - log(_left(found.moments, AXES, everything)))
+
+
+class _Beside(NamedTuple):
+    """`moments` (q, q) of the sensor's axes, the reference's and what else may explain them; `weights` (q, p) are what
+    these are made of.
+    """
+
+    moments: Floats
+    weights: Floats
+
+
+def _beside(cross: Cross, sensor: str) -> _Beside | None:
+    """None for the only sensor of its kind, or without windows."""
+    others = cross.others(sensor, family=False)
+    if not others or not cross.windows:
+        return None
+    header = cross.header(sensor)
+    own = np.zeros((3, cross.fast.shape[0]))
+    own[:, cross.columns(sensor)] = np.eye(3)
+    turn = np.array(header.orientation).T
+    more = [turn @ _mean_box(cross, others)]
+    if header.quantity == "specific_force":
+        more.append(np.eye(cross.fast.shape[0])[cross.kinematic])
+    else:
+        feel = [item.name for item in cross.sensors if item.quantity == "specific_force"]
+        more += [turn @ _mean_box(cross, feel)] if feel else []
+    weights = np.concatenate([own, *more])
+    return _Beside(weights @ cross.fast @ weights.T, weights)
+
+
+def _mean_box(cross: Cross, sensors: tuple[str, ...] | list[str]) -> Floats:
+    """(3, p) the mean of these along the box's axes."""
+    weights = np.zeros((3, cross.fast.shape[0]))
+    for name in sensors:
+        weights[:, cross.columns(name)] = np.array(cross.header(name).orientation) / len(sensors)
+    return weights
+
+
+def _gains(cross: Cross, sensor: str) -> Floats:
+    """(3, 3) response of the sensor's axes (rows) to the reference's (columns)."""
+    found = _beside(cross, sensor)
+    if found is None:
+        return np.full((3, 3), np.nan)
+    return np.asarray(_coefficients(found.moments, AXES, AXES + 3).T)
+
+
+def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
+    """Least-squares coefficients (b, o)."""
+    size = np.sqrt(np.diag(moments)[by])
+    size = np.where(size > 0, size, 1.0)
+    scaled = moments[np.ix_(by, by)] / size[:, None] / size
+    return np.asarray(np.linalg.lstsq(scaled, moments[np.ix_(by, of)] / size[:, None], rcond=1e-12)[0] / size[:, None])
+
+
+def _left(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
+    """Variances (o,) that are left."""
+    found = _coefficients(moments, of, by)
+    return np.asarray(np.diag(moments)[of] - np.einsum("bo,bo->o", found, moments[np.ix_(by, of)]))
+
+
+_CROSS = ("misalignment", "axis_error", "channel_swap")
+
+GAIN = CrossProbe("motion", "share of motion along the axis", "", ("scale", "axis_error", "range_reset"), gain, True)
+NEXT = CrossProbe("motion", "share of motion along the next axis", "", _CROSS, next_axis, True)
+AFTER = CrossProbe("motion", "share of motion along the axis after the next", "", _CROSS, axis_after, True)
+DELAY = CrossProbe("motion", "delay behind the others", "s", ("skew", "clock_error", "stale_samples"), delay, True)
+RESIDUAL = CrossProbe(
+    "motion",
+    "log of the variance that the others don't explain",
+    "log {u}^2",
+    ("jitter", "size_effect", "nonlinearity", "skew", "saturation"),
+    residual,
+    True,
+)
+COUPLING = CrossProbe(
+    "motion", "log of how much of it rotation or force explains", "", ("size_effect", "g_sensitivity"), coupling, True
+)

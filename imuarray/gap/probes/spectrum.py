@@ -1,0 +1,66 @@
+"""How noise spreads over frequencies, in cycles per row: shape only, the size is a matter of spread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from imuarray.characterise.spectrum import Spectrum
+from imuarray.gap.probes.probe import NOTHING, Floats, PhaseProbe, log, score_of_largest
+from imuarray.gap.summary import Summary
+
+BANDS = 6
+"""From the second bin to half the rate, equally wide in the log of frequency."""
+
+_FIRST = 4
+_BESIDE = 33
+
+
+def band(number: int, summary: Summary) -> Floats:
+    """Log of the mean density in band `number` (0 is the lowest), over the geometric mean of all bands'."""
+    logs = _bands(summary.spectrum)
+    return np.asarray(logs[number] - logs.mean(axis=0))
+
+
+def line(summary: Summary) -> Floats:
+    """Normal score of the highest density over the median of its 33 neighbours.
+
+    A density is about chi-squared, its cube root about normal (Wilson and Hilferty, PNAS 17, 1931).
+    """
+    density = summary.spectrum.density
+    if summary.spectrum.segments == 0:
+        return NOTHING
+    floor = median_filter(density, size=(_BESIDE, 1), mode="mirror")
+    ratio = np.divide(density, floor, out=np.full_like(density, np.nan), where=floor > 0)
+    scatter = 2 / (9 * summary.spectrum.freedom[_FIRST])
+    score = (np.cbrt(ratio[_FIRST:-1].max(axis=0)) - 1) / np.sqrt(scatter)
+    return score_of_largest(score, len(ratio))
+
+
+def alternation(summary: Summary) -> Floats:
+    """Log of the density at half the rate, which has no twin and counts double, over that of the bins before it."""
+    density = summary.spectrum.density
+    return np.asarray(log(2 * density[-1]) - log(density[-_BESIDE:-2].mean(axis=0)))
+
+
+def _bands(spectrum: Spectrum) -> Floats:
+    """(b, 3) log of the mean density in each band."""
+    density = spectrum.density
+    edges = np.rint(np.geomspace(2, len(density), BANDS + 1)).astype(int)
+    sums = np.add.reduceat(density, edges[:-1], axis=0)
+    return log(sums / np.diff(edges)[:, None])
+
+
+def _band_probe(number: int) -> PhaseProbe:
+    statistic: Callable[[Summary], Floats] = partial(band, number)
+    low = ("bias_instability", "random_walk", "popcorn_noise", "common_mode")
+    moved_by = (*low, "bandwidth") if number < BANDS // 2 else ("bandwidth", "odr_error", "stale_samples", "tone")
+    return PhaseProbe("spectrum", f"log density in band {number + 1} of {BANDS}", "", moved_by, statistic)
+
+
+BAND_PROBES = tuple(_band_probe(number) for number in range(BANDS))
+LINE = PhaseProbe("spectrum", "normal score of the highest peak over its neighbours' median", "", ("tone",), line)
+ALTERNATION = PhaseProbe("spectrum", "log of the density at half the rate over that before", "", ("tone",), alternation)

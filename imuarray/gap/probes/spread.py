@@ -1,0 +1,82 @@
+"""How much readings scatter, and whether always as much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imuarray.gap.probes.force import felt_g
+from imuarray.gap.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, noise_lsb
+from imuarray.gap.summary import Summary
+
+_LEAST = 4
+"""Segments of fewer rows say nothing of a variance."""
+
+
+def noise(summary: Summary) -> Floats:
+    """Log of the noise from row to row, in the sensor's unit."""
+    return log(noise_lsb(summary) / summary.header.sensitivity)
+
+
+def excess(summary: Summary) -> Floats:
+    """Log of the standard deviation within segments over the noise from row to row."""
+    return np.asarray(log(_pooled(summary)) / 2 - log(noise_lsb(summary)))
+
+
+def halves(summary: Summary) -> Floats:
+    """Log of the variance within the segments of the second half over that of the first half."""
+    part = summary.segments
+    halves = zip(np.array_split(part.steady_variance, 2), np.array_split(part.rows, 2), strict=True)
+    first, second = (_mean_variance(variance, rows) for variance, rows in halves)
+    return np.asarray(log(second) - log(first))
+
+
+def uneven(summary: Summary) -> Floats:
+    """Log of the variance of the segments' log variances, over 2 / (rows - 1) as of Gaussian noise."""
+    part = summary.segments
+    held = part.rows >= _LEAST
+    if np.count_nonzero(held) < _LEAST:
+        return NOTHING
+    values = log(part.steady_variance[held])
+    return np.asarray(log(values.var(axis=0, ddof=1) / (2 / (part.rows[held] - 1.0)).mean()))
+
+
+def with_force(phases: Sequence[Summary]) -> Floats:
+    """Log variance on faces where the axis feels gravity, less that on the others."""
+    felt = felt_g(phases)
+    values = np.array([log(_pooled(phase)) for phase in phases])
+    loaded = np.abs(felt) > 0.5
+    known = np.isfinite(felt[:, :1]) & np.isfinite(values)
+    on, off = known & loaded, known & ~loaded
+    if not (on.any(axis=0).all() and off.any(axis=0).all()):
+        return NOTHING
+    return np.asarray(np.mean(values, axis=0, where=on) - np.mean(values, axis=0, where=off))
+
+
+def _pooled(summary: Summary) -> Floats:
+    return _mean_variance(summary.segments.steady_variance, summary.segments.rows)
+
+
+def _mean_variance(variance: Floats, rows: np.ndarray) -> Floats:
+    """(3,) over the segments, weighted with their rows."""
+    held = rows > 1
+    freedom = (rows[held] - 1).sum()
+    return np.asarray((rows[held, None] * variance[held]).sum(axis=0) / freedom) if freedom else NOTHING
+
+
+_SIZES = ("white_noise", "odr_error", "range_reset", "scale", "channel_swap")
+
+NOISE = PhaseProbe("spread", "log of the noise from row to row", "log {u}", (*_SIZES, "bandwidth", "stuck"), noise)
+EXCESS = PhaseProbe(
+    "spread",
+    "log of the standard deviation within segments over the noise from row to row",
+    "",
+    ("glitches", "tone", "popcorn_noise", "bandwidth", "stale_samples"),
+    excess,
+)
+HALVES = PhaseProbe("spread", "log of the variance of the second half over the first", "", ("range_reset",), halves)
+UNEVEN = PhaseProbe(
+    "spread", "log of the variance of segments' log variances", "", ("glitches", "stuck", "range_reset"), uneven
+)
+FORCE = LogProbe("spread", "log of the variance under gravity over that without", "", ("scale",), with_force)

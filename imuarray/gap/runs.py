@@ -1,0 +1,101 @@
+"""The same sensor in several logs of one kind, such as a turn-on series: what changes from run to run, and what every
+run has in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.summary import Summary
+from imuarray.log.format import SensorHeader
+
+Floats = npt.NDArray[np.float64]
+
+PARTS = 16
+"""A run's profile has so many points."""
+
+_ROBUST = 1.4826
+"""Standard deviation over median absolute deviation of Gaussian numbers: 1 / 0.6745."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Runs of one sensor, in its unit, along its own axes: `means` (r, 3); `errors` (r, 3) the standard errors of these
+    if readings in a run are independent; `profiles` (r, 16, 3) how the mean went in each run, less the run's mean.
+    """
+
+    header: SensorHeader
+    means: Floats
+    errors: Floats
+    profiles: Floats
+
+    @property
+    def deviations(self) -> Floats:
+        """(r, 3) distance of each run from the median of all, in robust standard deviations; 0 where all are equal."""
+        apart = self.means - np.median(self.means, axis=0)
+        spread = robust_std(self.means)
+        return np.asarray(np.divide(apart, spread, out=np.zeros_like(apart), where=spread > 0))
+
+    @property
+    def joint_distance(self) -> Floats:
+        """(r,) distance of each run from the median over all three axes."""
+        return np.asarray(np.sqrt((self.deviations**2).sum(axis=1)))
+
+    @property
+    def gaps(self) -> Floats:
+        """(r - 1, 3) distances of neighbours among the sorted means."""
+        return np.diff(np.sort(self.means, axis=0), axis=0)
+
+    @property
+    def mean_profile(self) -> Floats:
+        """(16, 3) what the runs have in common from beginning to end: the mean of their profiles."""
+        return np.asarray(self.profiles.mean(axis=0))
+
+
+def runs_of(summaries: Sequence[Summary]) -> Runs:
+    """The runs of one sensor, each in the phase that stands for it, in the order in which they were made."""
+    scale = 1 / summaries[0].header.sensitivity
+    known = [summary for summary in summaries if summary.rows]
+    means, errors, profiles = zip(*(_of_run(summary) for summary in known), strict=True) if known else ((), (), ())
+    return Runs(
+        summaries[0].header,
+        scale * np.reshape(means, (-1, 3)),
+        scale * np.reshape(errors, (-1, 3)),
+        scale * np.reshape(profiles, (-1, PARTS, 3)),
+    )
+
+
+def robust_std(values: Floats) -> Floats:
+    """Per column of (r, k), from the median absolute deviation."""
+    return np.asarray(_ROBUST * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
+
+
+def _of_run(summary: Summary) -> tuple[Floats, Floats, Floats]:
+    """Mean, its error and profile, in counts."""
+    part = summary.segments
+    rows = part.rows[:, None]
+    held = part.rows > 0
+    mean = (rows * part.mean)[held].sum(axis=0) / rows.sum()
+    error = np.sqrt((rows * part.variance)[held].sum(axis=0)) / rows.sum()
+    edges = np.linspace(0, len(part.rows), PARTS + 1)
+    at = np.floor((edges[:-1] + edges[1:]) / 2).astype(int)
+    whole = np.array([_mean_of(part.mean[a:b], part.rows[a:b]) for a, b in _spans(edges, at)])
+    return mean, error, np.where(np.isnan(whole), 0.0, whole - mean)
+
+
+def _spans(edges: Floats, at: npt.NDArray[np.int_]) -> list[tuple[int, int]]:
+    """(first, stop) of the segments in each of the parts; at least one, the nearest."""
+    bounds = np.rint(edges).astype(int)
+    return [
+        (int(a), int(b)) if b > a else (int(middle), int(middle) + 1)
+        for a, b, middle in zip(bounds[:-1], bounds[1:], at, strict=True)
+    ]
+
+
+def _mean_of(mean: Floats, rows: npt.NDArray[np.int64]) -> Floats:
+    held = rows > 0
+    return np.average(mean[held], axis=0, weights=rows[held]) if held.any() else np.full(3, np.nan)

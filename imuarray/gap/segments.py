@@ -1,0 +1,106 @@
+"""A phase in equal parts of time: the moments of the readings in each, and how warm it was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+Temperature = Callable[[Times], npt.NDArray[np.floating]]
+"""Times (n,) in ns to degC (n,): one reference for all sensors, recorded or simulated."""
+
+POWERS = 4
+
+
+@dataclass(frozen=True)
+class Segments:
+    """s parts of a phase, of `width_s` each; nan where a part has no readings.
+
+    `rows` (s,); `time_s` (s,) their mean time; `temperature_degc` (s,) at that time and `warming_degc_per_s` (s,) from
+    one end of the part to the other, by the reference; `mean` (s, 3) and the central moments `variance`, `third`,
+    `fourth` (s, 3), divided by the rows, in counts and their powers. `thermometer` and `thermometer_variance` (s,) are
+    of the counts of the chip's own thermometer, nan if it gives none.
+    """
+
+    width_s: float
+    rows: npt.NDArray[np.int64]
+    time_s: Floats
+    temperature_degc: Floats
+    warming_degc_per_s: Floats
+    mean: Floats
+    variance: Floats
+    third: Floats
+    fourth: Floats
+    thermometer: Floats
+    thermometer_variance: Floats
+
+    @property
+    def steady_variance(self) -> Floats:
+        """(s, 3) the variance without that of a straight line through the part, as steep as the means of the parts
+        beside it say: a change by c in equal steps has a variance of c^2 / 12. Rounding, 1/12,
+        is left.
+        """
+        change = np.nan_to_num(np.gradient(self.mean, axis=0)) if len(self.rows) > 1 else np.zeros_like(self.mean)
+        return np.asarray(np.minimum(self.variance, np.maximum(self.variance - change**2 / 12, 1 / 12)))
+
+
+class SegmentTally:
+    """Adds up powers of the readings of [start_ns, end_ns) in `count` parts."""
+
+    def __init__(self, start_ns: int, end_ns: int, count: int) -> None:
+        self._edges = start_ns + (np.arange(count + 1) * (end_ns - start_ns)) // count
+        self._rows = np.zeros(count, np.int64)
+        self._since_ns = np.zeros(count)
+        self._powers = np.zeros((POWERS, count, 3))
+        self._thermometer = np.zeros((2, count))
+        self._has_thermometer = False
+
+    def update(self, time_ns: Times, apart: Floats, thermometer: npt.NDArray[np.int16] | None) -> None:
+        """The next rows: times (n,), distances (3, n) of counts from an origin, and the thermometer's counts (n,)."""
+        part, starts, rows = self._parts(time_ns)
+        self._rows[part] += rows
+        self._since_ns[part] += np.add.reduceat(np.asarray(time_ns - self._edges[0], float), starts)
+        squares = apart * apart
+        for power, values in enumerate((apart, squares, squares * apart, squares * squares)):
+            self._powers[power, part] += np.add.reduceat(values, starts, axis=1).T
+        if thermometer is not None:
+            self._has_thermometer = True
+            values = thermometer.astype(float)
+            self._thermometer[0, part] += np.add.reduceat(values, starts)
+            self._thermometer[1, part] += np.add.reduceat(values * values, starts)
+
+    def result(self, origin: Floats, temperature: Temperature) -> Segments:
+        """The parts; `origin` (3,) counts is what all distances were taken from."""
+        rows = np.where(self._rows, self._rows, np.nan)
+        first, second, third, fourth = self._powers / rows[:, None]
+        mean_ns = self._since_ns / rows
+        widths_s = np.diff(self._edges) * 1e-9
+        at_ns = self._edges[0] + np.rint(np.where(self._rows, mean_ns, np.diff(self._edges) / 2)).astype(np.int64)
+        ends_degc = np.asarray(temperature(self._edges), float)
+        degc = self._thermometer / rows if self._has_thermometer else np.full((2, len(rows)), np.nan)
+        return Segments(
+            float(widths_s.mean()),
+            self._rows.copy(),
+            (self._edges[0] + mean_ns) * 1e-9,
+            np.asarray(temperature(at_ns), float),
+            np.diff(ends_degc) / widths_s,
+            first + origin,
+            np.maximum(second - first**2, 0.0),
+            third - 3 * first * second + 2 * first**3,
+            fourth - 4 * first * third + 6 * first**2 * second - 3 * first**4,
+            degc[0],
+            np.maximum(degc[1] - degc[0] ** 2, 0.0),
+        )
+
+    def _parts(self, time_ns: Times) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """The parts that the times lie in, where each begins and how many rows of these it has."""
+        ends = np.searchsorted(self._edges, time_ns[[0, -1]], side="right") - 1
+        part = np.arange(ends[0], ends[1] + 1)
+        starts = np.searchsorted(time_ns, self._edges[part])
+        starts[0] = 0
+        rows = np.diff(starts, append=len(time_ns))
+        return part[rows > 0], starts[rows > 0], rows[rows > 0]

@@ -1,0 +1,117 @@
+"""Rows of one sensor, out of a log or out of a simulation held in memory, in the same blocks either way.
+
+What is recorded and what is simulated goes through the same statistics only if both come in the same shape: times,
+counts, flags as they are, nothing resampled, never a whole log at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import SensorHeader
+from imuarray.log.headers import recorded_header
+from imuarray.log.writer import Block
+from imuarray.simulate.sensor import SimulatedSensor
+from imuarray.simulate.simulation import Simulation
+from imuarray.simulate.streams import CHUNK
+
+
+class Source(Protocol):
+    """One triad's rows."""
+
+    @property
+    def header(self) -> SensorHeader:
+        """What is known of the sensor beforehand: nominal sensitivity, range, axes."""
+
+    def rows(self, start_ns: int, end_ns: int) -> int:
+        """How many rows were to come in [start_ns, end_ns); a simulation counts dropped ones too."""
+
+    def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
+        """The rows with times in [start_ns, end_ns), in order, in blocks of 1 to `CHUNK` rows."""
+
+
+class RecordedSource:
+    """A sensor of an open log."""
+
+    def __init__(self, sensor: SensorLog) -> None:
+        self.header = _header_in(sensor)
+        self._sensor = sensor
+
+    def rows(self, start_ns: int, end_ns: int) -> int:
+        """Rows that the log has there."""
+        span = self._sensor.between(start_ns, end_ns)
+        return int(span.stop - span.start)
+
+    def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
+        """Slices of the log, which end where its chunks end."""
+        sensor, span = self._sensor, self._sensor.between(start_ns, end_ns)
+        temperature = sensor.temperature_counts
+        for first, stop in _parts(span.start, span.stop):
+            yield Block(
+                np.asarray(sensor.time[first:stop], np.int64),
+                np.asarray(sensor.counts[first:stop], np.int16),
+                np.asarray(sensor.status[first:stop], np.uint16),
+                None if temperature is None else np.asarray(temperature[first:stop], np.int16),
+            )
+
+
+class SimulatedSource:
+    """A simulated triad, whose rows are worked out when they are asked for."""
+
+    def __init__(self, sensor: SimulatedSensor) -> None:
+        self.header = sensor.header
+        self._sensor = sensor
+
+    def rows(self, start_ns: int, end_ns: int) -> int:
+        """Rows that are read there, whether or not they arrive."""
+        return self._row_at(end_ns) - self._row_at(start_ns)
+
+    def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
+        """The simulator's own chunks, so that none is worked out twice."""
+        for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
+            block = self._sensor.block(first, stop)
+            if len(block.time):
+                yield block
+
+    def _row_at(self, at_ns: int) -> int:
+        """The first row stamped `at_ns` or later."""
+        low, high = 0, self._sensor.rows
+        while low < high:
+            middle = (low + high) // 2
+            if int(self._sensor.timeline.stamps(middle, middle + 1)[0]) < at_ns:
+                low = middle + 1
+            else:
+                high = middle
+        return low
+
+
+def recorded_sources(log: Log) -> dict[str, Source]:
+    """The triads of an open log, by name."""
+    return {name: RecordedSource(sensor) for name, sensor in log.sensors.items() if sensor.is_triad}
+
+
+def simulated_sources(simulation: Simulation) -> dict[str, Source]:
+    """The triads of a simulation, by name."""
+    triads = ((name, sensor) for name, sensor in simulation.sensors.items() if isinstance(sensor, SimulatedSensor))
+    return {name: SimulatedSource(sensor) for name, sensor in triads}
+
+
+def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:
+    """(begin, end) that cover first ... stop - 1 and end at multiples of `CHUNK`."""
+    while first < stop:
+        end = min((first // CHUNK + 1) * CHUNK, stop)
+        yield first, end
+        first = end
+
+
+def _header_in(sensor: SensorLog) -> SensorHeader:
+    """What a log says of a triad, 1 count per unit where it knows no sensitivity; ValueError for another sensor."""
+    if not sensor.is_triad:
+        raise ValueError(f"{sensor.where}: {sensor.quantity} has no three axes")
+    header = recorded_header(sensor)
+    return replace(header, sensitivity=header.sensitivity or 1.0)

@@ -1,0 +1,135 @@
+"""All statistics of a campaign under keys that say where they are from, in an order that never changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.campaign import Campaign, LogSummary, PhaseSummary, runs_in
+from imuarray.gap.probes import PROBES
+from imuarray.gap.probes.probe import CrossProbe, Domain, LogProbe, PhaseProbe, RunsProbe
+
+Floats = npt.NDArray[np.float64]
+
+ALL_LOGS = -1
+"""The log's index of a statistic of several logs; their kind stands where others have their phase."""
+
+WHOLE_LOG = -1
+"""The phase's number of a statistic of several phases; its phase's name is empty."""
+
+_AXES = ("x", "y", "z")
+
+
+class Key(NamedTuple):
+    """Where a statistic is from; `axis` is "" for the whole sensor."""
+
+    log: int
+    sensor: str
+    axis: str
+    phase: str
+    phase_number: int
+    domain: Domain
+    probe: str
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """`values` (n,) of the `keys`, nan where a probe says nothing, and the least difference that means anything in each
+    (`resolutions`, (n,), 0: any).
+    """
+
+    keys: tuple[Key, ...]
+    values: Floats
+    resolutions: Floats
+
+    def __getitem__(self, key: Key) -> float:
+        """One value; KeyError."""
+        return float(self.values[self._places[key]])
+
+    def to_rows(self) -> list[list[int | str | float | None]]:
+        """Keys and values as JSON has them, None for nan."""
+        known = zip(self.keys, self.values.tolist(), strict=True)
+        return [[*key, None if math.isnan(value) else value] for key, value in known]
+
+    @cached_property
+    def _places(self) -> dict[Key, int]:
+        return {key: place for place, key in enumerate(self.keys)}
+
+
+class _Found(NamedTuple):
+    """What one probe says at one place."""
+
+    log: int
+    sensor: str
+    phase: str
+    phase_number: int
+    probe: str
+    value: Floats
+    resolution: float
+
+
+def statistics(campaign: Campaign) -> Statistics:
+    """Every probe wherever it applies: phase by phase, log by log, then the logs of one kind together."""
+    keys: list[Key] = []
+    values: list[Floats] = []
+    resolutions: list[float] = []
+    for found in _all(campaign):
+        value = np.atleast_1d(found.value)
+        axes = _AXES if len(value) == len(_AXES) else ("",)
+        domain = PROBES[found.probe].domain
+        keys += [
+            Key(found.log, found.sensor, axis, found.phase, found.phase_number, domain, found.probe) for axis in axes
+        ]
+        values.append(value)
+        resolutions += [found.resolution] * len(axes)
+    joined = np.concatenate(values) if values else np.zeros(0)
+    return Statistics(tuple(keys), joined, np.array(resolutions))
+
+
+def _all(campaign: Campaign) -> Iterator[_Found]:
+    for number, log in enumerate(campaign.logs):
+        for phase in log.phases:
+            yield from _of_phase(number, phase)
+        yield from _of_log(number, log)
+    for kind, logs in campaign.series().items():
+        yield from _of_runs(kind, logs)
+
+
+def _of_phase(log: int, phase: PhaseSummary) -> Iterator[_Found]:
+    still, name, number = phase.is_still, phase.phase.name, phase.number
+    for sensor, summary in phase.sensors.items():
+        for probe_name, probe in PROBES.items():
+            if isinstance(probe, PhaseProbe) and (still or probe.in_motion):
+                value = probe.statistic(summary)
+                yield _Found(log, sensor, name, number, probe_name, value, probe.resolution(summary))
+            elif isinstance(probe, CrossProbe) and still != probe.in_motion and _takes_part(phase, sensor):
+                value = probe.statistic(phase.cross, sensor) if phase.cross is not None else np.full(3, np.nan)
+                yield _Found(log, sensor, name, number, probe_name, value, 0.0)
+
+
+def _takes_part(phase: PhaseSummary, sensor: str) -> bool:
+    return phase.cross is not None and any(item.name == sensor for item in phase.cross.sensors)
+
+
+def _of_log(log: int, summary: LogSummary) -> Iterator[_Found]:
+    sensors = dict.fromkeys(sensor for phase in summary.phases for sensor in phase.sensors)
+    for sensor in sensors:
+        still = summary.still(sensor)
+        for name, probe in PROBES.items():
+            if isinstance(probe, LogProbe) and still:
+                yield _Found(log, sensor, "", WHOLE_LOG, name, probe.statistic(still), probe.resolution)
+
+
+def _of_runs(kind: str, logs: tuple[LogSummary, ...]) -> Iterator[_Found]:
+    sensors = dict.fromkeys(sensor for phase in logs[0].phases for sensor in phase.sensors)
+    for sensor in sensors:
+        runs = runs_in(logs, sensor)
+        for name, probe in PROBES.items():
+            if isinstance(probe, RunsProbe) and runs is not None:
+                yield _Found(ALL_LOGS, sensor, kind, WHOLE_LOG, name, probe.statistic(runs), 0.0)

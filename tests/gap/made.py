@@ -1,0 +1,163 @@
+"""A small array, five short experiments on it, and blocks made by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.array import parse_array
+from imuarray.gap.campaign import Campaign, LogSummary, summarise_log
+from imuarray.gap.probes import PROBES, LogProbe, PhaseProbe
+from imuarray.gap.segments import Temperature
+from imuarray.gap.source import simulated_sources
+from imuarray.gap.summary import Grid, Summary, Tally
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.writer import Block
+from imuarray.simulate import Motion, Simulation, plan_of
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.motion.hand_shake import HandShake
+from imuarray.simulate.motion.heating import Heating
+from imuarray.simulate.motion.still import Still, turn_on_run
+from imuarray.simulate.motion.tumble import Tumble
+from imuarray.simulate.record import phases_within
+
+RATE_HZ = 100.0
+
+SECOND = 10**9
+
+SCALE = 2048.0
+"""Counts per g of `header`."""
+
+ARRAY = """
+[array]
+name = "two of each"
+bus = "i2c:/dev/i2c-1"
+
+[[sensor]]
+name = "A1"
+chip = "bma180"
+address = 0x40
+range = 4
+bandwidth_hz = 150
+axes = "+X+Y+Z"
+
+[[sensor]]
+name = "A2"
+chip = "bma180"
+address = 0x41
+range = 4
+bandwidth_hz = 150
+axes = "-X+Y-Z"
+
+[[sensor]]
+name = "G1"
+chip = "l3g4200d"
+address = 0x68
+range = 250
+rate_hz = 800
+bandwidth_hz = 35
+axes = "+X+Y+Z"
+
+[[sensor]]
+name = "G2"
+chip = "l3g4200d"
+address = 0x69
+range = 250
+rate_hz = 800
+bandwidth_hz = 35
+axes = "+X-Y-Z"
+"""
+
+BASE: Mapping[str, tuple[Effect, ...]] = {
+    "A1": (WhiteNoise(0.004), Bias(0.02), ThermalBias(0.0005)),
+    "A2": (WhiteNoise(0.004), Bias(-0.01), ThermalBias(0.0005)),
+    "G1": (WhiteNoise(0.05), Bias(0.5), ThermalBias(0.05)),
+    "G2": (WhiteNoise(0.05), Bias(-1.0), ThermalBias(0.05)),
+}
+
+PLANS: Mapping[str, tuple[Motion, ...]] = {
+    "static": (Still(seconds=60),),
+    "tumble": (Tumble(10.0, 1.0),),
+    "heating": (Heating(scale=0.02),),
+    "turn-on": tuple(turn_on_run(run, 20.0) for run in range(1, 9)),
+    "motion": (HandShake(still_s=5, motion_s=20),),
+}
+
+Effects = Mapping[str, Sequence[Effect]]
+
+
+def simulation(motion: Motion, more: Effects, seed: int, boot: int = 0) -> Simulation:
+    effects = {name: (*base, *more.get(name, ())) for name, base in BASE.items()}
+    return Simulation(plan_of(parse_array(ARRAY), RATE_HZ, motion.seconds), motion, effects, seed=seed, boot=boot)
+
+
+def temperature_of(motion: Motion) -> Temperature:
+    return lambda time_ns: np.asarray(motion.felt(np.asarray(time_ns)).temperature_degc)
+
+
+def phases_of(motion: Motion) -> list[Phase]:
+    return phases_within(motion.phases, round(motion.seconds * 1e9))
+
+
+def campaign_of(kind: str, more: Effects | None = None, seed: int = 0) -> Campaign:
+    """One of `PLANS`, simulated with `BASE` and more effects."""
+    return Campaign(tuple(_log(kind, motion, more or {}, seed, boot) for boot, motion in enumerate(PLANS[kind])))
+
+
+def _log(kind: str, motion: Motion, more: Effects, seed: int, boot: int) -> LogSummary:
+    sources = simulated_sources(simulation(motion, more, seed, boot))
+    return summarise_log(kind, sources, phases_of(motion), temperature_of(motion))
+
+
+def header(name: str = "S", axes: str = "+X+Y+Z", chip: str = "bma180", **changes: Any) -> SensorHeader:
+    kinds: dict[str, tuple[str, str, float, float]] = {
+        "bma180": ("specific_force", "g", 4.0, 2048.0),
+        "l3g4200d": ("angular_rate", "dps", 250.0, 1 / 0.00875),
+    }
+    quantity, unit, range_, sensitivity = kinds[chip]
+    facts: dict[str, Any] = {"range": range_, "sensitivity": sensitivity, "axes": axes, **changes}
+    return SensorHeader(name, chip, quantity, unit, **facts)  # type: ignore[arg-type]
+
+
+def block(counts: npt.ArrayLike, interval_ns: int = 10_000_000, start_ns: int = 0, **changes: Any) -> Block:
+    """Counts (n, 3) or (n,), which all axes then have, at even times."""
+    rows = np.asarray(counts)
+    wide = np.asarray(rows if rows.ndim == 2 else np.stack([rows] * 3, axis=1), np.int16)
+    times = start_ns + np.arange(len(wide), dtype=np.int64) * interval_ns
+    return Block(times, wide, np.zeros(len(wide), np.uint16), None)._replace(**changes)
+
+
+def summary(
+    rows: Block,
+    phase: Phase | None = None,
+    temperature: Temperature = lambda time_ns: np.full(len(time_ns), 25.0),
+    cuts: Sequence[int] = (),
+    sensor: SensorHeader | None = None,
+) -> Summary:
+    """Of one block, fed in pieces that end at `cuts`."""
+    whole = phase or Phase(0, int(rows.time[-1]) + 10_000_000, "static", "+Z")
+    tally = Tally(sensor or header(), whole, Grid.of(len(rows.time)))
+    edges = [0, *cuts, len(rows.time)]
+    for first, stop in pairwise(edges):
+        thermometer = None if rows.temperature_counts is None else rows.temperature_counts[first:stop]
+        parts = (rows.time[first:stop], rows.counts[first:stop], rows.status[first:stop], thermometer)
+        if stop > first:
+            tally.update(Block(*parts))
+    return tally.result(temperature)
+
+
+def value(name: str, subject: Summary | Sequence[Summary]) -> np.ndarray:
+    probe = PROBES[name]
+    assert isinstance(probe, PhaseProbe | LogProbe)
+    return probe.statistic(subject)  # type: ignore[arg-type]
+
+
+def gaussian(sigma: float = 20.0, rows: int = 20_000, seed: int = 1) -> np.ndarray:
+    return np.rint(np.random.default_rng(seed).normal(0, sigma, (rows, 3)))

@@ -1,0 +1,99 @@
+"""What probes have in common, and those of level and spread beside closed forms."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from imuarray.axes import up_vector
+from imuarray.gap.probes import PROBES, Domain
+from imuarray.gap.probes.probe import arcsine, noise_lsb, score_of_largest
+from imuarray.log.format import Phase
+from imuarray.simulate import EFFECTS
+from imuarray.simulate.motion.tumble import ORDER
+from tests.gap.made import SCALE, SECOND, block, gaussian, summary, value
+
+
+def test_the_registry() -> None:
+    domains = {probe.domain for probe in PROBES.values()}
+    assert domains == set(get_args(Domain))
+    assert {effect for probe in PROBES.values() for effect in probe.moved_by} == set(EFFECTS)
+    assert all(probe.about for probe in PROBES.values())
+
+
+@given(st.integers(1, 10**6), st.floats(0, 1))
+def test_arcsine_of_a_share(of: int, share: float) -> None:
+    assert np.isclose(np.sin(arcsine(share * of, of)) ** 2, share, atol=1e-12)
+
+
+def test_arcsine_of_nothing() -> None:
+    assert np.isnan(arcsine(0, 0))
+
+
+def test_the_score_of_the_largest_is_normal() -> None:
+    """The largest of 50 normal numbers, 4000 times: Kolmogorov-Smirnov, a false alarm in 1000 seeds."""
+    largest = np.random.default_rng(2).normal(size=(4000, 50)).max(axis=1)
+    assert stats.kstest(score_of_largest(largest, 50), "norm").pvalue > 1e-3
+
+
+@pytest.mark.parametrize("score", [5.0, 12.0, 60.0])
+def test_the_score_of_something_far_is_near_it(score: float) -> None:
+    """P = count * tail; the root of 2 ln(count) less in the exponent."""
+    found = float(score_of_largest(score, 100.0))
+    assert np.sqrt(score**2 - 2 * np.log(100)) - 0.3 < found < score
+
+
+def test_noise_from_row_to_row() -> None:
+    """That of white noise, whatever lies beneath it; and 5 % outliers don't matter much."""
+    counts = gaussian()
+    np.testing.assert_allclose(noise_lsb(summary(block(counts))), 20.0, rtol=0.02)
+    drifting = counts + np.linspace(0, 9000, len(counts))[:, None]
+    np.testing.assert_allclose(noise_lsb(summary(block(drifting))), 20.0, rtol=0.02)
+    struck = counts.copy()
+    struck[::50] += 4000
+    np.testing.assert_allclose(noise_lsb(summary(block(struck))), 20.0, rtol=0.08)
+    assert np.isnan(noise_lsb(summary(block(np.full(1000, 7))))).all()
+
+
+def test_level() -> None:
+    counts = np.repeat([10.0, 10.0, 30.0, 34.0], 500)
+    found = summary(block(counts))
+    np.testing.assert_allclose(value("mean", found), 21.0 / SCALE)
+    np.testing.assert_allclose(value("mean_halves", found), 22.0 / SCALE)
+    again = summary(block(counts + 5), Phase(0, 20 * SECOND, "z_up_check", "+Z"))
+    elsewhere = summary(block(counts - 99), Phase(0, 20 * SECOND, "x_up", "+X"))
+    np.testing.assert_allclose(value("mean_return", [found, elsewhere, again]), 5.0 / SCALE)
+    assert np.isnan(value("mean_return", [found, elsewhere])).all()
+
+
+def test_white_noise_does_not_wander() -> None:
+    """64 segments: the log of a chi-squared variance with 62 degrees of freedom has a standard error of 0.18."""
+    np.testing.assert_allclose(value("wander", summary(block(gaussian()))), 0.0, atol=0.9)
+    walk = gaussian() + np.cumsum(gaussian(2.0, seed=3), axis=0)
+    assert (value("wander", summary(block(walk))) > 3.0).all()
+
+
+def test_spread() -> None:
+    counts = gaussian()
+    found = summary(block(counts))
+    np.testing.assert_allclose(value("noise", found), np.log(20 / SCALE), atol=0.02)
+    np.testing.assert_allclose(value("noise_excess", found), 0.0, atol=0.03)
+    counts[10_000:] *= 2
+    louder = summary(block(counts))
+    np.testing.assert_allclose(value("noise_halves", louder), np.log(4.0), atol=0.1)
+    assert (value("noise_uneven", louder) > value("noise_uneven", found) + 2.0).all()
+
+
+def test_noise_under_gravity() -> None:
+    """Twice the noise on an axis that stands upright."""
+    phases = []
+    for seed, (name, up) in enumerate(ORDER):
+        loaded = 1 + np.abs(up_vector(up))
+        phases.append(summary(block(gaussian(seed=seed) * loaded), Phase(0, 200 * SECOND, name, up)))
+    np.testing.assert_allclose(value("noise_force", phases), np.log(4.0), atol=0.1)
+    assert np.isnan(value("noise_force", phases[:1])).all()

@@ -1,0 +1,85 @@
+"""Probes of the shape of noise, in values, codes, frequencies and time, beside closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.gap.made import block, gaussian, summary, value
+
+
+def test_distribution_of_gaussian_noise() -> None:
+    """Standard errors: root of 6/n, of 24/n over 3, half over root n; five of each."""
+    found = summary(block(gaussian()))
+    np.testing.assert_allclose(value("skewness", found), 0.0, atol=0.09)
+    np.testing.assert_allclose(value("kurtosis", found), 0.0, atol=0.06)
+    np.testing.assert_allclose(value("tail", found), np.arcsin(np.sqrt(2.7e-3)), atol=0.025)
+    np.testing.assert_allclose(value("extreme", found), 0.0, atol=5.0)
+
+
+def test_distribution_of_exponential_noise() -> None:
+    """Skewness 2, kurtosis 9."""
+    counts = np.rint(np.random.default_rng(1).exponential(200.0, (200_000, 3)))
+    found = summary(block(counts))
+    np.testing.assert_allclose(np.sinh(value("skewness", found)), 2.0, rtol=0.05)
+    np.testing.assert_allclose(3 * np.exp(value("kurtosis", found)), 9.0, rtol=0.1)
+
+
+def test_codes() -> None:
+    counts = gaussian()
+    found = summary(block(counts))
+    quarter, half = np.pi / 4, 5 * 0.5 / np.sqrt(20_000)  # arcsin of the root of a half; five standard errors
+    for name in ("odd_codes", "second_bit"):
+        np.testing.assert_allclose(value(name, found), quarter, atol=half)
+    np.testing.assert_array_equal(value("absent_codes", found), 0.0)
+    np.testing.assert_array_equal(value("code_ends", found), 0.0)
+    assert (np.abs(value("code_pile", found)) < 4.0).all()
+    even = summary(block(2 * gaussian(10.0)))
+    np.testing.assert_array_equal(value("odd_codes", even), 0.0)
+    np.testing.assert_allclose(value("absent_codes", even), quarter, atol=0.02)
+    clipped = summary(block(np.minimum(counts, 10)))
+    assert (value("code_pile", clipped) > 50.0).all()
+    ends = summary(block(np.clip(counts * 1000, -8192, 8191)))  # a BMA180's codes
+    assert (value("code_ends", ends) > 0.9).all()
+
+
+def test_spectrum_of_white_noise_is_flat() -> None:
+    """Bands of at least a bin: 2 / (2 K) of variance, K = 38 segments, 5 standard errors."""
+    found = summary(block(gaussian()))
+    for number in range(1, 7):
+        np.testing.assert_allclose(value(f"band_{number}", found), 0.0, atol=0.8)
+    assert (np.abs(value("line", found)) < 5.0).all()
+    np.testing.assert_allclose(value("alternation", found), 0.0, atol=1.2)
+
+
+def test_lines() -> None:
+    rows = np.arange(20_000)
+    tone = summary(block(gaussian() + 8 * np.sin(2 * np.pi * 0.123 * rows)[:, None]))
+    assert (value("line", tone) > 10.0).all()
+    turns = summary(block(gaussian() + 8 * (-1.0) ** rows[:, None]))
+    assert (value("alternation", turns) > 3.0).all()
+
+
+def test_correlation() -> None:
+    """A moving mean of two: 1/2 at lag 1, nothing beyond; and noise that comes in bursts."""
+    noise = gaussian(rows=20_001)
+    found = summary(block(noise[1:] + noise[:-1]))
+    np.testing.assert_allclose(np.tanh(value("lag_1", found)), 0.5, atol=0.03)
+    for name in ("lag_2", "lag_3", "lag_5"):
+        np.testing.assert_allclose(value(name, found), 0.0, atol=0.05)
+    np.testing.assert_allclose(value("arch", summary(block(gaussian()))), 0.0, atol=0.05)
+    bursts = gaussian() * np.repeat(np.random.default_rng(3).choice([1, 4], 400), 50)[:, None]
+    assert (value("arch", summary(block(np.rint(bursts)))) > 0.15).all()
+
+
+def test_allan() -> None:
+    """White: nothing above 0; a random walk: (2 m^2 + 1) / (3 m) as much at m rows, known for its variance
+    (2 m + 1 / m) / 6 against 1 / 2 at one row.
+    """
+    white = summary(block(gaussian()))
+    np.testing.assert_allclose(value("allan_8", white), 0.0, atol=0.2)
+    walk = summary(block(np.rint(np.cumsum(np.random.default_rng(1).normal(0, 8, (20_000, 3)), axis=0))))
+    for rows in (8, 32, 128):
+        expected = np.log((2 * rows**2 + 1) / 3)
+        np.testing.assert_allclose(value(f"allan_{rows}", walk), expected, atol=0.6)
+    assert np.isnan(value("allan_2048", summary(block(gaussian(rows=5000))))).all()
+    assert np.isfinite(value("allan_longest", summary(block(gaussian(rows=5000))))).all()

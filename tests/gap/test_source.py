@@ -1,0 +1,101 @@
+"""Rows out of a log and out of the simulation that wrote it are the same rows, and make the same statistics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.array import parse_array
+from imuarray.gap.campaign import Campaign, summarise_log
+from imuarray.gap.source import RecordedSource, SimulatedSource, Source, recorded_sources, simulated_sources
+from imuarray.gap.statistics import statistics
+from imuarray.log import open_log
+from imuarray.log.writer import Block
+from imuarray.simulate import Simulation, plan_of, write_log
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.motion.still import Still
+from imuarray.simulate.motion.tumble import Tumble
+from imuarray.simulate.sensor import SimulatedSensor
+from tests.gap.made import BASE, RATE_HZ, campaign_of, phases_of, simulation, temperature_of
+
+TUMBLE = Tumble(10.0, 1.0)
+
+
+def joined(blocks: list[Block]) -> list[np.ndarray]:
+    columns = zip(*((item.time, item.counts, item.status, item.temperature_counts) for item in blocks), strict=True)
+    return [np.concatenate(column) for column in columns]
+
+
+def sources_of(path: Path, dropped: float = 0.0) -> tuple[dict[str, Source], Path]:
+    made = simulation(TUMBLE, {name: (DroppedSamples(dropped),) for name in BASE} if dropped else {}, seed=3)
+    write_log(made, path)
+    return simulated_sources(made), path
+
+
+@pytest.mark.parametrize("dropped", [0.0, 0.05])
+def test_blocks_are_the_same(tmp_path: Path, dropped: float) -> None:
+    simulated, path = sources_of(tmp_path / "log.h5", dropped)
+    with open_log(path) as log:
+        for name, source in simulated.items():
+            recorded = RecordedSource(log[name])
+            assert recorded.header == source.header
+            for start_s, end_s in ((0.0, 76.0), (3.003, 41.0), (75.0, 200.0)):
+                span = (round(start_s * 1e9), round(end_s * 1e9))
+                ours, theirs = joined(list(source.blocks(*span))), joined(list(recorded.blocks(*span)))
+                for mine, other in zip(ours, theirs, strict=True):
+                    np.testing.assert_array_equal(mine, other)
+                assert ours[0].min() >= span[0]
+                assert ours[0].max() < span[1]
+                assert recorded.rows(*span) == len(ours[0])
+
+
+def test_statistics_are_the_same(tmp_path: Path) -> None:
+    """To rounding: the log's blocks are the simulator's chunks."""
+    simulated, path = sources_of(tmp_path / "log.h5")
+    degc = temperature_of(TUMBLE)
+    one = statistics(Campaign((summarise_log("tumble", simulated, phases_of(TUMBLE), degc),)))
+    with open_log(path) as log:
+        other = statistics(Campaign((summarise_log("tumble", recorded_sources(log), log.phases, degc),)))
+    assert one.keys == other.keys
+    np.testing.assert_allclose(one.values, other.values, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(one.resolutions, other.resolutions)
+    assert np.isfinite(one.values).mean() > 0.85
+
+
+def test_a_simulation_counts_rows_that_never_arrive() -> None:
+    made = simulation(Still(seconds=20), {"A1": (DroppedSamples(0.2),)}, seed=1)
+    sensor = made.sensors["A1"]
+    assert isinstance(sensor, SimulatedSensor)
+    source = SimulatedSource(sensor)
+    assert source.rows(0, 20 * 10**9) == 20 * RATE_HZ
+    assert sum(len(item.time) for item in source.blocks(0, 20 * 10**9)) == 2000 - len(sensor.lost_rows(0, 2000))
+
+
+def test_no_block_is_empty_or_long() -> None:
+    made = simulation(Still(seconds=400), {"A1": (DroppedSamples(0.9, 40.0),)}, seed=1)
+    sensor = made.sensors["A1"]
+    assert isinstance(sensor, SimulatedSensor)
+    lengths = [len(item.time) for item in SimulatedSource(sensor).blocks(10**9, 399 * 10**9)]
+    assert lengths
+    assert 0 < min(lengths) <= max(lengths) <= 16384
+    assert list(SimulatedSource(sensor).blocks(500 * 10**9, 600 * 10**9)) == []
+
+
+def test_a_barometer_has_no_axes(tmp_path: Path) -> None:
+    array = parse_array(
+        '[array]\nname = "one"\nbus = "i2c:/dev/i2c-1"\n[[sensor]]\nname = "P"\nchip = "bmp180"\naddress = 0x77\n'
+    )
+    made = Simulation(plan_of(array, 20.0, 2.0), Still(seconds=2), {})
+    assert simulated_sources(made) == {}
+    write_log(made, tmp_path / "log.h5")
+    with open_log(tmp_path / "log.h5") as log, pytest.raises(ValueError, match="no three axes"):
+        RecordedSource(log["P"])
+
+
+def test_the_same_seed_is_the_same_and_another_is_not() -> None:
+    first, again, other = (statistics(campaign_of("motion", seed=seed)) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first.values, again.values)
+    assert first.keys == other.keys
+    assert not np.array_equal(first.values, other.values, equal_nan=True)

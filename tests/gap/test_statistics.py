@@ -1,0 +1,58 @@
+"""Keys: which, in which order, and as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from imuarray.gap.campaign import Campaign
+from imuarray.gap.probes import PROBES
+from imuarray.gap.statistics import ALL_LOGS, WHOLE_LOG, Key, statistics
+from tests.gap.made import campaign_of
+
+
+@pytest.fixture(scope="module")
+def campaign() -> Campaign:
+    return Campaign((*campaign_of("static").logs, *campaign_of("motion").logs, *campaign_of("turn-on").logs))
+
+
+def test_every_probe_speaks_somewhere(campaign: Campaign) -> None:
+    found = statistics(campaign)
+    assert {key.probe for key in found.keys} == set(PROBES)
+    assert len(set(found.keys)) == len(found.keys) == len(found.values) == len(found.resolutions)
+    assert not np.isinf(found.values).any()
+    assert all(key.domain == PROBES[key.probe].domain for key in found.keys)
+
+
+def test_what_belongs_where(campaign: Campaign) -> None:
+    found = statistics(campaign)
+    assert {key.phase for key in found.keys if key.domain == "motion"} == {"motion"}
+    assert {key.axis for key in found.keys if key.domain in ("timing", "status")} == {""}
+    assert {key.probe for key in found.keys if key.phase == "motion" and key.probe == "mean"} == set()
+    runs = [key for key in found.keys if key.log == ALL_LOGS]
+    assert {(key.domain, key.phase, key.phase_number) for key in runs} == {("run_to_run", "turn-on", WHOLE_LOG)}
+    assert found[Key(0, "A1", "z", "static", 0, "level", "mean")] == pytest.approx(1.02, abs=0.001)  # 1 g, bias 0.02
+    with pytest.raises(KeyError):
+        found[Key(0, "A1", "z", "static", 0, "level", "noise")]
+
+
+def test_the_order_is_always_the_same(campaign: Campaign) -> None:
+    again = Campaign((*campaign_of("static").logs, *campaign_of("motion", seed=9).logs, *campaign.logs[2:]))
+    assert statistics(campaign).keys == statistics(again).keys
+
+
+def test_rows_are_json(campaign: Campaign) -> None:
+    found = statistics(campaign)
+    rows = json.loads(json.dumps(found.to_rows(), allow_nan=False))
+    assert [Key(*row[:-1]) for row in rows] == list(found.keys)
+    values = [math.nan if row[-1] is None else row[-1] for row in rows]
+    np.testing.assert_array_equal(values, found.values)
+
+
+def test_nothing_comes_of_nothing() -> None:
+    found = statistics(Campaign(()))
+    assert found.keys == ()
+    assert found.to_rows() == []
