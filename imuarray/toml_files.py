@@ -15,6 +15,9 @@ from imuarray.errors import ConfigError
 
 File = TypeVar("File", bound=BaseModel)
 
+_TOLD = 12
+"""So many mistakes are named; a file with more of them is another kind of file."""
+
 _IN_OTHER_WORDS = {
     "int_type": "{came}: a whole number without quotes is wanted (0x40 is one)",
     "float_type": "{came}: a number without quotes is wanted",
@@ -56,8 +59,11 @@ def _checked(table: Mapping[str, Any], model: type[File], where: str) -> File:
 
 
 def complaints(error: ValidationError, table: Mapping[str, Any], model: type[BaseModel]) -> str:
-    """Every mistake in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
-    return "; ".join(_place(mistake["loc"], table) + _complaint(mistake, model) for mistake in error.errors())
+    """The mistakes in `table`, read as `model`, on one line: "sensor 2 'BMA2': unit: ...; time: ..."."""
+    mistakes = error.errors()
+    told = [_place(mistake["loc"], table) + _complaint(mistake, model) for mistake in mistakes[:_TOLD]]
+    more = [f"and {len(mistakes) - _TOLD} more"] if len(mistakes) > _TOLD else []
+    return "; ".join([*told, *more])
 
 
 def _place(location: Sequence[int | str], table: Mapping[str, Any]) -> str:

@@ -41,7 +41,10 @@ class StartUp:
         if self.fault:
             return f"{name} came up wrong ({self.explanation}): don't use it, switch it off and on again"
         states = 0 if known is None else len(known.states)
-        return f"{name} came up in state {self.state + 1} of {states}: that state's bias holds" if states > 1 else ""
+        if states < 2:
+            return ""
+        holds = ": its bias is taken" if calibration.sensors[name].quantity == "angular_rate" else ""
+        return f"{name} came up in state {self.state + 1} of {states}{holds}"
 
 
 def state_of(
@@ -87,7 +90,7 @@ def _start_up(
 
 
 def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> tuple[Calibration, dict[str, StartUp]]:
-    """The calibration with the biases of the states in which the sensors of a log came up, and how each did.
+    """The calibration with the biases of the states in which the gyroscopes of a log came up, and how each sensor did.
 
     Told from the first seconds at rest: a phase that says so, else a pose that is found. Nothing is told, and nothing
     changed, of a log without one. Where most accelerometers are far from their states the box lies another way than in
@@ -99,8 +102,21 @@ def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> 
     for name, start in found.items():
         known = sensors[name].turn_on
         if known is not None and len(known.states) > 1 and not start.fault:
-            sensors[name] = replace(sensors[name], bias_lsb=known.states[start.state].bias_lsb)
+            sensors[name] = replace(sensors[name], bias_lsb=_bias_in(start.state, sensors[name], known))
     return replace(calibration, sensors=sensors), found
+
+
+def _bias_in(state: int, sensor: SensorCalibration, known: TurnOn) -> Floats:
+    """The bias in one state: another calibration's, moved by the difference of this state and the one in which that was
+    made, the nearest; without another, the state's own (a gyroscope's; an accelerometer's has the tilt of the runs in
+    it and stays what it was).
+    """
+    biases = np.array([each.bias_lsb for each in known.states])
+    if sensor.bias_sem_lsb is not None:
+        nearest = int(np.linalg.norm(biases - sensor.bias_lsb, axis=1).argmin())
+        moved: Floats = sensor.bias_lsb + biases[state] - biases[nearest]
+        return moved if sensor.quantity == "angular_rate" else sensor.bias_lsb
+    return biases[state] if sensor.quantity == "angular_rate" else sensor.bias_lsb
 
 
 def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:

@@ -40,7 +40,7 @@ class TurnOnResult:
     freedom; `in_run_sd_lsb` what a run's mean scatters by what happened within runs, with `in_run_freedom`; `p_value`
     of so large a ratio if switching on changed nothing, before allowing for many axes (`holm`). nan where nothing is
     known of the inside of runs. `slope_lsb_per_degc` None where temperatures were not known. `p_states` is the
-    probability of as good a split by chance; where it is not below 0.01 there is one state.
+    probability of as good a split by chance; where it is not below 0.01, shared by all sensors, there is one state.
     """
 
     runs: Runs
@@ -91,21 +91,26 @@ def calibrate_turn_on(
         raise CalibrationError(f"{logs[0].path}: no inertial sensor in it")
     results, known = [], {}
     for sensor in sensors:
-        result = compare_runs(read_runs(logs, sensor), ranges.get(sensor.chip, {}), seed)
+        result = compare_runs(read_runs(logs, sensor), ranges.get(sensor.chip, {}), seed, SIGNIFICANT / len(sensors))
         results.append(result)
         known[sensor.name] = replace(nominal(sensor), turn_on=result.turn_on())
     return Calibration(known, tuple(str(log.path) for log in logs)).stamped(logs), tuple(results)
 
 
-def compare_runs(runs: Runs, ranges: Mapping[float, float] = _NONE, seed: int = 1) -> TurnOnResult:
-    """One sensor's runs (see the head of this file); CalibrationError if fewer than three are left."""
+def compare_runs(
+    runs: Runs, ranges: Mapping[float, float] = _NONE, seed: int = 1, significant: float = SIGNIFICANT
+) -> TurnOnResult:
+    """One sensor's runs (see the head of this file); CalibrationError if fewer than three are left.
+
+    `significant`: two states are believed below this probability; where several sensors are looked at, a share of it.
+    """
     apart = _faults(runs, ranges)
     used = [place for place, number in enumerate(runs.numbers) if number not in {fault.run for fault in apart}]
     if len(used) < _FEWEST_RUNS:
         raise CalibrationError(f"sensor {runs.sensor}: {len(used)} sound runs, at least {_FEWEST_RUNS} are wanted")
     means, warm = runs.mean_lsb[used], None if runs.temperature_degc is None else runs.temperature_degc[used]
     second, p_states = two_states(means, warm, seed)
-    groups = [~second, second] if p_states < SIGNIFICANT else [np.ones(len(used), bool)]
+    groups = [~second, second] if p_states < significant else [np.ones(len(used), bool)]
     slope, sd, freedom = _about(means, groups, warm)
     inside = runs.in_run(used)
     numbers = np.array(runs.numbers)[used]

@@ -172,7 +172,10 @@ class _FirstSeconds:
             found = state_of(means, self._calibration, ranges=ranges)
             texts = [start.sentence(name, self._calibration) for name, start in found.items()]
             self._said = [text for text in texts if text]
-            for text in self._said:
+            usual = (
+                f"{len(found)} sensors came up as ever" if found else "the calibration does not say how sensors come up"
+            )
+            for text in self._said or [usual]:
                 click.echo(f"imuarray: {text}", err=True)
         return self._said
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import click
 
@@ -24,6 +26,9 @@ bus_option = click.option(
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object instead of text")
 force_option = click.option("--force", is_flag=True, help="overwrite the output if it exists")
+
+
+_USUAL = (signal.default_int_handler,)
 
 
 def find_config(name: Path) -> Path:
@@ -77,5 +82,41 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
     Hidden unless a person watches, and where the `length` is not known (0).
     """
     hidden = not length or not sys.stderr.isatty()
-    with click.progressbar(length=max(length, 1), label=label, file=sys.stderr, hidden=hidden) as bar:
-        yield lambda done: bar.update(min(done, length) - bar.pos)
+    with (
+        click.progressbar(length=max(length, 1), label=label, file=sys.stderr, hidden=hidden) as bar,
+        _Interrupt() as stop,
+    ):
+
+        def move(done: int) -> None:
+            stop.heed()
+            bar.update(min(done, length) - bar.pos)
+
+        yield move
+
+
+class _Interrupt:
+    """Ctrl-C during long work is heeded even where Python loses the exception that it raises: one that comes up inside
+    a callback of the garbage collector is printed and forgotten.
+    """
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._before: Any = None
+
+    def _ask(self, number: int, frame: Any) -> None:
+        self._asked = True
+        raise KeyboardInterrupt
+
+    def heed(self) -> None:
+        """KeyboardInterrupt if somebody asked and was not heard."""
+        if self._asked:
+            raise KeyboardInterrupt
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) in _USUAL:
+            self._before = signal.signal(signal.SIGINT, self._ask)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)

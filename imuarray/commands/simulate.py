@@ -159,14 +159,16 @@ def command(
     from imuarray.simulate import Simulation, effects_of
 
     if (config is None) == (like is None):
-        raise click.UsageError("say what to simulate: a CONFIG, or --like RUN.h5")
-    left_out = tuple(name for name in without.split(",") if name)
+        raise click.UsageError("say one thing to simulate: a CONFIG, or --like RUN.h5")
+    _refuse_idle(click.get_current_context(), str(experiment["experiment"]), like)
+    left_out = tuple(name.strip() for name in without.split(",") if name.strip())
     names = tuple(only.split(",")) if only else ()
     with ExitStack() as stack:
         log, runs = _runs(stack, config, like, output, names, **experiment)
         model = _model(model_name, calibration, runs[0].plan)
         for run in runs:
             refuse_existing(run.path, force, source=like)
+        _warn(runs[0].plan, model, log, population)
         reports = []
         for run in runs:
             effects = effects_of(run.plan, model, seed, population=population, without=left_out)
@@ -182,6 +184,45 @@ def command(
         return
     for report in reports:
         click.echo(_line(report))
+
+
+_FOR = {
+    "drive": ("--motion", ("motion",)),
+    "runs": ("--runs", ("turn-on",)),
+    "up": ("--up", ("static", "heating")),
+    "temperature_degc": ("--temperature", ("static", "tumble", "turn-on", "motion")),
+}
+"""Options that only some experiments listen to."""
+
+
+def _refuse_idle(context: click.Context, experiment: str, like: Path | None) -> None:
+    """click.UsageError for an option that would do nothing."""
+    given = [
+        name
+        for name in (*_FOR, "experiment", "seconds", "rate_hz")
+        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT
+    ]
+    for name in given:
+        option, experiments = _FOR.get(name, (f"--{name.replace('_', '-')}", (experiment,)))
+        if like is not None:
+            raise click.UsageError(f"{option}: with --like it is the log that says so")
+        if experiment not in experiments:
+            raise click.UsageError(f"{option} is for --experiment {' or '.join(experiments)}, not {experiment}")
+
+
+def _warn(plan: Plan, model: Model, log: Log | None, population: bool) -> None:
+    """Say what a model leaves out, what of it is for nobody, and that a box is taken to be still."""
+    triads = {name: header for name, (header, _) in plan.sensors.items() if header.quantity != "pressure"}
+    ideal = [name for name, header in triads.items() if not model.parts(header, population=population)]
+    if ideal:
+        click.echo(f"imuarray: model {model.name} says nothing of {', '.join(ideal)}: simulated as ideal", err=True)
+    idle = sorted({part.name for part in model.sensors} - set(plan.sensors))
+    if idle and len(idle) == len({part.name for part in model.sensors}):
+        click.echo(f"imuarray: model {model.name}: its sensors {', '.join(idle)} are not in this array", err=True)
+    if log is not None and log.truth is None and log.reference is None:
+        click.echo(
+            f"imuarray: {log.path} does not say how the box moved: it lies still on the faces of its phases", err=True
+        )
 
 
 def _runs(
@@ -220,8 +261,12 @@ def _model(name: str, calibration: Path | None, plan: Plan) -> Model:
     from imuarray.calibrate import load_calibration
     from imuarray.simulate.from_calibration import calibrated
 
-    headers = [header for header, _ in plan.sensors.values()]
-    return calibrated(model, load_calibration(calibration), headers)
+    known = load_calibration(calibration)
+    if not set(known.sensors) & set(plan.sensors):
+        raise click.UsageError(
+            f"{calibration}: knows {', '.join(known.sensors) or 'no sensor'}, but none of {', '.join(plan.sensors)}"
+        )
+    return calibrated(model, known, [header for header, _ in plan.sensors.values()])
 
 
 def _write(simulation: Any, path: Path, log: Log | None, note: str, workers: int, force: bool) -> Written:
@@ -272,8 +317,8 @@ def _report(path: Path, written: Written, seed: int, boot: int, model: str) -> d
 
 def _line(report: Mapping[str, Any]) -> str:
     """One line about one log."""
-    lost = sum(report["lost"].values())
+    lost, most = sum(report["lost"].values()), max(report["rows"].values())
     return (
-        f"{report['log']}: simulated, {report['frames']} frames in {report['seconds']:.1f} s, model {report['model']},"
+        f"{report['log']}: simulated, {most} rows a sensor in {report['seconds']:.1f} s, model {report['model']},"
         f" seed {report['seed']}, boot {report['boot']}" + (f", {lost} readings dropped" if lost else "")
     )

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
+from imuarray.errors import SourceError
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.heating import Heating
@@ -58,8 +59,8 @@ def tumble(wanted: Wanted) -> Motion:
 
 def heating(wanted: Wanted) -> Motion:
     """The paper's temperature profile, all times scaled."""
-    whole = Heating()
-    return Heating(scale=wanted.seconds / whole.seconds) if wanted.seconds else whole
+    whole = Heating(up=wanted.up)
+    return Heating(scale=wanted.seconds / whole.seconds, up=wanted.up) if wanted.seconds else whole
 
 
 def turn_on(wanted: Wanted) -> Motion:
@@ -70,7 +71,12 @@ def turn_on(wanted: Wanted) -> Motion:
 def motion(wanted: Wanted) -> Motion:
     """At rest, moved, at rest; or what a file says. SourceError for a file that can't be read."""
     if wanted.drive not in DRIVES:
-        return load_trajectory(Path(wanted.drive))
+        if not Path(wanted.drive).exists():
+            raise SourceError(f"{wanted.drive}: no such file; allowed are {', '.join(DRIVES)} and a trajectory file")
+        moved = load_trajectory(Path(wanted.drive))
+        if wanted.seconds is not None and wanted.seconds > moved.seconds + 1e-9:
+            raise SourceError(f"{wanted.drive}: lasts {moved.seconds:g} s; {wanted.seconds:g} s are wanted of it")
+        return moved
     return DRIVES[wanted.drive](wanted)
 
 

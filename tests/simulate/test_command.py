@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,9 @@ def test_a_trajectory_from_a_file(tmp_path: Path) -> None:
     with open_log(run) as log:
         assert log.truth is not None
         np.testing.assert_allclose(np.asarray(log.truth.specific_force)[100:400], [[0, 0, 10.80665]] * 300, atol=1e-6)
+    assert (
+        simulate("martin2013", "--experiment", "motion", "--motion", path, "--seconds", 20, "-o", run, "--force") == 2
+    )
 
 
 @pytest.mark.parametrize(
@@ -140,7 +144,12 @@ def test_a_trajectory_from_a_file(tmp_path: Path) -> None:
         (("martin2013", "--without", "gremlins"), "'gremlins'"),
         (("martin2013", "--only", "Gyro9"), "Gyro9"),
         (("martin2013", "--experiment", "motion", "--motion", "nosuch.csv"), "nosuch.csv"),
+        (("martin2013", "--experiment", "motion", "--motion", "vehikel"), "hand, vehicle and a trajectory file"),
         (("martin2013", "--calibration", "nosuch.toml"), "nosuch.toml"),
+        (("martin2013", "--motion", "vehicle"), "--motion is for --experiment motion"),
+        (("martin2013", "--runs", "4"), "--runs is for --experiment turn-on"),
+        (("martin2013", "--experiment", "heating", "--temperature", "10"), "--temperature is for"),
+        (("--like", "x.h5", "--experiment", "tumble"), "--experiment: with --like it is the log that says so"),
     ],
 )
 def test_bad_input_is_told_in_one_line(
@@ -167,3 +176,37 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize("path", sorted((CONFIGS / "models").glob("*.toml")), ids=lambda path: path.stem)
 def test_every_shipped_model_loads_by_its_name(path: Path) -> None:
     assert load_model(path).name == path.stem
+
+
+def test_a_heated_box_can_stand_on_its_head(tmp_path: Path) -> None:
+    run = tmp_path / "run.h5"
+    assert simulate("martin2013", "--experiment", "heating", "--up=-Z", "--seconds", 20, "-o", run) == 0
+    with open_log(run) as log:
+        assert {phase.up for phase in log.phases} == {"-Z"}
+        assert log.truth is not None
+        np.testing.assert_allclose(np.asarray(log.truth.specific_force)[:5], [[0, 0, -9.80665]] * 5, atol=1e-12)
+
+
+def test_what_a_model_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = tmp_path / "small.toml"
+    text = '[model]\nname = "small"\n[[sensor]]\nname = "Gyro7"\nchip = "l3g4200d"\n[sensor.bias]\noffset_dps = 1.0\n'
+    model.write_text(text, encoding="utf-8")
+    assert (
+        simulate("martin2013", "--model", model, "--only", "Gyro1,BMA1", "--seconds", 2, "-o", tmp_path / "r.h5") == 0
+    )
+    said = capsys.readouterr().err
+    assert "model small says nothing of BMA1, Gyro1: simulated as ideal" in said
+    assert "its sensors Gyro7 are not in this array" in said
+
+
+def test_an_interrupt_that_python_loses_is_heeded_at_the_next_step() -> None:
+    """An exception raised in a callback of the garbage collector is printed and forgotten: the next step ends it."""
+    import signal
+
+    from imuarray.commands.options import progress
+
+    with pytest.raises(KeyboardInterrupt), progress(10, "work") as done:
+        with suppress(KeyboardInterrupt):  # lost
+            signal.raise_signal(signal.SIGINT)
+        done(1)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -104,7 +104,8 @@ def _note(sensor: Table, unit: str) -> str:
     lines = []
     for name, symbol, per in (("white", "N", "√Hz"), ("random walk", "K", "√s")):
         terms = [(axis["fit"]["terms"].get(name), scale_of(axis, unit)) for axis in fitted]
-        values = sorted(term["value"] * scale for term, scale in terms if term and term["significant"])
+        seen = [(term, scale) for term, scale in terms if term and term["significant"] and term["low"] > 0]
+        values = sorted(term["value"] * scale for term, scale in seen)
         if values:
             ends = dict.fromkeys(f"{value:.2g}" for value in (values[0], values[-1]))
             lines.append(f"\n{symbol} {' to '.join(ends)} {unit}/{per}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, per_axis
+from imuarray.simulate.effect import Effect, per_axis, require
 from imuarray.simulate.signal import Analog, Place, Triple
 
 
@@ -20,6 +20,11 @@ class WhiteNoise(Effect):
 
     name: ClassVar[str] = "white_noise"
     rms: Triple = per_axis(suffix="_{u}")
+
+    def __post_init__(self) -> None:
+        """ValueError for a negative rms."""
+        super().__post_init__()
+        require("rms", min(self.rms), 0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the noise."""

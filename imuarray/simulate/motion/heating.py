@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import UPRIGHT, Floats, resting
+from imuarray.simulate.motion.faces import Floats, resting, standing_on
 from imuarray.simulate.motion.felt import Felt, Integers
 from imuarray.simulate.motion.timeline import FOREVER_NS, consecutive, finite, nanoseconds, positive
 
@@ -54,9 +54,11 @@ class Heating:
     peaks_degc: tuple[float, float] = (42.5, 52.0)
     room_degc: float = 24.0
     last_room_degc: float = 25.0
+    up: str = "+Z"
 
     def __post_init__(self) -> None:
         positive(scale=self.scale)
+        standing_on(self.up, (0.0, 0.0))
         if len(self.peaks_degc) != 2:
             raise ValueError(f"peaks_degc: {self.peaks_degc}; two temperatures are wanted")
         first, second = self.peaks_degc
@@ -71,7 +73,11 @@ class Heating:
     def phases(self) -> tuple[Phase, ...]:
         """room, heat, cool, heat, cool."""
         lengths = np.diff(self._edges_ns).tolist()
-        return consecutive(*((part.name, length, "+Z") for part, length in zip(self._profile, lengths, strict=True)))
+        return consecutive(*((part.name, length, self.up) for part, length in zip(self._profile, lengths, strict=True)))
+
+    @cached_property
+    def _attitude(self) -> Floats:
+        return standing_on(self.up, (0.0, 0.0))
 
     @cached_property
     def _profile(self) -> tuple[_Stretch, ...]:
@@ -101,7 +107,7 @@ class Heating:
         index = np.searchsorted(self._edges_ns[1:-1], since_ns, side="right")
         towards, distance, decay = self._columns
         left = np.exp(decay[index] * (since_ns - self._edges_ns[index]))
-        return resting(time_ns, UPRIGHT, towards[index] + distance[index] * left)
+        return resting(time_ns, self._attitude, towards[index] + distance[index] * left)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
         """Until when it shows what it shows at `at_ns`."""
