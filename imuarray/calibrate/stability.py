@@ -48,6 +48,11 @@ class Thermal:
     scale_slope_per_degc: Floats | None = None
     scale_slope_sem_per_degc: Floats | None = None
 
+    @property
+    def significant_lag_s(self) -> float:
+        """The lag, or 0 where its interval holds no lag at all; a lag without an interval is believed."""
+        return self.lag_s if self.lag_interval_s is None or self.lag_interval_s[0] > 0 else 0.0
+
     def bias_change_lsb(self, to_degc: npt.ArrayLike, from_degc: float) -> Floats:
         """Change of bias (3,) or (n, 3) in counts between two lagged temperatures, zero on an axis whose slope may be
         one of scale.

@@ -60,6 +60,7 @@ def command(
         names = [log[name].name for name in only.split(",")] if only else []
         uncalibrated = _uncalibrated(log, calibration, names, calibration_file)
         calibration, starts, names = _come_up(log, calibration, names)
+        thermal = _thermal(log, calibration, names)
         calibration = with_noise(log, calibration, technique)
         rows = max(len(sensor) for sensor in log.sensors.values())
         with progress(rows, technique) as done:
@@ -81,6 +82,7 @@ def command(
             "frames": frames,
             "uncalibrated": uncalibrated,
             "start_up": starts,
+            "thermal": thermal,
             "changes": _changes(log, calibration, technique, names),
             "error": results[technique] if log.truth or log.reference else {},
             "results": results,
@@ -117,6 +119,21 @@ def _come_up(log: Log, calibration: Calibration, names: list[str]) -> tuple[Cali
     said = [start.sentence(name, calibration) for name, start in found.items()]
     inertial = names or [sensor.name for sensor in _inertial(log)]
     return chosen, [text for text in said if text], [name for name in inertial if name not in wrong] if wrong else names
+
+
+def _thermal(log: Log, calibration: Calibration, names: Sequence[str]) -> list[str]:
+    """The sensors whose bias follows the log's temperature; says on standard error whose can't, though they should."""
+    from imuarray.fuse import element_temperatures, slopes_of
+
+    sloped = [sensor for sensor in _inertial(log) if not names or sensor.name in names]
+    sloped = [sensor for sensor in sloped if slopes_of(calibration, sensor) is not None]
+    warm = element_temperatures(log, sloped, calibration)
+    if cold := [sensor.name for sensor in sloped if sensor.name not in warm]:
+        click.echo(
+            f"imuarray: {log.path}: no thermometer for the slopes of {', '.join(cold)}; biases stay as calibrated",
+            err=True,
+        )
+    return list(warm)
 
 
 def _inertial(log: Log) -> list[SensorLog]:
@@ -178,6 +195,8 @@ def _print(report: dict[str, Any]) -> None:
         click.echo(f"  not calibrated, data sheet's values: {', '.join(report['uncalibrated'])}")
     for sentence in report["start_up"]:
         click.echo(f"  {sentence}")
+    if report["thermal"]:
+        click.echo(f"  bias follows the log's temperature: {', '.join(report['thermal'])}")
     if technique != "mean":
         changes = ", ".join(report["changes"])
         click.echo(f"  {technique} changes {changes or _NOTHING}")

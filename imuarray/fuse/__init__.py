@@ -7,6 +7,7 @@ from imuarray.fuse.evaluate import Error, errors_of, evaluate, quiet_noise
 from imuarray.fuse.fuse import FusedBlock, fuse
 from imuarray.fuse.store import read_fused, write_fused
 from imuarray.fuse.techniques import NEEDS_NOISE, TECHNIQUES, changes
+from imuarray.fuse.thermal import element_temperatures, slopes_of
 
 __all__ = [
     "NEEDS_NOISE",
@@ -15,10 +16,12 @@ __all__ = [
     "FusedBlock",
     "axes_of",
     "changes",
+    "element_temperatures",
     "errors_of",
     "evaluate",
     "fuse",
     "quiet_noise",
     "read_fused",
+    "slopes_of",
     "write_fused",
 ]

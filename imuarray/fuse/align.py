@@ -2,19 +2,22 @@
 
 The grid is the times of the reference sensor. Each sensor gives its nearest reading within half a frame; what the
 motion did between the two instants is taken out with the slope of the array's own mean, which is far quieter than one
-sensor, so that no reading is smoothed by its neighbours. Values are calibrated, in SI, along each sensor axis.
+sensor, so that no reading is smoothed by its neighbours. Values are calibrated, in SI, along each sensor axis, with the
+bias at the temperature of the reading where that is known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.segments import Thermometer
 from imuarray.errors import FusionError
 from imuarray.fuse.splines import between_gaps
 from imuarray.log import SensorLog
@@ -27,6 +30,8 @@ Flags = npt.NDArray[np.bool_]
 
 BLOCK = 1 << 14
 """Frames that are worked on at once; the result does not depend on it."""
+
+_NOT_KNOWN: Mapping[str, Thermometer] = MappingProxyType({})
 
 _MARGIN = 32
 """Frames of overlap between blocks: a cubic spline forgets its ends by a factor of 3.7 a knot."""
@@ -85,10 +90,14 @@ def directions(axes: Sequence[Axis]) -> Floats:
 
 
 def frames(
-    sensors: Sequence[SensorLog], calibration: Calibration, reference: SensorLog, block: int = BLOCK
+    sensors: Sequence[SensorLog],
+    calibration: Calibration,
+    reference: SensorLog,
+    block: int = BLOCK,
+    temperatures: Mapping[str, Thermometer] = _NOT_KNOWN,
 ) -> Iterator[Frames]:
     """The log's frames on the reference sensor's times, `block` at a time; FusionError if there are fewer than
-    three.
+    three. The bias of a sensor in `temperatures` (of its element, see `element_temperatures`) follows these.
     """
     total = len(reference)
     if total < 3:
@@ -99,7 +108,10 @@ def frames(
     for start in range(0, total, block):
         first, last = max(0, start - _MARGIN), min(total, start + block + _MARGIN)
         grid = np.asarray(reference.time[first:last])
-        parts = [_nearest(sensor, cal, grid, period_ns) for sensor, cal in zip(sensors, known, strict=True)]
+        parts = [
+            _nearest(sensor, cal, temperatures.get(sensor.name), grid, period_ns)
+            for sensor, cal in zip(sensors, known, strict=True)
+        ]
         values = np.concatenate([part.values for part in parts], axis=1)
         valid = np.repeat(np.stack([part.valid for part in parts], axis=1), 3, axis=1)
         late_s = np.repeat(np.stack([part.late_s for part in parts], axis=1), 3, axis=1)
@@ -116,7 +128,9 @@ class _Nearest(NamedTuple):
     late_s: Floats
 
 
-def _nearest(sensor: SensorLog, known: SensorCalibration, grid: Times, period_ns: float) -> _Nearest:
+def _nearest(
+    sensor: SensorLog, known: SensorCalibration, warm: Thermometer | None, grid: Times, period_ns: float
+) -> _Nearest:
     """The readings nearest to each grid time, within half a frame."""
     half_ns = int(period_ns / 2)
     rows = sensor.between(int(grid[0]) - half_ns, int(grid[-1]) + half_ns + 1)
@@ -128,7 +142,8 @@ def _nearest(sensor: SensorLog, known: SensorCalibration, grid: Times, period_ns
     index = np.where(grid - time[before] <= time[after] - grid, before, after)
     late_ns = (time[index] - grid).astype(float)
     status = np.asarray(sensor.status[rows])[index]
-    values = (np.asarray(sensor.counts[rows], float)[index] - known.bias_lsb) / known.lsb_per_si
+    bias = known.bias_lsb if warm is None else known.bias_at(warm.at(time[index] * 1e-9))
+    values = (np.asarray(sensor.counts[rows], float)[index] - bias) / known.lsb_per_si
     valid = ((status & (SATURATED | SUSPECT)) == 0) & (np.abs(late_ns) <= half_ns)
     return _Nearest(values, valid, late_ns * 1e-9)
 

@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate import Calibration
+from imuarray.calibrate.segments import Thermometer
 from imuarray.errors import FusionError
 from imuarray.fuse.align import BLOCK, axes_of, frames
 from imuarray.fuse.techniques import TECHNIQUES
+from imuarray.fuse.thermal import element_temperatures
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL
 
@@ -32,7 +34,7 @@ def fuse(
     log: Log, calibration: Calibration, technique: str, *, only: Collection[str] = (), block: int = BLOCK
 ) -> Iterator[FusedBlock]:
     """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`; FusionError if they can't
-    feed it.
+    feed it. Biases follow the temperature that the log tells, where the calibration says how.
     """
     if technique not in TECHNIQUES:
         raise FusionError(f"technique {technique!r}: allowed are {', '.join(TECHNIQUES)}")
@@ -41,15 +43,21 @@ def fuse(
     if not groups:
         raise FusionError(f"{log.path}: no inertial sensor {f'among {sorted(only)}' if only else 'in it'}")
     reference = next(iter(groups.values()))[0]
-    streams = [_fuse_group(sensors, calibration, technique, reference, block) for sensors in groups.values()]
+    warm = element_temperatures(log, (sensor for sensors in groups.values() for sensor in sensors), calibration)
+    streams = [_fuse_group(sensors, calibration, technique, reference, block, warm) for sensors in groups.values()]
     for parts in zip(*streams, strict=True):
         yield FusedBlock(parts[0][0], dict(zip(groups, (triad for _, triad in parts), strict=True)))
 
 
 def _fuse_group(
-    sensors: list[SensorLog], calibration: Calibration, technique: str, reference: SensorLog, block: int
+    sensors: list[SensorLog],
+    calibration: Calibration,
+    technique: str,
+    reference: SensorLog,
+    block: int,
+    temperatures: Mapping[str, Thermometer],
 ) -> Iterator[tuple[npt.NDArray[np.int64], Floats]]:
     """Time (n,) and fused triad (n, 3) of one quantity, block by block."""
     fused = TECHNIQUES[technique](axes_of(sensors, calibration))
-    for part in frames(sensors, calibration, reference, block):
+    for part in frames(sensors, calibration, reference, block, temperatures):
         yield part.time, fused(part)

@@ -2,7 +2,8 @@
 
 The calibration's affine map, counts = response @ stimulus_box + g_sensitivity @ force_box + bias, is taken apart, in
 the sensor's nominal axes and with its nominal sensitivity, into `axis_error`, `misalignment`, `scale`, `g_sensitivity`
-and `bias`; run one after the other they make the same map again.
+and `bias`; run one after the other they make the same map again. Slopes with temperature become `thermal_bias` and
+`thermal_lag`.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from imuarray.simulate.effects.g_sensitivity import GSensitivity
 from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.quantisation import Quantisation
 from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.thermal_lag import ThermalLag
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.model import TRIADS, Model, Part, noise_bandwidth_hz
 from imuarray.simulate.parameters import to_table
@@ -65,7 +68,8 @@ def _part(model: Model, unit: SensorCalibration, header: SensorHeader) -> Part:
             for kind in _THERMAL
             if kind in before
         }
-    for effect in (*_affine(unit, header), *_noise(unit, header, _step_lsb(model, header))):
+    noise = _noise(unit, header, _step_lsb(model, header))
+    for effect in (*_affine(unit, header), *_thermal(unit, header), *noise):
         if effect.name in before or effect != type(effect)():
             table = to_table(effect, header.unit)
             effects[effect.name] = ({key: figure_of(value, key) for key, value in table.items()},)
@@ -109,6 +113,28 @@ def _nearest_axes(sensed: Floats) -> Floats:
     nearest = np.zeros((3, 3))
     nearest[rows, columns] = np.sign(sensed[rows, columns])
     return nearest
+
+
+def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
+    """The slopes about the temperature at which the bias holds: CalibrationError for one that no sensor can have.
+
+    A slope that may be one of scale is taken for one of bias: at rest as it was measured, both make the same counts. A
+    lag behind the chip's own thermometer is none behind the box, whose temperature the simulator knows.
+    """
+    if unit.thermal is None:
+        return
+    about = unit.thermal
+    relative = about.thermometer == "relative"  # of its degrees only differences mean anything
+    unknown = ThermalBias().reference_degc if relative else about.reference_degc
+    holds_at = unknown if unit.temperature_degc is None else unit.temperature_degc
+    curve = np.zeros(3) if about.quadratic_lsb_per_degc2 is None else about.quadratic_lsb_per_degc2
+    slope = about.slope_lsb_per_degc + 2 * curve * (0.0 if relative else holds_at - about.reference_degc)
+    try:
+        yield ThermalBias(_triple(slope / header.sensitivity), _triple(curve / header.sensitivity), holds_at)
+        if about.significant_lag_s and about.thermometer in ("barometer", "reference"):
+            yield ThermalLag(about.significant_lag_s)
+    except ValueError as error:
+        raise CalibrationError(f"sensor {header.name}: thermal: {error}") from None
 
 
 def _noise(unit: SensorCalibration, header: SensorHeader, step_lsb: int) -> Iterator[Effect]:

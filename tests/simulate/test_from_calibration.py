@@ -12,11 +12,13 @@ import pytest
 
 from imuarray.axes import orientation_of
 from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.calibrate.stability import Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.thermal_lag import ThermalLag
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.from_calibration import calibrated
 from imuarray.simulate.model import Model, parse_model
@@ -220,6 +222,64 @@ def test_temperature_counts_from_where_the_unit_was_calibrated(sensor: MakeSenso
     )
     assert (before.reference_degc, after.reference_degc) == (20.0, 37.0)
     assert before.slope == after.slope != (0.0, 0.0, 0.0)
+
+
+def sloped(thermometer: str = "barometer", **more: Any) -> Thermal:
+    """Slopes of 2, -1 and 4 counts per degC at 30 degC, the first one bent."""
+    return Thermal(
+        slope_lsb_per_degc=np.array([2.0, -1.0, 4.0]),
+        slope_sem_lsb_per_degc=np.full(3, 0.1),
+        reference_degc=30.0,
+        meaning=("bias", "bias", "bias or scale"),
+        thermometer=thermometer,
+        quadratic_lsb_per_degc2=np.array([0.1, 0.0, 0.0]),
+        **more,
+    )
+
+
+@pytest.mark.parametrize("measured_at", [None, 20.0])
+@pytest.mark.parametrize("designs", [EMPTY, parse_model(DESIGNS)], ids=["alone", "over designs"])
+def test_measured_slopes_are_the_models_slopes(
+    designs: Model, measured_at: float | None, sensor: MakeSensor, place: Any, analog: MakeAnalog
+) -> None:
+    """At rest at 42 degC: 2 * 12 + 0.1 * 144 = 38.4, -12 and 48 counts more than at 30 degC.
+
+    A bias of 20 degC is 2 * -10 + 0.1 * 100 = -10, 10 and -40 counts from that of 30, so that 48.4, -22 and 88 count.
+    """
+    header = sensor("l3g4200d", "S1", 2000.0)
+    thermal = sloped(lag_s=80.0, lag_interval_s=np.array([60.0, 100.0]))
+    unit = measured(header, header.sensitivity * np.eye(3), thermal=thermal, temperature_degc=measured_at)
+    model = parse_model(calibrated(designs, Calibration({"S1": unit}), [header]).to_toml())
+    found = counts_of(
+        replace(model, designs=()), header, np.zeros((FORCE_ROWS, 3)), np.zeros((FORCE_ROWS, 3)), 42.0, place, analog
+    )
+    more = [38.4, -12.0, 48.0] if measured_at is None else [48.4, -22.0, 88.0]
+    assert found == pytest.approx(np.tile(unit.bias_lsb + more, (FORCE_ROWS, 1)), rel=1e-9)
+    assert ThermalLag(80.0) in model.effects(header, Streams(0))
+
+
+@pytest.mark.parametrize(
+    ("thermometer", "lag_interval_s", "reference_degc"),
+    [("barometer", (0.0, 100.0), 30.0), ("chip", (60.0, 100.0), 30.0), ("relative", (60.0, 100.0), 25.0)],
+)
+def test_lags_that_are_not_behind_the_box_make_none(
+    thermometer: str, lag_interval_s: tuple[float, float], reference_degc: float, sensor: MakeSensor
+) -> None:
+    """Nor does a thermometer without a zero say at which temperature a bias holds."""
+    header = sensor("l3g4200d", "S1", 2000.0)
+    thermal = sloped(thermometer, lag_s=80.0, lag_interval_s=np.array(lag_interval_s))
+    unit = measured(header, header.sensitivity * np.eye(3), thermal=thermal)
+    effects = calibrated(EMPTY, Calibration({"S1": unit}), [header]).effects(header, Streams(0))
+    assert not any(isinstance(effect, ThermalLag) for effect in effects)
+    (bias,) = (effect for effect in effects if isinstance(effect, ThermalBias))
+    assert bias.reference_degc == reference_degc
+
+
+def test_slopes_about_an_impossible_temperature_are_refused(sensor: MakeSensor) -> None:
+    header = sensor("l3g4200d", "S1", 2000.0)
+    unit = measured(header, header.sensitivity * np.eye(3), thermal=replace(sloped(), reference_degc=5000.0))
+    with pytest.raises(CalibrationError, match="sensor S1: thermal: reference_degc: 5000"):
+        calibrated(EMPTY, Calibration({"S1": unit}), [header])
 
 
 def test_known_units_keep_what_was_not_measured_of_them(sensor: MakeSensor) -> None:

@@ -1,0 +1,50 @@
+"""How warm each sensor's element was: what its bias follows, where a calibration says how."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.segments import Thermometer, thermometer_of
+from imuarray.calibrate.stability import BIAS, Thermal
+from imuarray.calibrate.thermal import SEGMENT_S
+from imuarray.log import Log, SensorLog
+
+_OF_THE_BOX = ("barometer", "reference")
+
+
+def slopes_of(calibration: Calibration, sensor: SensorLog) -> Thermal | None:
+    """The slopes of a sensor's bias; None where none were measured, or none of its axes is known to be one of bias."""
+    thermal = calibration.of(sensor).thermal
+    return thermal if thermal is not None and BIAS in thermal.meaning else None
+
+
+def element_temperatures(log: Log, sensors: Iterable[SensorLog], calibration: Calibration) -> dict[str, Thermometer]:
+    """The temperature that the bias of each sensor follows, behind its lag, by sensor: one row for 5 s, or longer.
+
+    Read as `calibrate thermal` reads it: barometer, `/reference`, the chip's own thermometer, that of another chip.
+    Without the sensors whose bias has no slopes, and those that have none of these here; slopes over a thermometer
+    without a zero go with no other kind, and slopes over another not with it.
+    """
+    found: dict[str, Thermometer] = {}
+    shared: Thermometer | None = None
+    for sensor in sensors:
+        if (thermal := slopes_of(calibration, sensor)) is not None:
+            thermometer = shared or thermometer_of(log, sensor, SEGMENT_S)
+            if thermometer is not None and thermometer.kind in _OF_THE_BOX:
+                shared = thermometer
+            if thermometer is not None and (thermometer.kind == "relative") == (thermal.thermometer == "relative"):
+                found[sensor.name] = _behind(thermometer, thermal)
+    return found
+
+
+def _behind(thermometer: Thermometer, thermal: Thermal) -> Thermometer:
+    """The thermometer behind the lag of the slopes, unless their interval holds no lag at all."""
+    lag_s = thermal.significant_lag_s
+    if lag_s == 0:
+        return thermometer
+    lagged = thermometer.lagged(thermometer.time_s, [lag_s])[:, 0]
+    return replace(thermometer, degc=np.asarray(lagged))

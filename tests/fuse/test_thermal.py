@@ -1,0 +1,201 @@
+"""Biases that follow the temperature of the log: planted slopes are taken out, and nothing else is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.stability import Thermal
+from imuarray.cli import main
+from imuarray.fuse import element_temperatures, fuse
+from imuarray.log import Block, LogWriter, Stimulus, open_log
+from imuarray.log.format import SensorHeader
+from tests.fuse.conftest import EPOCH, Floats, joined, pointing
+
+ROWS = 6000
+SECONDS = np.arange(ROWS) / 5.0
+RISE_DEGC, RISE_S, LAG_S = 20.0, 300.0, 60.0
+WARM = 25 + RISE_DEGC * (1 - np.exp(-SECONDS / RISE_S))
+# The solution of LAG dT/dt = WARM - T from balance at 25 degC.
+ELEMENT = 25 + RISE_DEGC * (
+    1 - (RISE_S * np.exp(-SECONDS / RISE_S) - LAG_S * np.exp(-SECONDS / LAG_S)) / (RISE_S - LAG_S)
+)
+
+SLOPES = {"A1": (3.0, -2.0, 1.5), "A2": (3.0, 4.0, 2.0), "G1": (2.0, -3.0, 5.0)}
+BIAS = {"A1": (10.0, -20.0, 5.0), "A2": (0.0, 30.0, -5.0), "G1": (-12.0, 3.0, 7.0)}
+HEADERS = {
+    "A1": SensorHeader("A1", "bma180", "specific_force", "g", 16.0, 512.0, axes="+X+Y+Z", has_temperature=True),
+    "A2": SensorHeader("A2", "adxl345", "specific_force", "g", 16.0, 256.0, axes="-Y+X+Z"),
+    "G1": SensorHeader("G1", "l3g4200d", "angular_rate", "dps", 250.0, 114.0, axes="+X+Y+Z", has_temperature=True),
+}
+BAROMETER = SensorHeader(
+    "P", "bmp180", "pressure", "Pa", 0.0, 0.0, columns=("ut", "up"), compensated=("temperature", "pressure")
+)
+
+
+def heating(path: Path, thermometer: str, names: Sequence[str] = ("A1", "A2", "G1")) -> Path:
+    """A box at rest, Z up, heated by 20 degC: biases behind a lag of 60 s, one count of noise."""
+    rng, nothing = np.random.default_rng(5), np.zeros((ROWS, 3))
+    time, status = np.round(SECONDS * 1e9).astype(np.int64), np.zeros(ROWS, np.uint16)
+    headers = [replace(HEADERS[name], has_temperature=thermometer == HEADERS[name].chip) for name in names]
+    barometer = [BAROMETER] if thermometer == "barometer" else []
+    with LogWriter(path, [*headers, *barometer], source="simulated", epoch=EPOCH) as writer:
+        for header in headers:
+            felt = header.sensitivity * pointing(header.axes)[:, 2] * (header.quantity == "specific_force")
+            above = (ELEMENT - 25)[:, None]
+            counts = BIAS[header.name] + felt + above * SLOPES[header.name] + rng.normal(0, 1, (ROWS, 3))
+            own = {"bma180": 2 * (WARM - 24), "l3g4200d": 45 - WARM}.get(header.chip, WARM)
+            degrees = np.rint(own).astype(np.int16) if header.has_temperature else None
+            writer.append(header.name, Block(time, np.rint(counts).astype(np.int16), status, degrees))
+        if barometer:
+            air = {"temperature": np.round(WARM, 1), "pressure": np.full(ROWS, 1e5)}
+            writer.append("P", Block(time, np.zeros((ROWS, 2), np.int32), status, None, air))
+        if thermometer == "reference":
+            writer.stimulus("reference", Stimulus(time, nothing, nothing, WARM))
+    return path
+
+
+def known(
+    thermometer: str = "barometer", reference_degc: float = 25.0, names: Sequence[str] = ("A1", "A2", "G1")
+) -> Calibration:
+    """All as planted; z of accelerometers carried gravity, so that its slope may be one of scale."""
+    return Calibration(
+        {
+            name: SensorCalibration(
+                name=name,
+                quantity=HEADERS[name].quantity,
+                unit=HEADERS[name].unit,
+                bias_lsb=np.array(BIAS[name]),
+                response_lsb_per_unit=HEADERS[name].sensitivity * pointing(HEADERS[name].axes),
+                bias_sem_lsb=np.ones(3),
+                thermal=Thermal(
+                    slope_lsb_per_degc=np.array(SLOPES[name]),
+                    slope_sem_lsb_per_degc=np.full(3, 0.01),
+                    reference_degc=reference_degc,
+                    meaning=("bias", "bias", "bias" if name == "G1" else "bias or scale"),
+                    thermometer=thermometer,
+                    lag_s=LAG_S,
+                    lag_interval_s=np.array([50.0, 70.0]),
+                ),
+            )
+            for name in names
+        }
+    )
+
+
+def cold(calibration: Calibration) -> Calibration:
+    """The same without slopes."""
+    return Calibration({name: replace(sensor, thermal=None) for name, sensor in calibration.sensors.items()})
+
+
+def fused(path: Path, calibration: Calibration, quantity: str, block: int = 1 << 14) -> Floats:
+    with open_log(path) as log:
+        return joined(list(fuse(log, calibration, "mean", block=block)), quantity)[1]
+
+
+def drift(values: Floats) -> Floats:
+    """Largest less smallest of sixteen means."""
+    return np.asarray(np.ptp([part.mean(axis=0) for part in np.array_split(values, 16)], axis=0))
+
+
+@pytest.mark.parametrize("thermometer", ["barometer", "reference", "bma180"])
+def test_drift_with_temperature_goes(tmp_path: Path, thermometer: str) -> None:
+    """From 20 degC times the mean slope to what rounding of the thermometer leaves: a twentieth and less.
+
+    Sixteen means of 375 rows of one count of noise span 0.2 counts, the slopes make 30 and more.
+    """
+    path = heating(tmp_path / "heat.h5", thermometer)
+    calibration = known("chip" if thermometer == "bma180" else thermometer)
+    for quantity, axes in (("specific_force", [0, 1]), ("angular_rate", [0, 1, 2])):
+        before, after = (fused(path, cal, quantity) for cal in (cold(calibration), calibration))
+        assert (drift(after)[axes] < drift(before)[axes] / 20).all()
+
+
+def test_an_axis_that_may_be_one_of_scale_is_left_alone(tmp_path: Path) -> None:
+    path = heating(tmp_path / "heat.h5", "barometer")
+    before, after = (fused(path, calibration, "specific_force") for calibration in (cold(known()), known()))
+    assert after[:, 2] == pytest.approx(before[:, 2], abs=1e-12)
+    assert drift(after)[2] > 0.9 * 9.80665 * (19 * np.mean([1.5 / 512, 2.0 / 256]))
+
+
+def test_a_thermometer_without_a_zero_serves_its_own_slopes(tmp_path: Path) -> None:
+    """The L3G4200D counts 45 - T here: read as T - 45, so that 25 degC is its -20."""
+    path = heating(tmp_path / "heat.h5", "l3g4200d", ["G1"])
+    calibration = known("relative", -20.0, ["G1"])
+    before, after = (fused(path, cal, "angular_rate") for cal in (cold(calibration), calibration))
+    assert (drift(after) < drift(before) / 20).all()
+
+
+@pytest.mark.parametrize(("inside", "slopes"), [("l3g4200d", "barometer"), ("barometer", "relative")])
+def test_degrees_that_do_not_compare_correct_nothing(tmp_path: Path, inside: str, slopes: str) -> None:
+    path = heating(tmp_path / "heat.h5", inside, ["G1"])
+    calibration = known(slopes, names=["G1"])
+    with open_log(path) as log:
+        assert element_temperatures(log, log.of("angular_rate"), calibration) == {}
+    assert (fused(path, calibration, "angular_rate") == fused(path, cold(calibration), "angular_rate")).all()
+
+
+def test_the_bias_holds_at_the_temperature_at_which_it_was_measured(tmp_path: Path) -> None:
+    """The bias of 35 degC, ten slopes away from that of 25: nothing turns, whatever the temperature.
+
+    After 225 s, when 2 % are left of what the lag began with (0.16 degC, 5 counts each).
+    """
+    gyroscope = known().sensors["G1"]
+    there = np.array(BIAS["G1"]) + 10 * np.array(SLOPES["G1"])
+    calibration = Calibration({"G1": replace(gyroscope, bias_lsb=there, temperature_degc=35.0)})
+    values = fused(heating(tmp_path / "heat.h5", "barometer", ["G1"]), calibration, "angular_rate")
+    means_lsb = np.degrees([part.mean(axis=0) for part in np.array_split(values, 16)[3:]]) * 114.0
+    # Five standard errors of 375 rows; the barometer's means err by less than 0.01 degC of 5 counts each.
+    assert np.abs(means_lsb).max() < 5 / np.sqrt(375) + 0.05
+
+
+def test_a_lag_that_may_be_none_is_not_applied(tmp_path: Path) -> None:
+    gyroscope = known().sensors["G1"]
+    assert gyroscope.thermal is not None
+    unsure = replace(gyroscope, thermal=replace(gyroscope.thermal, lag_interval_s=np.array([0.0, 70.0])))
+    with open_log(heating(tmp_path / "heat.h5", "barometer", ["G1"])) as log:
+        (warm,), (lagged,) = (
+            element_temperatures(log, log.of("angular_rate"), Calibration({"G1": unit})).values()
+            for unit in (unsure, gyroscope)
+        )
+    assert warm.at(SECONDS[100:-100]) == pytest.approx(WARM[100:-100], abs=0.05)
+    # The lag is taken to be in balance at the first mid time, 2.4 s: 0.16 degC of rise, forgotten as the lag forgets.
+    assert lagged.at(SECONDS[100:-100]) == pytest.approx(ELEMENT[100:-100], abs=0.2)
+    assert np.abs(WARM - ELEMENT).max() > 2.0
+
+
+def test_blocks_leave_no_trace_of_themselves(tmp_path: Path) -> None:
+    path = heating(tmp_path / "heat.h5", "barometer")
+    one, many = (fused(path, known(), "specific_force", block) for block in (1 << 14, 777))
+    assert np.abs(one - many).max() < 1e-9
+
+
+def test_fuse_says_whose_bias_follows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, calibration = heating(tmp_path / "heat.h5", "barometer"), known(names=["A1", "G1"])
+    calibration.save(tmp_path / "cal.toml")
+    arguments = ["fuse", str(path), "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "fused.h5")]
+    assert main([*arguments, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["thermal"] == ["A1", "G1"]
+    assert "thermometer" not in err
+    assert main([*arguments, "--force", "--only", "G1"]) == 0
+    assert "  bias follows the log's temperature: G1\n" in capsys.readouterr().out
+
+
+def test_fuse_says_that_a_log_has_no_thermometer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = heating(tmp_path / "heat.h5", "none")
+    known().save(tmp_path / "cal.toml")
+    arguments = ["fuse", str(path), "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "fused.h5")]
+    assert main([*arguments, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["thermal"] == []
+    assert [line for line in err.splitlines() if "thermometer" in line] == [
+        f"imuarray: {path}: no thermometer for the slopes of A1, A2, G1; biases stay as calibrated"
+    ]
+    assert (fused(path, known(), "angular_rate") == fused(path, cold(known()), "angular_rate")).all()
