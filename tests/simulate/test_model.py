@@ -316,12 +316,14 @@ SPREADS = st.fixed_dictionaries(
     {"mean": st.floats(-10, 10), "sigma": NUMBERS}, optional={"limit": NUMBERS, "shared": st.floats(0, 1)}
 )
 FIGURES = st.one_of(NUMBERS, SPREADS, st.lists(NUMBERS | SPREADS, min_size=3, max_size=3))
+SIZES = st.one_of(NUMBERS, st.fixed_dictionaries({"mean": st.floats(5, 10), "sigma": st.floats(0, 1)}))
+"""Figures that can't come out negative: within three sigma."""
 TABLES = st.fixed_dictionaries(
     {"chip": st.just("bma180")},
     optional={
         "noise_bandwidth_hz": st.floats(1, 1e4),
         "bias": st.fixed_dictionaries({"offset_g": FIGURES}),
-        "white_noise": st.lists(st.fixed_dictionaries({"rms_g": FIGURES}), min_size=1, max_size=3),
+        "white_noise": st.lists(st.fixed_dictionaries({"rms_g": SIZES}), min_size=1, max_size=3),
         "tone": st.fixed_dictionaries({"frequency_hz": NUMBERS, "amplitude_g": NUMBERS}),
         "axis_error": st.just({"axes": "-X+Y+Z"}),
     },
