@@ -169,9 +169,9 @@ def command(
         for run in runs:
             refuse_existing(run.path, force, source=like)
         _warn(runs[0].plan, model, log, population)
+        effects = effects_of(runs[0].plan, model, seed, population=population, without=left_out)  # units stay, boots go
         reports = []
         for run in runs:
-            effects = effects_of(run.plan, model, seed, population=population, without=left_out)
             simulation = Simulation(
                 run.plan, run.motion, effects, seed=seed, boot=run.boot, dtype="float32" if single else "float64"
             )

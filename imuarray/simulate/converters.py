@@ -57,6 +57,11 @@ def even_step(chip: str, rate_hz: float) -> int:
     return 2 if chip == "adxl345" and rate_hz >= EVEN_ONLY_FROM_HZ else 1
 
 
+def adxl345_bandwidth_hz(rate_hz: float) -> float:
+    """Bandwidth of the ADXL345's noise, Hz: half the data rate (ADX-32), below 100 Hz that of 100 Hz (ADX-68)."""
+    return max(rate_hz, 100.0) / 2
+
+
 def code_span(sensor: SensorHeader) -> CodeSpan:
     """The codes of a triad as it is configured: ADX-46, BMA-60, HMC-32; 16 bits elsewhere."""
     if sensor.chip == "adxl345":

@@ -27,6 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, create_model,
 from imuarray.chips import CHIPS
 from imuarray.errors import ConfigError
 from imuarray.log.format import SensorHeader
+from imuarray.simulate.converters import adxl345_bandwidth_hz
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.range_reset import RangeReset
@@ -140,12 +141,9 @@ def parse_model(text: str, where: str = "model") -> Model:
 
 
 def noise_bandwidth_hz(sensor: SensorHeader) -> float:
-    """-3 dB bandwidth of the sensor's noise as it is configured, Hz; 0 if nothing is known of it.
-
-    Half the data rate for an ADXL345 (ADX-32), whose noise is that of 100 Hz at every lower rate (ADX-68).
-    """
+    """-3 dB bandwidth of the sensor's noise as it is configured, Hz; 0 if nothing is known of it."""
     if sensor.chip == "adxl345" and sensor.rate_hz:
-        return max(sensor.rate_hz, 100.0) / 2
+        return adxl345_bandwidth_hz(sensor.rate_hz)
     return sensor.bandwidth_hz
 
 

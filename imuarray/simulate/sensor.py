@@ -19,7 +19,7 @@ import numpy.typing as npt
 from imuarray.barometer import EXAMPLE_WORDS, compensate, uncompensated
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
 from imuarray.log.writer import Block
-from imuarray.simulate.converters import THERMOMETERS, CodeSpan, code_span, converted, held, latest_reading
+from imuarray.simulate.converters import THERMOMETERS, code_span, converted, held, latest_reading
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Floats, Instants, Integers, Motion, Place, per_row
 from imuarray.simulate.streams import CHUNK, Streams
@@ -276,4 +276,4 @@ def _joined(parts: Sequence[Codes]) -> Codes:
     )
 
 
-__all__ = ["CodeSpan", "SimulatedBarometer", "SimulatedSensor"]
+__all__ = ["SimulatedBarometer", "SimulatedSensor"]

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.converters import code_span
+from imuarray.simulate.converters import adxl345_bandwidth_hz, code_span
 from imuarray.simulate.effect import Effect, require, scalar
 from imuarray.simulate.signal import Analog, Instants, Place
-
-_QUIETEST_HZ = 100.0  # below this data rate the ADXL345's noise falls no more (ADX-68)
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class OdrError(Effect):
         sensor = at.sensor
         configured_hz, real_hz = sensor.bandwidth_hz, sensor.bandwidth_hz
         if sensor.chip == "adxl345":
-            configured_hz, real_hz = (max(rate, _QUIETEST_HZ) / 2 for rate in (sensor.rate_hz, rate_hz))
+            configured_hz, real_hz = map(adxl345_bandwidth_hz, (sensor.rate_hz, rate_hz))
         if math.isnan(self.bandwidth_hz):
             return real_hz / configured_hz if configured_hz else 1.0
         if not configured_hz:
