@@ -6,6 +6,7 @@ Frames: ``box`` is the cuboid box, ``sensor`` the chip's own; ``vector_box = ori
 from __future__ import annotations
 
 import re
+from functools import cache
 
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
@@ -15,6 +16,7 @@ UP_AXES = ("+X", "-X", "+Y", "-Y", "+Z", "-Z")
 _AXES = re.compile(r"([+-])([XYZ])" * 3)
 
 
+@cache
 def orientation_of(axes: str) -> Matrix:
     """The rotation that an axes text names: column k is the box axis along which the sensor's axis k points.
 

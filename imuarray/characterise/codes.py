@@ -35,6 +35,8 @@ class Histogram:
 
     def merge(self, other: Histogram) -> Histogram:
         """The histogram of both together."""
+        if len(self.codes) == 0 or len(other.codes) == 0:
+            return self if len(self.codes) else other
         codes = np.union1d(self.codes, other.codes)
         counts = np.zeros(len(codes), np.int64)
         for part in (self, other):

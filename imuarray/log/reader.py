@@ -7,12 +7,13 @@ length.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self, cast
+from weakref import WeakValueDictionary, ref
 
 import h5py
 import numpy as np
@@ -37,11 +38,12 @@ _DAMAGE = (
 
 class SensorLog:
     """One sensor's part of a log. `time`, `counts`, ... are HDF5 datasets: slice them, or `numpy.asarray` them
-    whole.
+    whole. Pickled, it is its log's path and its name.
     """
 
-    def __init__(self, group: h5py.Group, where: str) -> None:
+    def __init__(self, group: h5py.Group, where: str, log: Log) -> None:
         self._group = group
+        self._log, self._path = ref(log), log.path  # no cycle: a log that nobody has any more is closed at once
         self.name = str(group.name).rsplit("/", 1)[-1]
         self.where = where
         self.chip = self._text("chip")
@@ -160,6 +162,9 @@ class SensorLog:
     def __len__(self) -> int:
         return int(self.time.shape[0])
 
+    def __reduce__(self) -> tuple[Callable[[Log | Path, str], SensorLog], tuple[Log | Path, str]]:
+        return _sensor_of, (self._log() or self._path.absolute(), self.name)
+
     def blocks(self, rows: int = 1 << 16) -> Iterator[slice]:
         """Slices that cover the log, `rows` at a time."""
         return (slice(start, min(start + rows, len(self))) for start in range(0, len(self), rows))
@@ -192,7 +197,11 @@ class Track(NamedTuple):
 
 
 class Log:
-    """An open log; a context manager. `log["Gyro1"].counts[1000:2000]` reads a thousand rows and no more."""
+    """An open log; a context manager. `log["Gyro1"].counts[1000:2000]` reads a thousand rows and no more.
+
+    It can be pickled, as its path: another process opens the file itself, for reading, and then again only if no log
+    that came to it so is open there any more. A log that came so is shared; whoever closes it closes it for all.
+    """
 
     def __init__(self, path: str | PathLike[str]) -> None:
         """Open and check `path`; LogError says what is missing or wrong with it."""
@@ -201,7 +210,7 @@ class Log:
         try:
             self._check()
             self.sensors: Mapping[str, SensorLog] = {
-                name: SensorLog(group, f"{path}, sensor {name}") for name, group in self._file["sensors"].items()
+                name: SensorLog(group, f"{path}, sensor {name}", self) for name, group in self._file["sensors"].items()
             }
         except BaseException as error:
             self._file.close()
@@ -305,6 +314,14 @@ class Log:
                 raise LogError(f"{self.path}: group {name}: a column has another shape than time")
         return Track(group["time"], *columns)
 
+    def __reduce__(self) -> tuple[Callable[[Path], Log], tuple[Path]]:
+        return _shared, (self.path.absolute(),)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it can be read."""
+        return bool(self._file)
+
     def close(self) -> None:
         """Close the file; its datasets can't be read any more."""
         self._file.close()
@@ -321,6 +338,22 @@ class Log:
 def open_log(path: str | PathLike[str]) -> Log:
     """Open a log for reading; LogError, one line, if it is missing, truncated, foreign, malformed or hostile."""
     return Log(path)
+
+
+_SHARED: WeakValueDictionary[Path, Log] = WeakValueDictionary()
+"""Logs that came to this process as their paths."""
+
+
+def _shared(path: Path) -> Log:
+    """The log at a path as it was unpickled before, if it is still open; else opened. LogError as `open_log`."""
+    log = _SHARED.get(path)
+    if log is None or not log.is_open:
+        log = _SHARED[path] = open_log(path)
+    return log
+
+
+def _sensor_of(log: Log | Path, name: str) -> SensorLog:
+    return (log if isinstance(log, Log) else _shared(log))[name]
 
 
 def _plain(value: Any) -> Any:

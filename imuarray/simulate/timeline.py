@@ -1,4 +1,5 @@
-"""When each row of each sensor is read: by a poll loop like the recorder's, by a chip's own queue, or as in a log.
+"""When each row of each sensor is read: by a poll loop like the recorder's, by a chip's own queue, or as in a log, with
+or without the rows that it lost.
 
 A frame visits the segments of the bus there and, the next time, back (one switch of the multiplexer a frame), so that a
 sensor's readings lie alternately a little nearer and a little farther apart. A burst takes its clocks at 400 kHz.
@@ -7,14 +8,18 @@ sensor's readings lie alternately a little nearer and a little farther apart. A 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Protocol
 
+import h5py
 import numpy as np
 
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.log import SensorLog
+from imuarray.log.format import LOST_BEFORE
 from imuarray.simulate.signal import Integers
 
 _CLOCK_NS = 2500
@@ -24,6 +29,13 @@ _BURST_CLOCKS = {"adxl345": 99, "bma180": 90, "l3g4200d": 99, "bmp180": 0, "hmc5
 
 _SOON = 1.1
 """A slow chip is left out of a frame if the next one, with a margin for the way there and back, is soon enough."""
+_SINGLE = 1024
+_HOLE = 1.5
+"""Times the usual interval: a shorter one has no room for another row."""
+
+_TYPICAL = 1024
+"""A block of fewer intervals doesn't change what is usual."""
+
 _PRESSURE_S = 0.0255
 """Longest pressure conversion of the BMP180 (BMP-44)."""
 
@@ -83,17 +95,112 @@ class Queued:
 
 
 class Recorded:
-    """The rows of a recorded sensor, at the times that its log gives."""
+    """The rows of a recorded sensor, at the times that its log gives; pickled as `SensorLog` is."""
 
     def __init__(self, sensor: SensorLog) -> None:
-        self._time = sensor.time
+        self._sensor = sensor
         self.rows = len(sensor)
         span_ns = int(self._time[-1]) - int(self._time[0]) if self.rows > 1 else 0
         self.rows_per_s = (self.rows - 1) * 1e9 / span_ns if span_ns else max(sensor.rate_hz, 1.0)
 
     def stamps(self, start: int, stop: int) -> Integers:
         """As they stand in the log."""
-        return np.asarray(self._time[start:stop], np.int64)
+        return self._one(start) if stop - start == 1 else np.asarray(self._time[start:stop], np.int64)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: getattr(self, name) for name in ("_sensor", "rows", "rows_per_s")}
+
+    @cached_property
+    def _time(self) -> h5py.Dataset:
+        return self._sensor.time
+
+    @cached_property
+    def _one(self) -> Callable[[int], Integers]:
+        """(1,) the stamp of a single row: those at the ends of phases are looked for again and again."""
+        return lru_cache(maxsize=_SINGLE)(lambda row: np.asarray(self._time[row : row + 1], np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Filled:
+    """The rows of a recorded sensor and those that it lost: `missing` (h,) of them, evenly spaced, lie before its rows
+    `before` (h,), ascending, none of them the first one.
+    """
+
+    recorded: Timeline
+    before: Integers
+    missing: Integers
+
+    @property
+    def rows(self) -> int:
+        """Those that were recorded and those that were lost."""
+        return self.recorded.rows + int(self.missing.sum())
+
+    @property
+    def rows_per_s(self) -> float:
+        """As if nothing had been lost."""
+        return self.recorded.rows_per_s * (self.rows - 1) / (self.recorded.rows - 1)
+
+    def stamps(self, start: int, stop: int) -> Integers:
+        """As they stand in the log, and between them."""
+        if stop <= start:
+            return np.zeros(0, np.int64)
+        behind = bisect_right(self._ends, start)  # holes
+        if behind == len(self._ends) or self._ends[behind] - self.missing[behind] >= stop:
+            lead = self._ends[behind - 1] - int(self.before[behind - 1]) if behind else 0
+            return self.recorded.stamps(start - lead, stop - lead)
+        return self._between(np.arange(start, stop))
+
+    def _between(self, rows: Integers) -> Integers:
+        """The stamps of rows (n,) in order."""
+        ends, missing = np.array(self._ends), self.missing
+        hole = np.searchsorted(ends - missing, rows, side="right") - 1  # the last that begins here or before
+        inside = np.flatnonzero((hole >= 0) & (rows < ends[hole]))
+        last = rows - np.concatenate([ends - self.before, [0]])[hole]  # the recorded row here or before
+        last[inside] = self.before[hole[inside]] - 1
+        times = self.recorded.stamps(int(last[0]), min(int(last[-1]) + 2, self.recorded.rows))
+        stamps = times[last - last[0]]
+        parts = missing[hole[inside]] + 1
+        step = rows[inside] - ends[hole[inside]] + parts
+        whole, rest = np.divmod(times[last[inside] - last[0] + 1] - stamps[inside], parts)
+        stamps[inside] += step * whole + step * rest // parts  # no product is beyond 64 bits
+        return np.asarray(stamps)
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """(h,) the number that the recorded row after each hole has here."""
+        ends: list[int] = (self.before + np.cumsum(self.missing)).tolist()
+        return ends
+
+
+def filled(sensor: SensorLog) -> Recorded | Filled:
+    """The rows of a recorded sensor, and where one is flagged as one before which others were lost (flag 8), and the
+    interval before it is 1.5 times the usual one or longer, as many as there are too few.
+
+    Usual is the median of the intervals without the flag, in 65536 rows. Reads times and flags once, a block at a time.
+    """
+    recorded, status = Recorded(sensor), sensor.status
+    holes = list(_holes(sensor, status)) if isinstance(status, h5py.Dataset) and recorded.rows > 1 else []
+    if not holes:
+        return recorded
+    before, missing = zip(*holes, strict=True)
+    return Filled(recorded, np.concatenate(before), np.concatenate(missing))
+
+
+def _holes(sensor: SensorLog, status: h5py.Dataset) -> Iterator[tuple[Integers, Integers]]:
+    """Rows before which others are missing, and how many, of each block that has such."""
+    last, usual_ns = np.zeros(0, np.int64), 0.0
+    for block in sensor.blocks():
+        times = np.concatenate([last, np.asarray(sensor.time[block], np.int64)])
+        intervals, last = np.diff(times), times[-1:]
+        first = block.stop - len(intervals)
+        lost = (np.asarray(status[first : block.stop]) & LOST_BEFORE) != 0
+        plain = intervals[~lost]
+        if len(plain) >= (_TYPICAL if usual_ns else 1):
+            usual_ns = float(np.median(plain))
+        found = np.flatnonzero(lost & (intervals >= _HOLE * usual_ns))
+        if usual_ns > 0 and len(found):
+            missing = np.rint(intervals[found] / usual_ns).astype(np.int64) - 1
+            yield first + found, missing
 
 
 def frames_in(frame_rate_hz: float, seconds: float) -> tuple[int, int]:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.bus import open_bus
-from imuarray.log import open_log
-from imuarray.simulate.timeline import Recorded, frames_in, poll
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import LOST_BEFORE, SensorHeader
+from imuarray.simulate.timeline import Filled, Recorded, filled, frames_in, poll
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
@@ -76,3 +81,127 @@ def test_a_recorded_sensors_own_times(recorded: Path) -> None:
         line = Recorded(log["Gyro1"])
         np.testing.assert_array_equal(line.stamps(10, 20), log["Gyro1"].time[10:20])
         assert line.rows_per_s == pytest.approx(48.0, rel=1e-3)
+
+
+def test_a_recorded_line_is_read_from_its_log_wherever_it_is_sent(recorded: Path) -> None:
+    with open_log(recorded) as log:
+        line = Recorded(log["Gyro1"])
+        line.stamps(0, 1), line.stamps(3, 9)
+        pickled = pickle.dumps(line)
+        again = pickle.loads(pickled)  # noqa: S301
+        assert len(pickled) < 1000
+        assert (again.rows, again.rows_per_s) == (line.rows, line.rows_per_s)
+        np.testing.assert_array_equal(again.stamps(5, 50), log["Gyro1"].time[5:50])
+        np.testing.assert_array_equal(again.stamps(7, 8), log["Gyro1"].time[7:8])
+
+
+class Listed:
+    """A timeline with the times that it is given."""
+
+    rows_per_s = 100.0
+
+    def __init__(self, times: Sequence[int]) -> None:
+        self._times = np.array(times, np.int64)
+        self.rows = len(times)
+
+    def stamps(self, start: int, stop: int) -> np.ndarray:
+        assert 0 <= start <= stop <= self.rows
+        return self._times[start:stop]
+
+
+@st.composite
+def holed(draw: st.DrawFn) -> tuple[Filled, list[int]]:
+    """A line with holes, and all its times one by one."""
+    missing = draw(st.lists(st.integers(0, 6), min_size=1, max_size=25))
+    whole = [draw(st.integers(-(10**17), 10**17))]
+    recorded = whole[:]
+    for lost in missing:
+        end = whole[-1] + draw(st.integers(lost + 1, 10**15))
+        whole += [recorded[-1] + (end - recorded[-1]) * step // (lost + 1) for step in range(1, lost + 2)]
+        recorded.append(end)
+    holes = [(row, lost) for row, lost in enumerate(missing, start=1) if lost]
+    before, lost_rows = (np.array([hole[at] for hole in holes], np.int64) for at in (0, 1))
+    return Filled(Listed(recorded), before, lost_rows), whole
+
+
+@given(holed(), st.data())
+def test_any_stretch_of_a_line_whose_holes_are_filled(made: tuple[Filled, list[int]], data: st.DataObject) -> None:
+    line, whole = made
+    assert line.rows == len(whole)
+    start, stop = sorted(data.draw(st.tuples(*[st.integers(0, len(whole))] * 2)))
+    found = line.stamps(start, stop)
+    assert found.dtype == np.int64
+    assert found.tolist() == whole[start:stop]
+    assert (np.diff(found) > 0).all()
+    assert [line.stamps(row, row + 1).item() for row in range(len(whole))] == whole
+
+
+def log_of(path: Path, times: np.ndarray, lost_before: Sequence[int] | np.ndarray) -> Path:
+    """One accelerometer, read at these times; the rows `lost_before` have the flag."""
+    header = SensorHeader("A", "bma180", "specific_force", "g", 4.0, 2048.0, rate_hz=2400.0)
+    status = np.zeros(len(times), np.uint16)
+    status[list(lost_before)] = LOST_BEFORE
+    with LogWriter(path, [header], source="imported", epoch="2024-01-01T00:00:00Z", force=True) as log:
+        log.append("A", Block(np.asarray(times, np.int64), np.zeros((len(times), 3), np.int16), status))
+    return path
+
+
+@settings(max_examples=30)
+@given(
+    lost=st.lists(st.booleans(), min_size=1, max_size=60), period_ns=st.integers(1000, 10**8), seed=st.integers(0, 99)
+)
+def test_an_even_line_comes_back_whole(
+    tmp_path_factory: pytest.TempPathFactory, lost: list[bool], period_ns: int, seed: int
+) -> None:
+    """Times off the grid by a twentieth of its period at most; rows that were lost come back to within that."""
+    kept = np.array([True, True, *(not one for one in lost), True])
+    apart = np.random.default_rng(seed).uniform(-0.05, 0.05, len(kept)) * period_ns
+    times = np.rint(np.arange(len(kept)) * period_ns + apart).astype(np.int64)
+    rows = np.flatnonzero(kept)
+    path = log_of(
+        tmp_path_factory.mktemp("even") / "log.h5", times[rows], np.flatnonzero(np.diff(rows, prepend=-1) > 1)
+    )
+    with open_log(path) as log:
+        line = filled(log["A"])
+        found = line.stamps(0, line.rows)
+        assert line.rows == len(kept)
+        assert isinstance(line, Filled) != kept.all()
+        assert line.rows_per_s == pytest.approx(1e9 / period_ns, rel=0.1)
+        np.testing.assert_array_equal(found[kept], times[kept])
+        assert np.abs(found - times).max() <= 0.1 * period_ns + 1
+
+
+def test_which_holes_are_filled(tmp_path: Path) -> None:
+    """Of those with the flag the ones with room for a row; a gap without the flag stays one."""
+    times = np.cumsum([5, 10, 10, 14, 10, 16, 10, 24, 26, 30, 10])
+    with open_log(log_of(tmp_path / "log.h5", times, [0, 3, 5, 8, 9])) as log:
+        line = filled(log["A"])
+        assert isinstance(line, Filled)
+        assert line.before.tolist() == [5, 8, 9]
+        assert line.missing.tolist() == [1, 2, 2]
+        assert line.stamps(4, 8).tolist() == [49, 57, 65, 75]
+        assert line.rows_per_s == pytest.approx(15 / 160e-9)
+
+
+def test_holes_wherever_a_long_log_is_cut(tmp_path: Path) -> None:
+    """Blocks of 65536 rows; in the last hundred rows every second one is lost."""
+    kept = np.ones(80_000, bool)
+    kept[[65_536, 70_000]] = False
+    kept[-100::2] = False
+    rows = np.flatnonzero(kept)
+    flagged = np.flatnonzero(np.diff(rows) > 1) + 1
+    assert rows[65_536] == 65_537
+    with open_log(log_of(tmp_path / "log.h5", rows * 10_000_000, flagged)) as log:
+        line = pickle.loads(pickle.dumps(filled(log["A"])))  # noqa: S301
+        np.testing.assert_array_equal(line.stamps(0, line.rows), np.arange(80_000) * 10_000_000)
+        assert len(line.before) == 52
+
+
+def test_a_log_without_flags_has_no_holes(tmp_path: Path) -> None:
+    times = np.array([0, 10, 20, 50, 60])
+    with open_log(log_of(tmp_path / "log.h5", times, [])) as log:
+        assert isinstance(filled(log["A"]), Recorded)
+    with open_log(log_of(tmp_path / "one.h5", times[:1], [0])) as log:
+        assert filled(log["A"]).rows == 1
+    with open_log(log_of(tmp_path / "two.h5", times[:2], [0, 1])) as log:  # nothing tells what is usual
+        assert filled(log["A"]).rows == 2

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,10 @@ from imuarray.simulate.motion.timeline import FOREVER_NS
 Floats = npt.NDArray[np.floating[Any]]
 
 ROOM_DEGC = 25.0
+
+_FEW = 256
+"""What was felt at so few instants is kept: the same ones, scattered over a phase, are asked for again and again."""
+_KEPT = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +68,14 @@ class LikeLog:
         return self._track[0]
 
     def felt(self, time_ns: Integers) -> Felt:
-        """What the log's rows say, or its phases."""
-        felt = self._on_faces(time_ns)
-        if self._moving is None:
-            return felt
-        values, slopes = self._moving.at(time_ns)
-        return replace(felt, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:])
+        """What the log's rows say, or its phases; read-only, of few instants."""
+        if len(time_ns) > _FEW:
+            return self._felt(time_ns)
+        return self._remembered(np.asarray(time_ns, np.int64).tobytes())
+
+    def __reduce__(self) -> tuple[type[LikeLog], tuple[Log]]:
+        """Its log alone, which opens itself; what was read of it is not sent."""
+        return LikeLog, (self.log,)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
         """Until when it shows what it shows at `at_ns`."""
@@ -77,18 +84,32 @@ class LikeLog:
         later = self._starts_ns[self._starts_ns > at_ns]
         return int(later[0]) if len(later) else FOREVER_NS
 
+    @cached_property
+    def _remembered(self) -> Callable[[bytes], Felt]:
+        """What is felt at times that are given as bytes."""
+        return lru_cache(maxsize=_KEPT)(lambda times: self._felt(np.frombuffer(times, np.int64)))
+
+    def _felt(self, time_ns: Integers) -> Felt:
+        felt = self._on_faces(time_ns)
+        if self._moving is None:
+            return felt
+        values, slopes = self._moving.at(time_ns)
+        return replace(felt, force_box=values[:, :3], rate_box=values[:, 3:], angular_acceleration_box=slopes[:, 3:])
+
     def _on_faces(self, time_ns: Integers) -> Felt:
         """The box at rest, at the temperature of the moment."""
-        degc = ROOM_DEGC if self._warming is None else self._warming.at(time_ns)[0][:, 0]
-        face = np.clip(np.searchsorted(self._starts_ns, time_ns, side="right") - 1, 0, None)
-        if len(face) == 0 or (face == face[0]).all():
-            return resting(time_ns, self._attitudes[face[0] if len(face) else 0], degc)
-        level = resting(time_ns, np.eye(3), degc)
-        return replace(
-            level,
-            force_box=(GRAVITY_LEVEL @ self._attitudes)[face],
-            field_box=(FIELD_LEVEL @ self._attitudes)[face],
-        )
+        degc = ROOM_DEGC if self._warming is None else self._warming.values_at(time_ns)[:, 0]
+        ends = np.array([time_ns.min(), time_ns.max()]) if len(time_ns) else np.zeros(1, np.int64)
+        first, last = self._face_at(ends)[[0, -1]].tolist()
+        if first == last:
+            return resting(time_ns, self._attitudes[first], degc)
+        face = self._face_at(time_ns)
+        turned = replace(resting(time_ns, np.eye(3), degc), field_box=(FIELD_LEVEL @ self._attitudes)[face])
+        return turned if self._moving is not None else replace(turned, force_box=self._gravity[face])
+
+    def _face_at(self, time_ns: Integers) -> npt.NDArray[np.intp]:
+        """(n,) the number of the face on which it stands."""
+        return np.clip(np.searchsorted(self._starts_ns, time_ns, side="right") - 1, 0, None)
 
     @cached_property
     def _faces(self) -> tuple[Phase, ...]:
@@ -102,6 +123,11 @@ class LikeLog:
     def _attitudes(self) -> Floats:
         """(k, 3, 3) of each named face."""
         return np.array([standing_on(phase.up) for phase in self._faces])
+
+    @cached_property
+    def _gravity(self) -> Floats:
+        """(k, 3) of each named face."""
+        return np.asarray(GRAVITY_LEVEL @ self._attitudes)
 
     @cached_property
     def _track(self) -> tuple[str, Track | None]:

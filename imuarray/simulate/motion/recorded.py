@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import h5py
@@ -23,11 +24,21 @@ _KEPT = 4
 
 
 class _Block(NamedTuple):
-    """Rows (k, c) at times (k,) ns with their slopes (k, c) per s; the last row is the first of the next block."""
+    """Rows at times (k,) ns, the last row the first of the next block, and the k - 1 cubic pieces between them: their
+    lengths (k - 1,) in s and `pieces` (4, c, k - 1), p0 + x (p1 + x (p2 + x p3)) for a column where 0 <= x <= 1.
+
+    `moves` (k,): how many of the pieces before a row are not constant. A lone row has one piece, constant.
+    """
 
     time_ns: Integers
-    rows: Floats
-    slopes: Floats
+    length_s: Floats
+    pieces: Floats
+    moves: Integers
+
+    def row_before(self, time_ns: Integers | int) -> npt.NDArray[np.intp]:
+        """The number of the piece in which a time within the block lies."""
+        found = np.searchsorted(self.time_ns, time_ns, side="right") - 1
+        return np.clip(found, 0, self.pieces.shape[2] - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,20 +57,62 @@ class Recorded:
     def at(self, time_ns: Integers) -> tuple[Floats, Floats]:
         """(n, c) values, all columns side by side, and (n, c) their derivatives per s, in any order of times.
 
-        Before the first row that row, after the last the last, both with derivative 0.
+        Before the first row that row, after the last the last, both with derivative 0. Where nothing changes between
+        the first and the last of the times, one row stands for all (read-only).
         """
         within = np.clip(time_ns, self.first_ns, self.last_ns)
-        number = np.searchsorted(self._starts_ns, within, side="right") - 1
-        blocks = np.unique(number)
-        if len(blocks) == 1:
-            values, slopes = _between_rows(self._block(int(blocks[0])), within)
-        else:
-            width = self._block(int(blocks[0])).rows.shape[1] if len(blocks) else sum(self._widths)
-            values, slopes = np.empty((2, len(within), width))
-            for block in blocks.tolist():
-                here = number == block
-                values[here], slopes[here] = _between_rows(self._block(block), within[here])
-        return values, np.where((time_ns == within)[:, None], slopes, 0.0)
+        constant = self._constant(within)
+        if constant is not None:
+            return constant, np.broadcast_to(np.zeros(constant.shape[1]), constant.shape)
+        values, slopes = np.split(self._joined(within, _values_and_slopes, 2), 2)
+        return np.ascontiguousarray(values.T), np.ascontiguousarray(np.where(time_ns == within, slopes, 0.0).T)
+
+    def values_at(self, time_ns: Integers) -> Floats:
+        """(n, c) the values alone."""
+        within = np.clip(time_ns, self.first_ns, self.last_ns)
+        constant = self._constant(within)
+        return np.ascontiguousarray(self._joined(within, _values, 1).T) if constant is None else constant
+
+    def _constant(self, within: Integers) -> Floats | None:
+        """(n, c) one row, broadcast, if it stands for all between the first and the last of the times."""
+        if len(within) == 0:
+            return None
+        ends = np.array([within.min(), within.max()])
+        first, last = self._numbers(ends).tolist()
+        if last - first >= _KEPT:  # these would be read twice
+            return None
+        for number in range(first, last + 1):
+            block = self._block(number)
+            begin, end = block.row_before(ends).tolist()
+            if block.moves[end + 1] > block.moves[begin]:
+                return None
+        value = block.pieces[0, :, end] + 0.0
+        return np.broadcast_to(value, (len(within), len(value)))
+
+    def _joined(self, within: Integers, worked_out: Callable[[_Block, Integers], Floats], of_each: int) -> Floats:
+        """(c * of_each, n) what each block makes of the times in it."""
+        if (within[1:] >= within[:-1]).all():
+            return self._in_order(within, worked_out, of_each)
+        order = np.argsort(within, kind="stable")
+        found = np.empty((of_each * sum(self._widths), len(within)))
+        found[:, order] = self._in_order(within[order], worked_out, of_each)
+        return found
+
+    def _in_order(self, within: Integers, worked_out: Callable[[_Block, Integers], Floats], of_each: int) -> Floats:
+        """The same of times that ascend."""
+        first, last = self._numbers(within[[0, -1]]).tolist() if len(within) else (0, 0)
+        if first == last:
+            return worked_out(self._block(first), within)
+        edges = [0, *np.searchsorted(within, self._starts_ns[first + 1 : last + 1]).tolist(), len(within)]
+        found = np.empty((of_each * sum(self._widths), len(within)))
+        for number, (begin, end) in enumerate(pairwise(edges), start=first):
+            if end > begin:
+                found[:, begin:end] = worked_out(self._block(number), within[begin:end])
+        return found
+
+    def _numbers(self, within: Integers) -> npt.NDArray[np.intp]:
+        """(n,) the block of each time."""
+        return np.searchsorted(self._starts_ns, within, side="right") - 1
 
     @cached_property
     def first_ns(self) -> int:
@@ -93,11 +146,9 @@ class Recorded:
         time_ns, values = self._rows(rows)
         if not np.isfinite(values).all() or (np.diff(time_ns) <= 0).any():
             raise LogError(f"{self.where}: rows {start} to {start + len(time_ns)}: finite numbers are wanted, in order")
-        if len(time_ns) == 1:
-            return _Block(time_ns, values, np.zeros_like(values))
-        slopes = np.gradient(values, (time_ns - time_ns[0]) * 1e-9, axis=0)
         own = slice(before, before + BLOCK + 1)
-        return _Block(time_ns[own], values[own], slopes[own])
+        slopes = _slopes(time_ns, values)
+        return _between(time_ns[own], values[own], slopes[own])
 
     def _rows(self, rows: slice) -> tuple[Integers, Floats]:
         try:
@@ -109,15 +160,56 @@ class Recorded:
             raise LogError(f"{self.where}: {' '.join(str(error).split())}") from None
 
 
-def _between_rows(block: _Block, time_ns: Integers) -> tuple[Floats, Floats]:
-    """(n, c) values and derivatives per s of the cubic pieces (Hermite) at times within the block."""
-    if len(block.time_ns) == 1:
-        shape = (len(time_ns), block.rows.shape[1])
-        return np.broadcast_to(block.rows, shape), np.zeros(shape)
-    row = np.clip(np.searchsorted(block.time_ns, time_ns, side="right") - 1, 0, len(block.time_ns) - 2)
-    length = ((block.time_ns[row + 1] - block.time_ns[row]) * 1e-9)[:, None]
-    x = ((time_ns - block.time_ns[row]) * 1e-9)[:, None] / length
-    start, rise = block.rows[row], block.rows[row + 1] - block.rows[row]
-    begin, end = block.slopes[row] * length, block.slopes[row + 1] * length
+def _slopes(time_ns: Integers, rows: Floats) -> Floats:
+    """(k, c) per s by the three-point formula; exactly 0 between rows that are equal, which it rounds to nearly 0."""
+    if len(rows) == 1:
+        return np.zeros_like(rows)
+    still = np.pad(np.diff(rows, axis=0) == 0, ((1, 1), (0, 0)), constant_values=True)
+    if still.all():
+        return np.zeros_like(rows)
+    slopes = np.gradient(rows, (time_ns - time_ns[0]) * 1e-9, axis=0)
+    return np.where(still[:-1] & still[1:], 0.0, slopes)
+
+
+def _between(time_ns: Integers, rows: Floats, slopes: Floats) -> _Block:
+    """The cubic pieces (Hermite) between rows (k, c) with these slopes per s."""
+    if len(rows) == 1:
+        alone = np.concatenate([rows.T[None], np.zeros((3, rows.shape[1], 1))])
+        return _Block(time_ns, np.ones(1), alone, np.zeros(2, np.int64))
+    length_s = np.diff(time_ns) * 1e-9
+    start, rise = rows[:-1].T, rows[1:].T - rows[:-1].T
+    begin, end = slopes[:-1].T * length_s, slopes[1:].T * length_s
     square, cube = 3 * rise - 2 * begin - end, begin + end - 2 * rise
-    return start + x * (begin + x * (square + x * cube)), (begin + x * (2 * square + x * (3 * cube))) / length
+    moving = ((rise != 0) | (begin != 0) | (end != 0)).any(axis=0)
+    return _Block(time_ns, length_s, np.stack([start, begin, square, cube]), np.concatenate([[0], np.cumsum(moving)]))
+
+
+def _values(block: _Block, time_ns: Integers) -> Floats:
+    """(c, n) at times within the block."""
+    row = block.row_before(time_ns)
+    start: Floats = block.pieces[0].take(row, axis=1)
+    moving = np.flatnonzero(block.moves[1:].take(row) > block.moves.take(row))
+    if len(moving):
+        x, _, (begin, square, cube) = _pieces(block, time_ns[moving], row[moving])
+        start[:, moving] += x * (begin + x * (square + x * cube))
+    return start
+
+
+def _values_and_slopes(block: _Block, time_ns: Integers) -> Floats:
+    """(2 c, n) values, and their derivatives per s below."""
+    row = block.row_before(time_ns)
+    moving = np.flatnonzero(block.moves[1:].take(row) > block.moves.take(row))
+    columns = len(block.pieces[0])
+    found = np.zeros((2 * columns, len(row)))
+    block.pieces[0].take(row, axis=1, out=found[:columns], mode="clip")
+    if len(moving):
+        x, length_s, (begin, square, cube) = _pieces(block, time_ns[moving], row[moving])
+        found[:columns, moving] += x * (begin + x * (square + x * cube))
+        found[columns:, moving] = (begin + x * (2 * square + x * (3 * cube))) / length_s
+    return found
+
+
+def _pieces(block: _Block, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
+    """(n,) where in their pieces the times lie, 0 to 1; (n,) the lengths of these in s; (3, c, n) p1, p2, p3."""
+    length_s = block.length_s[row]
+    return ((time_ns - block.time_ns[row]) * 1e-9) / length_s, length_s, block.pieces[1:].take(row, axis=2)

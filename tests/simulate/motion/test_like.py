@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -183,3 +184,53 @@ def test_logs_that_can_not_be_meant(tmp_path: Path) -> None:
     back = track(np.array([0, 2, 1, 3]) * S)
     with Log(write(tmp_path / "back.h5", tracks={"truth": back})) as log, pytest.raises(LogError, match="in order"):
         LikeLog(log).felt(np.array([0]))
+
+
+def test_what_stands_still_is_one_row_exactly(tmp_path: Path) -> None:
+    """Uneven times: the three-point formula rounds; a row of no change has no slope all the same."""
+    rows = np.cumsum(np.random.default_rng(5).integers(1_000_000, 9_000_000, 300))
+    force = np.tile([0.1, -0.3, 9.7], (300, 1))
+    still = Stimulus(rows, force, np.zeros((300, 3)), np.full(300, 21.3))
+    asked = np.arange(rows[0] - S, rows[-1] + S, 3_000_000)
+    with Log(write(tmp_path / "log.h5", tracks={"truth": still})) as log:
+        felt = LikeLog(log).felt(asked)
+        assert len(asked) > 300  # more than are kept
+        assert np.array_equal(felt.force_box, np.broadcast_to(force[0], (len(asked), 3)))
+        assert felt.force_box.strides[0] == felt.rate_box.strides[0] == felt.temperature_degc.strides[0] == 0
+        assert not felt.angular_acceleration_box.any()
+
+
+def test_a_stretch_at_rest_within_a_motion_is_exact(tmp_path: Path) -> None:
+    rows = np.arange(0, 10 * S, 10_000_000)
+    moved = track(rows)
+    moved.specific_force[400:600] = [1.0, 2.0, 3.0]
+    asked = np.arange(3 * S, 7 * S, 7_000_000)
+    with Log(write(tmp_path / "log.h5", tracks={"truth": moved})) as log:
+        force = LikeLog(log).felt(asked).force_box
+        shuffled = np.random.default_rng(0).permutation(asked)
+        again = LikeLog(log).felt(shuffled).force_box
+        assert np.array_equal(again[np.argsort(shuffled)], force)
+    within = (asked >= rows[401]) & (asked <= rows[598])
+    assert np.array_equal(force[within], np.tile([1.0, 2.0, 3.0], (int(within.sum()), 1)))
+    assert not np.array_equal(force[0], force[1])
+
+
+def test_few_instants_are_worked_out_once(tmp_path: Path) -> None:
+    rows = np.arange(0, 10 * S, 10_000_000)
+    with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
+        motion = LikeLog(log)
+        few = np.array([S, 2 * S])
+        assert motion.felt(few) is motion.felt(few.copy())
+        assert motion.felt(few[:1]) is not motion.felt(few)
+
+
+def test_it_is_sent_as_its_log(tmp_path: Path) -> None:
+    rows = np.arange(0, 10 * S, 10_000_000)
+    with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
+        motion = LikeLog(log)
+        felt = motion.felt(rows)
+        pickled = pickle.dumps(motion)
+        assert len(pickled) < 1000
+        again = pickle.loads(pickled)  # noqa: S301
+        assert np.array_equal(again.felt(rows).force_box, felt.force_box)
+        again.log.close()

@@ -1,0 +1,104 @@
+"""A box that lies still in one attitude after the other, in any: put there by hand, each known by its direction up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, Floats, resting
+from imuarray.simulate.motion.felt import Felt, Integers, Motion
+from imuarray.simulate.motion.timeline import FOREVER_NS
+from imuarray.simulate.motion.world import Steady
+
+
+class Attitude(NamedTuple):
+    """How the box lies in a phase: the direction up in the box frame, of length 1; whether it was `estimated` from the
+    box's own accelerometers, and not noted by who put it there.
+    """
+
+    phase: Phase
+    up_box: tuple[float, float, float]
+    estimated: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """The box lies in `attitudes`, phases in order of time; from one to the next it jumps half-way between them, since
+    nobody says how it was turned. Temperature and pressure are those of `surroundings`, gravity the standard one; the
+    field is the earth's as after the shortest turn from upright, since up tells no heading. ValueError for no attitude,
+    or a direction that is none.
+    """
+
+    attitudes: tuple[Attitude, ...]
+    surroundings: Motion
+
+    def __post_init__(self) -> None:
+        if not self.attitudes:
+            raise ValueError("attitudes: at least one is wanted")
+        for phase, up, _ in self.attitudes:
+            if not np.isclose(np.linalg.norm(up), 1.0):
+                raise ValueError(f"phase {phase.name!r}: up_box {up}; a direction of length 1 is wanted")
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """One for each attitude."""
+        return tuple(attitude.phase for attitude in self.attitudes)
+
+    @property
+    def seconds(self) -> float:
+        """As long as the surroundings."""
+        return self.surroundings.seconds
+
+    def is_estimated(self, phase: Phase) -> bool:
+        """Whether the attitude was estimated in which the box lies in the middle of a phase."""
+        middle_ns = np.array([(phase.start_ns + phase.end_ns) // 2])
+        return self.attitudes[int(np.searchsorted(self._turns_ns, middle_ns, side="right")[0])].estimated
+
+    def felt(self, time_ns: Integers) -> Felt:
+        """Gravity's reaction in the attitude of the moment."""
+        around = self.surroundings.felt(time_ns)
+        number = np.searchsorted(self._turns_ns, time_ns, side="right")
+        if len(number) and (number == number[0]).all():
+            still = resting(time_ns, self._rotations[number[0]], around.temperature_degc)
+        else:
+            still = replace(
+                resting(time_ns, np.eye(3), around.temperature_degc),
+                force_box=(GRAVITY_LEVEL @ self._rotations)[number],
+                field_box=(FIELD_LEVEL @ self._rotations)[number],
+            )
+        return replace(still, pressure_pa=around.pressure_pa)
+
+    def unchanged_until_ns(self, at_ns: int) -> int:
+        """Until when it shows what it shows at `at_ns`."""
+        around = self.surroundings
+        later = self._turns_ns[self._turns_ns > at_ns]
+        turn_ns = int(later[0]) if len(later) else FOREVER_NS
+        return min(turn_ns, around.unchanged_until_ns(at_ns)) if isinstance(around, Steady) else at_ns
+
+    @cached_property
+    def _turns_ns(self) -> Integers:
+        """(k - 1,) when it jumps."""
+        pairs = zip(self.phases[:-1], self.phases[1:], strict=True)
+        return np.array([(before.end_ns + after.start_ns) // 2 for before, after in pairs], np.int64)
+
+    @cached_property
+    def _rotations(self) -> Floats:
+        """(k, 3, 3) from the box to the level frame."""
+        return upright_from([attitude.up_box for attitude in self.attitudes])
+
+
+def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Floats:
+    """(k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from upright
+    (half a turn goes about X).
+    """
+    ups = np.asarray(up_box, float)
+    sines = np.hypot(ups[:, 0], ups[:, 1])
+    axes = np.stack([ups[:, 1], -ups[:, 0], np.zeros(len(ups))], axis=1)
+    units = np.divide(axes, sines[:, None], out=np.tile([1.0, 0.0, 0.0], (len(ups), 1)), where=sines[:, None] > 0)
+    return np.asarray(Rotation.from_rotvec(units * np.arctan2(sines, ups[:, 2])[:, None]).as_matrix())

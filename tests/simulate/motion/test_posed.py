@@ -1,0 +1,72 @@
+"""A box put down by hand: gravity's reaction along the direction that is up, whatever comes before and after."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.faces import standing_on
+from imuarray.simulate.motion.posed import Attitude, Posed, upright_from
+from imuarray.simulate.motion.still import Still
+
+S = 10**9
+G = 9.80665
+FIRST = Attitude(Phase(0, 4 * S, "pose 1"), (0.6, 0.0, 0.8), estimated=True)
+SECOND = Attitude(Phase(6 * S, 9 * S, "z_down", "-Z"), (0.0, 0.0, -1.0), estimated=False)
+TWO = Posed((FIRST, SECOND), Still(seconds=12, temperature_degc=31.0))
+
+
+def test_gravity_pushes_along_up_and_nothing_turns() -> None:
+    felt = TWO.felt(np.array([0, 3 * S, 7 * S, 20 * S]))
+    expected = [[5.88399, 0, 7.84532]] * 2 + [[0, 0, -G]] * 2
+    np.testing.assert_allclose(felt.force_box, expected, atol=1e-12)
+    assert not felt.rate_box.any()
+    assert not felt.angular_acceleration_box.any()
+    np.testing.assert_array_equal(felt.temperature_degc, 31.0)
+    np.testing.assert_array_equal(TWO.felt(np.array([3 * S])).force_box, felt.force_box[1:2])
+    assert len(TWO.felt(np.zeros(0, np.int64)).force_box) == 0
+
+
+def test_it_jumps_half_way_between_the_phases() -> None:
+    before, after = TWO.felt(np.array([5 * S - 1, 5 * S])).force_box[:, 2]
+    assert (before, after) == (pytest.approx(0.8 * G), pytest.approx(-G))
+    assert [TWO.unchanged_until_ns(at) for at in (0, 5 * S - 1)] == [5 * S, 5 * S]
+    assert TWO.unchanged_until_ns(5 * S) > 10**17
+    warming = Posed((FIRST,), Still(drift_degc_per_h=1.0))
+    assert warming.unchanged_until_ns(S) == S
+
+
+def test_knows_what_was_estimated() -> None:
+    assert TWO.is_estimated(FIRST.phase)
+    assert not TWO.is_estimated(SECOND.phase)
+    assert TWO.is_estimated(Phase(2 * S, 4 * S, "second half"))
+    assert not TWO.is_estimated(Phase(8 * S, 9 * S, "second half"))
+    assert TWO.phases == (FIRST.phase, SECOND.phase)
+    assert TWO.seconds == 12
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda way: np.linalg.norm(way) > 0.1))
+def test_an_attitude_is_the_shortest_turn_to_up(way: tuple[float, float, float]) -> None:
+    """A rotation that brings up to z, by the angle between the two and no more."""
+    up = np.array(way) / np.linalg.norm(way)
+    (attitude,) = upright_from([tuple(up)])
+    np.testing.assert_allclose(attitude @ up, [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(attitude @ attitude.T, np.eye(3), atol=1e-9)
+    assert np.trace(attitude) == pytest.approx(1 + 2 * up[2], abs=1e-9)
+
+
+@pytest.mark.parametrize("up", ["+X", "-X", "+Y", "-Y", "+Z", "-Z"])
+def test_on_its_faces_it_lies_as_a_labelled_box(up: str) -> None:
+    way = np.zeros(3)
+    way["XYZ".index(up[1])] = 1.0 if up[0] == "+" else -1.0
+    np.testing.assert_allclose(upright_from([tuple(way)])[0], standing_on(up), atol=1e-12)
+
+
+def test_what_is_no_attitude_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one"):
+        Posed((), Still())
+    with pytest.raises(ValueError, match="phase 'pose 1': up_box"):
+        Posed((FIRST._replace(up_box=(0.0, 0.0, 0.0)),), Still())
