@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _NO_FIGURES = "; no figures, they need matplotlib: pip install 'imuarray[report]'"
 _REPLICA_FILES = ("replica.json", "paper.html")
+_GAP_FILE = "gap.json"
 
 output_option = click.option(
     "-o",
@@ -21,24 +22,34 @@ output_option = click.option(
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
     help="write paper.json, one CSV file per table and, with matplotlib, figures (--replica: replica.json and the page "
-    "paper.html) into DIR",
+    "paper.html; --gap: gap.json) into DIR",
 )
 
 
 @click.command("paper")
 @output_option
 @click.option("--replica", is_flag=True, help="simulate its experiments and compare every statistic, with z scores")
-@click.option("--seed", type=click.IntRange(0, 2**63), default=1, show_default=True, help="of the replica")
+@click.option(
+    "--gap", is_flag=True, help="what the data sheets' array lacks of its tables, and which effects explain it"
+)
+@click.option(
+    "--seed", type=click.IntRange(0, 2**63), default=1, show_default=True, help="of the replica, or the gap's intervals"
+)
 @json_option
 @force_option
-def command(output: Path | None, replica: bool, seed: int, as_json: bool, force: bool) -> None:
+def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: bool, force: bool) -> None:
     """The paper's tables and conclusions, recomputed from its published data.
 
     Everything follows from the tables of Martin, Groves, Newman and Faragher (ION GNSS+ 2013), which come with this
     program: what agrees to the printed digits, what does not, and which conclusions hold.
     """
+    if replica and gap:
+        raise click.UsageError("--replica and --gap: one at a time")
     if replica:
         _replica(seed, output, as_json, force)
+        return
+    if gap:
+        _gap(seed, output, as_json, force)
         return
     from imuarray.paper import recompute, render_text
     from imuarray.paper.files import as_json as to_json
@@ -56,7 +67,7 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
     from imuarray.paper.replica import Replica, compare, observe, render_text
 
     if output:
-        _prepare(output, force)
+        _prepare(output, _REPLICA_FILES, force)
     with progress(100, "replica") as done:
         observed = observe(seed, progress=lambda so_far, total, what: done(round(100 * so_far / total)))
     found = Replica(seed, tuple(compare(observed)))
@@ -68,11 +79,32 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
         click.echo(render_text(found), nl=False)
 
 
-def _prepare(folder: Path, force: bool) -> None:
+def _gap(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
+    """What explains the difference between the data sheets and the paper's tables."""
+    import json
+
+    from imuarray.paper.gap import diagnose, render_text
+
+    if output:
+        _prepare(output, (_GAP_FILE,), force)
+    found = diagnose(seed)
+    result = found.as_json()
+    if output:
+        text = json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        (output / _GAP_FILE).write_text(text, encoding="utf-8")
+    if as_json:
+        print_json(result)
+    else:
+        click.echo(render_text(found), nl=False)
+    if output:
+        click.echo(f"{output}: {_GAP_FILE} written", err=True)
+
+
+def _prepare(folder: Path, names: tuple[str, ...], force: bool) -> None:
     """Make the folder, or say at once why it can't be written to."""
     from imuarray.errors import ImuArrayError
 
-    for name in _REPLICA_FILES:
+    for name in names:
         refuse_existing(folder / name, force, in_new_folder=True)
     try:
         folder.mkdir(parents=True, exist_ok=True)
