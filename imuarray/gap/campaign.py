@@ -36,8 +36,7 @@ class PhaseSummary:
     @property
     def is_still(self) -> bool:
         """Whether the box is at rest in it, by its name."""
-        name = self.phase.name
-        return bool(self.phase.up) or name in STILL_NAMES or name in FACE_NAMES or name.startswith("run ")
+        return is_at_rest(self.phase)
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,12 @@ class Campaign:
         kinds = dict.fromkeys(log.kind for log in self.logs)
         found = {kind: tuple(log for log in self.logs if log.kind == kind) for kind in kinds}
         return {kind: logs for kind, logs in found.items() if len(logs) > 1}
+
+
+def is_at_rest(phase: Phase) -> bool:
+    """Whether the box is at rest in a phase: it says which axis is up, or its name says it."""
+    name = phase.name
+    return bool(phase.up) or name in STILL_NAMES or name in FACE_NAMES or name.startswith(("run ", "pose "))
 
 
 def summarise_log(

@@ -100,7 +100,11 @@ class CrossTally:
         self._length = max(_SEGMENT_WINDOWS, -(-self._last // SEGMENTS))
         self._places = {sensor.name: place for place, sensor in enumerate(sensors)}
         self._scale = np.array([1 / sensor.sensitivity for sensor in sensors])
-        self._gyroscopes = [place for place, sensor in enumerate(sensors) if sensor.quantity == "angular_rate"]
+        self._gyroscopes = [
+            (place, SI_PER_UNIT[sensor.unit], np.array(sensor.orientation).T)
+            for place, sensor in enumerate(sensors)
+            if sensor.quantity == "angular_rate"
+        ]
         columns = 3 * len(sensors) + KINEMATIC
         self._sums, self._rows = np.zeros((self._length, len(sensors), 3)), np.zeros((self._length, len(sensors)))
         self._reached = np.zeros(len(sensors), np.int64)
@@ -171,20 +175,25 @@ class CrossTally:
             return
         with np.errstate(invalid="ignore"):
             readings = sums / rows[:, :, None] * self._scale[:, None]
-        readings[~full] = readings[full].mean(axis=0)
+        whole = bool(full.all())
+        if not whole:
+            readings[~full] = readings[full].mean(axis=0)
         line = np.concatenate([readings.reshape(len(rows), -1), self._kinematic(readings)], axis=1)
-        mean = line[full].mean(axis=0)
+        mean = (line if whole else line[full]).mean(axis=0)
         line -= mean
-        line[~full] = 0.0
+        if not whole:
+            line[~full] = 0.0
         self._slow.append(mean)
         self._fast += line.T @ line
         self._windows += int(np.count_nonzero(full))
         inner = full[:-2] & full[1:-1] & full[2:]
         if not inner.any():
             return
-        changes = (line[2:] - line[:-2])[inner] / 2
+        changes, between = (line[2:] - line[:-2]) / 2, line[1:-1]
+        if not whole:
+            changes, between = changes[inner], between[inner]
         changes -= changes.mean(axis=0)
-        self._turning += line[1:-1][inner].T @ changes
+        self._turning += between.T @ changes
         self._changes += changes.T @ changes
         self._inner_windows += int(np.count_nonzero(inner))
 
@@ -192,9 +201,7 @@ class CrossTally:
         """(w, 9) products xx, xy, xz, yy, yz, zz of the mean rate in the box, and its change per second."""
         if not self._gyroscopes:
             return np.zeros((len(readings), KINEMATIC))
-        sensors = [(self._sensors[place], readings[:, place]) for place in self._gyroscopes]
-        rates = [SI_PER_UNIT[sensor.unit] * own @ np.array(sensor.orientation).T for sensor, own in sensors]
-        rate = np.mean(rates, axis=0)
+        rate = np.mean([unit * readings[:, place] @ turn for place, unit, turn in self._gyroscopes], axis=0)
         first, second = _PRODUCTS
         acceleration = np.gradient(rate, self._window_ns * 1e-9, axis=0)
         return np.concatenate([rate[:, first] * rate[:, second], acceleration], axis=1)

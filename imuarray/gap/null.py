@@ -8,7 +8,7 @@ statistic that the fit makes zero is zero in every replicate as well, and says n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.base_model import Base, fit, replicate_seed, residual
+from imuarray.gap.base_model import Base, Fitted, fit, replicate_seed, residual
 from imuarray.gap.campaign import Campaign, Layout, LogSummary, summarise_log
 from imuarray.gap.segments import Times
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.statistics import Key, Statistics, statistics
+from imuarray.gap.workers import run
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.simulation import Plan, Simulation
@@ -78,13 +79,13 @@ class Null:
         return np.where(strange, LARGEST, apart)
 
 
-def residual_statistics(campaign: Campaign, motions: Sequence[Motion]) -> Statistics:
-    """Statistics of what the campaign's own fit leaves: of levels less the predicted ones, of noises over the fitted
-    ones.
+def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Base | None = None) -> Statistics:
+    """Statistics of what the campaign's own fit leaves, or that of another part of it (`base`): of levels less the
+    predicted ones, of noises over the fitted ones.
     """
-    base = fit(campaign, motions)
+    base = base or fit(campaign, motions)
     found = statistics(residual(campaign, motions, base))
-    return replace(found, values=found.values - np.array([_predicted(key, base) for key in found.keys]))
+    return replace(found, values=found.values - _predictions(found.keys, base))
 
 
 def null(
@@ -99,15 +100,14 @@ def null(
     """The scatter of a campaign's statistics if `base`, which was fitted to it (and, with a model, `settled`), were all
     there is.
 
-    `experiments` are those of its logs. `executor` works replicates out side by side (threads, or processes where the
-    plans can be sent to them); the result doesn't depend on it. `progress` hears how many are done. ValueError for
-    fewer than 8 replicates, of which no half says how statistics scatter.
+    `experiments` are those of its logs. `executor` works replicates out side by side, in threads or processes
+    (`imuarray.gap.workers`); the result doesn't depend on it. `progress` hears how many are done. ValueError for fewer
+    than 8 replicates, of which no half says how statistics scatter.
     """
     if replicates < 8:
         raise ValueError(f"replicates: {replicates}; at least 8 are needed")
     job = partial(_residual_values, looks_of(campaign), tuple(experiments), base)
-    numbers = range(replicates)
-    found = map(job, numbers) if executor is None else executor.map(job, numbers)
+    found = run(executor, job, range(replicates))
     return _null_of(statistics(campaign), np.array(list(_heard(found, progress))))
 
 
@@ -129,14 +129,22 @@ def replicate(looks: Sequence[Look], experiments: Sequence[Experiment], base: Ba
     return Campaign(tuple(logs))
 
 
-def settled(campaign: Campaign, experiments: Sequence[Experiment], base: Base, replicates: int = 8) -> Base:
+def settled(
+    campaign: Campaign,
+    experiments: Sequence[Experiment],
+    base: Base,
+    replicates: int = 8,
+    *,
+    executor: Executor | None = None,
+) -> Base:
     """`base` with its parameters moved by as much as the fit of its replicates misses that of the campaign: what the
     other effects of its model add to noise and level is not in them twice (indirect inference, one step; Gourieroux,
     Monfort and Renault 1993). Populations of the model scatter the result by their sigma over the root of `replicates`.
+    `executor` as of `null`.
     """
     motions = [item.motion for item in experiments]
     looks, wanted = looks_of(campaign), fit(campaign, motions).fitted
-    came = [fit(replicate(looks, experiments, base, number), motions).fitted for number in range(replicates)]
+    came = list(run(executor, partial(_fitted, looks, tuple(experiments), base), range(replicates)))
     moved = {name: one.moved(wanted[name], [fitted[name] for fitted in came]) for name, one in base.fitted.items()}
     return replace(base, fitted=moved)
 
@@ -146,6 +154,11 @@ def _residual_values(looks: Sequence[Look], experiments: Sequence[Experiment], b
     return residual_statistics(
         replicate(looks, experiments, base, number), [item.motion for item in experiments]
     ).values
+
+
+def _fitted(looks: Sequence[Look], experiments: Sequence[Experiment], base: Base, number: int) -> Mapping[str, Fitted]:
+    """The parameters of one replicate, by its own fit."""
+    return fit(replicate(looks, experiments, base, number), [item.motion for item in experiments]).fitted
 
 
 def _summarised(look: Look, simulation: Simulation) -> LogSummary:
@@ -172,13 +185,14 @@ def _null_of(like: Statistics, found: Floats) -> Null:
     return replace(unscored, scores=unscored.score(second))
 
 
-def _predicted(key: Key, base: Base) -> float:
-    """What the noise that was fitted makes of a statistic in logs."""
-    power = _NOISE_POWERS.get(key.probe, 0)
-    if not power:
-        return 0.0
-    noise = base.fitted[key.sensor].noise(base.headers[key.sensor])
-    return power * math.log(noise["xyz".index(key.axis)])
+def _predictions(keys: Sequence[Key], base: Base) -> Floats:
+    """(n,) what the noise that was fitted makes of statistics in logs, 0 of others."""
+    noises = {name: fitted.noise(base.headers[name]).tolist() for name, fitted in base.fitted.items()}
+    predicted = np.zeros(len(keys))
+    for place, key in enumerate(keys):
+        if power := _NOISE_POWERS.get(key.probe, 0):
+            predicted[place] = power * math.log(noises[key.sensor]["xyz".index(key.axis)])
+    return predicted
 
 
 def _heard(results: Iterable[Floats], progress: Callable[[int], None]) -> Iterable[Floats]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +39,7 @@ class Segments:
     thermometer: Floats
     thermometer_variance: Floats
 
-    @property
+    @cached_property
     def steady_variance(self) -> Floats:
         """(s, 3) the variance without that of a straight line through the part, as steep as the means of the parts
         beside it say: a change by c in equal steps has a variance of c^2 / 12. Rounding, 1/12,

@@ -8,7 +8,7 @@ makes, and nothing is looked for where nothing was found.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,6 +117,44 @@ def significance(campaign: Campaign, motions: Sequence[Motion], null: Null, leve
         for number in [int(node.path[-1])]
     ]
     return Significance(root, tuple(sorted(findings, key=lambda finding: -abs(finding.score))))
+
+
+@dataclass(frozen=True)
+class Located:
+    """Where scores (m,) under `keys` are beyond chance: the tree, and the p of each statistic that was found, by its
+    place, the largest score first. `limit`: chance reaches it in `level` of all campaigns.
+    """
+
+    root: Node
+    found: Mapping[int, float]
+    limit: float
+
+    @property
+    def p(self) -> float:
+        """Of there being no gap at all."""
+        return self.root.p
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether anything was found."""
+        return self.root.is_found
+
+
+def located(
+    keys: Sequence[Key], headers: Mapping[str, SensorHeader], scores: Floats, chance: Floats, level: float = LEVEL
+) -> Located:
+    """Scores (m,) of a recording beside those (b, m) of replicates without a gap.
+
+    `level` is the share of false alarms; ValueError if there are too few replicates to tell.
+    """
+    if (least := 1 / (len(chance) + 1)) > level:
+        raise ValueError(f"level: {level}; {len(chance)} scored replicates tell nothing below {least:.3g}")
+    paths = [_path(number, key, headers[key.sensor]) for number, key in enumerate(keys)]
+    root = _Tree(paths, scores, chance, level).root()
+    found = {int(node.path[-1]): node.p for node in root.found("statistic")}
+    order = sorted(found, key=lambda at: -abs(scores[at]))
+    limit = float(np.quantile(np.nan_to_num(np.abs(chance)).max(axis=1), 1 - level))
+    return Located(root, {at: found[at] for at in order}, limit)
 
 
 def p_value(value: float, chance: Floats) -> float:

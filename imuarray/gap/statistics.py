@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from imuarray.gap.campaign import Campaign, LogSummary, PhaseSummary, runs_in
 from imuarray.gap.probes import PROBES
-from imuarray.gap.probes.probe import CrossProbe, Domain, LogProbe, PhaseProbe, RunsProbe
+from imuarray.gap.probes.probe import ArrayProbe, CrossProbe, Domain, LogProbe, PhaseProbe, RunsProbe
 
 Floats = npt.NDArray[np.float64]
 
@@ -81,15 +81,19 @@ def statistics(campaign: Campaign) -> Statistics:
     resolutions: list[float] = []
     for found in _all(campaign):
         value = np.atleast_1d(found.value)
-        axes = _AXES if len(value) == len(_AXES) else ("",)
-        domain = PROBES[found.probe].domain
-        keys += [
-            Key(found.log, found.sensor, axis, found.phase, found.phase_number, domain, found.probe) for axis in axes
-        ]
+        here = _keys(found.log, found.sensor, found.phase, found.phase_number, found.probe, len(value) == len(_AXES))
+        keys += here
         values.append(value)
-        resolutions += [found.resolution] * len(axes)
+        resolutions += [found.resolution] * len(here)
     joined = np.concatenate(values) if values else np.zeros(0)
     return Statistics(tuple(keys), joined, np.array(resolutions))
+
+
+@lru_cache(maxsize=1 << 15)
+def _keys(log: int, sensor: str, phase: str, phase_number: int, probe: str, by_axis: bool) -> tuple[Key, ...]:
+    """Of one probe at one place; every replicate has the same."""
+    axes = _AXES if by_axis else ("",)
+    return tuple(Key(log, sensor, axis, phase, phase_number, PROBES[probe].domain, probe) for axis in axes)
 
 
 def _all(campaign: Campaign) -> Iterator[_Found]:
@@ -104,13 +108,13 @@ def _all(campaign: Campaign) -> Iterator[_Found]:
 def _of_phase(log: int, phase: PhaseSummary) -> Iterator[_Found]:
     still, name, number = phase.is_still, phase.phase.name, phase.number
     for sensor, summary in phase.sensors.items():
+        crossed = phase.cross if _takes_part(phase, sensor) else None
         for probe_name, probe in PROBES.items():
             if isinstance(probe, PhaseProbe) and (still or probe.in_motion):
                 value = probe.statistic(summary)
                 yield _Found(log, sensor, name, number, probe_name, value, probe.resolution(summary))
-            elif isinstance(probe, CrossProbe) and still != probe.in_motion and _takes_part(phase, sensor):
-                value = probe.statistic(phase.cross, sensor) if phase.cross is not None else np.full(3, np.nan)
-                yield _Found(log, sensor, name, number, probe_name, value, 0.0)
+            elif isinstance(probe, CrossProbe) and still != probe.in_motion and crossed is not None:
+                yield _Found(log, sensor, name, number, probe_name, probe.statistic(crossed, sensor), 0.0)
 
 
 def _takes_part(phase: PhaseSummary, sensor: str) -> bool:
@@ -124,6 +128,8 @@ def _of_log(log: int, summary: LogSummary) -> Iterator[_Found]:
         for name, probe in PROBES.items():
             if isinstance(probe, LogProbe) and still:
                 yield _Found(log, sensor, "", WHOLE_LOG, name, probe.statistic(still), probe.resolution)
+            elif isinstance(probe, ArrayProbe) and still:
+                yield _Found(log, sensor, "", WHOLE_LOG, name, probe.statistic(summary, sensor), 0.0)
 
 
 def _of_runs(kind: str, logs: tuple[LogSummary, ...]) -> Iterator[_Found]:

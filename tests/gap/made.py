@@ -119,11 +119,12 @@ def _log(kind: str, motion: Motion, more: Effects, seed: int, boot: int) -> LogS
 def header(name: str = "S", axes: str = "+X+Y+Z", chip: str = "bma180", **changes: Any) -> SensorHeader:
     kinds: dict[str, tuple[str, str, float, float]] = {
         "bma180": ("specific_force", "g", 4.0, 2048.0),
+        "adxl345": ("specific_force", "g", 16.0, 256.0),
         "l3g4200d": ("angular_rate", "dps", 250.0, 1 / 0.00875),
     }
     quantity, unit, range_, sensitivity = kinds[chip]
-    facts: dict[str, Any] = {"range": range_, "sensitivity": sensitivity, "axes": axes, **changes}
-    return SensorHeader(name, chip, quantity, unit, **facts)  # type: ignore[arg-type]
+    facts: dict[str, Any] = {"quantity": quantity, "unit": unit, "range": range_, "sensitivity": sensitivity}
+    return SensorHeader(name, chip, **{**facts, "axes": axes, **changes})
 
 
 def block(counts: npt.ArrayLike, interval_ns: int = 10_000_000, start_ns: int = 0, **changes: Any) -> Block:

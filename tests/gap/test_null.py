@@ -164,3 +164,20 @@ def test_what_is_sent_to_processes_can_be_sent() -> None:
     campaign, base = short()
     sent = pickle.dumps((looks_of(campaign), experiments_of(SHORT), base))
     assert len(sent) < 50_000
+
+
+@pytest.mark.slow
+def test_processes_read_a_recorded_log_themselves(tmp_path: object) -> None:
+    path = f"{tmp_path}/log.h5"
+    write_log(simulation(SHORT, {}, seed=2), path)
+    with open_log(path) as log:
+        motion = LikeLog(log)
+        campaign = Campaign(
+            (summarise_log("static", recorded_sources(log), log.phases, temperature_of(motion)),),
+        )
+        base, experiments = fit(campaign, [motion]), [Experiment(plan_like(log), motion)]
+        alone = null(campaign, experiments, base, 8)
+        settled_alone = settled(campaign, experiments, base, 3)
+        with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+            assert same(alone, null(campaign, experiments, base, 8, executor=pool))
+            assert settled_alone == settled(campaign, experiments, base, 3, executor=pool)

@@ -21,16 +21,17 @@ from imuarray.gap.probes import (
     temperature,
     timing,
 )
-from imuarray.gap.probes.probe import CrossProbe, Domain, LogProbe, PhaseProbe, Probe, RunsProbe
+from imuarray.gap.probes.probe import ArrayProbe, CrossProbe, Domain, LogProbe, PhaseProbe, Probe, RunsProbe
 
-__all__ = ["PROBES", "CrossProbe", "Domain", "LogProbe", "PhaseProbe", "Probe", "RunsProbe"]
+__all__ = ["PROBES", "ArrayProbe", "CrossProbe", "Domain", "LogProbe", "PhaseProbe", "Probe", "RunsProbe"]
 
-PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | RunsProbe] = MappingProxyType(
+PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe] = MappingProxyType(
     {
         "mean": level.MEAN,
         "mean_halves": level.HALVES,
         "wander": level.WANDER,
         "mean_return": level.RETURN,
+        "level": level.LEVEL,
         "noise": spread.NOISE,
         "noise_excess": spread.EXCESS,
         "noise_halves": spread.HALVES,
@@ -89,6 +90,7 @@ PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | RunsProbe] = MappingPr
         "fast_box_axes": cross_sensor.FAST_BOX,
         "fast_between_axes": cross_sensor.FAST_BETWEEN,
         "fast_other_chips": cross_sensor.FAST_OTHERS,
+        "level_apart": cross_sensor.LEVEL_APART,
         "run_spread": run_to_run.SPREAD,
         "run_scatter": run_to_run.SCATTER,
         "run_two_states": run_to_run.TWO_STATES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imuarray.characterise.codes import Histogram
-from imuarray.gap.probes.probe import Floats, PhaseProbe, arcsine, one_row
+from imuarray.gap.probes.probe import Floats, PhaseProbe, arcsine, once, one_row
 from imuarray.gap.summary import Summary
 from imuarray.simulate.converters import code_span
 
@@ -25,7 +25,7 @@ def second_bit(summary: Summary) -> Floats:
 
 def absent(summary: Summary) -> Floats:
     """arcsine of the share of codes in the middle nine tenths that never came."""
-    found = [_absent(seen) for seen in summary.codes]
+    found = _middles(summary)
     return arcsine([missing for missing, _ in found], [codes for _, codes in found])
 
 
@@ -49,6 +49,11 @@ def _having(summary: Summary, bit: int) -> list[int]:
     return [int(seen.counts[(seen.codes & bit) != 0].sum()) for seen in summary.codes]
 
 
+@once
+def _middles(summary: Summary) -> list[tuple[int, int]]:
+    return [_absent(seen) for seen in summary.codes]
+
+
 def _absent(seen: Histogram) -> tuple[int, int]:
     """Codes that are missing, and how many there are in all, between the quantiles."""
     if len(seen.codes) == 0:
@@ -68,7 +73,7 @@ def _pile(counts: np.ndarray) -> float:
 
 def _one_code(summary: Summary) -> float:
     """What one missing code of the narrowest axis makes, which chance can."""
-    spans = [_absent(seen)[1] for seen in summary.codes]
+    spans = [codes for _, codes in _middles(summary)]
     return float(0.5 / np.sqrt(max(min(spans, default=1), 1)))
 
 

@@ -8,64 +8,103 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from imuarray.gap.campaign import LogSummary
 from imuarray.gap.cross import Cross
-from imuarray.gap.probes.probe import NOTHING, CrossProbe, Floats, fisher_z
+from imuarray.gap.probes.level import level
+from imuarray.gap.probes.probe import NOTHING, ArrayProbe, CrossProbe, Floats, fisher_z, once
+from imuarray.log.format import SensorHeader
 
 AXES = np.arange(3)
 
 Moments = Callable[[Cross], Floats]
 
 
+@once
 def _slow(cross: Cross) -> Floats:
-    return cross.slow_covariance
+    """(p, p) correlations of the segments' means, along the sensors' axes."""
+    return _normalised(cross.slow_covariance)
 
 
+@once
 def _fast(cross: Cross) -> Floats:
-    return cross.fast
+    """(p, p) correlations within segments, along the sensors' axes."""
+    return _normalised(cross.fast)
 
 
-def own_axes(moments: Moments, cross: Cross, sensor: str) -> Floats:
+@once
+def _slow_in_box(cross: Cross) -> Floats:
+    return _normalised(_in_box(cross, cross.slow_covariance))
+
+
+@once
+def _fast_in_box(cross: Cross) -> Floats:
+    return _normalised(_in_box(cross, cross.fast))
+
+
+def own_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
     """Mean Fisher's z with the same axis of the other sensors of this chip."""
-    return _mean_z(moments(cross), cross, sensor, cross.others(sensor, family=True), in_box=False)
+    return _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True))
 
 
-def box_axes(moments: Moments, cross: Cross, sensor: str) -> Floats:
+def box_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
     """Mean Fisher's z, box axis by box axis, with the other sensors of this chip; told for the sensor's axis that lies
     along the box axis.
     """
-    return _mean_z(moments(cross), cross, sensor, cross.others(sensor, family=True), in_box=True)
+    return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True)))
 
 
-def others(moments: Moments, cross: Cross, sensor: str) -> Floats:
+def others(correlations: Moments, cross: Cross, sensor: str) -> Floats:
     """The same with the sensors of other chips that measure the same."""
     family = set(cross.others(sensor, family=True))
     strangers = [name for name in cross.others(sensor, family=False) if name not in family]
-    return _mean_z(moments(cross), cross, sensor, strangers, in_box=True)
+    return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, strangers))
 
 
-def between_axes(moments: Moments, cross: Cross, sensor: str) -> Floats:
+def between_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
     """Fisher's z of each axis with the next one of the same sensor."""
-    own = cross.columns(sensor)
-    correlation = _normalised(moments(cross)[own, own])
-    return fisher_z(correlation[AXES, (AXES + 1) % 3])
+    own = cross.columns(sensor).start + AXES
+    return fisher_z(correlations(cross)[own, np.roll(own, -1)])
 
 
-def _mean_z(moments: Floats, cross: Cross, sensor: str, partners: Sequence[str], *, in_box: bool) -> Floats:
+def level_apart(log: LogSummary, sensor: str) -> Floats:
+    """Mean reading of the log less the mean of that of the other sensors of this chip, each along its own axes."""
+    levels = _levels(log)
+    header, own = levels[sensor]
+    others = [
+        theirs
+        for name, (other, theirs) in levels.items()
+        if name != sensor and (other.chip, other.quantity) == (header.chip, header.quantity)
+    ]
+    return own - np.mean(others, axis=0) if others else NOTHING
+
+
+@once
+def _levels(log: LogSummary) -> dict[str, tuple[SensorHeader, Floats]]:
+    """Of every sensor that has readings at rest."""
+    names = dict.fromkeys(sensor for phase in log.phases for sensor in phase.sensors)
+    still = {name: log.still(name) for name in names}
+    return {name: (phases[0].header, level(phases)) for name, phases in still.items() if phases}
+
+
+def _mean_z(correlation: Floats, cross: Cross, sensor: str, partners: Sequence[str]) -> Floats:
+    """(3,) axis by axis, mean over the partners."""
     if not partners:
         return NOTHING
-    return np.asarray(np.mean([_z(moments, cross, sensor, partner, in_box) for partner in partners], axis=0))
+    beside = np.array([cross.columns(partner).start for partner in partners])[:, None] + AXES
+    return np.asarray(np.mean(fisher_z(correlation[cross.columns(sensor).start + AXES, beside]), axis=0))
 
 
-def _z(moments: Floats, cross: Cross, sensor: str, partner: str, in_box: bool) -> Floats:
-    """(3,) of a pair, in the order of the first one's axes."""
-    places = np.concatenate([np.r_[cross.columns(name)] for name in (sensor, partner)])
-    pair = moments[np.ix_(places, places)]
-    if not in_box:
-        return fisher_z(_normalised(pair)[AXES, AXES + 3])
-    first, second = (np.array(cross.header(name).orientation) for name in (sensor, partner))
-    turn = np.block([[first, np.zeros((3, 3))], [np.zeros((3, 3)), second]])
-    z = fisher_z(_normalised(turn @ pair @ turn.T)[AXES, AXES + 3])
-    return np.asarray(z[np.abs(first).argmax(axis=0)])
+def _as_own(cross: Cross, sensor: str, box: Floats) -> Floats:
+    """(3,) values of box axes in the order of the sensor's axes that lie along them."""
+    return np.asarray(box[np.abs(np.array(cross.header(sensor).orientation)).argmax(axis=0)])
+
+
+def _in_box(cross: Cross, moments: Floats) -> Floats:
+    """(p, p) moments with every sensor's axes turned into the box's."""
+    turn = np.eye(len(moments))
+    for sensor in cross.sensors:
+        turn[cross.columns(sensor.name), cross.columns(sensor.name)] = sensor.orientation
+    return np.asarray(turn @ moments @ turn.T)
 
 
 def _normalised(moments: Floats) -> Floats:
@@ -75,21 +114,31 @@ def _normalised(moments: Floats) -> Floats:
     return np.asarray(moments / size[:, None] / size)
 
 
-def _probe(statistic: Callable[[Moments, Cross, str], Floats], slow: bool, about: str, *moved_by: str) -> CrossProbe:
-    moments = _slow if slow else _fast
-    pace = "slow" if slow else "fast"
+def _probe(
+    statistic: Callable[[Moments, Cross, str], Floats], correlations: Moments, about: str, *moved_by: str
+) -> CrossProbe:
+    pace = "slow" if correlations in (_slow, _slow_in_box) else "fast"
     return CrossProbe(
-        "cross_sensor", f"{about}, {pace}", "", moved_by, lambda cross, sensor: statistic(moments, cross, sensor)
+        "cross_sensor", f"{about}, {pace}", "", moved_by, lambda cross, sensor: statistic(correlations, cross, sensor)
     )
 
 
 _ALIKE = "correlation with units of one chip along the chips' axes"
 _BOX = "correlation with units of one chip along the box's axes"
+_NEXT = "correlation with the next axis of the sensor"
 
-SLOW_OWN = _probe(own_axes, True, _ALIKE, "common_mode", "thermal_bias", "channel_swap")
-SLOW_BOX = _probe(box_axes, True, _BOX, "common_mode", "channel_swap")
-FAST_OWN = _probe(own_axes, False, _ALIKE, "common_mode", "channel_swap", "tone")
-FAST_BOX = _probe(box_axes, False, _BOX, "common_mode", "channel_swap", "tone")
-FAST_OTHERS = _probe(others, False, "correlation with other chips along the box's axes", "tone")
-FAST_BETWEEN = _probe(between_axes, False, "correlation with the next axis of the sensor", "tone", "glitches")
-SLOW_BETWEEN = _probe(between_axes, True, "correlation with the next axis of the sensor", "thermal_bias", "common_mode")
+SLOW_OWN = _probe(own_axes, _slow, _ALIKE, "common_mode", "thermal_bias", "channel_swap")
+SLOW_BOX = _probe(box_axes, _slow_in_box, _BOX, "common_mode", "channel_swap")
+FAST_OWN = _probe(own_axes, _fast, _ALIKE, "common_mode", "channel_swap", "tone")
+FAST_BOX = _probe(box_axes, _fast_in_box, _BOX, "common_mode", "channel_swap", "tone")
+FAST_OTHERS = _probe(others, _fast_in_box, "correlation with other chips along the box's axes", "tone")
+FAST_BETWEEN = _probe(between_axes, _fast, _NEXT, "tone", "glitches")
+SLOW_BETWEEN = _probe(between_axes, _slow, _NEXT, "thermal_bias", "common_mode")
+
+LEVEL_APART = ArrayProbe(
+    "cross_sensor",
+    "mean reading of the whole log less that of the other units of the chip",
+    "{u}",
+    ("turn_on_bias", "bistable_bias", "range_reset"),
+    level_apart,
+)

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from imuarray.gap.probes.probe import NOTHING, Floats, PhaseProbe, arcsine, log, noise_lsb, one_row, score_of_largest
+from imuarray.gap.probes.probe import (
+    NOTHING,
+    Floats,
+    PhaseProbe,
+    arcsine,
+    log,
+    noise_lsb,
+    once,
+    one_row,
+    score_of_largest,
+)
 from imuarray.gap.summary import Summary
 
 TAIL = 3.0
@@ -39,6 +49,7 @@ def extreme(summary: Summary) -> Floats:
     return score_of_largest(np.array(largest) / (np.sqrt(2) * noise_lsb(summary)), 2 * summary.rows)
 
 
+@once
 def _central(summary: Summary) -> tuple[Floats, Floats, Floats]:
     """(3,) second, third and fourth moment about the segments' means."""
     part = summary.segments

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imuarray.gap.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log
+from imuarray.gap.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, once
 from imuarray.gap.summary import Summary
 
 
+@once
 def mean(summary: Summary) -> Floats:
     """Mean reading by the nominal sensitivity."""
     part = summary.segments
@@ -44,6 +45,22 @@ def returned(phases: Sequence[Summary]) -> Floats:
     return mean(last) - mean(before[0]) if before else NOTHING
 
 
+def whole(phases: Sequence[Summary]) -> Floats:
+    """Mean of all phases, each face or pose weighted alike, as the fit of a bias has it; nan of a single phase, whose
+    own mean says it.
+    """
+    return level(phases) if len(phases) > 1 else NOTHING
+
+
+def level(phases: Sequence[Summary]) -> Floats:
+    """The same, of a single phase too; nan without readings."""
+    faces: dict[str, list[Floats]] = {}
+    for phase in phases:
+        if phase.rows:
+            faces.setdefault(phase.phase.up or phase.phase.name, []).append(mean(phase))
+    return np.mean([np.mean(means, axis=0) for means in faces.values()], axis=0) if faces else NOTHING
+
+
 _SLOW = ("bias_instability", "random_walk", "popcorn_noise", "common_mode")
 
 MEAN = PhaseProbe(
@@ -61,4 +78,11 @@ WANDER = PhaseProbe(
 )
 RETURN = LogProbe(
     "level", "mean of the last phase less that of the first on the same face", "{u}", ("random_walk",), returned
+)
+LEVEL = LogProbe(
+    "level",
+    "mean reading of the whole log",
+    "{u}",
+    ("turn_on_bias", "bistable_bias", "common_mode", "range_reset"),
+    whole,
 )

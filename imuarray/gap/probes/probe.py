@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import wraps
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import log_ndtr, ndtri_exp
 
+from imuarray.gap.campaign import LogSummary
 from imuarray.gap.cross import Cross
 from imuarray.gap.runs import Runs
 from imuarray.gap.summary import Summary
 
 Floats = npt.NDArray[np.float64]
+Subject = TypeVar("Subject", Summary, Cross, LogSummary)
+Found = TypeVar("Found")
 Domain = Literal[
     "level",
     "spread",
@@ -79,10 +83,33 @@ class CrossProbe(Probe):
 
 
 @dataclass(frozen=True)
+class ArrayProbe(Probe):
+    """Of one sensor beside the others of the array, in all phases of a log in which the box is at rest."""
+
+    statistic: Callable[[LogSummary, str], Floats]
+
+
+@dataclass(frozen=True)
 class RunsProbe(Probe):
     """Of one sensor in the logs of one kind."""
 
     statistic: Callable[[Runs], Floats]
+
+
+def once(work: Callable[[Subject], Found]) -> Callable[[Subject], Found]:
+    """`work`, done once for each summary, for several probes or sensors: what it finds is kept in the summary and goes
+    with it.
+    """
+    name = f"{work.__module__}.{work.__qualname__}"
+
+    @wraps(work)
+    def kept(subject: Subject) -> Found:
+        found: dict[str, Any] = vars(subject)
+        if name not in found:
+            found[name] = work(subject)
+        return found[name]  # type: ignore[no-any-return]
+
+    return kept
 
 
 def log(values: npt.ArrayLike) -> Floats:
@@ -108,7 +135,7 @@ def score_of_largest(score: npt.ArrayLike, count: float) -> Floats:
     wrong it is normal too, while the largest alone has a long tail.
     """
     log_expected = np.log(max(count, 1)) + log_ndtr(-np.asarray(score, float))
-    expected = np.exp(np.maximum(log_expected, _RARE))
+    expected = np.exp(np.clip(log_expected, _RARE, _COMMON))
     return np.asarray(-ndtri_exp(np.where(log_expected > _RARE, np.log(-np.expm1(-expected)), log_expected)))
 
 
@@ -117,6 +144,7 @@ def one_row(summary: Summary) -> float:
     return float(0.5 / np.sqrt(max(summary.rows, 1)))
 
 
+@once
 def noise_lsb(summary: Summary) -> Floats:
     """(3,) standard deviation of white noise whose neighbours differ as much as these, from the smallest 95 % of the
     differences: no drift, no motion, no outlier. nan where neighbours never differ.
@@ -128,7 +156,7 @@ def noise_lsb(summary: Summary) -> Floats:
     return np.where(noise > 0, noise, np.nan)
 
 
-_RARE = -30.0
+_RARE, _COMMON = -30.0, 3.5
 _KEPT = 0.95
 _TRIMMED = 0.71683
 

@@ -8,8 +8,7 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import median_filter
 
-from imuarray.characterise.spectrum import Spectrum
-from imuarray.gap.probes.probe import NOTHING, Floats, PhaseProbe, log, score_of_largest
+from imuarray.gap.probes.probe import NOTHING, Floats, PhaseProbe, log, once, score_of_largest
 from imuarray.gap.summary import Summary
 
 BANDS = 6
@@ -21,8 +20,7 @@ _BESIDE = 33
 
 def band(number: int, summary: Summary) -> Floats:
     """Log of the mean density in band `number` (0 is the lowest), over the geometric mean of all bands'."""
-    logs = _bands(summary.spectrum)
-    return np.asarray(logs[number] - logs.mean(axis=0))
+    return np.asarray(_bands(summary)[number])
 
 
 def line(summary: Summary) -> Floats:
@@ -33,7 +31,8 @@ def line(summary: Summary) -> Floats:
     density = summary.spectrum.density
     if summary.spectrum.segments == 0:
         return NOTHING
-    floor = median_filter(density, size=(_BESIDE, 1), mode="mirror")
+    columns = [median_filter(column, size=_BESIDE, mode="mirror") for column in density.T]  # faster than all at once
+    floor = np.stack(columns, axis=1)
     ratio = np.divide(density, floor, out=np.full_like(density, np.nan), where=floor > 0)
     scatter = 2 / (9 * summary.spectrum.freedom[_FIRST])
     score = (np.cbrt(ratio[_FIRST:-1].max(axis=0)) - 1) / np.sqrt(scatter)
@@ -46,12 +45,14 @@ def alternation(summary: Summary) -> Floats:
     return np.asarray(log(2 * density[-1]) - log(density[-_BESIDE:-2].mean(axis=0)))
 
 
-def _bands(spectrum: Spectrum) -> Floats:
-    """(b, 3) log of the mean density in each band."""
-    density = spectrum.density
+@once
+def _bands(summary: Summary) -> Floats:
+    """(b, 3) log of the mean density in each band, over the geometric mean."""
+    density = summary.spectrum.density
     edges = np.rint(np.geomspace(2, len(density), BANDS + 1)).astype(int)
     sums = np.add.reduceat(density, edges[:-1], axis=0)
-    return log(sums / np.diff(edges)[:, None])
+    logs = log(sums / np.diff(edges)[:, None])
+    return np.asarray(logs - logs.mean(axis=0))
 
 
 def _band_probe(number: int) -> PhaseProbe:

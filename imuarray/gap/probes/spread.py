@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imuarray.gap.probes.force import felt_g
-from imuarray.gap.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, noise_lsb
+from imuarray.gap.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, noise_lsb, once
 from imuarray.gap.summary import Summary
 
 _LEAST = 4
@@ -54,6 +54,7 @@ def with_force(phases: Sequence[Summary]) -> Floats:
     return np.asarray(np.mean(values, axis=0, where=on) - np.mean(values, axis=0, where=off))
 
 
+@once
 def _pooled(summary: Summary) -> Floats:
     return _mean_variance(summary.segments.steady_variance, summary.segments.rows)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.gap.probes.probe import NOTHING, Floats, LogProbe, log
 from imuarray.gap.summary import Summary
@@ -39,7 +40,10 @@ def residual(phases: Sequence[Summary]) -> Floats:
 def noise_slope(phases: Sequence[Summary]) -> Floats:
     """Slope of the segments' log variance over temperature."""
     part = _Joined(phases)
-    held = (part.rows > 3) & (part.variance > 0).all(axis=1)
+    held = part.rows > 3
+    if np.count_nonzero(held) < 4 or np.ptp(part.degc[held]) < _LEAST_DEGC:
+        return NOTHING
+    held &= (part.variance > 0).all(axis=1)
     if np.count_nonzero(held) < 4 or np.ptp(part.degc[held]) < _LEAST_DEGC:
         return NOTHING
     warm = part.degc[held] - part.degc[held].mean()
@@ -66,17 +70,38 @@ def thermometer_noise(phases: Sequence[Summary]) -> Floats:
 
 
 class _Joined:
-    """The segments of several phases one after the other."""
+    """The segments of several phases one after the other; a column is joined when it is asked for."""
 
     def __init__(self, phases: Sequence[Summary]) -> None:
-        parts = [phase.segments for phase in phases]
-        self.rows = np.concatenate([part.rows for part in parts])
-        self.degc = np.concatenate([part.temperature_degc for part in parts])
-        self.warming = np.concatenate([part.warming_degc_per_s for part in parts])
-        self.mean = np.concatenate([part.mean for part in parts])
-        self.variance = np.concatenate([part.steady_variance for part in parts])
-        self.thermometer = np.concatenate([part.thermometer for part in parts])
-        self.thermometer_variance = np.concatenate([part.thermometer_variance for part in parts])
+        self._parts = [phase.segments for phase in phases]
+
+    @cached_property
+    def rows(self) -> npt.NDArray[np.int64]:
+        return np.concatenate([part.rows for part in self._parts])
+
+    @cached_property
+    def degc(self) -> Floats:
+        return np.concatenate([part.temperature_degc for part in self._parts])
+
+    @property
+    def warming(self) -> Floats:
+        return np.concatenate([part.warming_degc_per_s for part in self._parts])
+
+    @property
+    def mean(self) -> Floats:
+        return np.concatenate([part.mean for part in self._parts])
+
+    @cached_property
+    def variance(self) -> Floats:
+        return np.concatenate([part.steady_variance for part in self._parts])
+
+    @cached_property
+    def thermometer(self) -> Floats:
+        return np.concatenate([part.thermometer for part in self._parts])
+
+    @property
+    def thermometer_variance(self) -> Floats:
+        return np.concatenate([part.thermometer_variance for part in self._parts])
 
 
 def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
@@ -84,9 +109,10 @@ def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
     are on different faces or always as warm.
     """
     part = _Joined(phases)
+    if len({phase.phase.up for phase in phases}) > 1:
+        return None
     held = (part.rows > 1) & np.isfinite(part.degc)
-    faces = {phase.phase.up for phase in phases}
-    if len(faces) > 1 or np.count_nonzero(held) < 8 or np.ptp(part.degc[held]) < _LEAST_DEGC:
+    if np.count_nonzero(held) < 8 or np.ptp(part.degc[held]) < _LEAST_DEGC:
         return None
     degc = part.degc[held] - part.degc[held].mean()
     design = np.stack([np.ones_like(degc), degc, degc**2, part.warming[held]], axis=1)

@@ -1,0 +1,73 @@
+"""What a candidate is: an effect that may be the cause, and a guess of its parameters from what a sensor shows.
+
+A guess need not be good: the search refines every free parameter by simulation. It has to be of the right kind (a line
+has a frequency, a reset chip has one of its ranges) and of about the right size, and there should be none where
+nothing of the effect can be seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Literal
+
+from imuarray.gap.evidence import Evidence
+from imuarray.simulate.effect import Effect
+
+Kind = Literal["static", "tumble", "heating", "turn-on", "motion"]
+"""What is done in a log; the menu of experiments."""
+
+Action = Literal["add", "remove", "replace"]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A change of a sensor's model that may explain what it shows.
+
+    `effects` are added, with first guesses of their parameters; effects of the kind `removed` are taken out first ("":
+    none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis axis by
+    axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be told from
+    another effect. `shared`: it shows only between sensors, and all of the chip have it alike,
+    or (`sensor`) this one has it, and `others` show it.
+    """
+
+    effects: tuple[Effect, ...]
+    free: tuple[str, ...] = ()
+    removed: str = ""
+    shared: bool = False
+    sensor: str = ""
+    others: tuple[str, ...] = ()
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The effect that it is about."""
+        return self.effects[0].name if self.effects else self.removed
+
+    @property
+    def is_brief(self) -> bool:
+        """Whether it begins at some time within a log: then one part alone may show it."""
+        return any(
+            isfinite(getattr(effect, "onset_s", 0.0)) and getattr(effect, "onset_s", 0.0) > 0 for effect in self.effects
+        )
+
+    @property
+    def action(self) -> Action:
+        """What is done to the model."""
+        if not self.effects:
+            return "remove"
+        return "replace" if self.removed else "add"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect of `imuarray.simulate.effects`, and how it is recognised.
+
+    `guesses` makes trials of what one sensor shows, at most a handful. `shown_by`: what has to be recorded for the
+    effect to show, by kind of experiment; kinds that are missing can't show it.
+    """
+
+    effect: str
+    guesses: Callable[[Evidence], Iterable[Trial]]
+    shown_by: Mapping[Kind, str] = field(default_factory=dict)

@@ -1,0 +1,85 @@
+"""`common_mode`: slow drift that correlates between the units of a chip along their own axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.candidates.candidate import Candidate, Trial
+from imuarray.gap.candidates.in_motion import takes_part
+from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.candidates.slow import longest_s, wander_of
+from imuarray.gap.cross import Cross
+from imuarray.gap.evidence import Evidence, Seen
+from imuarray.simulate.effects.common_mode import CommonMode
+
+Floats = npt.NDArray[np.float64]
+
+_TRACES = ("slow_own_axes", "fast_own_axes", "slow_between_axes")
+_BEYOND = 2.7
+_APART = 5.0
+_LEAST_DEGC = 1.0
+_LEAST = 4
+
+
+def guesses(evidence: Evidence) -> Iterator[Trial]:
+    """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
+    and straight lines taken out; its time constant by that of the sensor's wander, another one slower.
+    """
+    yield from with_removal(evidence, CommonMode.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Trial]:
+    if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
+        return
+    pairs = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
+    partners = pairs[0][1].others(evidence.header.name, family=True) if pairs else ()
+    if not partners:
+        return
+    shared = _covariance(pairs, evidence.header.name, partners)
+    rms = np.sqrt(np.maximum(shared, 0.0))
+    if not rms.any():
+        return
+    x, y, z = np.where(rms < rms.max() / 5, 0.0, rms).tolist()
+    wander = wander_of(evidence)
+    time_constant_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
+    for time_s in (time_constant_s, min(_APART * time_constant_s, 3 * longest_s(evidence))):
+        yield Trial((CommonMode((x, y, z), time_s),), ("rms", "time_constant_s"), shared=True)
+
+
+def _covariance(seen: Sequence[tuple[Seen, Cross]], sensor: str, partners: Sequence[str]) -> Floats:
+    """(3,) mean over phases and partners, axis by axis along the chips' own."""
+    found, weights = [], []
+    for one, cross in seen:
+        own = _slow(one, cross, sensor)
+        known = np.isfinite(own).all(axis=1)
+        if known.sum() < _LEAST:
+            continue
+        slow = [np.mean((own * _slow(one, cross, partner))[known], axis=0) for partner in partners]
+        fast = [np.diag(cross.fast[cross.columns(sensor), cross.columns(partner)]) for partner in partners]
+        found.append(np.mean(slow, axis=0) + np.nan_to_num(np.mean(fast, axis=0)))
+        weights.append(len(own))
+    return np.average(found, axis=0, weights=weights) if found else np.zeros(3)
+
+
+def _slow(one: Seen, cross: Cross, sensor: str) -> Floats:
+    """(s, 3) means less their mean, and less what follows the temperature if it changes."""
+    means, part = cross.slow[:, cross.columns(sensor)], one.raw.segments
+    known, held = np.isfinite(means).all(axis=1), np.isfinite(part.time_s) & np.isfinite(part.temperature_degc)
+    if not known.any() or not held.any():
+        return means
+    design = np.ones((len(means), 1))
+    if np.ptp(part.temperature_degc[held]) > _LEAST_DEGC:
+        at = np.linspace(part.time_s[held][0], part.time_s[held][-1], len(means))
+        degc = np.interp(at, part.time_s[held], part.temperature_degc[held])
+        design = np.stack([np.ones_like(degc), degc - degc.mean()], axis=1)
+    return np.asarray(means - design @ np.linalg.lstsq(design[known], means[known], rcond=None)[0])
+
+
+COMMON_MODE = Candidate(
+    CommonMode.name,
+    guesses,
+    {"static": "all units of the chip, two of them anti-parallel, still for an hour at one temperature"},
+)

@@ -1,0 +1,106 @@
+"""`glitches` are recognised by steps there and back that no noise makes, or by words that no sensor gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.candidates.candidate import Candidate, Trial
+from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.evidence import Evidence
+from imuarray.gap.probes.probe import noise_lsb
+from imuarray.gap.summary import Summary
+from imuarray.simulate.effects.glitches import Glitches
+
+_STEPS = ("tail", "extreme", "kurtosis", "noise_excess", "noise_uneven")
+_BEYOND = 4.0
+"""Standard deviations of a step."""
+
+_GAUSSIAN = 6.33e-5
+"""So many steps of Gaussian noise are larger."""
+
+_LOW_BYTES = (64, 256)
+"""What a high byte counts: six bits of a BMA180 travel in the low one (BMA-60), eight elsewhere."""
+
+_NEAR = 0.25
+
+
+class _Tail(NamedTuple):
+    """Sizes of steps in counts and how often each came, of one axis in one phase of so many rows; per high byte that
+    weighs 64 and 256, how often neighbours differ in it if they are independent.
+    """
+
+    sizes: npt.NDArray[np.int64]
+    counts: npt.NDArray[np.int64]
+    rows: int
+    crossing: tuple[float, float]
+
+
+def guesses(evidence: Evidence) -> Iterator[Trial]:
+    """Spikes, torn words, words that read -1; each with its frequency."""
+    yield from with_removal(evidence, Glitches.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Trial]:
+    if evidence.is_odd("words"):
+        yield from _words([seen.raw for seen in evidence.seen])
+    if not evidence.is_odd(*_STEPS):
+        return
+    tails = [tail for seen in evidence.still for tail in _tails(seen.raw)]
+    rows = sum(tail.rows for tail in tails) / 3
+    found, usual = sum(int(tail.counts.sum()) for tail in tails), _GAUSSIAN * 3 * rows
+    if found < usual + 3 * math.sqrt(usual) + 2:
+        return
+    hits = (found - usual) / 2  # there and back
+    size = _median(tails)
+    yield Trial((Glitches(min(hits / rows, 1.0), size / evidence.header.sensitivity),), ("probability", "amplitude"))
+    yield from _torn(tails, size, hits)
+
+
+def _torn(tails: Sequence[_Tail], size: float, hits: float) -> Iterator[Trial]:
+    """A reading whose high byte is the one before's is wrong only where that changed, on one axis of three."""
+    for place, weight in enumerate(_LOW_BYTES):
+        changes = sum(tail.rows * tail.crossing[place] for tail in tails) / 3
+        if abs(size / weight - 1) < _NEAR and changes >= 1:
+            yield Trial((Glitches(min(hits / changes, 1.0), kind="torn"),), ("probability",))
+
+
+def _words(summaries: Sequence[Summary]) -> Iterator[Trial]:
+    words, rows = (sum(getattr(summary, name) for summary in summaries) for name in ("words", "rows"))
+    if words:
+        yield Trial((Glitches(words / rows, kind="word"),), ("probability",))
+
+
+def _tails(summary: Summary) -> Iterator[_Tail]:
+    limits = np.fmax(_BEYOND * np.sqrt(2) * noise_lsb(summary), 1.5)
+    for steps, codes, limit in zip(summary.steps, summary.codes, limits.tolist(), strict=True):
+        beyond = steps.codes > limit
+        low, high = (_crossing(codes.codes // weight, codes.counts) for weight in _LOW_BYTES)
+        yield _Tail(steps.codes[beyond], steps.counts[beyond], summary.rows, (low, high))
+
+
+def _crossing(high: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> float:
+    """The chance that two readings have another high byte."""
+    if len(high) == 0:
+        return 0.0
+    shares = np.bincount(high - high.min(), weights=counts) / counts.sum()
+    return float(1 - (shares**2).sum())
+
+
+def _median(tails: Sequence[_Tail]) -> float:
+    """Size of the steps."""
+    sizes, counts = (np.concatenate(parts) for parts in list(zip(*tails, strict=True))[:2])
+    order = np.argsort(sizes)
+    upto = np.cumsum(counts[order])
+    return float(sizes[order][np.searchsorted(upto, upto[-1] / 2)])
+
+
+GLITCHES = Candidate(
+    Glitches.name,
+    guesses,
+    dict.fromkeys(("static", "tumble", "heating", "turn-on"), "at rest, 10000 readings or more"),
+)

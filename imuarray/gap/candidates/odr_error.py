@@ -1,0 +1,95 @@
+"""`odr_error` is recognised by rows that repeat at the poll's pace, by even codes of an ADXL345, by noise of another
+size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import get_args
+
+import numpy as np
+
+from imuarray.chips import CHIPS
+from imuarray.gap.candidates.candidate import Candidate, Kind, Trial
+from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.candidates.repetition import repeated_share
+from imuarray.gap.evidence import Evidence
+from imuarray.simulate.converters import EVEN_ONLY_FROM_HZ, code_span
+from imuarray.simulate.effects.odr_error import OdrError
+
+_REPEATS = ("repeats", "stale", "longest_repeat")
+_NEAR = 0.15
+"""An oscillator's tolerance, and what is lost in telling repeats from chance."""
+
+_LEAST = 1e-3
+_FEW_ODD = 0.01
+
+
+def guesses(evidence: Evidence) -> Iterator[Trial]:
+    """Rates that the chip can be set to, or the one that is seen; bandwidths likewise."""
+    yield from with_removal(evidence, OdrError.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Trial]:
+    if evidence.is_odd(*_REPEATS):
+        yield from _by_repeats(evidence)
+    if evidence.header.chip == "adxl345" and evidence.is_odd("odd_codes", "absent_codes"):
+        yield from _by_even_codes(evidence)
+    if evidence.is_odd("noise") and not evidence.is_odd(*_REPEATS):
+        yield from _by_noise(evidence)
+
+
+def _by_repeats(evidence: Evidence) -> Iterator[Trial]:
+    """Slower than the poll: new readings per second. Faster than configured, where repeats are missing: the two rates
+    next to the poll's, since what lies beyond isn't seen.
+    """
+    rows_hz, allowed = evidence.rows_per_s, _rates_hz(evidence)
+    repeated, configured_hz = repeated_share(evidence), evidence.header.rate_hz
+    most_hz = min(rows_hz, configured_hz) if configured_hz else rows_hz
+    real_hz = (1 - repeated) * most_hz
+    if repeated > _LEAST:
+        near = [rate for rate in allowed if rate < most_hz and abs(real_hz / rate - 1) < _NEAR]
+        for rate in sorted(near, key=lambda rate: abs(real_hz / rate - 1))[:1]:
+            yield Trial((OdrError(rate),))
+        yield Trial((OdrError(real_hz),), ("rate_hz",))
+    elif repeated < -_LEAST:
+        for rate in [rate for rate in allowed if rate >= rows_hz][:2]:
+            yield Trial((OdrError(rate),))
+
+
+def _by_even_codes(evidence: Evidence) -> Iterator[Trial]:
+    """All codes are even from 1600 Hz on (ADX-47)."""
+    codes = [seen for item in evidence.seen for seen in item.raw.codes]
+    odd = sum(int(seen.counts[seen.codes % 2 == 1].sum()) for seen in codes)
+    total = sum(int(seen.counts.sum()) for seen in codes)
+    is_even, expected_even = odd < _FEW_ODD * total, code_span(evidence.header).step == 2
+    if is_even == expected_even:
+        return
+    allowed = _rates_hz(evidence)
+    fast = [rate for rate in allowed if rate >= EVEN_ONLY_FROM_HZ]
+    slow = [rate for rate in reversed(allowed) if rate < EVEN_ONLY_FROM_HZ]
+    for rate in (fast if is_even else slow)[:2]:
+        yield Trial((OdrError(rate),))
+
+
+def _by_noise(evidence: Evidence) -> Iterator[Trial]:
+    """The variance goes with the bandwidth. Where the noise is fitted there is nothing to see."""
+    header, spec = evidence.header, CHIPS.get(evidence.header.chip)
+    ratio = math.exp(2 * float(np.median(evidence.typical("noise"))))
+    if spec is None or not header.bandwidth_hz:
+        return
+    wanted_hz = ratio * header.bandwidth_hz
+    others = [width for width in spec.allowed_bandwidths_hz(header.rate_hz) if width != header.bandwidth_hz]
+    others.sort(key=lambda width: abs(math.log(width / wanted_hz)))
+    if others and abs(math.log(others[0] / wanted_hz)) < abs(math.log(ratio)):
+        yield Trial((OdrError(bandwidth_hz=others[0]),))
+
+
+def _rates_hz(evidence: Evidence) -> list[float]:
+    """Ascending, without the configured one."""
+    spec = CHIPS.get(evidence.header.chip)
+    return sorted(rate for rate in (spec.rates_hz if spec else ()) if rate != evidence.header.rate_hz)
+
+
+ODR_ERROR = Candidate(OdrError.name, guesses, dict.fromkeys(get_args(Kind), "polled faster than the chip's data rate"))

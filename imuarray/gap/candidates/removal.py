@@ -1,0 +1,36 @@
+"""An effect that the model has and the sensor has not: taken out, or replaced by one of its kind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from imuarray.gap.candidates.candidate import Trial
+from imuarray.gap.evidence import Evidence
+
+ORDINARY = frozenset({"white_noise", "bias", "thermal_bias", "scale", "misalignment"})
+"""What every sensor has: fitted, or drawn from a population."""
+
+
+def removals(evidence: Evidence, name: str) -> Iterator[Trial]:
+    """The trial without effects of this kind, if the model has any that isn't ordinary."""
+    if _has(evidence, name):
+        yield Trial((), removed=name)
+
+
+def with_removal(evidence: Evidence, name: str, guesses: Iterable[Trial], *, several: bool = False) -> Iterator[Trial]:
+    """The trial without effects of this kind, and the `guesses` that add one. Where the model has one already each of
+    these takes its place, since two of a kind can't be told apart; unless a sensor may have `several`: then it is both
+    added and put in its place.
+    """
+    yield from removals(evidence, name)
+    has = _has(evidence, name)
+    for guess in guesses:
+        if has:
+            yield replace(guess, removed=name)
+        if not has or several:
+            yield guess
+
+
+def _has(evidence: Evidence, name: str) -> bool:
+    return name not in ORDINARY and any(effect.name == name for effect in evidence.effects)

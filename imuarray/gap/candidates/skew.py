@@ -1,0 +1,35 @@
+"""`skew` is recognised by a sensor that is behind the others by the same time in every motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from imuarray.gap.candidates.candidate import Candidate, Trial
+from imuarray.gap.candidates.lag import odd_lags
+from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.evidence import Evidence
+from imuarray.simulate.effects.skew import Skew
+
+
+def guesses(evidence: Evidence) -> Iterator[Trial]:
+    """The mean lag; a large one also a period earlier or later."""
+    yield from with_removal(evidence, Skew.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Trial]:
+    found = odd_lags(evidence)
+    if not found:
+        return
+    lag_s, pace = (
+        float(np.average([getattr(lag, name) for lag in found], weights=[lag.weight for lag in found]))
+        for name in ("lag_s", "pace")
+    )
+    yield Trial((Skew(lag_s),), ("delay_s",))
+    if any(lag.is_large for lag in found):
+        yield Trial((Skew(lag_s - math.copysign(2 * math.pi / pace, lag_s)),), ("delay_s",))
+
+
+SKEW = Candidate(Skew.name, guesses, {"motion": "shaking at 2 Hz and more beside another sensor, 1 minute"})

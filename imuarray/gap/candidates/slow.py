@@ -1,0 +1,163 @@
+"""How a bias wanders: sizes and times of slow processes by closed forms from Allan variances and levels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import nnls
+
+from imuarray.gap.evidence import Evidence
+
+Floats = npt.NDArray[np.float64]
+
+TRACES = (
+    "wander",
+    "mean_halves",
+    "mean_return",
+    "allan_8",
+    "allan_32",
+    "allan_128",
+    "allan_512",
+    "allan_2048",
+    "allan_longest",
+    "band_1",
+    "band_2",
+    "noise_excess",
+    "run_scatter",
+    "thermal_residual",
+    "slow_own_axes",
+    "slow_between_axes",
+)
+"""Probes that a slow process moves."""
+
+BEYOND = 3.0
+"""A trace that far from what the model makes is followed up."""
+
+_FACTORS = 4
+"""Starts in an averaging time: terms that hang together."""
+
+_TIMES = 25
+
+
+class Allan(NamedTuple):
+    """Allan variances (o, 3) at averaging times (o,), in the sensor's unit squared, pooled over the phases at rest, and
+    how many independent terms each has (o,); `spread` (3,) the mean variance of segments' means in these, `length_s`
+    and number of the `phases`, for what is slower.
+    """
+
+    time_s: Floats
+    variance: Floats
+    terms: Floats
+    spread: Floats
+    length_s: float
+    phases: int
+
+
+class Wander(NamedTuple):
+    """(3,) rms of a first-order Gauss-Markov process of this time constant."""
+
+    rms: Floats
+    time_constant_s: float
+
+
+def allan_of(evidence: Evidence) -> Allan:
+    """Octaves with at least one independent term in all."""
+    sums, terms = np.zeros((0, 3)), np.zeros(0)
+    for one in evidence.still:
+        variance, count = one.raw.allan
+        if not len(sums):
+            sums, terms = np.zeros_like(variance), np.zeros(len(count))
+        sums += np.nan_to_num(variance) * count[:, None]
+        terms += count
+    held = terms >= _FACTORS
+    times = 2.0 ** np.flatnonzero(held) / evidence.rows_per_s
+    free = terms[held] / (_FACTORS * 2.0 ** np.maximum(np.flatnonzero(held) - 2, 0))
+    mean = sums[held] / terms[held, None]
+    known = free * _FACTORS >= 1
+    variance = mean[known] / evidence.header.sensitivity**2
+    return Allan(np.asarray(times[known]), variance, np.maximum(free, 0.5)[known], *_spread(evidence))
+
+
+def gauss_markov(time_s: Floats, time_constant_s: float) -> Floats:
+    """Allan variance of a first-order Gauss-Markov process of variance 1 (IEEE Std 952, Annex C)."""
+    x = time_s / time_constant_s
+    small = 2 * x / 3 * (1 - 0.75 * x)  # the rest cancels to rounding
+    whole = 2 / x * (1 - (3 - 4 * np.exp(-x) + np.exp(-2 * x)) / (2 * x))
+    return np.asarray(np.where(x < 1e-3, small, whole))
+
+
+def within(length_s: float, time_constant_s: float) -> float:
+    """Variance about their mean of the values of such a process in a stretch: 1 - 2 (x - 1 + exp(-x)) / x^2."""
+    x = length_s / time_constant_s
+    return x / 3 if x < 1e-3 else 1 - 2 * (x - 1 + float(np.exp(-x))) / x**2
+
+
+def size_of(allan: Allan, curve: Floats, spread: float) -> tuple[Floats, float]:
+    """(3,) squared size of the process with this Allan variance (o,), and this variance in a phase, beside white noise,
+    and how badly both fit.
+    """
+    sizes, misfit = np.zeros(3), 0.0
+    white = np.append(allan.time_s[0] / allan.time_s, 0.0)
+    curve, terms = np.append(curve, spread), np.append(allan.terms, 2.0 * allan.phases)
+    for axis in range(3):
+        observed = np.append(allan.variance[:, axis], allan.spread[axis])
+        if not (observed > 0).all():
+            continue
+        weight = np.sqrt(terms / 2) / observed
+        table = np.stack([white, curve], axis=1) * weight[:, None]
+        (_, sizes[axis]), left = nnls(table, observed * weight)
+        misfit += left**2
+    return sizes, misfit
+
+
+def wander_of(evidence: Evidence) -> Wander | None:
+    """The Gauss-Markov process that fits best, None where no phase is long enough to tell or none is there."""
+    allan = allan_of(evidence)
+    if len(allan.time_s) < 4:
+        return None
+    times = np.geomspace(3 / evidence.rows_per_s, 3 * longest_s(evidence), _TIMES)
+    found = [_gauss_markov_size(allan, time) for time in times]
+    best = int(np.argmin([misfit for _, misfit in found]))
+    sizes = found[best][0]
+    return Wander(np.sqrt(sizes), float(times[best])) if sizes.any() else None
+
+
+def rms_at(evidence: Evidence, time_constant_s: float) -> Floats:
+    """(3,) rms of a Gauss-Markov process of this time constant."""
+    return np.asarray(np.sqrt(_gauss_markov_size(allan_of(evidence), time_constant_s)[0]))
+
+
+def longest_s(evidence: Evidence) -> float:
+    """Length of the longest phase at rest."""
+    phases = [one.raw.phase for one in evidence.still]
+    return max((1e-9 * (phase.end_ns - phase.start_ns) for phase in phases), default=1.0)
+
+
+def sized(values: Floats, score: Floats) -> tuple[float, float, float]:
+    """Sizes by axis: 0 where it is small and nothing shows, a little where something shows and none was found."""
+    largest = float(values.max())
+    shows = np.abs(score) > BEYOND
+    x, y, z = np.where(shows, np.maximum(values, largest / 4), np.where(values < largest / 3, 0.0, values)).tolist()
+    return x, y, z
+
+
+def _gauss_markov_size(allan: Allan, time_constant_s: float) -> tuple[Floats, float]:
+    return size_of(allan, gauss_markov(allan.time_s, time_constant_s), within(allan.length_s, time_constant_s))
+
+
+def _spread(evidence: Evidence) -> tuple[Floats, float, int]:
+    """Mean over the phases at rest of the variance of segments' means less that of independent readings, at least a
+    tenth of it; the phases' mean length, and how many there are.
+    """
+    found, lengths = [], []
+    for one in evidence.still:
+        part = one.left.segments
+        held = part.rows > 1
+        if np.count_nonzero(held) > 2:
+            white = (part.steady_variance[held] / (part.rows[held, None] - 1)).mean(axis=0)
+            variance = part.mean[held].var(axis=0)
+            found.append(np.maximum(variance - white, variance / 10) / evidence.header.sensitivity**2)
+            lengths.append(part.width_s * len(part.rows))
+    return (np.mean(found, axis=0), float(np.mean(lengths)), len(found)) if found else (np.zeros(3), 1.0, 0)

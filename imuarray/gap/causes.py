@@ -1,0 +1,214 @@
+"""Causes in words and numbers: what the search took, how probable each is, what else would explain as much."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from imuarray.gap.bench import Bench
+from imuarray.gap.candidates import Trial
+from imuarray.gap.closure import Deviating, deviating
+from imuarray.gap.diagnosis import Cause, Judged, Origin
+from imuarray.gap.pairs import pairs_of
+from imuarray.gap.search import Confirmed, Round
+from imuarray.gap.standing import AXES, Standing, Unit
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.parameters import to_table
+
+TEMPER = 0.5
+"""The log odds of a trial count so much in its probability."""
+
+ALTERNATIVE = 0.1
+"""An effect that is less probable than that is not told as a cause."""
+
+CONFUSABLE = 0.05
+"""Odds, against the cause that was taken, from which on an effect is confusable with it: 1 to 20."""
+
+_SAME = 1.25
+"""Parameters of two sensors within that factor, or three standard errors, are the same."""
+
+_METADATA = frozenset({"axis_error", "channel_swap", "clock_error", "face_error"})
+"""Causes that lie in what is said of a log, or of the array, and not in a sensor."""
+
+
+def probabilities(one: Round) -> list[float]:
+    """Of each trial that was confirmed, the rest being that it is none of them."""
+    odds = TEMPER * np.array([*one.log_odds, 0.0])
+    weights = np.exp(odds - odds.max())
+    return list((weights / weights.sum())[:-1].tolist())
+
+
+def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
+    """All causes, most probable first; the same one in several sensors of a chip is told once."""
+    single = [cause for unit, own in rounds.items() for cause in _of_unit(bench, unit, own, seed)]
+    return tuple(sorted(_merged(bench, single), key=lambda cause: (-cause.probability, -cause.gain)))
+
+
+def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[Judged, ...]:
+    """Everything that was confirmed, and the placebos."""
+    found = []
+    for unit, own in rounds.items():
+        for one in own:
+            found += [
+                Judged(trial.trial.name, trial.trial.action, unit, trial.train_gain, trial.gain, trial is one.taken)
+                for trial in one.confirmed
+            ]
+            found.append(Judged("", "add", unit, math.nan, one.placebo_gain, False))
+    return tuple(found)
+
+
+def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> Iterator[Cause]:
+    """What the rounds took and what of it stayed, each with what else was likely."""
+    first = rounds[0].before
+    for number, one in enumerate(rounds):
+        if one.taken is None or _is_undone(one.taken, rounds[number + 1 :]):
+            continue
+        by_name: dict[str, tuple[float, Confirmed]] = {}
+        for chance, trial in zip(probabilities(one), one.confirmed, strict=True):
+            before = by_name.get(trial.trial.name, (0.0, trial))
+            by_name[trial.trial.name] = (before[0] + chance, before[1])
+        own = by_name[one.taken.trial.name][0]
+        likely = {name for name, (chance, _) in by_name.items() if chance > CONFUSABLE * own}
+        for name, (chance, trial) in by_name.items():
+            if (trial is one.taken or chance > ALTERNATIVE) and not _undoes(trial, one.before):
+                yield _cause(bench, unit, first, one.before, trial, chance, tuple(sorted(likely - {name})), seed)
+
+
+def _is_undone(taken: Confirmed, later: Sequence[Round]) -> bool:
+    """Whether a later round took the effect out again, or put another of its kind in its place."""
+    return any(one.taken is not None and one.taken.trial.removed == taken.trial.name for one in later)
+
+
+def _undoes(trial: Confirmed, before: Standing) -> bool:
+    """Whether it only takes out what an earlier round put in."""
+    added = {effect.name for model in before.models.values() for effect in model.added}
+    return not trial.trial.effects and trial.trial.removed in added
+
+
+def _cause(
+    bench: Bench,
+    unit: Unit,
+    first: Standing,
+    before: Standing,
+    taken: Confirmed,
+    probability: float,
+    confusable: tuple[str, ...],
+    seed: int,
+) -> Cause:
+    counted = _deviating(bench, first, before)
+    with_it = _deviating(bench, first, taken.standing)
+    shrunk = replace(counted, before=counted.after, after=with_it.after).shrunk(seed)
+    effect = taken.trial.effects[0] if taken.trial.effects else None
+    sensors = (taken.trial.sensor,) if taken.trial.sensor else unit
+    each = {name: to_table(effect, bench.base.headers[name].unit) if effect else {} for name in sensors}
+    return Cause(
+        taken.trial.name,
+        taken.trial.action,
+        sensors,
+        _axes(effect),
+        probability,
+        each[sensors[0]],
+        shrunk.closed,
+        shrunk.interval,
+        confusable,
+        _origin(taken.trial),
+        taken.gain,
+        each,
+    )
+
+
+def _deviating(bench: Bench, first: Standing, then: Standing) -> Deviating:
+    """What deviated of a unit at first, with its scores then."""
+    columns = bench.columns(first.unit, cross=len(first.unit) > 1)
+    keys = [bench.keys[at] for at in columns]
+    pairs = pairs_of(keys, int(np.count_nonzero(~bench.held_out[columns])))
+    return deviating(pairs, first.scores, then.scores, np.ones(len(pairs.keys), bool))
+
+
+def _axes(effect: Effect | None) -> tuple[str, ...]:
+    """The axes on which an effect acts; none if on all, or if it has no axes."""
+    if effect is None:
+        return ()
+    idle = type(effect)()
+    active = [False] * 3
+    for name, item in type(effect).__dataclass_fields__.items():
+        if item.metadata.get("per_axis"):
+            pairs = zip(getattr(effect, name), getattr(idle, name), strict=True)
+            active = [on or value != default for on, (value, default) in zip(active, pairs, strict=True)]
+    return () if all(active) or not any(active) else tuple(axis for axis, on in zip(AXES, active, strict=True) if on)
+
+
+def _origin(trial: Trial) -> Origin:
+    effect = trial.effects[0] if trial.effects else None
+    from_boot = (
+        trial.name == "range_reset"
+        and getattr(effect, "onset_s", 1.0) <= 0
+        and getattr(effect, "probability", 0.0) >= 1
+    )
+    return "metadata" if trial.name in _METADATA or from_boot else "sensor"
+
+
+def _merged(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
+    """Causes that are the same in several sensors of a chip, joined."""
+    kept: list[Cause] = []
+    for cause in causes:
+        twin = next((at for at, other in enumerate(kept) if _is_same(bench.base.headers, other, cause)), None)
+        if twin is None:
+            kept.append(cause)
+        else:
+            kept[twin] = _joined(kept[twin], cause)
+    return kept
+
+
+def _is_same(headers: Mapping[str, SensorHeader], one: Cause, other: Cause) -> bool:
+    chips = {headers[name].chip for name in (*one.sensors, *other.sensors)}
+    alike = (one.effect, one.action, one.axes) == (other.effect, other.action, other.axes)
+    return alike and len(chips) == 1 and one.sensors != other.sensors and _agree(one.parameters, other.parameters)
+
+
+def _agree(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    if one.keys() != other.keys():
+        return False
+    for key, value in one.items():
+        first, second = np.atleast_1d(value), np.atleast_1d(other[key])
+        if first.dtype.kind not in "if" or second.dtype.kind not in "if":
+            if value != other[key]:
+                return False
+            continue
+        first, second = np.broadcast_arrays(first.astype(float), second.astype(float))
+        largest = np.fmax(np.abs(first), np.abs(second))
+        if (np.abs(first - second) > (_SAME - 1) * largest).any():
+            return False
+    return True
+
+
+def _joined(one: Cause, other: Cause) -> Cause:
+    """Two that are the same: odds are multiplied, shares closed weighed by what they gain."""
+    odds = [cause.probability / max(1 - cause.probability, 1e-9) for cause in (one, other)]
+    both = odds[0] * odds[1]
+    return replace(
+        one,
+        sensors=(*one.sensors, *other.sensors),
+        probability=max(one.probability, other.probability, both / (1 + both)),
+        closed=_mean(one.closed, other.closed, len(one.sensors)),
+        closed_ci95=_widest(one, other),
+        confusable_with=tuple(sorted({*one.confusable_with} & {*other.confusable_with})),
+        gain=one.gain + other.gain,
+        each={**one.each, **other.each},
+    )
+
+
+def _mean(one: float | None, other: float | None, weight: int) -> float | None:
+    if one is None or other is None:
+        return one if other is None else other
+    return (weight * one + other) / (weight + 1)
+
+
+def _widest(one: Cause, other: Cause) -> tuple[float, float] | None:
+    known = [cause.closed_ci95 for cause in (one, other) if cause.closed_ci95 is not None]
+    return (min(low for low, _ in known), max(high for _, high in known)) if known else None

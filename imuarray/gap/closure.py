@@ -1,0 +1,113 @@
+"""How far the gap shrinks: the excess of squared scores on held-out data, before and after the causes are in the model.
+
+Which statistics count is decided on the training part, by what deviates there; what they show on the held-out part
+says how far the gap was, and is, closed. Domains weigh alike, whatever number of statistics they have, and no score
+counts for more than `LARGEST`. Where nothing is wrong the mean square of scores is 1: that is taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.diagnosis import Interval
+from imuarray.gap.pairs import Pairs
+from imuarray.gap.statistics import Key
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+LARGEST = 100.0
+DEVIATES = 3.5
+"""Score on the training part from which on a statistic counts."""
+
+_DRAWS = 400
+_FAR = 10.0
+_LEAST_EXCESS = 1.0
+"""Mean squared excess below which no share of it is told."""
+
+
+class Shrunk(NamedTuple):
+    """Root mean square scores before and after, and the share of the excess that is closed with its 95 % interval; None
+    where there's too little to close.
+    """
+
+    before: float
+    after: float
+    closed: float | None
+    interval: Interval | None
+
+
+@dataclass(frozen=True)
+class Deviating:
+    """The statistics that count: their keys, weights (k,), and scores on held-out data `before` and `after` (k,)."""
+
+    keys: tuple[Key, ...]
+    weights: Floats
+    before: Floats
+    after: Floats
+
+    def shrunk(self, seed: int) -> Shrunk:
+        """Of all of them; the interval from drawing blocks of one sensor, phase and domain anew (bootstrap)."""
+        if len(self.keys) == 0:
+            return Shrunk(1.0, 1.0, None, None)
+        excess = np.stack([_squares(self.before) - 1, _squares(self.after) - 1])
+        before, after = (excess @ self.weights / self.weights.sum()).tolist()
+        roots = (float(np.sqrt(max(before + 1, 0.0))), float(np.sqrt(max(after + 1, 0.0))))
+        if before < _LEAST_EXCESS:
+            return Shrunk(*roots, None, None)
+        return Shrunk(*roots, min(1.0, 1 - after / before), self._interval(excess, seed))
+
+    def of(self, chosen: Bools) -> Deviating:
+        """Some of them, each domain with the same weight again."""
+        keys = tuple(key for key, taken in zip(self.keys, chosen, strict=True) if taken)
+        return Deviating(keys, _weights(keys), self.before[chosen], self.after[chosen])
+
+    def domains(self) -> tuple[str, ...]:
+        """Those that there are."""
+        return tuple(dict.fromkeys(key.domain for key in self.keys))
+
+    def _interval(self, excess: Floats, seed: int) -> Interval:
+        blocks = list(_blocks(self.keys).values())
+        weighted = np.array([(excess[:, rows] * self.weights[rows]).sum(axis=1) for rows in blocks])
+        draws = np.random.default_rng(seed).integers(0, len(blocks), (_DRAWS, len(blocks)))
+        before, after = weighted[draws].sum(axis=1).T
+        closed = np.clip(1 - after / np.maximum(before, _LEAST_EXCESS * self.weights.sum()), -_FAR, 1.0)
+        low, high = np.quantile(closed, (0.025, 0.975)).tolist()
+        return low, high
+
+
+def deviating(pairs: Pairs, before: Floats, after: Floats, usable: Bools) -> Deviating:
+    """What deviates on the training part, from scores (n,) of all statistics; `usable` (m,): pairs that may count.
+
+    A statistic that only the held-out part has, or that the fit makes zero on the training part, is chosen by itself:
+    levels of another run, what begins in the second half.
+    """
+    train, held_out = (np.where(places >= 0, before[places], np.nan) for places in (pairs.train, pairs.held_out))
+    chosen = usable & np.isfinite(held_out) & (np.abs(np.nan_to_num(train)) > DEVIATES)
+    if not chosen.any():
+        chosen = usable & np.isfinite(held_out) & (np.abs(np.nan_to_num(held_out)) > DEVIATES)
+    places = pairs.held_out[chosen]
+    keys = tuple(key for key, taken in zip(pairs.keys, chosen, strict=True) if taken)
+    return Deviating(keys, _weights(keys), np.nan_to_num(before[places]), np.nan_to_num(after[places], nan=0.0))
+
+
+def _weights(keys: Sequence[Key]) -> Floats:
+    """(k,) one over the number of statistics of the same domain."""
+    domains = [key.domain for key in keys]
+    return np.array([1 / domains.count(domain) for domain in domains])
+
+
+def _blocks(keys: Sequence[Key]) -> dict[tuple[object, ...], list[int]]:
+    found: dict[tuple[object, ...], list[int]] = {}
+    for at, key in enumerate(keys):
+        found.setdefault((key.log, key.phase_number, key.sensor, key.domain), []).append(at)
+    return found
+
+
+def _squares(scores: Floats) -> Floats:
+    return np.asarray(np.minimum(np.abs(scores), LARGEST) ** 2)

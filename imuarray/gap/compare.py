@@ -1,0 +1,91 @@
+"""A recorded campaign beside replicates of a model of it: what was recorded, what chance makes, where they differ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.base_model import fit
+from imuarray.gap.bench import Bench, Models, Values, bench_of
+from imuarray.gap.campaign import Campaign, summarise_log
+from imuarray.gap.judgement import Judged, judged
+from imuarray.gap.likeness import likeness_of
+from imuarray.gap.pairs import Pairs, pairs_of, spread_of
+from imuarray.gap.recordings import Recording, sources_of, temperature_of
+from imuarray.gap.significance import Located, located
+from imuarray.gap.split import split_of
+from imuarray.gap.workers import Run
+from imuarray.simulate.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """The recorded campaign on its bench, beside replicates of the base model: statistics of the recording (`real`)
+    and of the replicates, their pairs, the recording judged by them, and where it is beyond chance.
+    """
+
+    bench: Bench
+    campaign: Campaign
+    real: Values
+    replicates: tuple[Values, ...]
+    pairs: Pairs
+    judged: Judged
+    located: Located
+
+    @property
+    def chance(self) -> Floats:
+        """(b, n) the replicates' statistics."""
+        return np.array([one.values for one in self.replicates])
+
+
+def prepared(recordings: Sequence[Recording], model: Model | None, seed: int) -> tuple[Bench, Campaign]:
+    """The recordings summarised, the base model fitted to their training part."""
+    split = split_of([one.kind for one in recordings], [one.phases for one in recordings])
+    logs = []
+    for one, phases in zip(recordings, split.phases(), strict=True):
+        logs.append(summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion)))
+    campaign = Campaign(tuple(logs))
+    train = split.train(campaign)
+    motions = [recordings[at].experiment.motion for at in train.logs]
+    base = fit(train.campaign, motions, model=model, seed=seed)
+    bench = bench_of(campaign, split, [one.experiment for one in recordings], base)
+    return (bench if model is None else settled(bench)), campaign
+
+
+def settled(bench: Bench, replicates: int = 8) -> Bench:
+    """The bench with the base model's ordinary parameters moved by as much as the fit of its replicates misses that of
+    the recording: what the other effects of a model add to noise and level is not in them twice.
+    """
+    models = bench.models()
+    came = [bench.replicate(models, number, held_out=False).fitted for number in range(replicates)]
+    fitted = {
+        name: one.moved(bench.base.fitted[name], [each[name] for each in came])
+        for name, one in bench.base.fitted.items()
+    }
+    return replace(bench, base=replace(bench.base, fitted=fitted))
+
+
+def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: int) -> Compared:
+    """Where the recording leaves what the base model makes of it."""
+    real = bench.observed(campaign, bench.base.fitted)
+    came = tuple(run(replicate, [(bench.models(), number) for number in range(replicates)]))
+    chance = np.array([one.values for one in came])
+    first, second = likeness_of(chance[1::2], bench.resolutions), chance[::2]
+    pairs = pairs_of(bench.keys, bench.of_train)
+    norm = spread_of(pairs.sums(first.scores(chance[1::2])))
+    scores = pairs.sums(first.scores(real.values)) / norm
+    by_chance = pairs.sums(first.scores(second)) / norm
+    where = located(pairs.keys, bench.base.headers, scores, by_chance)
+    whole = replace(judged(pairs, real.values, chance, bench.resolutions), p=where.p, limit=where.limit)
+    return Compared(bench, campaign, real, came, pairs, whole, where)
+
+
+def replicate(bench: Bench, asked: tuple[Models, int]) -> Values:
+    """One replicate, by its number, of sensors modelled so."""
+    models, number = asked
+    return bench.observed(bench.simulated(models, number), models)

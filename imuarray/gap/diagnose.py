@@ -1,0 +1,196 @@
+"""The whole diagnosis, from recordings to what is said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import imuarray
+from imuarray.errors import ConfigError
+from imuarray.gap.bench import Bench
+from imuarray.gap.candidates import CANDIDATES, Candidate
+from imuarray.gap.causes import causes_of, judged_of
+from imuarray.gap.closure import deviating
+from imuarray.gap.compare import Compared, compared_with_base, prepared, replicate
+from imuarray.gap.diagnosis import Diagnosis, Gap, Recorded, Unshown
+from imuarray.gap.judgement import Judged, Told, floor_of, gap_of, judged, map_of, unknown_of, verdict_of, where_of
+from imuarray.gap.labels import Mislabelled, cause_of, corrected, mislabelled
+from imuarray.gap.menu import next_experiment
+from imuarray.gap.origins import lines_of, notes_of, with_origins
+from imuarray.gap.overlays import overlays_of
+from imuarray.gap.recordings import Recording
+from imuarray.gap.repair import repaired
+from imuarray.gap.rounds import Searched, searches
+from imuarray.gap.sentence import sentence_of
+from imuarray.gap.stimulus import environment_of
+from imuarray.gap.unshown import facts_of, unshown, unsure
+from imuarray.gap.use import uses
+from imuarray.gap.workers import Run
+from imuarray.simulate.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+REPLICATES = 120
+"""Of the base model; a half says how statistics scatter, the other how far chance goes."""
+
+REPAIRED = 32
+"""Replicates of the model with its causes in."""
+
+_FIRST_REPAIRED = 2_000_000
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What is diagnosed: the recordings, compared with the base model; those as they were `noted`, if some of their
+    faces were noted wrongly (`wrong`); the library of causes, the model and the seed.
+    """
+
+    recordings: Sequence[Recording]
+    found: Compared
+    noted: Compared
+    wrong: tuple[Mislabelled, ...]
+    candidates: Mapping[str, Candidate]
+    model: Model | None
+    seed: int
+
+    @property
+    def names(self) -> list[str]:
+        """The logs'."""
+        return [one.name for one in self.recordings]
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    run: Callable[[Bench], Run],
+    *,
+    model: Model | None = None,
+    without: Collection[str] = (),
+    seed: int = 0,
+    replicates: int = REPLICATES,
+    progress: Callable[[str], None] = lambda what: None,
+) -> Diagnosis:
+    """Where recordings differ from what the model makes of them, why, and how far that is closed by the causes.
+
+    `run` gives, for a bench, what calls its functions (`imuarray.gap.workers.runner`). `without` takes effects out of
+    the library of causes; ConfigError for one that isn't in it. `progress` hears what is going on.
+    """
+    candidates = library(without)
+    progress("reading the recordings")
+    bench, campaign = prepared(recordings, model, seed)
+    called = run(bench)
+    progress("simulating the base model")
+    found = noted = compared_with_base(bench, campaign, called, replicates)
+    wrong = mislabelled(recordings, campaign)
+    if wrong:
+        progress("once more, with faces as they lay")
+        recordings = corrected(recordings, wrong)
+        bench, campaign = prepared(recordings, model, seed)
+        called = run(bench)
+        found = compared_with_base(bench, campaign, called, replicates)
+        noted = noted if noted.pairs.keys == found.pairs.keys else found
+    searched = searches(found, candidates, called, progress) if found.located.is_gap else Searched({}, bench.models())
+    progress("simulating the repaired model")
+    return _said(_Case(recordings, found, noted, wrong, candidates, model, seed), searched, called)
+
+
+def library(without: Collection[str]) -> dict[str, Candidate]:
+    """The candidates but those left out."""
+    if unknown := sorted(set(without) - set(CANDIDATES)):
+        raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(CANDIDATES)}")
+    return {name: one for name, one in CANDIDATES.items() if name not in without}
+
+
+def _said(case: _Case, searched: Searched, run: Run) -> Diagnosis:
+    """Everything that follows from the search."""
+    found, noted, bench, names = case.found, case.noted, case.found.bench, case.names
+    is_gap, pairs = noted.located.is_gap, found.pairs
+    shared = environment_of(found.campaign) if is_gap else ()
+    causes = with_origins(causes_of(bench, searched.rounds, case.seed), bench.base.headers, shared)
+    came = _repaired(searched, run) if causes else found.replicates
+    made = np.array([one.values for one in came])
+    after = judged(pairs, found.real.values, made, bench.resolutions) if causes else found.judged
+    lines = lines_of(causes, bench.base.headers)
+    causes = tuple(sorted((*map(cause_of, case.wrong), *causes), key=lambda one: -one.probability))
+    where = where_of(noted.bench, noted.campaign, pairs, noted.judged, noted.located.found, names, noted.located.found)
+    gap = _gap(case, after)
+    unexplained = where_of(bench, found.campaign, pairs, after, _left(after), names, {}) if is_gap else ()
+    verdict = verdict_of(is_gap, gap, after, causes)
+    untold = _untold(found, case.candidates, is_gap)
+    told = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
+    model = case.model.name if case.model else "data sheets"
+    return Diagnosis(
+        verdict,
+        sentence_of(verdict, gap, causes, where, unexplained, told),
+        noted.located.p,
+        gap,
+        where,
+        causes,
+        unknown_of(is_gap, gap, after),
+        unexplained,
+        next_experiment(bench, searched, causes, unexplained, untold, run),
+        untold,
+        told,
+        judged_of(searched.rounds),
+        map_of(pairs, noted.judged, after, tuple(bench.base.headers)),
+        overlays_of(bench, found.campaign, where, bench.models(), searched.models, run, names=names),
+        tuple(map(_recorded, case.recordings)),
+        (*(f"{one.name}: {note}" for one in case.recordings for note in one.notes), *notes_of(lines, shared)),
+        bench.split.words,
+        case.seed,
+        len(found.replicates),
+        model,
+        f"imuarray {imuarray.__version__}",
+        repaired(bench, searched.models, case.model, f"repaired {model}", logs=names),
+    )
+
+
+def _repaired(searched: Searched, run: Run) -> list[Any]:
+    """Replicates with the causes in."""
+    numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
+    return run(replicate, [(searched.models, number) for number in numbers])
+
+
+def _gap(case: _Case, after: Judged) -> Gap:
+    """How far it is closed, on the held-out part."""
+    pairs, before = case.found.pairs, case.noted.judged
+    counted = deviating(pairs, before.parts, after.parts, np.ones(len(pairs.keys), bool))
+    gap = gap_of(counted, floor_of(pairs, counted, before, case.noted.chance), case.seed)
+    return gap if case.noted.located.is_gap else replace(gap, after=gap.before, closed=None, closed_ci95=None)
+
+
+def _left(after: Judged) -> list[int]:
+    """Places of what is still beyond chance, the worst first."""
+    sizes = np.nan_to_num(np.abs(after.scores))
+    return [int(at) for at in np.argsort(-sizes) if sizes[at] > after.limit]
+
+
+def _recorded(one: Recording) -> Recorded:
+    sensors = one.experiment.plan.sensors
+    seconds = sum((phase.end_ns - phase.start_ns) * 1e-9 for phase in one.phases)
+    rows = sum(len(one.log[name]) for name in sensors)
+    return Recorded(one.name, one.kind, seconds, len(sensors), len(one.phases), rows)
+
+
+def _untold(found: Compared, candidates: Mapping[str, Candidate], is_gap: bool) -> tuple[Unshown, ...]:
+    """What this campaign can't show."""
+    bench, kinds = found.bench, set(found.bench.kinds)
+    hidden = unshown(kinds, facts_of(found.campaign), candidates, bench.base.headers)
+    return hidden if is_gap else (*hidden, *_unsure(found))
+
+
+def _unsure(found: Compared) -> tuple[Unshown, ...]:
+    """In which domains a difference that matters can't be excluded."""
+    bench, told = found.bench, Told(found.bench, found.campaign, found.pairs, found.judged, ())
+    places = range(len(found.pairs.keys))
+    sized = [told.size(found.pairs.keys[at]) for at in places]
+    return unsure(
+        np.array([told.scale(at) for at in places]),
+        np.array([told.margin(at) for at in places]),
+        found.pairs.keys,
+        np.array([seconds for _, seconds in sized]),
+        bench.base.headers,
+    )

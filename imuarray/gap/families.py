@@ -1,0 +1,60 @@
+"""Sensors of one chip that differ together: one cause that all share, against a cause for each of them.
+
+What sensors have in common shows only between them, so that a family is simulated as a whole and its statistics hold
+the correlations of its members. The shared cause wins if it makes the held-out part of all of these likelier than the
+causes that were found for the members one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imuarray.gap.bench import Bench
+from imuarray.gap.candidates import Trial
+from imuarray.gap.refine import Tried
+from imuarray.gap.search import Confirmed, Round, confirmed
+from imuarray.gap.standing import Standing, Unit
+
+
+def together(bench: Bench, asked: tuple[Standing, tuple[Confirmed, ...]]) -> Confirmed:
+    """What the causes of single members make of the family as a whole."""
+    family, members = asked
+    models = dict(family.models)
+    for one in members:
+        models.update(one.standing.models)
+    first = members[0].trial if members else Trial(())
+    return confirmed(bench, family, Tried(first, models, 0.0))
+
+
+def shared_wins(family: Round, members: Confirmed) -> Confirmed | None:
+    """The shared cause, if it is worth it and beats those of the members."""
+    best = family.taken
+    return best if best is not None and best.gain > members.gain else None
+
+
+def members_of(bench: Bench, family: Standing, standings: Mapping[Unit, Standing]) -> dict[Unit, Standing]:
+    """Where each member of a family stands with the family's models."""
+    places = bench.columns(family.unit, cross=True)
+    found: dict[Unit, Standing] = {}
+    for name in family.unit:
+        unit: Unit = (name,)
+        own = np.isin(places, bench.columns(unit, cross=False))
+        likeness = replace(
+            family.likeness,
+            location=family.likeness.location[own],
+            scale=family.likeness.scale[own],
+            always=family.likeness.always[own],
+            never=family.likeness.never[own],
+        )
+        found[unit] = replace(
+            standings[unit], models={name: family.models[name]}, likeness=likeness, values=family.values[:, own]
+        )
+    return found
+
+
+def unlike(trials: Sequence[Trial]) -> list[Trial]:
+    """One of each: members guess the same shared cause more than once."""
+    return list({repr(trial): trial for trial in trials}.values())

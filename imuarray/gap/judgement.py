@@ -1,0 +1,210 @@
+"""What is said in the end: where the recording still differs with the causes in, how much is closed, the verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.bench import Bench
+from imuarray.gap.campaign import Campaign
+from imuarray.gap.closure import Deviating
+from imuarray.gap.diagnosis import Cause, Gap, Map, Verdict, Where
+from imuarray.gap.likeness import Likeness, likeness_of
+from imuarray.gap.margins import margin, sized
+from imuarray.gap.pairs import Pairs, spread_of
+from imuarray.gap.probes import PROBES
+from imuarray.gap.significance import p_value
+from imuarray.gap.statistics import Key, statistics
+
+Floats = npt.NDArray[np.float64]
+
+EXPLAINED, PARTLY = 0.8, 0.3
+"""Shares of the gap closed from which on it is explained, or partly."""
+
+DOUBT = 0.01
+"""The p of what is left below which something is left."""
+
+_FOLDS = 4
+_HALF, _STEEP = 0.65, 6.0
+"""Share closed at which something unknown is as probable as not, and how fast that changes."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The recording beside one model: scores (m,) of pairs and (n,) of their parts, what the model makes of the parts,
+    and how often chance makes as large a score (`p`); `limit` is what chance reaches in one of twenty campaigns.
+    """
+
+    scores: Floats
+    parts: Floats
+    likeness: Likeness
+    p: float
+    limit: float
+
+
+def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats) -> Judged:
+    """By replicates (b, n) of the model; each quarter of them says how far chance goes, scored by the others."""
+    likeness = likeness_of(replicates, floor)
+    norm = spread_of(pairs.sums(likeness.scores(replicates)))
+    parts = likeness.scores(real)
+    scores = pairs.sums(parts) / norm
+    largest = np.concatenate([np.nanmax(np.abs(fold), axis=1) for fold in _folded(pairs, replicates, floor)])
+    return Judged(scores, parts, likeness, p_value(float(np.nanmax(np.abs(scores))), largest), _high(largest))
+
+
+def where_of(
+    bench: Bench,
+    campaign: Campaign,
+    pairs: Pairs,
+    one: Judged,
+    found: Iterable[int],
+    names: Sequence[str],
+    p: Mapping[int, float],
+) -> tuple[Where, ...]:
+    """The statistics at places `found` of the pairs; `names` are the logs'."""
+    told = Told(bench, campaign, pairs, one, names)
+    return tuple(told.where(at, p.get(at, one.p)) for at in found)
+
+
+def map_of(pairs: Pairs, before: Judged, after: Judged, sensors: Sequence[str]) -> Map:
+    """Largest scores by sensor and domain."""
+    domains = tuple(dict.fromkeys(probe.domain for probe in PROBES.values()))
+    tables = []
+    for one in (before, after):
+        table = np.full((len(sensors), len(domains)), np.nan)
+        for key, score in zip(pairs.keys, one.scores.tolist(), strict=True):
+            if math.isfinite(score):
+                place = sensors.index(key.sensor), domains.index(key.domain)
+                table[place] = np.fmax(table[place], abs(score))
+        tables.append(table)
+    return Map(tuple(sensors), domains, tables[0], tables[1], before.limit)
+
+
+def gap_of(counted: Deviating, floor: float, seed: int) -> Gap:
+    """Overall, and by domain."""
+    whole = counted.shrunk(seed)
+    domains = {}
+    for domain in counted.domains():
+        chosen = np.array([key.domain == domain for key in counted.keys], bool)
+        part = counted.of(chosen).shrunk(seed)
+        domains[domain] = (part.before, part.after, part.closed)
+    return Gap(whole.before, whole.after, floor, whole.closed, whole.interval, domains)
+
+
+def floor_of(pairs: Pairs, counted: Deviating, before: Judged, replicates: Floats) -> float:
+    """Root mean square score of the same statistics where nothing is wrong: the median of replicates."""
+    places = dict(zip(pairs.keys, pairs.held_out.tolist(), strict=True))
+    columns = [places[key] for key in counted.keys]
+    if not columns:
+        return 1.0
+    squares = np.nan_to_num(before.likeness.scores(replicates)[:, columns]) ** 2
+    return float(np.sqrt(np.median(squares @ counted.weights / counted.weights.sum())))
+
+
+def verdict_of(is_gap: bool, gap: Gap, after: Judged, causes: Sequence[Cause]) -> Verdict:
+    """In one word or two."""
+    if not is_gap:
+        return "no gap"
+    if not causes:
+        return "unexplained"
+    if gap.closed is None:
+        return "explained" if after.p > DOUBT else "partly explained"
+    if gap.closed >= EXPLAINED:
+        return "explained"
+    return "partly explained" if gap.closed >= PARTLY else "unexplained"
+
+
+def unknown_of(is_gap: bool, gap: Gap, after: Judged) -> float:
+    """Probability that something outside the library is present: by the share of the gap that the causes leave open,
+    and by how far beyond chance what is left goes.
+    """
+    if not is_gap:
+        return 0.0
+    closed = gap.closed if gap.closed is not None else (1.0 if after.p > DOUBT else 0.0)
+    beyond = math.log(max(float(np.nanmax(np.abs(after.scores))) / after.limit, 0.1))
+    return 1 / (1 + math.exp(min(max(_STEEP * (closed - _HALF) - beyond, -50.0), 50.0)))
+
+
+class Told:
+    """What is needed to tell of single statistics."""
+
+    def __init__(self, bench: Bench, campaign: Campaign, pairs: Pairs, one: Judged, names: Sequence[str]) -> None:
+        self._bench, self._pairs, self._one = bench, pairs, one
+        sides = (bench.split.train(campaign), bench.split.held_out(campaign))
+        self._raw = pairs.means(np.concatenate([statistics(side.campaign).values for side in sides]))
+        self._logs = [[names[log] for log in side.logs] for side in sides]
+        self._phases = [[log.phases for log in side.campaign.logs] for side in sides]
+
+    def where(self, at: int, p: float) -> Where:
+        """One statistic."""
+        key, header = self._pairs.keys[at], self._bench.base.headers[self._pairs.keys[at].sensor]
+        probe = PROBES[key.probe]
+        shift, scale = self._shift(at), self.scale(at)
+        least = self.margin(at)
+        raw = float(self._raw[at])
+        return Where(
+            self._log(key),
+            key.sensor,
+            key.axis,
+            key.domain,
+            key.phase,
+            key.probe,
+            probe.about,
+            raw,
+            raw - shift,
+            probe.unit.replace("{u}", header.unit),
+            float(self._one.scores[at]),
+            p,
+            shift / least if least > 0 else math.inf,
+            least,
+            sized(shift, scale, least),
+        )
+
+    def margin(self, at: int) -> float:
+        """The least difference of a statistic that matters."""
+        key = self._pairs.keys[at]
+        header = self._bench.base.headers[key.sensor]
+        return margin(key, header, self._bench.base.fitted[key.sensor].noise(header), *self.size(key))
+
+    def _shift(self, at: int) -> float:
+        """How far the recording lies from the middle of the model, the mean over the parts."""
+        places = [place for place in (self._pairs.train[at], self._pairs.held_out[at]) if place >= 0]
+        parts = self._one.parts[places] * self._one.likeness.scale[places]
+        return float(np.nanmean(parts)) if np.isfinite(parts).any() else math.nan
+
+    def scale(self, at: int) -> float:
+        """Standard error of a statistic's difference, of both parts together."""
+        places = [place for place in (self._pairs.train[at], self._pairs.held_out[at]) if place >= 0]
+        scales = self._one.likeness.scale[places]
+        known = scales[np.isfinite(scales)]
+        return float(np.sqrt((known**2).sum()) / len(known)) if len(known) else math.nan
+
+    def _log(self, key: Key) -> str:
+        if key.log < 0:
+            return f"all {key.phase} logs"
+        return next(names[key.log] for names in self._logs if key.log < len(names))
+
+    def size(self, key: Key) -> tuple[float, float]:
+        """Rows a second of the sensor, and how long its log was looked at."""
+        phases = next(logs[max(key.log, 0)] for logs in self._phases if max(key.log, 0) < len(logs))
+        own = [phase.sensors[key.sensor] for phase in phases if key.sensor in phase.sensors]
+        seconds = sum((phase.phase.end_ns - phase.phase.start_ns) * 1e-9 for phase in phases)
+        rates = [1 / one.intervals.mean_s for one in own if one.intervals.count]
+        return (float(np.median(rates)) if rates else 1.0), seconds
+
+
+def _folded(pairs: Pairs, replicates: Floats, floor: Floats) -> Iterator[Floats]:
+    """Scores (k, m) of each quarter of the replicates by what the others say."""
+    for fold in range(_FOLDS):
+        own = np.arange(len(replicates)) % _FOLDS == fold
+        likeness = likeness_of(replicates[~own], floor)
+        norm = spread_of(pairs.sums(likeness.scores(replicates[~own])))
+        yield pairs.sums(likeness.scores(replicates[own])) / norm
+
+
+def _high(largest: Floats) -> float:
+    return float(np.quantile(largest, 0.95))

@@ -1,0 +1,260 @@
+"""The parameters of a trial, fitted to the training part by simulation, with the ordinary ones re-adapted.
+
+Every free parameter is a guess times a factor. Gauss-Newton steps in the logs of the factors bring the statistics that
+the simulation makes to those of the recording; the replicates are always the same draws, so that their differences show
+what a step does and not what chance does. After each step the ordinary parameters move by as much as the fit of the
+replicates misses that of the recording (indirect inference, Gourieroux, Monfort and Renault 1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.bench import Bench, Models
+from imuarray.gap.candidates import Trial
+from imuarray.gap.likeness import FREEDOM, Likeness
+from imuarray.gap.standing import AXES, LOOKS, NUMBERS, Standing, compared, gain_of
+from imuarray.simulate.effect import Effect
+
+Floats = npt.NDArray[np.float64]
+
+STEPS = 3
+_NUDGE = 0.25
+"""Step in the log of a factor by which slopes are taken."""
+
+_FURTHEST = 1.2
+"""Largest step in the log of a factor; slopes hold no further."""
+
+_PRIOR = 2.0
+"""Standard deviation of the log of a factor before anything is known of it."""
+
+_AXIS_GAIN = 1.5
+"""An axis that gains fewer nats does without the effect."""
+
+_DONE = 0.03
+
+
+class Factor(NamedTuple):
+    """A free parameter of a trial's effect, or one number of it: `place` in its list, which belongs to an `axis` 0, 1,
+    2 and is its number `turn` there (a 3x3 response has three for each axis); None: it has no axes.
+    """
+
+    effect: int
+    name: str
+    place: int | None = None
+    axis: int | None = None
+    turn: int = 0
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A trial as far as it was refined: the models with it, nats gained on the training part, `errors` the standard
+    errors of the logs of its factors; None as `models` if it wasn't, or can't be, simulated.
+    """
+
+    trial: Trial
+    models: Models | None = None
+    gain: float = -np.inf
+    errors: tuple[tuple[Factor, float], ...] = ()
+
+
+def look(bench: Bench, standing: Standing, trial: Trial) -> Tried:
+    """The gain of a trial as it was guessed."""
+    seen = _seen(bench, standing, standing.changed(trial), trial.is_brief)
+    if seen is None:
+        return Tried(trial)
+    return Tried(trial, seen.settled, _gain(standing, seen))
+
+
+def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
+    """The trial with its free parameters fitted; the best of all steps."""
+    seen = _seen(bench, standing, standing.changed(trial), trial.is_brief)
+    if seen is None:
+        return Tried(trial)
+    best = Tried(trial, seen.settled, _gain(standing, seen))
+    for _ in range(STEPS):
+        factors = factors_of(trial)
+        if not factors:
+            break
+        slopes = _slopes(bench, standing, trial, factors, seen)
+        steps, errors = _step(standing, seen, slopes)
+        trial = _moved(trial, factors, steps)
+        models = _with_fitted(standing.changed(trial), seen.settled)
+        after = _seen(bench, standing, models, trial.is_brief)
+        if after is None:
+            break
+        seen = after
+        tried = Tried(trial, seen.settled, _gain(standing, seen), tuple(zip(factors, errors.tolist(), strict=True)))
+        best = max(best, tried, key=lambda one: one.gain)
+        if np.abs(steps).max() < _DONE:
+            break
+    return _pruned(bench, standing, best)
+
+
+def factors_of(trial: Trial) -> list[Factor]:
+    """The free parameters that are not 0, axis by axis."""
+    found = []
+    for name in trial.free:
+        at = next(number for number, effect in enumerate(trial.effects) if hasattr(effect, name))
+        value = getattr(trial.effects[at], name)
+        if isinstance(value, tuple):
+            each = len(value) // 3
+            found += [
+                Factor(at, name, place, place // each, place % each)
+                for place, one in enumerate(value)
+                if one and np.isfinite(one)
+            ]
+        elif value and np.isfinite(value):
+            found.append(Factor(at, name))
+    return found
+
+
+class _Seen(NamedTuple):
+    """What models make: replicates (r, n), their likeness and shift, and the models with ordinary parameters moved."""
+
+    values: Floats
+    likeness: Likeness
+    moved: Floats
+    settled: Models
+
+
+def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _Seen | None:
+    """Of the training part, or of both (`whole`); None for parameters that an effect refuses."""
+    try:
+        found = [
+            bench.replicate(models, number, held_out=whole, company=standing.company) for number in NUMBERS[:LOOKS]
+        ]
+    except ValueError:
+        return None
+    columns = bench.columns(standing.unit, cross=len(standing.unit) > 1)
+    everything = bench.columns(standing.unit, cross=True)
+    kept = np.isin(everything, columns)
+    values = np.array([one.values[kept] for one in found])
+    if not whole:
+        out = bench.held_out[columns]
+        values[:, out] = standing.values[:LOOKS, out]
+    likeness, moved = compared(standing, values)
+    return _Seen(values, likeness, moved, standing.settled(models, [one.fitted for one in found]))
+
+
+def _gain(standing: Standing, seen: _Seen) -> float:
+    """Of the training part: the rest stands as it was."""
+    return gain_of(standing, seen.likeness, seen.moved)
+
+
+def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Factor], seen: _Seen) -> Floats:
+    """(n, k) change of each statistic with the log of each factor.
+
+    The axes of one parameter are nudged together: what an axis reads depends on its own. What a whole sensor shows is
+    shared out among them.
+    """
+    unit = standing.unit
+    columns = bench.columns(unit, cross=len(unit) > 1)
+    of_axis = np.array([bench.keys[at].axis for at in columns])
+    slopes = np.zeros((len(columns), len(factors)))
+    groups: dict[tuple[int, str, int], list[int]] = {}
+    for at, factor in enumerate(factors):
+        groups.setdefault((factor.effect, factor.name, factor.turn), []).append(at)
+    for members in groups.values():
+        for nudge in (_NUDGE, -_NUDGE):
+            steps = np.zeros(len(factors))
+            steps[members] = nudge
+            models = _with_fitted(standing.changed(_moved(trial, factors, steps)), seen.settled)
+            nudged = _seen(bench, standing, models, trial.is_brief)
+            if nudged is not None:
+                break
+        else:
+            continue
+        change = np.nan_to_num((nudged.values - seen.values).mean(axis=0)) / nudge
+        for at in members:
+            axis = factors[at].axis
+            own = np.ones(len(columns), bool) if axis is None else of_axis == AXES[axis]
+            slopes[:, at] = np.where(own, change, np.where(of_axis == "", change / len(members), 0.0))
+    return slopes
+
+
+def _step(standing: Standing, seen: _Seen, slopes: Floats) -> tuple[Floats, Floats]:
+    """(k,) best changes of the logs of the factors, and their standard errors."""
+    likeness = seen.likeness
+    known = np.isfinite(likeness.location) & np.isfinite(standing.real) & np.isfinite(likeness.scale)
+    apart = np.where(known, standing.real - likeness.location, 0.0)
+    scale = np.where(known, likeness.scale, 1.0)
+    scores = apart / scale
+    weight = np.where(known, (FREEDOM + 1) / (FREEDOM + scores**2), 0.0) * standing.independent
+    design = slopes / scale[:, None]
+    normal = design.T @ (weight[:, None] * design) + np.eye(slopes.shape[1]) / _PRIOR**2
+    steps = np.linalg.solve(normal, design.T @ (weight * scores))
+    return np.clip(steps, -_FURTHEST, _FURTHEST), np.sqrt(np.diag(np.linalg.inv(normal)))
+
+
+def _moved(trial: Trial, factors: Sequence[Factor], steps: Floats) -> Trial:
+    """The trial with its factors times exp(steps); shares and probabilities stay below 1."""
+    effects = list(trial.effects)
+    for factor, step in zip(factors, steps.tolist(), strict=True):
+        effects[factor.effect] = _scaled(effects[factor.effect], factor, float(np.exp(step)), trial.limits)
+    return replace(trial, effects=tuple(effects))
+
+
+def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tuple[float, float]]) -> Effect:
+    value: Any = getattr(effect, factor.name)
+    if factor.place is not None:
+        changed: Any = tuple(one * by if place == factor.place else one for place, one in enumerate(value))
+    else:
+        low, high = limits.get(factor.name, (0.0, 1.0 if factor.name == "probability" else np.inf))
+        changed = min(max(value * by, low), high)
+    try:
+        return replace(effect, **{factor.name: changed})
+    except ValueError:
+        return effect
+
+
+def _with_fitted(models: Models, settled: Models) -> Models:
+    """`models` with the ordinary parameters of `settled`."""
+    return {name: replace(model, fitted=settled[name].fitted) for name, model in models.items()}
+
+
+def _pruned(bench: Bench, standing: Standing, tried: Tried) -> Tried:
+    """Without the axes that gain too little, where an axis of 0 is without the effect."""
+    active = _active_axes(tried.trial)
+    seen = (
+        None if tried.models is None or len(active) < 2 else _seen(bench, standing, tried.models, tried.trial.is_brief)
+    )
+    if tried.models is None or seen is None:
+        return tried
+    gains = {axis: gain_of(standing, seen.likeness, seen.moved, _of_axis(bench, standing, axis)) for axis in active}
+    idle = {axis for axis, gain in gains.items() if gain < _AXIS_GAIN}
+    if not idle or len(idle) == len(active):
+        return tried
+    trial = replace(tried.trial, effects=tuple(_without(effect, idle) for effect in tried.trial.effects))
+    seen = _seen(bench, standing, _with_fitted(standing.changed(trial), tried.models), trial.is_brief)
+    return tried if seen is None else replace(tried, trial=trial, models=seen.settled, gain=_gain(standing, seen))
+
+
+def _of_axis(bench: Bench, standing: Standing, axis: int) -> npt.NDArray[np.bool_]:
+    """Which of the unit's statistics are of one axis."""
+    columns = bench.columns(standing.unit, cross=len(standing.unit) > 1)
+    return np.array([bench.keys[at].axis == AXES[axis] for at in columns], bool)
+
+
+def _active_axes(trial: Trial) -> list[int]:
+    """The axes on which the trial's first effect does something, if it has amplitudes by axis."""
+    amplitudes = [getattr(trial.effects[0], name) for name in _amplitudes(trial.effects[0])] if trial.effects else []
+    return [axis for axis in range(3) if any(value[axis] for value in amplitudes)]
+
+
+def _amplitudes(effect: Effect) -> Iterator[str]:
+    """Parameters by axis that do nothing where they are 0."""
+    return (item.name for item in fields(effect) if item.metadata.get("per_axis") and item.default == (0.0, 0.0, 0.0))
+
+
+def _without(effect: Effect, axes: set[int]) -> Effect:
+    changes = {
+        name: tuple(0.0 if axis in axes else one for axis, one in enumerate(getattr(effect, name)))
+        for name in _amplitudes(effect)
+    }
+    return replace(effect, **changes)

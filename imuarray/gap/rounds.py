@@ -1,0 +1,220 @@
+"""All rounds of the search: sensor by sensor, families where they differ together, until nothing is left or found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.candidates import Candidate, Trial
+from imuarray.gap.compare import Compared
+from imuarray.gap.evidence import Evidence, Scored, evidence_of
+from imuarray.gap.families import members_of, shared_wins, together, unlike
+from imuarray.gap.likeness import independent_share, likeness_of
+from imuarray.gap.pairs import pairs_of, spread_of
+from imuarray.gap.search import Round, guesses_of, placebo_of, replicate_of, searched
+from imuarray.gap.split import Side
+from imuarray.gap.standing import NUMBERS, Standing, Unit, compared
+from imuarray.gap.workers import Run
+
+Floats = npt.NDArray[np.float64]
+
+ROUNDS = 6
+"""More causes than this of one unit are not told apart."""
+
+_FAMILY_ROUNDS = 1
+_OWN = 0.5
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What every round found for each unit, and the models with the causes in."""
+
+    rounds: Mapping[Unit, Sequence[Round]]
+    models: Mapping[str, Modelled]
+
+
+def searches(
+    found: Compared, candidates: Mapping[str, Candidate], run: Run, progress: Callable[[str], None] = lambda what: None
+) -> Searched:
+    """All causes of what was found."""
+    names = [node.path[-1] for node in found.located.root.found("sensor")]
+    standings = _standing(found, [(name,) for name in names], run)
+    rounds: dict[Unit, list[Round]] = {}
+    for number in range(ROUNDS):
+        todo = {unit: one for unit, one in standings.items() if _is_open(found, one, rounds.get(unit, ()))}
+        if not todo:
+            break
+        progress(f"looking for causes, round {number + 1}: {len(todo)} sensors")
+        evidence, trials = _trials(found, todo, candidates)
+        placebos = {unit: placebo_of(one) for unit, one in evidence.items()}
+        came = searched(todo, trials, placebos, run)
+        for unit in _deferred(found, came):
+            del came[unit]
+        for unit, one in came.items():
+            rounds.setdefault(unit, []).append(one)
+            if one.taken is not None:
+                standings[unit] = one.taken.standing
+        standings = _in_company(found, standings, run)
+        if number < _FAMILY_ROUNDS:
+            _families(found, candidates, run, evidence, rounds, standings)
+    models = dict(found.bench.models())
+    for standing in standings.values():
+        models.update(standing.models)
+    return Searched(rounds, models)
+
+
+def _deferred(found: Compared, came: Mapping[Unit, Round]) -> list[Unit]:
+    """Units that wait for the next round: what they gain lies in how they move beside others, one of which gains more.
+    The odd one out makes all others look odd.
+    """
+    best: dict[str, float] = {}
+    for unit, one in came.items():
+        if one.taken is not None:
+            quantity = found.bench.base.headers[unit[0]].quantity
+            best[quantity] = max(best.get(quantity, 0.0), one.taken.gain)
+    return [
+        unit
+        for unit, one in came.items()
+        if one.taken is not None
+        and one.taken.own_share < _OWN
+        and one.taken.gain < best[found.bench.base.headers[unit[0]].quantity]
+    ]
+
+
+def _in_company(found: Compared, standings: Mapping[Unit, Standing], run: Run) -> dict[Unit, Standing]:
+    """Where units stand beside the others' present models, where that makes a difference."""
+    models = {name: model for one in standings.values() for name, model in one.models.items() if model.added}
+    if not found.bench.is_of_motion.any() or not models:
+        return dict(standings)
+    asked = [
+        replace(one, company={name: model for name, model in models.items() if name not in one.unit})
+        for one in standings.values()
+    ]
+    changed = [one for one in asked if one.company != standings[one.unit].company]
+    again = {
+        one.unit: replace(one, likeness=compared(one, values)[0], values=values)
+        for one, values in zip(changed, run(_values, changed), strict=True)
+    }
+    return {**standings, **again}
+
+
+def _families(
+    found: Compared,
+    candidates: Mapping[str, Candidate],
+    run: Run,
+    evidence: Mapping[Unit, Evidence],
+    rounds: dict[Unit, list[Round]],
+    standings: dict[Unit, Standing],
+) -> None:
+    """Shared causes in the place of those of the members, where they are better."""
+    for family, trials in _shared_trials(found, evidence, candidates).items():
+        missing = [(name,) for name in family if (name,) not in standings]
+        standings.update(_standing(found, missing, run))
+        standing = _standing(found, [family], run)[family]
+        placebo = placebo_of(next(one for unit, one in evidence.items() if unit[0] in family))
+        came = searched({family: standing}, {family: trials}, {family: placebo}, run)[family]
+        last = [rounds[(name,)][-1] for name in family if rounds.get((name,))]
+        taken = tuple(one.taken for one in last if one.taken is not None)
+        (alone,) = run(together, [(standing, taken)])
+        best = shared_wins(came, alone)
+        if best is None:
+            continue
+        for name in family:
+            rounds.pop((name,), None)
+        rounds[family] = [came]
+        standings.update(members_of(found.bench, best.standing, standings))
+
+
+def _shared_trials(
+    found: Compared, evidence: Mapping[Unit, Evidence], candidates: Mapping[str, Candidate]
+) -> dict[Unit, list[Trial]]:
+    """What shows only between sensors, by the sensors concerned: those of a chip of which two or more differ and whose
+    common statistics do, or one and the other whose data it has.
+    """
+    odd = {
+        key.sensor
+        for key, score in zip(found.pairs.keys, found.judged.scores.tolist(), strict=True)
+        if key.domain == "cross_sensor" and abs(score) > found.judged.limit
+    }
+    headers = found.bench.base.headers
+    units: dict[Unit, list[Trial]] = {}
+    for (name,), one in evidence.items():
+        family = tuple(other for (other,) in evidence if headers[other].chip == headers[name].chip)
+        for trial in guesses_of(one, candidates, shared=True):
+            unit = (trial.sensor, *trial.others) if trial.sensor else family
+            if len(unit) > 1 and odd & set(unit):
+                units.setdefault(unit, []).append(trial)
+    return {unit: unlike(trials) for unit, trials in units.items()}
+
+
+def _standing(found: Compared, units: Sequence[Unit], run: Run) -> dict[Unit, Standing]:
+    """Where units stand under the base model."""
+    bare = [_bare(found, unit) for unit in units]
+    values = run(_values, bare)
+    return {one.unit: replace(one, values=made) for one, made in zip(bare, values, strict=True)}
+
+
+def _bare(found: Compared, unit: Unit) -> Standing:
+    """Without replicates to compare changes by."""
+    bench, columns = found.bench, found.bench.columns(unit, cross=len(unit) > 1)
+    chance = found.chance[:, columns]
+    likeness = likeness_of(chance, bench.resolutions[columns])
+    return Standing(
+        unit,
+        {name: model for name, model in bench.models().items() if name in unit},
+        found.real.values[columns],
+        likeness,
+        np.zeros((0, len(columns))),
+        {name: found.real.fitted[name] for name in unit},
+        independent_share(likeness.scores(chance)),
+    )
+
+
+def _values(bench: Bench, standing: Standing) -> Floats:
+    return np.array([replicate_of(bench, standing, number) for number in NUMBERS])
+
+
+def _is_open(found: Compared, standing: Standing, rounds: Sequence[Round]) -> bool:
+    """Whether something is left to explain, and the last round found something."""
+    if not rounds:
+        return True
+    if rounds[-1].taken is None:
+        return False
+    columns = found.bench.columns(standing.unit, cross=len(standing.unit) > 1)
+    pairs = pairs_of([found.bench.keys[at] for at in columns], int(np.count_nonzero(~found.bench.held_out[columns])))
+    norm = spread_of(pairs.sums(standing.likeness.scores(standing.values)))
+    return bool(np.nanmax(np.abs(pairs.sums(standing.scores) / norm)) > found.located.limit)
+
+
+def _trials(
+    found: Compared, standings: Mapping[Unit, Standing], candidates: Mapping[str, Candidate]
+) -> tuple[dict[Unit, Evidence], dict[Unit, list[Trial]]]:
+    """What each sensor shows on the training part, and what may explain it: what is brief is looked for in both."""
+    train, both = found.bench.split.train(found.campaign), found.bench.split.both(found.campaign)
+    evidence = {unit: _evidence(found, train, standing, False) for unit, standing in standings.items()}
+    trials = {}
+    for unit, standing in standings.items():
+        lasting = [one for one in guesses_of(evidence[unit], candidates) if not one.is_brief]
+        everything = _evidence(found, both, standing, True)
+        trials[unit] = lasting + [one for one in guesses_of(everything, candidates) if one.is_brief]
+    return evidence, trials
+
+
+def _evidence(found: Compared, side: Side, standing: Standing, whole: bool) -> Evidence:
+    """What a lone sensor shows, on the training part or on both; what it shares with others is as under the base."""
+    bench, (name,) = found.bench, standing.unit
+    every, alone = (bench.columns(standing.unit, cross=cross) for cross in (True, False))
+    expected, scores = found.judged.likeness.location[every], found.judged.parts[every]
+    mine = np.isin(every, alone)
+    expected[mine], scores[mine] = standing.likeness.location, standing.scores
+    chosen = np.ones(len(every), bool) if whole else ~bench.held_out[every]
+    keys = [bench.keys[at] for at in every[chosen]]
+    parts = bench.held_out[every][chosen].tolist()
+    scored = Scored(keys, parts, found.real.values[every][chosen], expected[chosen], scores[chosen])
+    model = standing.models[name]
+    effects = (*(one for one in bench.base.effects(0)[name] if one.name not in model.removed), *model.added)
+    return evidence_of(bench, side, name, scored, model, effects)

@@ -1,0 +1,209 @@
+"""The search for causes: guesses of every candidate, the likely ones refined, the best judged on held-out data.
+
+Every round looks at each unit whose recording its models don't explain. Guesses are ranked by the training part, the
+best few refined on it (`refine`), the best of these simulated again and again and scored on the held-out part, beside a
+placebo: a line at a frequency that nobody saw, refined like the others. What makes the held-out part likelier, by more
+than the placebo and chance do, is taken into the unit's models, and the next round asks what is still missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.bench import Bench
+from imuarray.gap.candidates import Candidate, Trial
+from imuarray.gap.evidence import Evidence
+from imuarray.gap.likeness import independent_share
+from imuarray.gap.refine import Tried, factors_of, look, refine
+from imuarray.gap.standing import NUMBERS, Standing, Unit, compared, gain_of
+from imuarray.gap.workers import Run
+from imuarray.simulate.effects.tone import Tone
+
+Floats = npt.NDArray[np.float64]
+
+REFINED, CONFIRMED = 6, 4
+"""So many trials of a unit are refined, and confirmed, in a round."""
+
+WORTH = 2.0
+"""Nats on the training part that a trial has to gain to be looked at further."""
+
+ACCEPTED = 3.0
+"""Nats on the held-out part that a cause has to gain, over the placebo's: 20 to 1."""
+
+COST = 1.0
+"""Nats that every free parameter costs: of two that explain as much the simpler one is the cause (Akaike 1974)."""
+
+_WIDER = 0.3
+_BRIEF = 4.0
+"""Nats that the choice of a moment costs."""
+
+_FAINT, _NOWHERE = 0.05, (math.sqrt(5) - 1) / 4
+"""Amplitude of the placebo over the noise, and its frequency over the rows' rate: no simple fraction."""
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """A refined trial judged: the unit as it stands with it, and the nats that it gains on the training and on the
+    held-out part; a brief one, which a part may not show, gains the mean of both. `own_share` of the gain comes from
+    what the unit shows alone, not from how it moves beside others. `independent` is the share of the statistics that
+    it moves which is independent with it in: a slow drift moves many of them together.
+    """
+
+    tried: Tried
+    standing: Standing
+    train_gain: float
+    gain: float
+    own_share: float = 1.0
+    independent: float = 1.0
+
+    @property
+    def factors(self) -> int:
+        """How many numbers were fitted."""
+        return len(factors_of(self.tried.trial))
+
+    @property
+    def trial(self) -> Trial:
+        """What was tried."""
+        return self.tried.trial
+
+
+@dataclass(frozen=True)
+class Round:
+    """What one round found for a unit that stood as it did `before`: all that was confirmed, the likeliest first, the
+    placebo's gain, and which was taken (None: nothing).
+    """
+
+    before: Standing
+    confirmed: tuple[Confirmed, ...]
+    placebo_gain: float
+    taken: Confirmed | None
+
+    @property
+    def log_odds(self) -> tuple[float, ...]:
+        """Of each that was confirmed against nothing new: its gain, counted as far as statistics are independent with
+        the best one in, less what its parameters cost.
+        """
+        return _log_odds(self.before, self.confirmed)
+
+
+def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate], *, shared: bool = False) -> list[Trial]:
+    """All trials for one sensor; `shared`: those for all units of its chip instead."""
+    found = [trial for candidate in candidates.values() for trial in candidate.guesses(evidence)]
+    return [trial for trial in found if trial.shared == shared]
+
+
+def placebo_of(evidence: Evidence) -> Trial:
+    """A weak line where none was seen, as free as a real one."""
+    x, y, z = (_FAINT * evidence.noise).tolist()
+    return Trial((Tone((x, y, z), _NOWHERE * evidence.rows_per_s),), ("amplitude",))
+
+
+def searched(
+    standings: Mapping[Unit, Standing],
+    trials: Mapping[Unit, Sequence[Trial]],
+    placebos: Mapping[Unit, Trial],
+    run: Run,
+) -> dict[Unit, Round]:
+    """One round over all units at once."""
+    looks = _asked(run, _look, standings, {unit: [Tried(trial) for trial in own] for unit, own in trials.items()})
+    likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
+    refined = _asked(run, _refine, standings, likely)
+    fakes = _asked(run, _refine, standings, {unit: [Tried(trial)] for unit, trial in placebos.items()})
+    best = {unit: likeliest(own, CONFIRMED) for unit, own in refined.items()}
+    confirmed = _asked(run, _confirm, standings, {unit: [*best[unit], *fakes[unit]] for unit in best})
+    return {unit: _round(standings[unit], own) for unit, own in confirmed.items()}
+
+
+def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
+    """The best trials that are worth it, of each effect and action at most two."""
+    kept: list[Tried] = []
+    for one in sorted(tried, key=lambda one: -one.gain):
+        alike = sum((other.trial.name, other.trial.action) == (one.trial.name, one.trial.action) for other in kept)
+        if one.models is not None and one.gain > WORTH and alike < 2 and len(kept) < count:
+            kept.append(one)
+    return kept
+
+
+def replicate_of(bench: Bench, standing: Standing, number: int) -> Floats:
+    """(n,) the unit's statistics in one replicate of its models; what a lone sensor shares with others is left out."""
+    values = bench.replicate(standing.models, number, company=standing.company).values
+    if len(standing.unit) > 1:
+        return values
+    every, own = (bench.columns(standing.unit, cross=cross) for cross in (True, False))
+    return np.asarray(values[np.isin(every, own)])
+
+
+def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
+    """The gains of a trial with its parameters, by replicates of both parts."""
+    models = standing.models if tried.models is None else tried.models
+    changed = replace(standing, models=models)
+    values = np.array([replicate_of(bench, changed, number) for number in NUMBERS])
+    likeness, moved = compared(standing, values)
+    columns, before = bench.columns(standing.unit, cross=len(standing.unit) > 1), standing.likeness
+    out = bench.held_out[columns]
+    train_gain, gain = (gain_of(standing, likeness, moved, part) for part in (~out, out))
+    if tried.trial.is_brief:
+        gain = (train_gain + gain) / 2 - _BRIEF
+    alone = gain_of(standing, likeness, moved, ~bench.is_of_motion[columns])
+    share = alone / max(gain_of(standing, likeness, moved), 1e-9)
+    touched = (np.abs(moved) > before.scale) | (np.abs(np.log(likeness.scale / before.scale)) > _WIDER)
+    independent = independent_share(likeness.scores(values)[:, touched]) if touched.any() else standing.independent
+    stands = replace(changed, likeness=likeness, values=values)
+    return Confirmed(tried, stands, train_gain, gain, share, independent)
+
+
+class _Asked(NamedTuple):
+    """What a job gets."""
+
+    standing: Standing
+    tried: Tried
+
+
+def _look(bench: Bench, asked: _Asked) -> Tried:
+    return look(bench, asked.standing, asked.tried.trial)
+
+
+def _refine(bench: Bench, asked: _Asked) -> Tried:
+    return refine(bench, asked.standing, asked.tried.trial)
+
+
+def _confirm(bench: Bench, asked: _Asked) -> Confirmed:
+    return confirmed(bench, asked.standing, asked.tried)
+
+
+def _asked(
+    run: Run,
+    job: Callable[[Bench, Any], Any],
+    standings: Mapping[Unit, Standing],
+    items: Mapping[Unit, Sequence[Tried]],
+) -> dict[Unit, list[Any]]:
+    """The job's results for each unit's items."""
+    flat = [(unit, _Asked(standings[unit], one)) for unit, own in items.items() for one in own]
+    found: dict[Unit, list[Any]] = {unit: [] for unit in items}
+    for (unit, _), result in zip(flat, run(job, [asked for _, asked in flat]), strict=True):
+        found[unit].append(result)
+    return found
+
+
+def _round(standing: Standing, found: Sequence[Confirmed]) -> Round:
+    """The last one is the placebo."""
+    *real, placebo = found
+    odds = _log_odds(standing, real)
+    ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
+    least = ACCEPTED + max(placebo.gain, 0.0)
+    good = [one for one in ranked if one.gain > least and (one.train_gain > WORTH or one.trial.is_brief)]
+    return Round(standing, ranked, placebo.gain, good[0] if good else None)
+
+
+def _log_odds(standing: Standing, found: Sequence[Confirmed]) -> tuple[float, ...]:
+    if not found:
+        return ()
+    best = max(found, key=lambda one: one.gain)
+    temper = min(1.0, best.independent / standing.independent)
+    return tuple(temper * one.gain - COST * one.factors for one in found)

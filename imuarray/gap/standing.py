@@ -1,0 +1,132 @@
+"""Where the search stands with a unit (a sensor, or a family): its model, what that makes, and what is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.base_model import Fitted
+from imuarray.gap.bench import Modelled, Models
+from imuarray.gap.candidates import Trial
+from imuarray.gap.likeness import Likeness, likeness_of
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+
+Floats = npt.NDArray[np.float64]
+
+Unit = tuple[str, ...]
+"""Names of sensors that are looked at together."""
+
+AXES = ("x", "y", "z")
+
+REPLICATES = 16
+"""By which a refined trial is judged."""
+
+LOOKS = 2
+"""The first of them, by which a guess is ranked and refined."""
+
+NUMBERS = range(1_000_000, 1_000_000 + REPLICATES)
+"""Of these replicates; the null uses others."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A unit: its `models`, what n statistics are in the recording (`real`) and what the models make of them, in
+    general (`likeness`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
+    what the fit of the recording gave, `independent` the share of the statistics that is. `company` are the models of
+    other sensors, which statistics of motion are told by.
+    """
+
+    unit: Unit
+    models: Models
+    real: Floats
+    likeness: Likeness
+    values: Floats
+    wanted: Mapping[str, Fitted]
+    independent: float
+    company: Models = field(default_factory=dict)
+
+    @property
+    def scores(self) -> Floats:
+        """(n,) of the recording under the present models."""
+        return self.likeness.scores(self.real)
+
+    def changed(self, trial: Trial) -> Models:
+        """The models with the trial's change made to each sensor, or to its own."""
+        return {
+            name: _changed(model, trial) if trial.sensor in ("", name) else model for name, model in self.models.items()
+        }
+
+    def settled(self, models: Models, came: Sequence[Mapping[str, Fitted]]) -> Models:
+        """`models` with ordinary parameters moved by what the fits of their replicates, which `came`, lack; those of a
+        sensor that reads another's data do nothing, and stay.
+        """
+        return {
+            name: model
+            if any(effect.name == ChannelSwap.name for effect in model.added)
+            else replace(model, fitted=model.fitted.moved(self.wanted[name], [fitted[name] for fitted in came]))
+            for name, model in models.items()
+        }
+
+
+def _changed(model: Modelled, trial: Trial) -> Modelled:
+    kept = tuple(effect for effect in model.added if effect.name != trial.removed)
+    removed = model.removed | ({trial.removed} if trial.removed else set())
+    return replace(model, added=(*kept, *trial.effects), removed=removed)
+
+
+def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
+    """What a change makes, from its replicates (r, n) beside the first r of those without it: the likeness under it,
+    and (n,) how far it moved each statistic. Draws are the same in both, so that a few replicates do.
+    """
+    before, without = standing.likeness, standing.values[: len(values)]
+    moved, came = values - without, np.isfinite(values)
+    known = np.isfinite(moved).any(axis=0)
+    shift = np.zeros(moved.shape[1])
+    shift[known] = np.nanmean(moved[:, known], axis=0)
+    location, scale = before.location + shift, before.scale.copy()
+    scale[known] *= _spread_ratio(values[:, known], without[:, known], before.scale[known])
+    fresh = came.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
+    alone = likeness_of(values[:, fresh], np.zeros(int(fresh.sum())))
+    location[fresh] = alone.location
+    scale[fresh] = np.fmax(alone.scale, _UNSURE * (1 + np.abs(alone.location)))
+    never = ~came.any(axis=0)
+    location[never & before.always] = np.nan
+    always = (before.always & came.all(axis=0)) | fresh
+    return Likeness(location, scale, np.asarray(always), np.asarray(before.never & never)), shift
+
+
+def gain_of(
+    standing: Standing, likeness: Likeness, moved: Floats, columns: npt.NDArray[np.bool_] | slice = slice(None)
+) -> float:
+    """Nats by which a change makes the recording's statistics in `columns` likelier."""
+    before = standing.likeness.log_density(standing.real)
+    after = likeness.log_density(standing.real, moved)
+    return standing.independent * float((after - before)[columns].sum())
+
+
+def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
+    """(n,) by how much a change widens or narrows the scatter, from replicates with and without it.
+
+    Where a pair agrees closely even a few replicates tell; the log of the ratio is shrunk by how uncertain it is, as
+    the correlation of the pairs says. Few pairs tell only what their differences add.
+    """
+    if len(values) < _PAIRS:
+        return np.asarray(np.hypot(1.0, np.nanstd(values - without, axis=0) / scale))
+    spreads = [np.nanstd(side, axis=0) for side in (values, without)]
+    usable = (spreads[0] > 0) & (spreads[1] > 0) & np.isfinite(scale)
+    ratio = np.ones(values.shape[1])
+    first, second = spreads[0][usable], spreads[1][usable]
+    log_ratio = np.log(first / second)
+    apart = np.nanvar(values[:, usable] - without[:, usable], axis=0)
+    together = np.clip((first**2 + second**2 - apart) / (2 * first * second), -1.0, 1.0)
+    variance = (1 - together**2) / (len(values) - 1)
+    ratio[usable] = np.exp(log_ratio * log_ratio**2 / (log_ratio**2 + 2 * variance + _TINY))
+    return ratio
+
+
+_PAIRS = 6
+_UNSURE = 0.1
+_TINY = 1e-12

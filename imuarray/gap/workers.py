@@ -1,0 +1,137 @@
+"""The same job for many items, side by side: in threads, in processes, or on other machines.
+
+A job's fixed part (what was recorded, what it is compared with) is large beside an item, which is a number. It goes to
+a process with every item, as plain data, and is put in the place of the one that is already there: whatever a process
+opened or worked out for the first item serves for the others.
+
+Matrices are small here: threads of the linear algebra library (BLAS) would wake for nothing, and where several
+processes each have as many as there are cores, wait for each other. Processes started here have one thread each.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
+from multiprocessing.context import SpawnContext, SpawnProcess
+from threading import Lock
+from types import MappingProxyType
+from typing import Any, Generic, Protocol, TypeVar
+from uuid import uuid4
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Bar = Callable[[int], AbstractContextManager[Callable[[int], None]]]
+
+_ONE_THREAD: Mapping[str, str] = MappingProxyType(
+    dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1")
+)
+"""Read by the usual libraries when numpy is imported, and never again: a process has to be born with them."""
+
+_STARTING = Lock()
+
+_LATEST: dict[str, Callable[[Any], Any]] = {}
+"""The job that came to this process last, by its name."""
+
+
+def processes(workers: int) -> ProcessPoolExecutor:
+    """So many processes for `run`, started when they are needed, with one BLAS thread each; a context manager.
+
+    Each imports the program's main module anew (start method "spawn"), which may do nothing then but define things.
+    ValueError for fewer than one.
+    """
+    return ProcessPoolExecutor(workers, _Context())
+
+
+def run(executor: Executor | None, job: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """`job` of each item, in the order of the items; they come as they are done. Without an executor one after the
+    other.
+
+    For processes the job has to be picklable, a `functools.partial` of a module's function, say; it is kept there until
+    another one comes. Logs in it are opened again by each process (`imuarray.log.Log`).
+    """
+    return map(job, items) if executor is None else executor.map(_Sent(job), items)
+
+
+class Run(Protocol):
+    """Calls a function of something fixed and one item for each item, maybe side by side."""
+
+    def __call__(self, job: Callable[[Any, Any], Any], items: Sequence[Any]) -> list[Any]:
+        """The results, in the items' order."""
+
+
+def runner(
+    fixed: object, executor: Executor | None = None, bar: Bar = lambda length: nullcontext(lambda done: None)
+) -> Run:
+    """What calls functions of modules with `fixed`, which every process gets once, and one item after the other; the
+    results in the items' order. `bar` makes, for a number of items, what is told how many are done.
+    """
+    sent = _Sent(partial(_applied, fixed))
+
+    def call(job: Callable[[Any, Any], Any], items: Sequence[Any]) -> list[Any]:
+        asked = [(job, item) for item in items]
+        found = []
+        with bar(len(asked)) as tell:
+            for result in map(sent, asked) if executor is None else executor.map(sent, asked):
+                found.append(result)
+                tell(len(found))
+        return found
+
+    return call
+
+
+def _applied(fixed: Any, asked: tuple[Callable[[Any, Any], Any], Any]) -> Any:
+    job, item = asked
+    return job(fixed, item)
+
+
+class _Sent(Generic[Item, Result]):
+    """A job that a process keeps."""
+
+    def __init__(self, job: Callable[[Item], Result]) -> None:
+        self._job, self._name = job, uuid4().hex
+
+    def __call__(self, item: Item) -> Result:
+        return self._job(item)
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Callable[[Item], Result]]]:
+        return _kept, (self._name, self._job)
+
+
+def _kept(name: str, job: Callable[[Item], Result]) -> Callable[[Item], Result]:
+    """The job of this name that came first; nothing of the ones before it is kept."""
+    if name not in _LATEST:
+        _LATEST.clear()
+        _LATEST[name] = job
+    return _LATEST[name]
+
+
+class _Process(SpawnProcess):
+    """Starts with `_ONE_THREAD` in its environment."""
+
+    def start(self) -> None:
+        with _STARTING, _environment(_ONE_THREAD):
+            super().start()
+
+
+class _Context(SpawnContext):
+    """Makes such processes."""
+
+    Process = _Process
+
+
+@contextmanager
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """`variables` set in this process's environment, and afterwards as they were."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

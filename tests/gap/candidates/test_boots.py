@@ -1,0 +1,72 @@
+"""What differs from boot to boot, and a range that isn't the configured one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imuarray.gap.candidates.bistable_bias import BISTABLE_BIAS
+from imuarray.gap.candidates.range_reset import RANGE_RESET
+from imuarray.gap.candidates.turn_on_bias import TURN_ON_BIAS
+from imuarray.simulate.effects.bistable_bias import BistableBias
+from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from tests.gap.candidates.evidence_of import evidence_of
+
+
+def resets(kind: str, sensor: str, put_in: RangeReset, seed: int = 7) -> list[RangeReset]:
+    trials = RANGE_RESET.guesses(evidence_of(kind, sensor, {sensor: (put_in,)}, seed=seed))
+    return [effect for trial in trials for effect in trial.effects if isinstance(effect, RangeReset)]
+
+
+def test_levels_that_scatter() -> None:
+    """Eight boots: a standard deviation of seven degrees of freedom is within a factor of 2 in 99 of 100 cases."""
+    evidence = evidence_of("turn-on", "G1", {"G1": (TurnOnBias((0.5, 0.1, 0.3)),)}, seed=7)
+    (trial,) = TURN_ON_BIAS.guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, TurnOnBias)
+    assert np.all(np.abs(np.log(np.array(effect.rms) / (0.5, 0.1, 0.3))) < np.log(2.0))
+
+
+def test_two_groups_of_levels() -> None:
+    """The two states as they were put in, whichever is the rarer one."""
+    put_in = np.array([0.9, 0.4, -0.2])
+    evidence = evidence_of("turn-on", "G1", {"G1": (BistableBias((0.9, 0.4, -0.2), 0.4),)}, seed=7)
+    (trial,) = BISTABLE_BIAS.guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, BistableBias)
+    sign = np.sign(effect.offset[0])
+    np.testing.assert_allclose(sign * np.array(effect.offset), put_in, atol=0.02)
+    assert 0.1 < effect.probability <= 0.5
+
+
+def test_another_range_in_some_boots() -> None:
+    found = resets("turn-on", "A1", RangeReset(2.0, (0.02,) * 3, (1.5,) * 3, probability=0.4))
+    (of_two_g,) = [one for one in found if one.range == 2.0]
+    assert of_two_g.offset == pytest.approx((0.02,) * 3, abs=0.002)
+    assert of_two_g.noise_share == pytest.approx((1.5,) * 3, rel=0.1)
+    assert 0.1 < of_two_g.probability <= 0.5
+    assert of_two_g.onset_s == 0.0
+
+
+@pytest.mark.parametrize(("sensor", "range_", "offset"), [("A1", 2.0, 0.02), ("G1", 2000.0, 0.2)])
+def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) -> None:
+    first, *_ = resets("static", sensor, RangeReset(range_, (offset,) * 3, (0.8,) * 3, 33.3))
+    assert first.range == range_
+    assert first.onset_s == pytest.approx(33.3, abs=0.1)
+    assert first.offset == pytest.approx((offset,) * 3, rel=0.1)
+    assert first.noise_share == pytest.approx((0.8,) * 3, rel=0.3)
+    assert first.probability == 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "sensor", "range_"), [("tumble", "A1", 2.0), ("tumble", "A1", 8.0), ("motion", "G1", 500.0)]
+)
+def test_another_range_always(kind: str, sensor: str, range_: float) -> None:
+    assert range_ in {one.range for one in resets(kind, sensor, RangeReset(range_))}
+
+
+def test_boots_are_alike() -> None:
+    evidence = evidence_of("turn-on", "A1", seed=5)
+    for candidate in (TURN_ON_BIAS, BISTABLE_BIAS, RANGE_RESET):
+        assert list(candidate.guesses(evidence)) == []

@@ -1,0 +1,79 @@
+"""What shapes noise within a second: low-pass, lines; and the noise itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.gap.at_rest import Fitted
+from imuarray.gap.candidates.bandwidth import BANDWIDTH
+from imuarray.gap.candidates.tone import TONE
+from imuarray.gap.candidates.white_noise import WHITE_NOISE
+from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from tests.gap.candidates.evidence_of import evidence_of
+from tests.gap.made import RATE_HZ
+
+
+def tones(kind: str, put_in: Tone, modelled: tuple[Tone, ...] = ()) -> list[Tone]:
+    evidence = evidence_of(kind, "G1", {"G1": (put_in, *modelled)}, seed=7, modelled=modelled)
+    trials = [trial for trial in TONE.guesses(evidence) if trial.action == "add"]
+    return [effect for trial in trials for effect in trial.effects if isinstance(effect, Tone)]
+
+
+@pytest.mark.parametrize("cutoff_hz", [5.0, 15.0, 30.0])
+def test_a_cutoff(cutoff_hz: float) -> None:
+    evidence = evidence_of("static", "G1", {"G1": (Bandwidth(cutoff_hz),)}, seed=7)
+    first, *_ = (trial.effects[0] for trial in BANDWIDTH.guesses(evidence))
+    assert isinstance(first, Bandwidth)
+    assert first.cutoff_hz == pytest.approx(cutoff_hz, rel=0.1)
+
+
+def test_a_line() -> None:
+    """6000 rows: the amplitude's standard error is sqrt(2 / 6000) of the noise, 0.001 dps."""
+    first, *_ = tones("static", Tone((0.0, 0.02, 0.0), 13.7))
+    assert first.frequency_hz == pytest.approx(13.7, abs=0.02)
+    assert first.amplitude == pytest.approx((0.0, 0.02, 0.0), abs=0.004)
+
+
+def test_a_line_beyond_half_the_rate_is_guessed_where_it_shows() -> None:
+    first, *_ = tones("turn-on", Tone((0.0, 0.03, 0.01), 63.7))
+    rate_hz = RATE_HZ
+    assert first.frequency_hz == pytest.approx(rate_hz - 63.7, abs=0.1)
+    assert first.amplitude[1] == pytest.approx(0.03, rel=0.2)
+
+
+def test_mains_are_recognised_by_their_alias() -> None:
+    """60 Hz shows at 40 Hz of 100 rows a second."""
+    first, *_ = tones("static", Tone((0.03,) * 3, 60.0))
+    assert first.frequency_hz == 60.0
+
+
+def test_a_line_that_the_model_has_is_not_found_again() -> None:
+    known = Tone((0.04,) * 3, 21.0)
+    first, *_ = tones("static", Tone((0.02,) * 3, 13.7), (known,))
+    assert first.frequency_hz == pytest.approx(13.7, abs=0.02)
+    trials = list(TONE.guesses(evidence_of("static", "G1", {"G1": (known,)}, seed=7, modelled=(known,))))
+    assert [trial.action for trial in trials if trial.action == "remove"] == ["remove"]
+
+
+def test_nothing_is_shaped() -> None:
+    evidence = evidence_of("static", "A1", seed=5)
+    for candidate in (BANDWIDTH, TONE, WHITE_NOISE):
+        assert list(candidate.guesses(evidence)) == []
+
+
+def test_noise_of_a_sensor_that_was_never_at_rest() -> None:
+    """In 20 s of motion; what others, as noisy, don't explain: sqrt(2) of the noise at most."""
+    seen = evidence_of("motion", "A1", seed=5)
+    nothing = Fitted(*((0.0, 0.0, 0.0),) * 3)
+    lost = np.log(seen.noise / nothing.noise(seen.header))
+    values = {**seen.values, "motion_residual": seen.values["motion_residual"] + 2 * lost}
+    scores = {**seen.scores, "motion_residual": np.full((1, 3), 50.0)}
+    (trial,) = WHITE_NOISE.guesses(replace(seen, fitted=nothing, values=values, scores=scores))
+    (effect,) = trial.effects
+    assert isinstance(effect, WhiteNoise)
+    assert np.all((np.array(effect.rms) > 0.002) & (np.array(effect.rms) < 0.2))

@@ -1,0 +1,92 @@
+"""clock_error, jitter, dropped_samples, skew: guessed from motion beside other sensors, and from gaps."""
+
+from __future__ import annotations
+
+import pytest
+
+from imuarray.gap.candidates import clock_error, dropped_samples, jitter, skew
+from imuarray.gap.candidates.candidate import Trial
+from imuarray.gap.evidence import Evidence
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.clock_error import ClockError
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.jitter import Jitter
+from imuarray.simulate.effects.skew import Skew
+from tests.gap.candidates.evidence_of import evidence_of
+
+ALL = (clock_error, dropped_samples, jitter, skew)
+
+
+def shown(kind: str, sensor: str, effect: Effect) -> Evidence:
+    return evidence_of(kind, sensor, {sensor: (effect,)})
+
+
+@pytest.mark.parametrize("kind", ["static", "motion"])
+@pytest.mark.parametrize("sensor", ["A1", "G1"])
+def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
+    assert not [trial for module in ALL for trial in module.guesses(evidence_of(kind, sensor))]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "delay_s"), [("G1", 0.002), ("G1", 0.005), ("A1", -0.02), ("A1", 0.1), ("G1", -0.08)]
+)
+def test_skew(sensor: str, delay_s: float) -> None:
+    """A tenth of a second is most of half a period of the fastest part of the motion, 6 Hz."""
+    trial = next(iter(skew.guesses(shown("motion", sensor, Skew(delay_s)))))
+    (found,) = trial.effects
+    assert isinstance(found, Skew)
+    assert found.delay_s == pytest.approx(delay_s, rel=0.4)
+    assert trial.free == ("delay_s",)
+
+
+@pytest.mark.parametrize(("sensor", "error_ppm"), [("A1", 2000.0), ("G1", -1000.0), ("G1", 300.0)])
+def test_clock_error(sensor: str, error_ppm: float) -> None:
+    (trial,) = clock_error.guesses(shown("motion", sensor, ClockError(error_ppm)))
+    (found,) = trial.effects
+    assert isinstance(found, ClockError)
+    assert found.error_ppm == pytest.approx(error_ppm, rel=0.3)
+    assert trial.free == ("error_ppm",)
+
+
+def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:
+    """At 10 000 ppm the sensor is a seventh of a second off in the middle of the motion, about a period."""
+    trials = list(clock_error.guesses(shown("motion", "G1", ClockError(-10000.0))))
+    assert 2 <= len(trials) <= 4
+    found = [effect.error_ppm for trial in trials for effect in trial.effects if isinstance(effect, ClockError)]
+    assert any(0.5 < error / -10000 < 2 for error in found)
+
+
+@pytest.mark.parametrize(("sensor", "rms_s"), [("G1", 0.001), ("G1", 0.004), ("A1", 0.002)])
+def test_jitter(sensor: str, rms_s: float) -> None:
+    (trial,) = jitter.guesses(shown("motion", sensor, Jitter(rms_s)))
+    (found,) = trial.effects
+    assert isinstance(found, Jitter)
+    assert found.rms_s == pytest.approx(rms_s, rel=0.5)
+    assert trial.free == ("rms_s",)
+
+
+@pytest.mark.parametrize(("probability", "burst_rows"), [(0.03, 3.0), (0.1, 1.0), (0.2, 10.0), (0.3, 30.0)])
+def test_dropped_samples(probability: float, burst_rows: float) -> None:
+    """6000 rows: 60 to 600 bursts, whose share scatters by up to a third."""
+    evidence = shown("static", "A1", DroppedSamples(probability, burst_rows))
+    (trial,) = dropped_samples.guesses(evidence)
+    (found,) = trial.effects
+    assert isinstance(found, DroppedSamples)
+    assert 1 / 2 < found.burst_rows / burst_rows < 2
+    lost = 1 - evidence.seen[0].raw.rows / 6000
+    assert found.probability == pytest.approx(lost, abs=0.01)
+    assert trial.free == (("probability", "burst_rows") if burst_rows > 1 else ("probability",))
+
+
+@pytest.mark.parametrize(
+    ("module", "effect", "kind"),
+    [
+        (skew, Skew(0.01), "motion"),
+        (clock_error, ClockError(500.0), "motion"),
+        (jitter, Jitter(0.001), "motion"),
+        (dropped_samples, DroppedSamples(0.1), "static"),
+    ],
+)
+def test_what_the_model_has_and_the_sensor_has_not_goes(module: object, effect: Effect, kind: str) -> None:
+    evidence = evidence_of(kind, "A1", modelled=(effect,))
+    assert list(module.guesses(evidence)) == [Trial((), removed=effect.name)]  # type: ignore[attr-defined]

@@ -1,0 +1,229 @@
+"""Faces noted wrongly: found where most accelerometers contradict the label, and only there."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.array import parse_array
+from imuarray.axes import UP_AXES, up_vector
+from imuarray.gap.base_model import fit
+from imuarray.gap.campaign import Campaign
+from imuarray.gap.labels import Mislabelled, cause_of, corrected, face_of, mislabelled, note_of
+from imuarray.gap.recordings import Recording, recording_of, summarised
+from imuarray.gap.split import split_of
+from imuarray.gap.text import parameters_text
+from imuarray.log import open_log
+from imuarray.log.format import Phase
+from imuarray.simulate import Simulation, plan_of
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.axis_error import AxisError
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.motion.tumble import Tumble
+from tests.gap.hand_posed import written
+
+SENSOR = """
+[[sensor]]
+name = "{name}"
+chip = "{chip}"
+address = {address}
+range = 4
+{setting}
+axes = "{axes}"
+"""
+
+SENSORS = [
+    ("B1", "bma180", "0x40", "bandwidth_hz = 150", "+X+Y+Z"),
+    ("B2", "bma180", "0x41", "bandwidth_hz = 150", "-X+Y-Z"),
+    ("D1", "adxl345", "0x53", "rate_hz = 100", "+X-Y-Z"),
+    ("D2", "adxl345", "0x1d", "rate_hz = 100", "-X-Y+Z"),
+]
+
+GYROSCOPE = """
+[[sensor]]
+name = "G1"
+chip = "l3g4200d"
+address = 0x68
+range = 250
+rate_hz = 800
+bandwidth_hz = 35
+axes = "+X+Y+Z"
+"""
+
+FACES = {"z_up": "+Z", "x_up": "+X", "y_up": "+Y", "x_down": "-X", "y_down": "-Y", "z_down": "-Z", "z_up_check": "+Z"}
+
+TUMBLE = Tumble(2.0, 0.5)
+
+Labels = Mapping[str, str]
+
+
+def tumbled(
+    path: Path,
+    labels: Labels,
+    sensors: int = 4,
+    more: Mapping[str, Sequence[Effect]] | None = None,
+    only: Sequence[str] = tuple(FACES),
+) -> Recording:
+    """The seven faces, noted as `labels` say where they say something; nothing else tells how the box lay."""
+    text = '[array]\nname = "accelerometers"\nbus = "i2c:/dev/i2c-1"\n' + GYROSCOPE
+    for name, chip, address, setting, axes in SENSORS[:sensors]:
+        text += SENSOR.format(name=name, chip=chip, address=address, setting=setting, axes=axes)
+    biases = {"B1": 0.05, "B2": -0.08, "D1": 0.1, "D2": -0.06}
+    effects = {
+        name: (WhiteNoise(0.004), Bias((bias, -bias, bias)), *(more or {}).get(name, ()))
+        for name, bias in biases.items()
+    }
+    simulation = Simulation(plan_of(parse_array(text), 50.0, TUMBLE.seconds), TUMBLE, effects, seed=1)
+    phases = [one._replace(up=labels.get(one.name, one.up)) for one in TUMBLE.phases if one.name in only]
+    return recording_of(open_log(written(path, simulation, tuple(phases))))
+
+
+def found_in(*recordings: Recording) -> tuple[Mislabelled, ...]:
+    return mislabelled(recordings, Campaign(tuple(map(summarised, recordings))))
+
+
+def told(found: Sequence[Mislabelled]) -> dict[str, tuple[str, str]]:
+    return {one.phase.name: (one.phase.up, one.up) for one in found}
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        {},
+        {"x_up": "-X"},
+        {"y_down": "+Z"},
+        {"x_up": "+Y", "y_up": "+X"},
+        {"z_up": "-Z", "z_down": "+Z", "x_up": "-X", "x_down": "+X"},
+    ],
+)
+def test_wrong_labels_are_found_one_by_one(tmp_path: Path, labels: Labels) -> None:
+    """Two that were exchanged are both found."""
+    found = found_in(tumbled(tmp_path / "tumble.h5", labels))
+    assert told(found) == {name: (noted, FACES[name]) for name, noted in labels.items()}
+    for one in found:
+        assert (one.log, one.name, len(one.agree), one.or_mounted) == (0, "tumble.h5", 4, False)
+        assert one.probability > 0.999
+
+
+def test_halves_of_phases_tell_the_same(tmp_path: Path) -> None:
+    """The campaign of a diagnosis has each phase in two parts."""
+    recording = tumbled(tmp_path / "tumble.h5", {"x_up": "-X"})
+    split = split_of([recording.kind], [recording.phases])
+    parted = Recording("", recording.log, recording.kind, split.phases()[0], recording.experiment)
+    (found,) = mislabelled([recording], Campaign((summarised(parted),)))
+    assert (found.phase, found.up) == (recording.phases[1], "+X")
+
+
+def test_one_sensor_that_errs_is_not_the_label(tmp_path: Path) -> None:
+    """An exchange of axes, or a wrong range, in one of four: neither makes a label wrong nor hides that one is."""
+    for number, effect in enumerate((AxisError("+Y-X+Z"), RangeReset(2.0))):
+        more = {"B1": (effect,)}
+        assert not found_in(tumbled(tmp_path / f"right_{number}.h5", {}, more=more))
+        (found,) = found_in(tumbled(tmp_path / f"wrong_{number}.h5", {"x_up": "-X"}, more=more))
+        assert (found.phase.name, found.up) == ("x_up", "+X")
+        assert found.probability > 0.99
+
+
+def test_a_single_accelerometer_says_nothing(tmp_path: Path) -> None:
+    assert not found_in(tumbled(tmp_path / "one.h5", {"x_up": "-X"}, sensors=1))
+    (found,) = found_in(tumbled(tmp_path / "two.h5", {"x_up": "-X"}, sensors=2))
+    assert found.agree == ("B1", "B2")
+    assert not found_in(tumbled(tmp_path / "split.h5", {}, sensors=2, more={"B1": (AxisError("-X+Y+Z"),)}))
+
+
+def test_a_turn_of_all_sensors_may_be_it_as_well(tmp_path: Path) -> None:
+    """Half a turn about X exchanges +Y with -Y and +Z with -Z: it is the labels or the axes of the whole array. A
+    mirror is no turn, and a face that is noted rightly in another log rules the turn out.
+    """
+    turned = {"y_up": "-Y", "y_down": "+Y", "z_up": "-Z", "z_down": "+Z", "z_up_check": "-Z"}
+    recording = tumbled(tmp_path / "turned.h5", turned)
+    found = found_in(recording)
+    assert told(found) == {name: (noted, FACES[name]) for name, noted in turned.items()}
+    assert {cause_of(one).confusable_with for one in found} == {("axis_error",)}
+    still = tumbled(tmp_path / "still.h5", {}, only=("z_up",))
+    assert {cause_of(one).confusable_with for one in found_in(recording, still)} == {()}
+    mirrored = tumbled(tmp_path / "mirrored.h5", {"y_up": "-Y", "y_down": "+Y"})
+    assert {cause_of(one).confusable_with for one in found_in(mirrored)} == {()}
+
+
+def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
+    """In every phase, also in another process; a log that was noted rightly is left alone."""
+    wrong = tumbled(tmp_path / "wrong.h5", {"x_up": "-X", "z_down": "+Y"})
+    right = tumbled(tmp_path / "right.h5", {})
+    recordings = (right, wrong)
+    found = found_in(*recordings)
+    assert [one.log for one in found] == [1, 1]
+    same, put_right = corrected(recordings, found)
+    assert same is right
+    assert put_right.phases == right.phases
+    assert (put_right.kind, put_right.name) == ("tumble", "wrong.h5")
+    assert put_right.notes[-2].startswith("phase 'x_up' is noted with -X up, but 4 of 4 accelerometers feel +X")
+    motion = put_right.experiment.motion
+    middles = np.array([(one.start_ns + one.end_ns) // 2 for one in right.phases])
+    expected = 9.80665 * np.array([up_vector(up) for up in FACES.values()])
+    np.testing.assert_allclose(motion.felt(middles).force_box, expected, atol=1e-9)
+    np.testing.assert_allclose(pickle.loads(pickle.dumps(motion)).felt(middles).force_box, expected, atol=1e-9)  # noqa: S301
+    campaign = Campaign((summarised(put_right),))
+    assert not mislabelled([put_right], campaign)
+    offset = fit(campaign, [motion]).fitted["B1"].offset
+    np.testing.assert_allclose(offset, [0.05, -0.05, 0.05], atol=1e-3)
+
+
+def test_unnoted_attitudes_are_estimated_anew(tmp_path: Path) -> None:
+    """A wrong label spoils the common bias, and with it the attitude of phases that nobody noted."""
+    recording = tumbled(tmp_path / "part.h5", {"x_up": "-X", "y_up": ""})
+    (found,) = found_in(recording)
+    (put_right,) = corrected([recording], [found])
+    at = np.array([(one.start_ns + one.end_ns) // 2 for one in put_right.phases])
+    np.testing.assert_allclose(put_right.experiment.motion.felt(at).force_box[2] / 9.80665, [0, 1, 0], atol=0.03)
+    assert [one.up for one in put_right.phases][:3] == ["+Z", "+X", ""]
+
+
+def made(readings: Mapping[str, Sequence[float]], agree: tuple[str, ...]) -> Mislabelled:
+    return Mislabelled(
+        0, "a.h5", Phase(0, 10**9, "x_up", "-Z"), "+X", {k: np.array(v) for k, v in readings.items()}, agree
+    )
+
+
+def test_probability_and_share_closed() -> None:
+    """A is 3-4-5: sqrt(2 (1 - 0.96)) from +X and sqrt(2 (1 + 0.28)) from -Z; B, eight times too large, the same. Two
+    votes: odds (2.56 / 0.08)^2 = 1024. Chi-squared of 4: 0.48442 and 11.1433 (2.5 and 97.5 %).
+    """
+    found = made({"A": (0.96, 0.0, 0.28), "B": (7.68, 0.0, 2.24)}, ("A", "B"))
+    assert found.true_g**2 == pytest.approx(0.08)
+    assert found.noted_g**2 == pytest.approx(2.56)
+    assert found.probability == pytest.approx(1024 / 1025)
+    cause = cause_of(found, ("A", "B", "C"))
+    assert (cause.effect, cause.action, cause.origin) == ("face_error", "add", "metadata")
+    assert cause.sensors == ("A", "B", "C")
+    assert cause.closed == pytest.approx(1 - 1 / 32)
+    assert cause.closed_ci95 == pytest.approx((1 - 4 / 32 / 0.48442, 1 - 4 / 32 / 11.1433), rel=1e-4)
+    assert parameters_text(cause.parameters) == "log a.h5; phase x_up; noted -Z; true +X"
+    assert "2 of 2 accelerometers feel +X: 1.6 g from the noted face, 0.28 g from that one" in note_of(found)
+
+
+def test_who_does_not_agree_counts_against_it() -> None:
+    """Three against one say as much as two."""
+    three = made({"A": (0.96, 0, 0.28), "B": (0.96, 0, 0.28), "C": (0.96, 0, 0.28), "D": (0, 0, -1)}, ("A", "B", "C"))
+    assert three.probability == pytest.approx(1024 / 1025)
+    assert made({"A": (1.0, 0, 0), "B": (1.0, 0, 0)}, ("A", "B")).probability == 1.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(UP_AXES), st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.floats(0.1, 9.0))
+def test_a_face_is_told_whatever_bias_and_scale(up: str, bias: tuple[float, float, float], scale: float) -> None:
+    """0.2 g on each axis turn it by at most atan(0.283 / 0.8) = 19.5 degrees."""
+    assert face_of(scale * (np.array(up_vector(up)) + bias)) == up
+
+
+def test_an_edge_is_no_face() -> None:
+    assert face_of(np.array([1.0, 1.0, 0.0])) == ""
+    assert face_of(np.zeros(3)) == ""

@@ -1,0 +1,188 @@
+"""Which experiment tells two causes apart, and what is said where there are none to tell apart."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from imuarray.gap import menu
+from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.candidates import Trial
+from imuarray.gap.diagnosis import Cause, Unshown
+from imuarray.gap.likeness import Likeness
+from imuarray.gap.menu import LEAST, MENU, Offer, nats_between, next_experiment, rivals_of
+from imuarray.gap.probes import PROBES
+from imuarray.gap.refine import Tried
+from imuarray.gap.rounds import Searched
+from imuarray.gap.search import Confirmed, Round
+from imuarray.gap.standing import Standing
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.motion.heating import Heating
+from imuarray.simulate.motion.still import Still, turn_on_run
+from imuarray.simulate.motion.tumble import Tumble
+from tests.gap.test_overlays import Run, benched, where
+
+SHORT: Mapping[str, Offer] = MappingProxyType(
+    {
+        "static": Offer((Still(seconds=20),), 0.5, "a static log"),
+        "tumble": Offer((Tumble(3.0, 0.5),), 0.25, "a tumble"),
+        "heating": Offer((Heating(scale=0.005),), 0.6, "a heating"),
+        "turn-on": Offer(tuple(turn_on_run(run, 5.0) for run in range(1, 13)), 0.4, "a turn-on series"),
+    }
+)
+
+_NOTHING = np.zeros(0)
+
+
+def standing(models: Mapping[str, Modelled], independent: float = 0.3) -> Standing:
+    """A standing of which only models and share matter."""
+    never = np.zeros(0, bool)
+    likeness = Likeness(_NOTHING, _NOTHING, never, never)
+    return Standing(tuple(models), models, _NOTHING, likeness, np.zeros((0, 0)), {}, independent)
+
+
+def confirmed(bench: Bench, effect: Effect, sensor: str, gain: float = 9.0) -> Confirmed:
+    model = replace(bench.models()[sensor], added=(effect,))
+    return Confirmed(Tried(Trial((effect,))), standing({sensor: model}), gain, gain)
+
+
+def searched(bench: Bench, sensor: str, *effects: Effect) -> Searched:
+    """One round in which these were confirmed and the first one was taken."""
+    every = tuple(confirmed(bench, effect, sensor, 9.0 - at) for at, effect in enumerate(effects))
+    before = standing({sensor: bench.models()[sensor]})
+    return Searched({(sensor,): [Round(before, every, 0.0, every[0])]}, bench.models())
+
+
+def cause(effect: str, *sensors: str, rivals: Sequence[str] = (), probability: float = 0.6) -> Cause:
+    return Cause(effect, "add", sensors, (), probability, {}, 0.5, (0.4, 0.6), tuple(rivals))
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return benched(["static"], {})[0]
+
+
+@pytest.fixture
+def _short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(menu, "MENU", SHORT)
+
+
+def test_one_distance_in_nats() -> None:
+    """Two statistics of variance 1; the second one 4 apart, the same draws: 3 ln(1 + 16 / (1 + 0.2^2) / 5)."""
+    draws = np.array([[-1.0, -1.0], [1.0, 1.0]] * 3) * math.sqrt(5 / 6)
+    apart = draws + np.array([0.0, 4.0])
+    expected = 3 * math.log(1 + 16 / 1.04 / 5)
+    assert nats_between(draws, apart, np.zeros(2), 1.0) == pytest.approx(expected)
+    assert nats_between(apart, draws, np.zeros(2), 0.25) == pytest.approx(expected / 4)
+    assert nats_between(draws, draws, np.zeros(2), 1.0) == 0.0
+
+
+def test_a_difference_below_the_least_scatter_is_none() -> None:
+    alike = np.ones((6, 1))
+    assert nats_between(alike, alike + 0.01, np.ones(1), 1.0) < 0.001
+    assert nats_between(alike, alike + 0.01, np.zeros(1), 1.0) > 10
+
+
+def test_what_speaks_under_one_model_only_counts_as_the_farthest() -> None:
+    """3 ln(1 + 100^2 / 5) nats; what speaks now and then says nothing."""
+    spoken, silent = np.ones((6, 2)), np.full((6, 2), np.nan)
+    silent[0, 1] = 1.0
+    assert nats_between(spoken, silent, np.zeros(2), 1.0) == pytest.approx(3 * math.log(2001))
+
+
+def test_chance_is_not_taken_for_a_difference() -> None:
+    """300 statistics, 100 pairs of models that are alike: mean below 1 nat however the draws hang together, and with
+    the same draws (correlation 0.8) never 3 nats of those that are one in five.
+    """
+    random = np.random.default_rng(1)
+    for share in (0.0, 0.8):
+        found = []
+        for _ in range(100):
+            common = math.sqrt(share) * random.normal(size=(6, 300))
+            one, other = (common + math.sqrt(1 - share) * random.normal(size=(6, 300)) for _ in range(2))
+            found.append(nats_between(one, other, np.zeros(300), 0.2))
+        assert np.mean(found) < 1.0
+        assert share == 0.0 or max(found) < LEAST
+
+
+def test_the_most_probable_cause_with_a_rival_is_asked_about(bench: Bench) -> None:
+    found = searched(bench, "G1", Tone(0.05, 20.0), Bias(0.1), TurnOnBias(0.1))
+    causes = [cause("tone", "G1"), cause("bias", "G1", rivals=["turn_on_bias"]), cause("tone", "G2", rivals=["bias"])]
+    rivals = rivals_of(found, causes)
+    assert rivals is not None
+    assert (rivals.taken.trial.name, rivals.rival.trial.name) == ("bias", "turn_on_bias")
+    assert (rivals.sensors, rivals.independent) == (("G1",), 0.3)
+    assert rivals_of(found, causes[:1]) is None
+    assert rivals_of(found, causes[2:]) is None
+
+
+@pytest.mark.usefixtures("_short")
+def test_a_turn_on_series_tells_a_bias_from_one_that_changes(bench: Bench) -> None:
+    """Nothing else does: in one run both are a bias."""
+    found = searched(bench, "G1", Bias(0.1), TurnOnBias(0.1))
+    said = next_experiment(bench, found, [cause("bias", "G1", rivals=["turn_on_bias"])], [], [], Run(bench))
+    assert said.startswith("Record a turn-on series. It tells bias from turn_on_bias of G1 (")
+    nats, static = map(float, re.findall(r"([\d.]+) nats", said))
+    assert static < LEAST < nats
+
+
+@pytest.mark.usefixtures("_short")
+def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
+    """A static log knows no phase of a line; where the box is turned it is no other."""
+    found = searched(bench, "A1", Tone(0.01, 20.0, 0.0), Tone(0.01, 20.0, 90.0))
+    (one,) = found.rounds["A1",]
+    other = replace(one.confirmed[1], tried=Tried(Trial((Bias(),))))  # the name of another kind
+    rounds = {("A1",): [replace(one, confirmed=(one.confirmed[0], other))]}
+    said = next_experiment(bench, Searched(rounds, {}), [cause("tone", "A1", rivals=["bias"])], [], [], Run(bench))
+    assert said.startswith("Nothing on the menu (static, tumble, heating, turn-on) tells tone from bias of A1: at most")
+    assert float(re.findall(r"([\d.]+) nats", said)[0]) < LEAST
+
+
+@pytest.mark.usefixtures("_short")
+def test_the_sensor_whose_data_another_has_is_simulated_too(bench: Bench) -> None:
+    """G2 lies the other way round about y and z: on a tumble, or beside another bias, it is no G1."""
+    found = searched(bench, "G1", ChannelSwap("G2"), Bias(0.1))
+    said = next_experiment(bench, found, [cause("channel_swap", "G1", rivals=["bias"])], [], [], Run(bench))
+    assert said.startswith("Record a tumble. It tells channel_swap from bias of G1 (")
+
+
+def test_without_rivals_what_is_not_explained_or_not_shown(bench: Bench) -> None:
+    nothing, run = Searched({}, {}), Run(bench)
+    hidden = [Unshown("thermal_scale", ("A1",), "heating: on all six faces")]
+    left = [where("A2", "z", "run_to_run"), where()]
+    assert next_experiment(bench, nothing, [], left, hidden, run) == (
+        "Record a turn-on series: 12 runs of 1 minute, switched off in between (0.4 h): it shows more of the run to run"
+        " of A2 z, which is not explained."
+    )
+    assert next_experiment(bench, nothing, [], [], hidden, run) == (
+        "To see thermal scale, which nothing recorded shows: heating: on all six faces."
+    )
+    assert next_experiment(bench, nothing, [], [], [], run).startswith("Nothing: ")
+    assert run.items == 0
+
+
+def test_every_domain_has_an_experiment_that_shows_more_of_it() -> None:
+    assert {probe.domain for probe in PROBES.values()} == set(menu._MORE)
+
+
+def test_hours_hold_the_logs() -> None:
+    for offer in MENU.values():
+        assert sum(motion.seconds for motion in offer.motions) / 3600 < offer.hours < 1
+
+
+@pytest.mark.slow
+def test_the_whole_menu(bench: Bench) -> None:
+    """As above, with the logs as they would be recorded."""
+    found = searched(bench, "G1", Bias(0.05), TurnOnBias(0.05))
+    said = next_experiment(bench, found, [cause("bias", "G1", rivals=["turn_on_bias"])], [], [], Run(bench))
+    assert said.startswith("Record a turn-on series: 12 runs of 1 minute, switched off in between. It tells bias")

@@ -1,0 +1,225 @@
+"""What is made of a log that says all, some or nothing of what happened."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.errors import LogError
+from imuarray.gap.base_model import fit
+from imuarray.gap.campaign import Campaign
+from imuarray.gap.null import looks_of, replicate
+from imuarray.gap.recordings import Recording, recording_of, recordings_of, summarised, temperature_of
+from imuarray.log import Block, LogWriter, Stimulus, open_log
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.simulate import Simulation
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.motion.like import LikeLog
+from imuarray.simulate.motion.posed import Posed
+from imuarray.simulate.motion.still import Still
+from imuarray.simulate.record import write_log
+from tests.gap.hand_posed import directions, posed, simulated, written
+from tests.gap.made import BASE, SECOND, simulation
+
+FOREIGN = [
+    SensorHeader("Acc", "mpu9150", "specific_force", "g", 16.0, 2048.0, has_temperature=True),
+    SensorHeader("Gyro", "mpu9150", "angular_rate", "dps", 2000.0, 16.4),
+]
+
+
+def foreign_log(
+    path: Path, phases: Sequence[Phase] = (), sensors: Sequence[SensorHeader] = FOREIGN, seconds: int = 12
+) -> Path:
+    """Flat on a table, 50 Hz, noise of some counts; a thermometer of which nobody knows the scale."""
+    rows = 50 * seconds
+    time = np.arange(rows, dtype=np.int64) * SECOND // 50
+    rng = np.random.default_rng(0)
+    with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for sensor in sensors:
+            level = [0, 0, 2048] if sensor.quantity == "specific_force" else [0, 0, 0]
+            counts = np.rint(rng.normal(level, 5, (rows, 3))).astype(np.int16)
+            warm = np.full(rows, 77, np.int16) if sensor.has_temperature else None
+            log.append(sensor.name, Block(time, counts, np.zeros(rows, np.uint16), warm))
+        for phase in phases:
+            log.phase(phase)
+    return path
+
+
+def recorded(path: Path) -> Recording:
+    return recording_of(open_log(path))
+
+
+def phase(start_s: int, end_s: int, name: str, up: str = "") -> Phase:
+    return Phase(start_s * SECOND, end_s * SECOND, name, up)
+
+
+@pytest.mark.parametrize(
+    ("phases", "kind"),
+    [
+        ([phase(0, 9, "static", "+Z")], "static"),
+        ([phase(0, 4, "z_up", "+Z"), phase(5, 9, "x_up", "+X")], "tumble"),
+        ([phase(0, 4, "z_up", "+Z"), phase(5, 9, "z_up_check", "+Z")], "static"),
+        ([phase(0, 4, "room", "+Z"), phase(5, 9, "heat 1", "+Z")], "heating"),
+        ([phase(0, 9, "run 3", "+Z")], "turn-on"),
+    ],
+)
+def test_what_was_done_follows_from_the_phases(tmp_path: Path, phases: list[Phase], kind: str) -> None:
+    found = recorded(foreign_log(tmp_path / "log.h5", phases))
+    assert (found.name, found.kind, found.phases) == ("log.h5", kind, tuple(phases))
+    assert isinstance(found.experiment.motion, LikeLog)
+    assert found.notes == ("No reference tells the temperature: 25 degC is assumed all the time.",)
+
+
+def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:
+    phases = [phase(0, 4, "static", "+Z"), phase(4, 8, "motion")]
+    found = recorded(foreign_log(tmp_path / "log.h5", phases))
+    assert (found.kind, found.phases) == ("static", (phases[0],))
+    assert found.notes[0] == "Phase 'motion' is left out: nothing says how the box moved."
+
+
+def test_a_reference_tells_of_it(tmp_path: Path) -> None:
+    path = tmp_path / "log.h5"
+    phases = [phase(0, 4, "static"), phase(4, 8, "motion")]
+    times = np.arange(0, 12 * SECOND, SECOND // 10)
+    force = np.tile([0.0, 0.0, 9.80665], (len(times), 1))
+    with LogWriter(path, FOREIGN[1:], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        rows = np.zeros((len(times), 3), np.int16)
+        log.append("Gyro", Block(times, rows, np.zeros(len(times), np.uint16)))
+        log.stimulus("reference", Stimulus(times, force, 0 * force, np.full(len(times), 31.0)))
+        for one in phases:
+            log.phase(one)
+    found = recorded(path)
+    assert (found.kind, found.phases, found.notes) == ("motion", tuple(phases), ())
+    assert temperature_of(found.experiment.motion)(np.array([5 * SECOND])) == pytest.approx([31.0])
+
+
+def test_static_stretches_are_found_and_their_attitudes_estimated(tmp_path: Path) -> None:
+    """Ten poses; the array's common bias is left in no direction: 1.5e-3 is 0.1 degree."""
+    ups = directions(10)
+    found = recorded(written(tmp_path / "log.h5", simulated(posed(ups), {})))
+    motion = found.experiment.motion
+    assert (found.kind, len(found.phases), isinstance(motion, Posed)) == ("tumble", 10, True)
+    assert all(one.name == f"pose {number}" for number, one in enumerate(found.phases, start=1))
+    middles = np.array([(one.start_ns + one.end_ns) // 2 for one in found.phases])
+    np.testing.assert_allclose(motion.felt(middles).force_box / 9.80665, ups, atol=1.5e-3)
+    assert found.notes[0] == "No phase is named as one at rest: 10 static stretches were found."
+    assert "not noted in 10 of 10 phases at rest" in found.notes[1]
+    campaign = Campaign((summarised(found),))
+    for name in ("A1", "A2"):
+        (bias,) = [effect for effect in BASE[name] if isinstance(effect, Bias)]
+        np.testing.assert_allclose(fit(campaign, [motion]).fitted[name].offset, bias.offset, atol=5e-4)
+
+
+def test_one_long_still_stretch_is_static(tmp_path: Path) -> None:
+    found = recorded(foreign_log(tmp_path / "log.h5"))
+    assert (found.kind, [one.name for one in found.phases]) == ("static", ["pose 1"])
+    up = found.experiment.motion.felt(np.array([SECOND])).force_box[0] / 9.80665
+    np.testing.assert_allclose(up, [0, 0, 1], atol=1e-3)
+
+
+def test_noted_attitudes_are_believed(tmp_path: Path) -> None:
+    """One face is named, the other is only said to be at rest."""
+    ups = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
+    phases = (phase(0, 5, "z_up", "+Z"), phase(6, 11, "static"))
+    found = recorded(written(tmp_path / "log.h5", simulated(posed(ups), {}), phases))
+    motion = found.experiment.motion
+    assert isinstance(motion, Posed)
+    assert [attitude.estimated for attitude in motion.attitudes] == [False, True]
+    assert motion.attitudes[0].up_box == (0, 0, 1)
+    np.testing.assert_allclose(motion.attitudes[1].up_box, ups[1], atol=1e-3)
+
+
+def test_a_foreign_chip_is_simulated_without_its_thermometer(tmp_path: Path) -> None:
+    """Recorded and simulated summaries have the same to say; of counts of an unknown scale, nothing."""
+    found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")]))
+    campaign = Campaign((summarised(found),))
+    base = fit(campaign, [found.experiment.motion])
+    made = replicate(looks_of(campaign), [found.experiment], base, 0)
+    for one in (campaign, made):
+        assert one.logs[0].phases[0].sensors.keys() == {"Acc", "Gyro"}
+        assert np.isnan(one.logs[0].phases[0].sensors["Acc"].segments.thermometer).all()
+    assert base.fitted["Acc"].rms[0] * 2048 == pytest.approx(5.0, rel=0.2)
+    assert summarised(found, looks_of(made)[0]).phases[0].layout == made.logs[0].phases[0].layout
+
+
+def test_only_inertial_sensors_unless_others_are_named(tmp_path: Path) -> None:
+    compass = SensorHeader("Mag", "hmc5883", "magnetic_field", "gauss", 1.3, 1090.0)
+    path = foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")], [*FOREIGN, compass])
+    with open_log(path) as log:
+        assert recording_of(log).experiment.plan.sensors.keys() == {"Acc", "Gyro"}
+        assert recording_of(log, ["Mag", "Acc"]).experiment.plan.sensors.keys() == {"Mag", "Acc"}
+        with pytest.raises(LogError, match="no sensor 'Nose'"):
+            recording_of(log, ["Nose"])
+
+
+def test_rows_that_a_recording_lost_are_in_its_plan(tmp_path: Path) -> None:
+    """Simulated without dropped samples nothing is missing, with them as much as was recorded: 600 of 6000 rows each,
+    standard error sqrt(6000 0.1 0.9 (1 + r) / (1 - r)) = 38, r = 4 / 9 the correlation of neighbours (bursts of 2).
+    """
+    still = Still(seconds=60)
+    dropped = {name: (DroppedSamples(0.1, 2.0),) for name in BASE}
+    made = simulation(still, dropped, seed=1)
+    lost = write_log(made, tmp_path / "log.h5").lost
+    found = recorded(tmp_path / "log.h5")
+    plan, motion = pickle.loads(pickle.dumps(found.experiment))  # noqa: S301
+    whole = Simulation(plan, motion, BASE, seed=2)
+    again = Simulation(plan, motion, {name: (*BASE[name], *dropped[name]) for name in BASE}, seed=2)
+    for name, sensor in whole.sensors.items():
+        at_ends = made.sensors[name].rows - sensor.rows
+        assert 0 <= at_ends < 30  # what was lost before the first row, or after the last, nobody knows
+        assert lost[name] - at_ends + len(found.log[name]) == sensor.rows
+        assert len(sensor.lost_rows(0, sensor.rows)) == 0
+        assert abs(len(again.sensors[name].lost_rows(0, sensor.rows)) - lost[name]) < 4 * 38 * 2**0.5
+        stamps = plan.sensors[name][1].stamps(0, sensor.rows)
+        assert np.abs(np.diff(stamps) / 10_000_000 - 1).max() < 0.1  # forth and back on the bus
+    campaign = Campaign((summarised(found),))
+    base = fit(campaign, [found.experiment.motion])
+    simulated_campaign = replicate(looks_of(campaign), [found.experiment], base, 0)
+    for name in BASE:
+        ours, theirs = (one.logs[0].phases[0].sensors[name] for one in (campaign, simulated_campaign))
+        assert theirs.intervals.gaps == 0 < 200 < ours.intervals.gaps
+        assert ours.flags["lost_before"] > 200
+
+
+def test_logs_of_one_array(tmp_path: Path) -> None:
+    still = [phase(0, 9, "static", "+Z")]
+    one = open_log(foreign_log(tmp_path / "one.h5", still))
+    other = open_log(foreign_log(tmp_path / "other.h5", still, FOREIGN[:1]))
+    found = recordings_of([one, other])
+    assert [len(recording.experiment.plan.sensors) for recording in found] == [2, 1]
+    assert found[1].notes[0] == "Gyro is left out: it was not read in this log."
+    with pytest.raises(LogError, match=r"one\.h5: no sensor 'Nose', nor in any other log"):
+        recordings_of([one, other], ["Nose"])
+    with pytest.raises(LogError, match=r"other\.h5: none of the sensors Gyro"):
+        recordings_of([one, other], ["Gyro"])
+
+
+def test_a_sensor_that_was_set_otherwise_is_refused(tmp_path: Path) -> None:
+    still = [phase(0, 9, "static", "+Z")]
+    turned = SensorHeader("Acc", "mpu9150", "specific_force", "g", 16.0, 2048.0, axes="-X+Y-Z", has_temperature=True)
+    one = open_log(foreign_log(tmp_path / "one.h5", still))
+    other = open_log(foreign_log(tmp_path / "other.h5", still, [turned]))
+    with pytest.raises(
+        LogError, match=r"other\.h5, sensor Acc: axes is -X\+Y-Z, but \+X\+Y\+Z in .*one\.h5, sensor Acc"
+    ):
+        recordings_of([one, other])
+
+
+def test_a_log_in_which_nothing_can_be_compared_is_refused(tmp_path: Path) -> None:
+    path = foreign_log(tmp_path / "log.h5", sensors=FOREIGN[1:])
+    with pytest.raises(LogError, match="nothing to compare"):
+        recorded(path)
+    unknown = SensorHeader("Acc", "x", "specific_force", "g", 0.0, 0.0)
+    with pytest.raises(LogError, match="no accelerometer or gyroscope with readings and a known sensitivity"):
+        recorded(foreign_log(tmp_path / "unknown.h5", [phase(0, 9, "static", "+Z")], [unknown]))
+
+
+def test_without_accelerometers_the_box_stands_upright(tmp_path: Path) -> None:
+    found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static")], FOREIGN[1:]))
+    assert found.notes[0] == "No accelerometer tells which axis was up: where no phase says so, +Z is assumed."
+    np.testing.assert_allclose(found.experiment.motion.felt(np.array([0])).force_box, [[0, 0, 9.80665]])

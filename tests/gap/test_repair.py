@@ -1,0 +1,205 @@
+"""The repaired model as a file: what is in it, that it is read again, and what is simulated from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.array import parse_array
+from imuarray.gap.at_rest import Fitted
+from imuarray.gap.base_model import Base
+from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.candidates import CANDIDATES
+from imuarray.gap.diagnose import diagnose
+from imuarray.gap.recordings import recordings_of
+from imuarray.gap.repair import repaired
+from imuarray.gap.search import Run
+from imuarray.gap.source import simulated_sources
+from imuarray.gap.split import Split
+from imuarray.gap.summary import summarise
+from imuarray.log import open_log
+from imuarray.log.format import SensorHeader
+from imuarray.simulate import Simulation
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.quantisation import Quantisation
+from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.model import Model, parse_model
+from imuarray.simulate.motion.still import Still
+from imuarray.simulate.record import write_log
+from imuarray.simulate.streams import Streams
+from tests.gap.made import ARRAY, RATE_HZ, header, phases_of, simulation, temperature_of
+from tests.gap.test_significance import units
+
+TONE = Tone((0.0, 0.05, 0.0), 20.0)
+FITTED = Fitted((0.05, 0.05, 0.05), (0.5, -0.25, 1.0), (0.05, 0.0, 0.0))
+
+MODEL = """
+[model]
+name = "mine"
+
+[[design]]
+chip = "l3g4200d"
+white_noise.rms_dps = 9
+bias.offset_dps = { sigma = 3 }
+thermal_bias = { slope_dps_per_degc = 1, quadratic_dps_per_degc2 = { sigma = 0.001 }, reference_degc = 20 }
+tone.amplitude_dps = 0.3
+tone.frequency_hz = 30
+quantisation.step_lsb = 2
+
+[[sensor]]
+name = "G1"
+chip = "l3g4200d"
+stale_samples.probability = 0.1
+random_walk.density_dps_per_sqrt_s = 0.01
+
+[[sensor]]
+name = "G9"
+chip = "l3g4200d"
+bias.offset_dps = 1
+"""
+
+
+def bench_with(*headers: SensorHeader, kinds: Sequence[str] = ("static",)) -> Bench:
+    """A bench on which nothing is simulated."""
+    base = Base({one.name: one for one in headers}, {one.name: FITTED for one in headers})
+    return Bench(tuple(kinds), Split(()), (), (), base, (), 0, np.zeros(0))
+
+
+def gyroscope(name: str = "G1") -> SensorHeader:
+    return header(name, chip="l3g4200d", bandwidth_hz=35.0, rate_hz=800.0)
+
+
+def again(model: Model) -> Model:
+    """Written and read."""
+    found = parse_model(model.to_toml(), "repaired")
+    assert found == model
+    return found
+
+
+def test_found_effects_are_in_the_file() -> None:
+    bench = bench_with(gyroscope(), header("A1"), kinds=("static", "turn-on", "turn-on"))
+    models = {**bench.models(), "G1": Modelled(FITTED, (TONE, replace(TONE, frequency_hz=31.0)))}
+    model = again(repaired(bench, models, None, "fixed"))
+    assert model.about == (
+        "2 sensors as diagnosed from 1 static and 2 turn-on logs: the data sheets, fitted, with G1 tone."
+    )
+    effects = {one.name: one for one in model.effects(gyroscope(), Streams(1))}
+    assert list(effects) == ["misalignment", "scale", "bias", "thermal_bias", "tone", "white_noise"]
+    assert effects["bias"] == Bias((0.5, -0.25, 1.0))
+    assert effects["thermal_bias"] == ThermalBias((0.05, 0.0, 0.0))
+    assert effects["white_noise"] == WhiteNoise(0.05)
+    (part,) = [one for one in model.sensors if one.name == "G1"]
+    assert part.effects["tone"] == (
+        {"amplitude_dps": (0.0, 0.05, 0.0), "frequency_hz": 20.0},
+        {"amplitude_dps": (0.0, 0.05, 0.0), "frequency_hz": 31.0},
+    )
+    assert part.range == 250.0
+    assert not {"white_noise", "bias", "thermal_bias"} & {kind for part in model.designs for kind in part.effects}
+
+
+def test_a_model_keeps_what_is_not_fitted() -> None:
+    """Bias, noise and slope of the model give way; its curve over temperature and the rest stay."""
+    bench = bench_with(gyroscope("G1"), gyroscope("G2"))
+    before = parse_model(MODEL)
+    found = Modelled(FITTED, (TONE,), frozenset({"quantisation", "stale_samples"}))
+    model = again(repaired(bench, {"G1": found, "G2": Modelled(FITTED)}, before, "fixed", logs=("a.h5", "b.h5")))
+    assert "from a.h5, b.h5: model mine, fitted, with G1 tone, without quantisation" in model.about
+    first, second, other = model.sensors
+    assert (first.name, second.name, other.name) == ("G1", "G2", "G9")
+    assert model.designs == before.designs
+    assert first.effects["quantisation"] == ({},)
+    assert "stale_samples" not in first.effects
+    assert first.effects["random_walk"] == ({"density_dps_per_sqrt_s": 0.01},)
+    assert "random_walk" not in second.effects
+    one, two = (model.effects(gyroscope(name), Streams(1)) for name in ("G1", "G2"))
+    assert [effect.frequency_hz for effect in one if isinstance(effect, Tone)] == [30.0, 20.0]
+    assert [effect.frequency_hz for effect in two if isinstance(effect, Tone)] == [30.0]
+    assert [effect for effect in one if isinstance(effect, Quantisation)] == [Quantisation()]
+    assert [effect for effect in two if isinstance(effect, Quantisation)] == [Quantisation(2.0)]
+    assert [effect.rms for effect in one if isinstance(effect, WhiteNoise)] == [(0.05, 0.05, 0.05)]
+    curves = [effect for effect in one if isinstance(effect, ThermalBias)]
+    assert [effect.slope for effect in curves] == [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0)]
+    drawn = [effect for effect in before.effects(gyroscope(), Streams(1)) if isinstance(effect, ThermalBias)]
+    assert curves[0].quadratic == drawn[0].quadratic
+
+
+def test_another_of_a_kind_takes_its_place() -> None:
+    found = Modelled(FITTED, (TONE,), frozenset({"tone"}))
+    model = again(repaired(bench_with(gyroscope()), {"G1": found}, parse_model(MODEL), "fixed"))
+    tones = [effect for effect in model.effects(gyroscope(), Streams(0)) if isinstance(effect, Tone)]
+    assert [one.frequency_hz for one in tones] == [20.0]
+
+
+def test_a_chip_that_nobody_knows_says_its_unit() -> None:
+    """Both sensors of one such chip: a design for each unit."""
+    both = [header("A", chip="bma180"), header("G", chip="l3g4200d")]
+    accelerometer, gyro = (replace(one, chip="mpu9150", range=1234.0) for one in both)
+    bench = bench_with(accelerometer, gyro)
+    model = again(repaired(bench, bench.models(), None, "fixed"))
+    assert [(part.chip, part.unit) for part in model.designs] == [("mpu9150", "g"), ("mpu9150", "dps")]
+    assert [(part.name, part.unit, part.range) for part in model.sensors] == [("A", "g", 1234.0), ("G", "dps", 1234.0)]
+    for one in (accelerometer, gyro):
+        kinds = [effect.name for effect in model.effects(one, Streams(2))]
+        assert kinds == ["misalignment", "scale", "bias", "thermal_bias", "white_noise"]
+
+
+def test_texts_and_figures_without_number_survive() -> None:
+    strange = (ChannelSwap("G2"), RangeReset(2000.0, onset_s=5.0), Tone(0.1, 7.0, 90.0))
+    models = {"G1": Modelled(FITTED, strange), "G2": Modelled(Fitted(*((0.0, 0.0, 0.0),) * 3))}
+    model = again(repaired(bench_with(gyroscope("G1"), gyroscope("G2")), models, None, "fixed"))
+    assert set(strange) <= set(model.effects(gyroscope(), Streams(0)))
+    silent = [effect for effect in model.effects(gyroscope("G2"), Streams(0)) if isinstance(effect, WhiteNoise)]
+    assert silent == [WhiteNoise()]
+
+
+def test_a_simulation_of_the_file_shows_the_line() -> None:
+    """0.05 dps in noise of 0.05 dps at 100 rows/s over 20 s: the bin nearest to 20 Hz stands far above the others."""
+    bench = bench_with(gyroscope("G1"), gyroscope("G2"))
+    models = {**bench.models(), "G1": Modelled(FITTED, (TONE,))}
+    model = again(repaired(bench, models, None, "fixed"))
+    motion = Still(seconds=20)
+    made = Simulation.of_array(parse_array(ARRAY), motion, model, frame_rate_hz=RATE_HZ, seconds=motion.seconds, seed=3)
+    (phase,) = phases_of(motion)
+    for name, is_there in (("G1", True), ("G2", False)):
+        spectrum = summarise(simulated_sources(made)[name], phase, temperature_of(motion)).spectrum
+        density = spectrum.density[1:, 1]
+        assert (density.max() > 8 * np.median(density)) == is_there
+        if is_there:
+            highest_hz = spectrum.frequency_hz[1 + density.argmax()] * RATE_HZ
+            assert highest_hz == pytest.approx(20.0, abs=spectrum.resolution_hz * RATE_HZ)
+
+
+@pytest.mark.slow
+def test_a_second_diagnosis_finds_no_gap(tmp_path: Path) -> None:
+    """Without the line in the model there is a gap, with the repaired model none (p > 0.05 has a probability of 0.95;
+    fixed seed).
+    """
+    motion = Still(seconds=60)
+    effects = {name: (*own, *((TONE,) if name == "G1" else ())) for name, own in units(1).items()}
+    write_log(simulation(motion, effects, 5001), tmp_path / "static.h5")
+    recordings = recordings_of([open_log(tmp_path / "static.h5")])
+    benches: list[Bench] = []
+
+    def runs(bench: Bench) -> Run:
+        benches.append(bench)
+        return lambda job, items: [job(bench, item) for item in items]
+
+    first = diagnose(recordings, runs, without=CANDIDATES, seed=1, replicates=40)
+    assert first.where
+    assert first.where[0].sensor == "G1"
+    (bench,) = benches
+    fitted = bench.base.fitted["G1"]
+    quiet = replace(fitted, rms=(fitted.rms[0], fitted.rms[2], fitted.rms[2]))
+    models = {**bench.models(), "G1": Modelled(quiet, (TONE,))}
+    model = again(repaired(bench, models, None, "fixed"))
+    second = diagnose(recordings, runs, model=model, without=CANDIDATES, seed=1, replicates=40)
+    assert second.verdict == "no gap"
+    assert second.model == "fixed"

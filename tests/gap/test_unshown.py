@@ -1,0 +1,158 @@
+"""What campaigns can't show, with candidates made up for it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.candidates.candidate import Candidate, Kind
+from imuarray.gap.diagnosis import Unshown
+from imuarray.gap.probes import PROBES
+from imuarray.gap.statistics import Key
+from imuarray.gap.unshown import Facts, facts_of, unshown, unsure
+from imuarray.log.format import SensorHeader
+from tests.gap.made import campaign_of, header
+
+SENSORS = {
+    "A1": header("A1"),
+    "A2": header("A2"),
+    "G1": header("G1", chip="l3g4200d"),
+    "P": header("P", columns=("pressure",)),
+}
+ONE_FACE = Facts(faces=1, span_degc=1.5, runs=0, has_turned=False, rest_s=3600.0)
+NEVER_TOLD = (
+    "scale",
+    "misalignment",
+    "nonlinearity",
+    "g_sensitivity",
+    "thermal_bias",
+    "thermal_scale",
+    "thermal_lag",
+    "turn_on_bias",
+    "bistable_bias",
+)
+
+
+def candidates(**shown_by: dict[Kind, str]) -> dict[str, Candidate]:
+    return {effect: Candidate(effect, lambda _: (), kinds) for effect, kinds in shown_by.items()}
+
+
+def found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str]) -> dict[str, Unshown]:
+    return {one.effect: one for one in unshown(kinds, facts, candidates(**shown_by), SENSORS)}
+
+
+@given(st.dictionaries(st.sampled_from(("static", "tumble", "heating", "turn-on", "motion")), st.just("this or that")))
+def test_one_face_at_rest_never_tells(shown_by: dict[Kind, str]) -> None:
+    """Whatever the candidates themselves say, or leave unsaid."""
+    told = found(("static",), ONE_FACE, **dict.fromkeys(NEVER_TOLD, shown_by))
+    assert tuple(told) == NEVER_TOLD
+    for effect, one in told.items():
+        assert one.sensors == (("G1",) if effect == "g_sensitivity" else ("A1", "A2", "G1"))
+        assert one.record
+
+
+def test_what_to_record() -> None:
+    told = found(("static",), ONE_FACE, scale={"tumble": "six faces"}, turn_on_bias={}, tone={"static": "a minute"})
+    assert told["scale"].record == "tumble: six faces; motion: turns to and fro about every axis, 1 minute"
+    assert told["turn_on_bias"].record == "turn-on: a dozen short logs, switched off in between"
+    assert "tone" not in told
+
+
+def test_faces_tell_of_accelerometers_turns_of_gyroscopes() -> None:
+    tumble: dict[str, dict[Kind, str]] = {
+        "scale": {"tumble": "six faces", "motion": "turn it"},
+        "g_sensitivity": {"tumble": "six faces"},
+    }
+    faces = Facts(6, 0.0, 0, False, 70.0)
+    assert found(("tumble",), faces, **tumble) == {"scale": Unshown("scale", ("G1",), "motion: turn it")}
+    assert found(("static",), faces, **tumble).keys() == {"scale"}  # logs at rest on six faces are a tumble
+    assert not found(("tumble", "motion"), faces, **tumble)
+    assert not found(("tumble",), Facts(6, 0.0, 0, True, 70.0), **tumble)
+    assert found(("tumble",), Facts(1, 0.0, 0, False, 10.0), **tumble).keys() == {"scale", "g_sensitivity"}
+
+
+def test_thermal_scale_needs_more_than_warmth() -> None:
+    """On one face it looks like a slope of the bias; a gyroscope has to turn."""
+    heat: dict[str, dict[Kind, str]] = {"thermal_scale": {"heating": "warm it"}}
+    (one_face,) = found(("heating",), Facts(1, 30.0, 0, False, 600.0), **heat).values()
+    assert one_face.sensors == ("A1", "A2", "G1")
+    assert one_face.record == (
+        "tumble: all six faces, 1 minute each; motion: turns to and fro about every axis, 1 minute"
+    )
+    (faces,) = found(("heating",), Facts(2, 30.0, 0, False, 600.0), **heat).values()
+    assert faces.sensors == ("G1",)
+    (cold,) = found(("tumble", "motion"), Facts(6, 1.0, 0, True, 600.0), **heat).values()
+    assert cold.record == "heating: warm it"
+
+
+def test_half_hearted_experiments_do_not_count() -> None:
+    one: dict[str, dict[Kind, str]] = {"thermal_lag": {"heating": "heat"}, "turn_on_bias": {"turn-on": "boots"}}
+    assert found(("heating", "turn-on"), Facts(1, 2.0, 3, False, 60.0), **one).keys() == one.keys()
+    assert not found(("heating", "turn-on"), Facts(1, 8.0, 4, False, 60.0), **one)
+    assert "tone" in found(("static",), Facts(1, 0.0, 0, False, 20.0), tone={"static": "a minute"})
+
+
+def test_candidates_alone_say_what_shows_the_others() -> None:
+    told = found(("tumble",), Facts(6, 0.0, 0, False, 600.0), bias_instability={"static": "an hour"}, bias={})
+    assert told == {"bias_instability": Unshown("bias_instability", ("A1", "A2", "G1"), "static: an hour")}
+
+
+def test_positions_concern_accelerometers() -> None:
+    assert found(("static",), ONE_FACE, size_effect={"motion": "swing"})["size_effect"].sensors == ("A1", "A2")
+
+
+@pytest.mark.parametrize(
+    ("kind", "faces", "runs", "has_turned", "rest_s"),
+    [
+        ("static", 1, 0, False, 60.0),
+        ("tumble", 6, 0, False, 70.0),
+        ("turn-on", 1, 8, False, 160.0),
+        ("motion", 1, 0, True, 10.0),
+    ],
+)
+def test_facts(kind: str, faces: int, runs: int, has_turned: bool, rest_s: float) -> None:
+    assert facts_of(campaign_of(kind)) == Facts(faces, 0.0, runs, has_turned, pytest.approx(rest_s))  # type: ignore[arg-type]
+
+
+def test_warmth_is_that_of_one_log() -> None:
+    """The emulated heat pulse of the paper warms by some 30 degC (Figure 9)."""
+    assert 20 < facts_of(campaign_of("heating")).span_degc < 40
+
+
+def key(probe: str, sensor: str = "A1", axis: str = "x") -> Key:
+    return Key(0, sensor, axis, "static", 0, PROBES[probe].domain, probe)
+
+
+def doubts(
+    scales: list[float], keys: list[Key], seconds: float, sensors: dict[str, SensorHeader] = SENSORS
+) -> tuple[Unshown, ...]:
+    """With margins of 1.96."""
+    return unsure(np.array(scales), np.full(len(scales), 1.96), keys, seconds, sensors)
+
+
+def test_wide_intervals_are_grouped_by_domain_and_chip() -> None:
+    """Scales of 2 and 3 need 4 and 9 times as long: 6.5 minutes of one, rounded up."""
+    keys = [key("band_1"), key("band_2", "A2"), key("band_3"), key("band_1", "G1"), key("noise"), key("line")]
+    told = doubts([2.0, 3.0, 0.9, 2.0, 0.99, math.nan], keys, 60.0)
+    assert told == (
+        Unshown("differences of spectrum", ("A1", "A2"), "record 7 minutes"),
+        Unshown("differences of spectrum", ("G1",), "record 4 minutes"),
+    )
+
+
+def test_lengths_are_those_of_each_log() -> None:
+    scales, margins = np.array([2.0, 2.0, 2.0]), np.full(3, 1.96)
+    told = unsure(scales, margins, [key("noise", axis=axis) for axis in "xyz"], np.array([10.0, 60.0, 900.0]), SENSORS)
+    assert [one.record for one in told] == ["record 4 minutes"]
+
+
+def test_where_longer_logs_will_not_do() -> None:
+    assert doubts([100.0], [key("noise")], 60.0)[0].record == "a longer log won't do"
+    assert doubts([100.0], [key("mean")], 60.0)[0].record.startswith("a longer log won't do; tumble: ")
+    assert doubts([2.0], [key("run_spread")], 60.0)[0].record == "turn-on: 4.0 times as many runs"
+    assert doubts([5.0], [key("run_spread")], 60.0)[0].record == "no series is long enough"
+    assert doubts([0.5], [key("mean")], 60.0) == ()
