@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "characterise": "Allan deviation, spectrum, codes and noise table of a log",
         "calibrate": "sensor parameters from logs: tumble, noise, thermal, turn-on",
         "fuse": "one specific force and angular rate from all sensors",
+        "gap": "where recordings and simulations differ, why, and how far it shrinks: diagnose",
         "paper": "the paper's tables and conclusions, recomputed from its published data",
     }
 )

@@ -1,0 +1,190 @@
+"""`imuarray gap`: the sim-to-real gap."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imuarray.commands.options import (
+    find_model,
+    force_option,
+    json_option,
+    print_json,
+    progress,
+    refuse_existing,
+)
+
+if TYPE_CHECKING:
+    from imuarray.gap.bench import Bench
+    from imuarray.gap.diagnosis import Diagnosis
+    from imuarray.gap.workers import Run
+    from imuarray.simulate.model import Model
+
+FILES = ("gap.json", "repaired.toml", "report.html")
+"""What is written into the output's folder."""
+
+
+@click.group("gap")
+def command() -> None:
+    """Where recordings and simulations differ, and why."""
+
+
+@command.command("diagnose")
+@click.argument("logs", nargs=-1, required=True, metavar="REAL.h5...", type=click.Path(path_type=Path))
+@click.option(
+    "--model",
+    "model_name",
+    metavar="MODEL",
+    help="what the simulator has: a model file, or one that comes with the package (default: the data sheets')",
+)
+@click.option("--without", default="", metavar="EFFECT,...", help="take these effects out of the library of causes")
+@click.option("--only", default="", metavar="SENSOR,...", help="diagnose only these sensors")
+@click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="keys every draw")
+@click.option(
+    "--replicates",
+    type=click.IntRange(40, 10_000),
+    default=120,
+    show_default=True,
+    help="simulations by which chance is told from a gap",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 256),
+    default=lambda: os.cpu_count() or 1,
+    show_default="the machine's processors",
+    help="processes; the result is the same",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="write report.html, gap.json and the repaired model, repaired.toml, into DIR",
+)
+@force_option
+@json_option
+def diagnose(
+    logs: tuple[Path, ...],
+    model_name: str | None,
+    without: str,
+    only: str,
+    seed: int,
+    replicates: int,
+    workers: int,
+    output: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Compare recorded logs with what the simulator says such logs should look like, and name the causes.
+
+    Logs of one array, of any experiments: static, tumble, heating, turn-on, motion. Parameters are fitted to one part
+    of them; what is said of causes is judged on the rest. Without --model the simulator has what the data sheets of the
+    chips in the log's configuration say, with noise, bias and temperature slope as fitted.
+    """
+    from imuarray.gap.diagnose import diagnose as diagnosed
+    from imuarray.gap.diagnose import library
+    from imuarray.gap.recordings import recordings_of
+    from imuarray.gap.workers import processes
+    from imuarray.log import open_log
+
+    left_out = _names(without)
+    library(left_out)
+    if output is not None:
+        _prepare(output, force)
+    model = _model(model_name)
+    with ExitStack() as stack:
+        opened = [stack.enter_context(open_log(path)) for path in dict.fromkeys(logs)]
+        recordings = recordings_of(opened, _names(only))
+        executor = stack.enter_context(processes(workers)) if workers > 1 else None
+        stages = _Stages()
+        found = diagnosed(
+            recordings,
+            lambda bench: _called(bench, executor, stages),
+            model=model,
+            without=left_out,
+            seed=seed,
+            replicates=replicates,
+            progress=stages.begin,
+        )
+    if output is not None:
+        _write(output, found)
+    _say(found, as_json)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _model(name: str | None) -> Model | None:
+    from imuarray.simulate import load_model
+
+    return None if name is None else load_model(find_model(Path(name)))
+
+
+class _Stages:
+    """What is going on, for who watches."""
+
+    def __init__(self) -> None:
+        self.name = ""
+
+    def begin(self, name: str) -> None:
+        """The next stage."""
+        self.name = name
+
+    @contextmanager
+    def bar(self, length: int) -> Iterator[Callable[[int], None]]:
+        """Its bar."""
+        with progress(length, f"{self.name:<46.46}") as done:
+            yield done
+
+
+def _called(bench: Bench, executor: Any, stages: _Stages) -> Run:
+    """What calls functions of the bench, side by side, with a bar."""
+    from imuarray.gap.workers import runner
+
+    return runner(bench, executor, stages.bar)
+
+
+def _prepare(folder: Path, force: bool) -> None:
+    """Make the folder, or say at once why it can't be written to."""
+    from imuarray.errors import ImuArrayError
+
+    for name in FILES:
+        refuse_existing(folder / name, force, in_new_folder=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ImuArrayError(f"{error.filename or folder}: {error.strerror or error}") from error
+
+
+def _write(folder: Path, found: Diagnosis) -> None:
+    """The numbers, the repaired model, and the page with as much as the optional packages allow."""
+    import json
+
+    from imuarray.errors import MissingExtraError
+    from imuarray.report.gap_page import write_gap_page
+
+    numbers, model, page = (folder / name for name in FILES)
+    numbers.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if found.repaired is not None:
+        model.write_text(found.repaired.to_toml(), encoding="utf-8")
+    try:
+        write_gap_page(page, found, force=True)
+    except MissingExtraError as error:
+        click.echo(f"{folder}: gap.json and repaired.toml only; the page: {error}", err=True)
+        return
+    click.echo(f"{folder}: report.html, gap.json, repaired.toml written", err=True)
+
+
+def _say(found: Diagnosis, as_json: bool) -> None:
+    from imuarray.gap.text import text_of
+
+    if as_json:
+        print_json(found.as_json())
+    else:
+        click.echo(text_of(found), nl=False)

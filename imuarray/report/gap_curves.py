@@ -1,0 +1,53 @@
+"""The curves of a gap's page: the recording over simulations before and after, the most telling ones first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+
+from imuarray.gap.diagnosis import Overlay
+from imuarray.gap.text import number, share
+from imuarray.report.gap_figures import farthest, outside, overlay_figure
+from imuarray.report.gap_sheet import SmallFigure
+from imuarray.report.gap_tables import overlays_table
+from imuarray.report.page import Figure, Section
+
+MOST_OVERLAYS = 12
+"""Curves that are drawn; the rest are counted."""
+
+_KINDS = MappingProxyType(
+    {
+        "spectrum": "Spectrum: a peak that only the recording has is a line; a bend is a filter.",
+        "allan": "Allan deviation: white noise falls by the root; a floor is flicker; a rise is a walk or a drift.",
+        "temperature": "Temperature: a slope is a thermal bias; a loop or a delayed curve is a lag.",
+        "codes": "Codes: combs and gaps are coarse or missing codes; a pile at an end is saturation.",
+    }
+)
+"""What to look for, by kind of overlay, in the order in which they are drawn."""
+
+
+def curves_section(overlays: Sequence[Overlay], *, drawn: bool) -> Section:
+    """The `MOST_OVERLAYS` that lay farthest outside before, by kind; a table where nothing can be `drawn`."""
+    title = "Curves: real, before and after"
+    if not overlays:
+        return Section(title, "None were kept.")
+    worst = sorted(overlays, key=lambda one: -farthest(one, one.before)[1])
+    chosen = sorted(worst[:MOST_OVERLAYS], key=lambda one: list(_KINDS).index(one.kind))
+    words = " ".join(text for kind, text in _KINDS.items() if any(one.kind == kind for one in chosen))
+    words = f"Black is the recording; bands hold 95 % of simulations, orange before, blue after. {words}"
+    if not drawn:
+        return Section(title, words, [overlays_table(overlays)])
+    if len(overlays) > len(chosen):
+        words += f" The {len(chosen)} that lay farthest outside before, of {len(overlays)}."
+    return Section(title, words, [_overlay(one) for one in chosen])
+
+
+def _overlay(overlay: Overlay) -> Figure:
+    place = f"{overlay.sensor} {overlay.axis}".rstrip() + (f", {overlay.phase}" if overlay.phase else "")
+    before, after = (share(outside(overlay, bands)) for bands in (overlay.before, overlay.after))
+    at, distance = farthest(overlay, overlay.before)
+    name, _, unit = overlay.x_label.partition(" (")
+    most = f", farthest at {name} {number(at)} {unit.removesuffix(')')}".rstrip() if distance else ""
+    caption = f"{place}, {overlay.kind}: {before} of the curve outside the band before{most}; {after} after."
+    alternative = f"{overlay.y_label} over {overlay.x_label}. {caption}"
+    return SmallFigure(overlay_figure(overlay), caption, alternative)

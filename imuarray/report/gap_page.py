@@ -1,0 +1,229 @@
+"""The page of a gap diagnosis: what a person would say, where the gap is, its causes, how far it shrinks, and what is
+still open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+from os import PathLike
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.diagnosis import Diagnosis, Gap, Map, Use, Where
+from imuarray.gap.text import chance, gap_text, number, scored, share
+from imuarray.report import gap_tables as tables
+from imuarray.report.gap_curves import curves_section
+from imuarray.report.gap_figures import can_compare, shrink_figure, use_figure
+from imuarray.report.gap_map import map_figure
+from imuarray.report.gap_sheet import SmallFigure
+from imuarray.report.page import Figure, Section, Table, write_page
+
+NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
+
+_VERDICTS = MappingProxyType(
+    {
+        "no gap": "No gap: the recordings look like what the model makes.",
+        "explained": "Explained: what differs is accounted for by the causes below.",
+        "partly explained": "Partly explained: the causes below account for part of what differs; something is left.",
+        "unexplained": "Unexplained: the recordings differ, and no effect of the library accounts for it.",
+    }
+)
+Floats = npt.NDArray[np.float64]
+Parts = list[Table | Figure]
+
+
+def write_gap_page(path: str | PathLike[str], diagnosis: Diagnosis, *, force: bool = False) -> None:
+    """Write the page; without matplotlib it says so and has tables alone.
+
+    OutputExistsError if it is there and not `force`, MissingExtraError without jinja2.
+    """
+    drawn = find_spec("matplotlib") is not None
+    summary = list(_summary(diagnosis))
+    sections = (
+        _map(diagnosis.map, drawn=drawn),
+        _causes(diagnosis),
+        _shrinks(diagnosis, drawn=drawn),
+        curves_section(diagnosis.overlays, drawn=drawn),
+        _where(diagnosis),
+        _unexplained(diagnosis),
+        _unshown(diagnosis),
+        _next(diagnosis),
+        _judged(diagnosis),
+        _recorded(diagnosis),
+    )
+    title = f"Gap between recording and simulation: {diagnosis.verdict}"
+    write_page(path, title, summary if drawn else [*summary, NO_FIGURES], sections, force=force)
+
+
+def _summary(diagnosis: Diagnosis) -> Iterator[str]:
+    yield tables.strong(diagnosis.sentence)
+    yield f"{_VERDICTS[diagnosis.verdict]} Chance alone gives a difference as large as this with {chance(diagnosis.p)}."
+    gap = gap_text(diagnosis.gap)
+    yield f"What differs, on data kept back: {gap}." if diagnosis.gap.closed is not None else f"Over all: {gap}."
+    if diagnosis.unknown > 0:
+        yield f"Something outside the library of effects is present with a probability of {share(diagnosis.unknown)}."
+
+
+def _map(shown: Map, *, drawn: bool) -> Section:
+    said = [not np.isnan([before, after]).all() for before, after in zip(shown.before.T, shown.after.T, strict=True)]
+    kept = [domain for domain, flag in zip(shown.domains, said, strict=True) if flag]
+    silent = [domain for domain in shown.domains if domain not in kept]
+    if not kept:
+        return Section("Where the gap is", "Nothing can be said of any sensor in any domain.")
+    small = replace(shown, domains=tuple(kept), before=shown.before[:, said], after=shown.after[:, said])
+    words = (
+        "The largest score of each sensor in each domain, in standard deviations of chance. Chance alone reaches "
+        f"{number(shown.limit, 2)} somewhere in one of twenty campaigns; amber cells with bold numbers are beyond it, "
+        "hatched ones have nothing to say."
+    )
+    if silent:
+        words += f" No statistic of: {', '.join(silent)}.".replace("_", " ")
+    return Section("Where the gap is", words, [*(_maps(small) if drawn else []), tables.map_table(small)])
+
+
+def _maps(shown: Map) -> Iterator[Figure]:
+    is_alike = np.array_equal(shown.before, shown.after, equal_nan=True)
+    pairs = ((shown.before, "before"), (shown.after, "after"))
+    for scores, when in pairs[:1] if is_alike else pairs:
+        beyond = int(np.count_nonzero(np.nan_to_num(scores) > shown.limit))
+        said = int(np.count_nonzero(~np.isnan(scores)))
+        start = "No cause was added" if is_alike else f"{when.capitalize()} the causes were added"
+        caption = f"{start}: {beyond} of {said} cells beyond the limit."
+        drawing = map_figure(scores, shown, "" if is_alike else when)
+        yield SmallFigure(drawing, caption, f"{caption} {_largest(scores, shown)}")
+
+
+def _largest(scores: Floats, shown: Map) -> str:
+    """The five largest cells in words."""
+    cells = [
+        (score, f"{sensor} {domain} {scored(score)}")
+        for sensor, row in zip(shown.sensors, scores.tolist(), strict=True)
+        for domain, score in zip(shown.domains, row, strict=True)
+        if score == score
+    ]
+    return f"Largest: {', '.join(text for _, text in sorted(cells, reverse=True)[:5])}."
+
+
+def _causes(diagnosis: Diagnosis) -> Section:
+    if not diagnosis.causes:
+        return Section("Causes", "No cause was found.")
+    words = (
+        "Effects that the simulation needs so that it looks like the recordings, most probable first; several can be "
+        "true at once, each has a probability of its own. Closes: the share of these sensors' gap that goes with it "
+        "alone, on data to which it was not fitted, with 95 % interval. An "
+        "origin that isn't the sensor means that the environment, or what the log says of itself, is to blame."
+    )
+    each = tables.each_table(diagnosis.causes)
+    return Section("Causes", words, [tables.causes_table(diagnosis.causes), *([each] if each else [])])
+
+
+def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
+    gap, uses = diagnosis.gap, diagnosis.uses
+    words = "There is no gap to close."
+    if gap.closed is not None:
+        words = (
+            "Scores of the statistics that differ, on held-out data, to which nothing was fitted; closed is the share "
+            "of the squared excess over the floor that is gone, with 95 % interval."
+        )
+    if uses:
+        words += " Figures in units of use say what the difference means to who works with the sensors."
+    figures = [*_shrink_figures(gap), *_use_figures(uses)] if drawn else []
+    more = [tables.uses_table(uses)] if uses else []
+    return Section("How far it shrinks", words, [*figures, tables.shrink_table(gap), *more])
+
+
+def _shrink_figures(gap: Gap) -> Iterator[Figure]:
+    if gap.closed is None or not np.isfinite([gap.before, gap.after, gap.floor]).all():
+        return
+    caption = "Scores before and after the causes were added; a bar that reaches the dashed floor is closed."
+    yield SmallFigure(shrink_figure(gap), caption, f"Bars by domain. Over all: {gap_text(gap)}.")
+
+
+def _use_figures(uses: Sequence[Use]) -> Iterator[Figure]:
+    comparable = [use for use in uses if can_compare(use)]
+    if not comparable:
+        return
+    caption = "Simulated figures over real ones with 95 % intervals; grey is the recording's own."
+    named = [
+        f"{use.sensor or 'array'} {use.name}: {_ratios(use.real.value, use.before.value, use.after.value)}"
+        for use in comparable
+    ]
+    yield SmallFigure(use_figure(comparable), caption, f"{caption} {'; '.join(named)}.")
+
+
+def _ratios(real: float, before: float, after: float) -> str:
+    return f"{number(before / real, 2)} times before, {number(after / real, 2)} times after"
+
+
+def _where(diagnosis: Diagnosis) -> Section:
+    where = diagnosis.where
+    if not where:
+        return Section("Where it differs", "No statistic differs by more than chance.")
+    counts = [f"{sum(one.size == size for one in where)} {size}" for size in ("material", "harmless", "can't tell")]
+    words = (
+        f"{len(where)} statistics differ by more than chance: {', '.join(counts)}. The score is in standard "
+        "deviations of chance; the size counts margins, the least difference that matters to who uses the sensor: "
+        "material from one on, harmless below, can't tell where the data are too few."
+    )
+    return Section("Where it differs", words, [tables.where_table(where, _counted(where))])
+
+
+def _counted(where: Sequence[Where]) -> str:
+    rest = where[tables.MOST_ROWS :]
+    more = (
+        f" {len(rest)} more are not shown, {sum(one.size == 'material' for one in rest)} of them material."
+        if rest
+        else ""
+    )
+    return f"Worst first.{more}"
+
+
+def _unexplained(diagnosis: Diagnosis) -> Section:
+    left = diagnosis.unexplained
+    words = (
+        "What still differs after the causes were added."
+        if left
+        else "Nothing: no statistic still differs after the causes were added."
+    )
+    if diagnosis.verdict == "no gap":
+        words = "Nothing."
+    words += f" Something outside the library is present with a probability of {share(diagnosis.unknown)}."
+    return Section("What is unexplained", words, [tables.where_table(left, _counted(left))] if left else [])
+
+
+def _unshown(diagnosis: Diagnosis) -> Section:
+    title = "What can't be told"
+    if not diagnosis.unshown:
+        return Section(title, "Nothing that the library holds was out of reach of these recordings.")
+    words = "Effects that may be there all the same: these recordings can't show them, those named on the right would."
+    return Section(title, words, [tables.unshown_table(diagnosis.unshown)])
+
+
+def _next(diagnosis: Diagnosis) -> Section:
+    return Section("Next experiment", diagnosis.next_experiment or "None is needed to tell the causes apart.")
+
+
+def _judged(diagnosis: Diagnosis) -> Section:
+    title, judged = "Candidates that were looked at", diagnosis.judged
+    if not judged:
+        return Section(title, "None: without a gap none are tried.")
+    placebos = sum(one.effect == "" for one in judged)
+    accepted = [one for one in judged if one.is_accepted]
+    words = (
+        f"{len(judged)} candidates, {len(accepted)} of them accepted. {placebos} were placebos, which change nothing "
+        f"that matters: {sum(one.effect == '' for one in accepted)} of them accepted."
+    )
+    if len(judged) > tables.MOST_ROWS:
+        words += f" The best {tables.MOST_ROWS} are shown."
+    return Section(title, words, [tables.judged_table(judged)])
+
+
+def _recorded(diagnosis: Diagnosis) -> Section:
+    parts: Parts = [tables.recorded_table(diagnosis)]
+    if diagnosis.notes:
+        parts.append(tables.notes_table(diagnosis.notes))
+    return Section("Recordings, and how it was done", diagnosis.held_out, [*parts, tables.origin_table(diagnosis)])

@@ -1,0 +1,81 @@
+"""Paper and pens of the gap page's drawings: an empty panel, colours, logarithmic axes with plain numbers, safe names.
+
+Black is the recording, orange the simulation before the causes were added, blue after.
+"""
+
+from __future__ import annotations
+
+from math import log10
+from typing import TYPE_CHECKING, Any
+
+from imuarray.errors import MissingExtraError
+from imuarray.report.page import Figure as PageFigure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+REAL, BEFORE, AFTER = "#1d2327", "#d55e00", "#0072b2"
+"""Colours: near black, then two of Okabe and Ito's."""
+
+NARROW = 5.0
+"""Width in inches of a figure that shares a row of the page."""
+
+
+class SmallFigure(PageFigure):
+    """A figure of which two stand side by side where the screen is wide enough."""
+
+    is_small = True
+
+
+def sheet(width: float, height: float) -> tuple[Figure, Axes]:
+    """An empty figure (inches) that needs no display, and its panel; MissingExtraError without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError("matplotlib", "report") from None
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    panel = figure.subplots()
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.tick_params(labelsize=8.5)
+    panel.set_axisbelow(True)
+    return figure, panel
+
+
+def plain(text: str, longest: int = 24) -> str:
+    """A name as it is: no dollar begins a formula, no control character, not too long."""
+    shown = "".join(sign if sign.isprintable() else "?" for sign in text)
+    shown = shown if len(shown) <= longest else shown[: longest - 1] + "…"
+    return shown.replace("$", r"\$")
+
+
+def make_logarithmic(panel: Axes, which: str) -> None:
+    """A logarithmic axis ("x" or "y") with plain numbers, at 1, 2, 5 where it spans little; call it after drawing.
+    It stays even if nothing positive is shown."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    panel.set(**{f"{which}scale": "log"})
+    axis: Any = panel.xaxis if which == "x" else panel.yaxis
+    low, high = sorted(panel.get_xlim() if which == "x" else panel.get_ylim())
+    if low <= 0:  # nothing was drawn, or one point
+        panel.set(**{f"{which}scale": "linear"})
+        return
+    decades = log10(high / low)
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < 2 else (1, 3) if decades < 3 else (1,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def legend_above(panel: Axes) -> None:
+    """In one row above the panel's right end."""
+    panel.legend(
+        loc="lower right",
+        bbox_to_anchor=(1, 1),
+        frameon=False,
+        fontsize=8.5,
+        ncols=4,
+        borderaxespad=0.2,
+        columnspacing=1.2,
+    )

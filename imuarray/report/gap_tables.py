@@ -1,0 +1,239 @@
+"""Tables of a gap's page: numbers as a person reads them, what matters marked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from imuarray.errors import MissingExtraError
+from imuarray.gap.diagnosis import Cause, Diagnosis, Figure, Gap, Judged, Map, Overlay, Unshown, Use, Where
+from imuarray.gap.text import NOTHING, chance, closed_text, number, parameters_text, places_text, scored, share
+from imuarray.report.gap_figures import outside
+from imuarray.report.gap_words import MEANINGS
+from imuarray.report.page import Table
+
+MOST_ROWS = 40
+"""Rows of the longest tables; the rest are counted."""
+
+PLACEBO = "placebo"
+
+
+def map_table(shown: Map) -> Table:
+    """Before and after in numbers, marked beyond the limit."""
+    rows = [
+        [sensor, *(_pair(*cell, shown.limit) for cell in zip(before, after, strict=True))]
+        for sensor, before, after in zip(shown.sensors, shown.before.tolist(), shown.after.tolist(), strict=True)
+    ]
+    heading = ["sensor", *(domain.replace("_", " ") for domain in shown.domains)]
+    caption = (
+        f"Before → after; marked if beyond the limit of {number(shown.limit, 2)} in the end; – where nothing is said."
+    )
+    return Table(heading, rows, caption)
+
+
+def causes_table(causes: Sequence[Cause]) -> Table:
+    """A row a cause, most probable first as they come."""
+    heading = ["effect", "probability", "where", "parameters", "closes", "may also be", "origin"]
+    rows = [
+        [
+            _explained(cause.effect, f"{cause.action}: {MEANINGS.get(cause.effect, 'not in the library')}"),
+            share(cause.probability),
+            places_text(cause),
+            _parameters(cause),
+            closed_text(cause.closed, cause.closed_ci95),
+            ", ".join(cause.confusable_with) or NOTHING,
+            cause.origin,
+        ]
+        for cause in causes
+    ]
+    return Table(heading, rows, "Most probable first.", (2, 3, 5, 6))
+
+
+def each_table(causes: Sequence[Cause]) -> Table | None:
+    """Parameters sensor by sensor, where they differ; None where none do."""
+    rows = [
+        [sensor, cause.effect, parameters_text(parameters) or NOTHING]
+        for cause in causes
+        if _differs(cause)
+        for sensor, parameters in cause.each.items()
+    ]
+    caption = "Parameters that differ from sensor to sensor."
+    return Table(["sensor", "effect", "parameters"], rows, caption, (1, 2)) if rows else None
+
+
+def shrink_table(gap: Gap) -> Table:
+    """Over all and by domain: before, after and what closed."""
+    rows = [["all", scored(gap.before), scored(gap.after), closed_text(gap.closed, gap.closed_ci95)]]
+    for domain, (before, after, closed) in gap.domains.items():
+        rows.append([domain.replace("_", " "), scored(before), scored(after), share(closed)])
+    caption = f"Rms score; {number(gap.floor)} where nothing is wrong."
+    return Table(["domain", "before", "after", "closed"], rows, caption)
+
+
+def uses_table(uses: Sequence[Use]) -> Table:
+    """Figures in units of use with their intervals; a simulated one is marked if its interval and the recording's are
+    apart.
+    """
+    rows = [
+        [
+            use.name,
+            use.sensor or "array",
+            _interval(use.real),
+            _against(use.before, use.real),
+            _against(use.after, use.real),
+            use.unit,
+        ]
+        for use in uses
+    ]
+    heading = ["figure", "of", "real", "simulated before", "simulated after", "unit"]
+    caption = "With 95 % intervals; marked where the interval does not overlap that of the recording."
+    return Table(heading, rows, caption, (1, 5))
+
+
+def where_table(where: Sequence[Where], caption: str) -> Table:
+    """The first `MOST_ROWS` statistics, worst first as they come."""
+    heading = ["sensor", "domain", "statistic", "recorded in", "real", "simulated", "score", "p", "size"]
+    rows = [
+        [
+            f"{one.sensor} {one.axis}".rstrip(),
+            one.domain.replace("_", " "),
+            f"{one.about} ({one.unit.replace('degC', '°C')})" if one.unit else one.about,
+            ", ".join(part for part in (one.log, one.phase) if part) or "all",
+            number(one.real),
+            number(one.simulated),
+            f"{'-' if one.significance < 0 else '+'}{scored(abs(one.significance))}",
+            chance(one.p).removeprefix("p ").removeprefix("= "),
+            f"{number(one.effect_size, 2)}, {one.size}",
+        ]
+        for one in where[:MOST_ROWS]
+    ]
+    return Table(heading, rows, caption, (1, 2, 3))
+
+
+def unshown_table(unshown: Sequence[Unshown]) -> Table:
+    """What can't be told, of which sensors, and what to record."""
+    rows = [[one.effect, ", ".join(one.sensors) or "all", one.record] for one in unshown]
+    return Table(["what", "sensors", "record"], rows, "What these recordings can't show.", (1, 2))
+
+
+def judged_table(judged: Sequence[Judged]) -> Table:
+    """Candidates, accepted ones first, then by gain; placebos are marked as such."""
+    ranked = sorted(judged, key=lambda one: (not one.is_accepted, -(one.gain if one.gain is not None else -1e300)))
+    rows = [
+        [
+            one.effect or marked(PLACEBO),
+            one.action,
+            ", ".join(one.sensors) or "all",
+            number(one.fits, 2),
+            NOTHING if one.gain is None else f"{one.gain:+.1f}",
+            "yes" if one.is_accepted else "no",
+        ]
+        for one in ranked[:MOST_ROWS]
+    ]
+    caption = (
+        "Fits: how well it accounts for what the training part shows. Gain: how much likelier it makes held-out data."
+    )
+    return Table(["effect", "action", "sensors", "fits", "gain (nats)", "accepted"], rows, caption, (1, 2, 5))
+
+
+def overlays_table(overlays: Sequence[Overlay]) -> Table:
+    """How much of each curve lies outside the simulated bands."""
+    rows = [
+        [
+            f"{one.sensor} {one.axis}".rstrip(),
+            one.kind,
+            one.phase or "all",
+            share(outside(one, one.before)),
+            share(outside(one, one.after)),
+        ]
+        for one in overlays
+    ]
+    caption = "Share of each curve outside the simulations' 95 % band; chance alone leaves about 5 %."
+    return Table(["sensor", "curve", "phase", "before", "after"], rows, caption, (1, 2))
+
+
+def recorded_table(diagnosis: Diagnosis) -> Table:
+    """The logs that were diagnosed."""
+    rows = [
+        [
+            one.name,
+            one.kind,
+            _duration(one.seconds),
+            str(one.sensors),
+            str(one.phases),
+            f"{one.rows:,}".replace(",", " "),
+        ]
+        for one in diagnosis.recorded
+    ]
+    return Table(["log", "experiment", "duration", "sensors", "phases", "rows"], rows, "What was diagnosed.", (1,))
+
+
+def origin_table(diagnosis: Diagnosis) -> Table:
+    """From what this page comes, so that it can be made again."""
+    rows = [
+        ["model", diagnosis.model],
+        ["seed", str(diagnosis.seed)],
+        ["replicates", str(diagnosis.replicates)],
+        ["software", diagnosis.software],
+    ]
+    return Table(["", "value"], rows, "With the same recordings these give the same page.", (1,))
+
+
+def notes_table(notes: Sequence[str]) -> Table:
+    """What was noticed on the way."""
+    return Table(["", "note"], [[str(place), note] for place, note in enumerate(notes, 1)], "Notes.", (1,))
+
+
+def marked(text: str) -> str:
+    """Escaped and marked; MissingExtraError without jinja2's escaping."""
+    return _markup("<mark>{}</mark>", text)
+
+
+def strong(text: str) -> str:
+    """Escaped and emphasised; MissingExtraError without jinja2's escaping."""
+    return _markup("<strong>{}</strong>", text)
+
+
+def _markup(pattern: str, *texts: str) -> str:
+    try:
+        from markupsafe import Markup
+    except ImportError:
+        raise MissingExtraError("jinja2", "report") from None
+    return Markup(pattern).format(*texts)  # noqa: S704, the patterns are those above, and texts are escaped
+
+
+def _pair(before: float, after: float, limit: float) -> str:
+    texts = [scored(before), scored(after)]
+    if texts == [NOTHING, NOTHING]:
+        return NOTHING
+    joined = texts[0] if before == after else " → ".join(texts)
+    return marked(joined) if after > limit else joined
+
+
+def _explained(name: str, more: str) -> str:
+    """Escaped, with words below it; MissingExtraError without jinja2's escaping."""
+    return _markup('{}<br><small style="font-weight: normal">{}</small>', name, more)
+
+
+def _parameters(cause: Cause) -> str:
+    text = parameters_text(cause.parameters) or NOTHING
+    return f"{text} ({next(iter(cause.each))}; others below)" if _differs(cause) else text
+
+
+def _differs(cause: Cause) -> bool:
+    several = list(cause.each.values())
+    return any(one != several[0] for one in several)
+
+
+def _interval(figure: Figure) -> str:
+    return f"{number(figure.value)} ({number(figure.low)} to {number(figure.high)})"
+
+
+def _against(simulated: Figure, real: Figure) -> str:
+    text = _interval(simulated)
+    return marked(text) if simulated.low > real.high or simulated.high < real.low else text
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{number(seconds)} s"
+    return f"{number(seconds / 60)} min" if seconds < 7200 else f"{number(seconds / 3600)} h"

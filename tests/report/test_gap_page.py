@@ -1,0 +1,386 @@
+"""The page of a gap: every cause, the map's numbers, nothing fetched, no name believed; and without matplotlib."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from math import inf, nan
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import FuncNorm
+from matplotlib.patches import Rectangle
+
+from imuarray.errors import OutputExistsError
+from imuarray.gap.diagnosis import Diagnosis, Gap, Map, Overlay
+from imuarray.report import gap_page
+from imuarray.report.gap_curves import MOST_OVERLAYS, curves_section
+from imuarray.report.gap_figures import farthest, outside, overlay_figure, shrink_figure, use_figure
+from imuarray.report.gap_map import map_figure, top_of
+from imuarray.report.gap_page import NO_FIGURES, write_gap_page
+from imuarray.report.gap_tables import MOST_ROWS
+from imuarray.report.gap_words import MEANINGS
+from imuarray.simulate import EFFECTS
+from tests.report.made_diagnosis import (
+    CAUSES,
+    DOMAINS,
+    SENSORS,
+    USES,
+    made,
+    made_unexplained,
+    made_without_gap,
+    overlays,
+    where,
+)
+
+EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png> $\\frac{$ \x1b[2J"
+ORDER = [
+    "Where the gap is",
+    "Causes",
+    "How far it shrinks",
+    "Curves: real, before and after",
+    "Where it differs",
+    "What is unexplained",
+    "What can't be told",
+    "Next experiment",
+    "Candidates that were looked at",
+    "Recordings, and how it was done",
+]
+
+
+class Page(HTMLParser):
+    """Rows of text and images by section, the summary, all text; `open_tags` is empty if all were closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.source = text
+        self.rows: dict[str, list[list[str]]] = {}
+        self.images: dict[str, list[str]] = {}
+        self.words: dict[str, str] = {}
+        self.tags: list[str] = []
+        self.marked: list[str] = []
+        self.open_tags: list[str] = []
+        self._section = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in ("meta", "img", "br"):
+            self.open_tags.append(tag)
+        if tag == "h2":
+            self._section = ""
+        elif tag == "tr":
+            self.rows.setdefault(self._section, []).append([])
+        elif tag in ("th", "td"):
+            self.rows[self._section][-1].append("")
+        elif tag == "img":
+            self.images.setdefault(self._section, []).append(dict(attrs)["alt"] or "")
+        elif tag == "br":
+            self.handle_data("\n")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open_tags.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "h2" in self.open_tags:
+            self._section += data
+        elif {"th", "td"} & set(self.open_tags):
+            self.rows[self._section][-1][-1] += data
+            if "mark" in self.open_tags:
+                self.marked.append(data)
+        elif "style" not in self.open_tags:
+            self.words[self._section] = self.words.get(self._section, "") + data
+
+
+def page_of(diagnosis: Diagnosis, folder: Path) -> Page:
+    path = folder / "report.html"
+    write_gap_page(path, diagnosis, force=True)
+    return Page(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
+    return page_of(made(), tmp_path_factory.mktemp("gap"))
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> Page:
+    return page_of(evil(), tmp_path_factory.mktemp("gap"))
+
+
+@pytest.fixture
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Page:
+    monkeypatch.setattr(gap_page, "find_spec", lambda name: None)
+    return page_of(made(), tmp_path)
+
+
+def evil() -> Diagnosis:
+    """Every text that comes from files or from people is hostile."""
+    diagnosis = made()
+    names = (EVIL, *SENSORS[1:])
+    return replace(
+        diagnosis,
+        sentence=EVIL,
+        where=tuple(replace(one, sensor=EVIL, log=EVIL, phase=EVIL, about=EVIL, unit=EVIL) for one in diagnosis.where),
+        causes=tuple(
+            replace(one, effect=EVIL, sensors=(EVIL,), parameters={EVIL: EVIL}, confusable_with=(EVIL,))
+            for one in diagnosis.causes
+        ),
+        unexplained=(replace(where(1, 5.0), sensor=EVIL),),
+        next_experiment=EVIL,
+        unshown=tuple(replace(one, effect=EVIL, sensors=(EVIL,), record=EVIL) for one in diagnosis.unshown),
+        uses=tuple(replace(one, name=EVIL, sensor=EVIL, unit=EVIL) for one in diagnosis.uses),
+        judged=tuple(replace(one, effect=EVIL, sensors=(EVIL,)) for one in diagnosis.judged),
+        map=replace(diagnosis.map, sensors=names, domains=(EVIL, *DOMAINS[1:])),
+        overlays=tuple(
+            replace(one, sensor=EVIL, axis=EVIL, phase=EVIL, x_label=EVIL, y_label=EVIL) for one in diagnosis.overlays
+        ),
+        recorded=tuple(replace(one, name=EVIL, kind=EVIL) for one in diagnosis.recorded),
+        notes=(EVIL,),
+        held_out=EVIL,
+        model=EVIL,
+        software=EVIL,
+    )
+
+
+def test_all_sections_in_order(page: Page) -> None:
+    assert [heading for heading in page.words if heading in ORDER] == ORDER
+    assert page.open_tags == []
+    assert [tag for tag in page.tags if tag in ("script", "link", "iframe")] == []
+    assert "//" not in re.sub(r"data:image/svg\+xml;base64,[^\"]*", "", page.source)
+
+
+def test_the_sentence_and_the_verdict_come_first(page: Page) -> None:
+    start = page.words[""]
+    assert made().sentence in start
+    assert "Gap between recording and simulation: partly explained" in start
+    assert start.index(made().sentence) < start.index("Partly explained: the causes below") < start.index("p < 0.001")
+    assert "14 standard deviations (rms) before, 2.9 after, 1.0 where nothing is wrong: 86 % (75 to 94) closed" in start
+    assert "probability of 31 %" in start
+
+
+def test_the_map_in_numbers(page: Page) -> None:
+    heading, *rows = page.rows["Where the gap is"]
+    assert heading == ["sensor", *(domain.replace("_", " ") for domain in DOMAINS)]
+    assert [row[0] for row in rows] == list(SENSORS)
+    cells = {(row[0], name): cell for row in rows for name, cell in zip(heading, row, strict=True)}
+    assert cells["Gyro2", "temperature"].startswith("412 → ")
+    assert cells["Gyro3", "allan"] == "13 → 7.1"
+    assert cells["BMA1", "codes"] == "–"
+    assert "13 → 7.1" in page.marked
+    alternatives = page.images["Where the gap is"]
+    assert len(alternatives) == 2
+    assert "Largest: Gyro2 temperature 412, ADXL1 codes 88, ADXL2 codes 61" in alternatives[0]
+    assert "Largest: Gyro3 allan 7.1" in alternatives[1]
+
+
+def test_every_cause_with_what_is_known_of_it(page: Page) -> None:
+    rows = {row[0].partition("\n")[0]: row for row in page.rows["Causes"] if len(row) == 7}
+    assert set(rows) == {"effect", *(cause.effect for cause in CAUSES)}
+    lag = rows["thermal_lag"]
+    assert lag[0].partition("\n")[2] == "add: the element warms up later than the box"
+    assert lag[1:] == ["97 %", "Gyro2", "time constant 12.3 s", "86 % (75 to 94)", "random_walk", "sensor"]
+    assert rows["tone"][1:4] == [">99 %", "Gyro1 (x)", "amplitude 0.25, 0, 0 dps; frequency 13.7 Hz; phase 12°"]
+    assert rows["bias"][2:] == ["BMA1, BMA2 (z)", "offset 0, 0, 12.3 mg (BMA1; others below)", "–", "–", "metadata"]
+    each = [row for row in page.rows["Causes"] if len(row) == 3]
+    assert each[1:] == [["BMA1", "bias", "offset 0, 0, 12.3 mg"], ["BMA2", "bias", "offset 0, 0, -45.6 mg"]]
+
+
+def test_how_far_it_shrinks(page: Page) -> None:
+    rows = page.rows["How far it shrinks"]
+    assert ["all", "14", "2.9", "86 % (75 to 94)"] in rows
+    assert ["allan", "5.1", "3.8", "40 %"] in rows
+    assert ["level", "1.1", "1.0", "–"] in rows
+    heat = next(row for row in rows if row[0] == "drift over the heat pulse")
+    assert heat[1:] == ["Gyro2", "0.42 (0.4 to 0.44)", "0.05 (0.03 to 0.07)", "0.4 (0.37 to 0.45)", "dps"]
+    assert "0.05 (0.03 to 0.07)" in page.marked and "0.4 (0.37 to 0.45)" not in page.marked
+    assert (
+        "Gyro2 drift over the heat pulse: 0.12 times before, 0.95 times after" in page.images["How far it shrinks"][1]
+    )
+
+
+def test_the_long_table_is_cut_and_the_rest_counted(page: Page) -> None:
+    rows = page.rows["Where it differs"]
+    assert len(rows) == 1 + MOST_ROWS
+    assert rows[1][:4] == ["Gyro2 x", "temperature", "coefficient of dT/dt (dps s/°C)", "heating.h5, face_0"]
+    assert rows[1][4:] == ["50.9", "0", "+412", "0.002", "103, material"]
+    assert "15 more are not shown, 8 of them material" in page.words["Where it differs"]
+    assert len(page.rows["What is unexplained"]) == 1 + 2
+
+
+def test_what_is_open_and_where_it_is_from(page: Page) -> None:
+    assert ["bistable_bias", "all", "at least eight boots"] in page.rows["What can't be told"]
+    assert made().next_experiment in page.words["Next experiment"]
+    judged = page.rows["Candidates that were looked at"]
+    assert judged[1] == ["tone", "add", "Gyro1", "0.94", "+120.0", "yes"]
+    assert ["placebo", "add", "Gyro2", "0.02", "-0.3", "no"] in judged
+    last = page.rows["Recordings, and how it was done"]
+    assert ["heating.h5", "heating", "30 min", "7", "1", "1 234 567"] in last
+    assert ["seed", "7"] in last and ["model", "datasheet"] in last and ["1", made().notes[0]] in last
+    assert made().held_out in page.words["Recordings, and how it was done"]
+
+
+def test_curves_say_what_to_see(page: Page) -> None:
+    alternatives = page.images["Curves: real, before and after"]
+    assert len(alternatives) == 4
+    assert "farthest at frequency 13.8 Hz" in alternatives[0]  # 13.75 Hz is the sample next to the line at 13.7
+    assert all("% after" in text for text in alternatives)
+
+
+def test_names_are_escaped(hostile: Page) -> None:
+    assert "<script" not in hostile.source
+    assert hostile.open_tags == []
+    assert hostile.tags.count("img") == 8
+    assert "evil.example" in hostile.words[""]
+    for section in ORDER:
+        cells = [cell for row in hostile.rows.get(section, []) for cell in row]
+        assert "alert('x')" in "".join([hostile.words[section], *cells]), section
+
+
+def test_without_matplotlib_there_are_tables_alone(bare: Page) -> None:
+    assert bare.images == {}
+    assert NO_FIGURES in bare.words[""]
+    assert bare.rows["Curves: real, before and after"][1:][0][:3] == ["Gyro1 x", "spectrum", "z_up"]
+    assert len(bare.rows["Where the gap is"]) == 1 + len(SENSORS)
+
+
+def test_without_a_gap(tmp_path: Path) -> None:
+    page = page_of(made_without_gap(), tmp_path)
+    assert "No gap: the recordings look like what the model makes." in page.words[""]
+    assert "nothing to close" in page.words[""]
+    assert "No cause was found." in page.words["Causes"]
+    assert "No statistic differs by more than chance." in page.words["Where it differs"]
+    (alternative,) = page.images["Where the gap is"]
+    assert "No cause was added: 0 of 63 cells beyond the limit." in alternative
+    assert list(page.images) == ["Where the gap is"]
+    assert page.rows["Where the gap is"][1] == ["BMA1", *["1.3"] * 9]
+    assert [heading for heading in page.words if heading in ORDER] == ORDER
+
+
+def test_unexplained(tmp_path: Path) -> None:
+    page = page_of(made_unexplained(), tmp_path)
+    assert "no effect of the library accounts for it" in page.words[""]
+    assert "probability of 93 %" in page.words[""]
+    assert ["all", "5.1", "4.9", "5 % (-6 to 14)"] in page.rows["How far it shrinks"]
+    assert page.rows["What is unexplained"][1][0] == "ADXL1 z"
+
+
+def test_nothing_at_all_is_said_too(tmp_path: Path) -> None:
+    none = np.full((2, 1), nan)
+    silent = replace(made_without_gap(), map=Map(("a", "b"), ("level",), none, none, 4.0), unshown=(), recorded=())
+    page = page_of(silent, tmp_path)
+    assert page.images == {}
+    assert "Nothing can be said of any sensor" in page.words["Where the gap is"]
+
+
+def test_many_curves_are_counted(tmp_path: Path) -> None:
+    page = page_of(replace(made(), overlays=overlays()[3:] * 16), tmp_path)
+    assert len(page.images["Curves: real, before and after"]) == MOST_OVERLAYS
+    assert "The 12 that lay farthest outside before, of 16." in page.words["Curves: real, before and after"]
+
+
+def test_a_page_is_not_overwritten_unless_told(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("mine")
+    with pytest.raises(OutputExistsError):
+        write_gap_page(path, made_without_gap())
+    assert path.read_text() == "mine"
+
+
+@pytest.mark.parametrize("diagnosis", [made(), made_without_gap(), made_unexplained(), evil()])
+def test_as_json_is_strict_json(diagnosis: Diagnosis) -> None:
+    read = json.loads(json.dumps(diagnosis.as_json(), allow_nan=False))
+    assert read["verdict"] == diagnosis.verdict and read["gap"]["closed"] == diagnosis.gap.closed
+    assert [cause["effect"] for cause in read["causes"]] == [cause.effect for cause in diagnosis.causes]
+    shown = diagnosis.map.before.tolist()
+    assert read["map"]["before"] == [[None if cell != cell else cell for cell in row] for row in shown]
+    assert read["where"] == [json.loads(json.dumps(vars(one))) for one in diagnosis.where]
+
+
+def test_every_effect_has_a_meaning() -> None:
+    assert set(MEANINGS) == set(EFFECTS)
+    assert MEANINGS["thermal_lag"] == "the element warms up later than the box"
+
+
+def test_both_maps_have_one_scale_that_breaks_at_the_limit() -> None:
+    shown = made().map
+    images = [map_figure(scores, shown, "").axes[0].collections[0] for scores in (shown.before, shown.after)]
+    before, after = (image.norm for image in images)
+    places = np.array([0.0, 2.1, 4.2, 42.0, 412.3])
+    halves = np.asarray(before(places), float)
+    np.testing.assert_allclose(np.asarray(after(places), float), halves)
+    np.testing.assert_allclose(halves[[0, 1, 2, 4]], [0, 0.25, 0.5, 1], atol=1e-9)
+    assert halves[3] == pytest.approx(0.5 + 0.5 * np.log(10) / np.log(412.3 / 4.2))
+    assert isinstance(before, FuncNorm)
+    np.testing.assert_allclose(np.asarray(before.inverse(halves), float), places, atol=1e-9)
+
+
+def test_a_map_draws_what_is_not_finite() -> None:
+    shown = Map(("a",), ("x", "y", "z"), np.array([[inf, nan, 0.0]]), np.array([[1.0, nan, 0.0]]), 4.0)
+    assert top_of(shown) == 40
+    panel = map_figure(shown.before, shown, "before").axes[0]
+    assert [text.get_text() for text in panel.texts] == ["∞", "0.0"]
+    assert [patch.get_hatch() for patch in panel.patches] == ["////"]
+
+
+def test_axes_are_logarithmic_where_that_is_usual() -> None:
+    panels = [overlay_figure(one).axes[0] for one in overlays()]
+    assert [(panel.get_xscale(), panel.get_yscale()) for panel in panels] == [
+        ("log", "log"),
+        ("log", "log"),
+        ("linear", "linear"),
+        ("linear", "linear"),
+    ]
+    assert panels[0].get_xlabel() == "frequency (Hz)" and panels[0].get_ylabel() == "density (dps/√Hz)"
+
+
+@pytest.mark.parametrize("diagnosis", [made(), made_unexplained()])
+def test_bars_begin_at_the_floor_which_is_in_view(diagnosis: Diagnosis) -> None:
+    panel = shrink_figure(diagnosis.gap).axes[0]
+    low, high = panel.get_xlim()
+    assert panel.get_xscale() == "log"
+    bars = [patch.get_bbox() for patch in panel.patches if isinstance(patch, Rectangle)]
+    assert {bar.x0 for bar in bars} == {1.02}
+    assert low < 1.02 < max(bar.x1 for bar in bars) < high
+    assert diagnosis.gap.before in {round(bar.x1, 9) for bar in bars}
+
+
+def test_a_gap_below_all_logarithms_is_drawn_on_an_even_scale() -> None:
+    assert shrink_figure(Gap(3.0, 0.0, 0.0, 1.0, None, {})).axes[0].get_xscale() == "linear"
+
+
+@pytest.mark.parametrize("overlay", overlays())
+@pytest.mark.parametrize("points", [0, 1])
+def test_curves_of_which_hardly_anything_is_known(overlay: Overlay, points: int, tmp_path: Path) -> None:
+    short = replace(
+        overlay,
+        x=overlay.x[:points],
+        real=np.zeros(points),
+        before=np.full((3, points), nan),
+        after=np.zeros((3, points)),
+    )
+    assert len(curves_section((short,), drawn=True).parts) == 1
+    figure = overlay_figure(short)
+    figure.savefig(tmp_path / "curve.svg")
+
+
+def test_figures_of_use_stand_over_the_recorded_ones() -> None:
+    lines = use_figure(USES).axes[0].get_lines()
+    drawn = {round(float(x), 4) for line in lines for x in np.atleast_1d(line.get_xdata())}
+    assert {round(0.9 / 1.6, 4), round(1.5 / 1.6, 4), round(0.05 / 0.42, 4), 1.0} <= drawn
+
+
+def test_how_much_is_outside_and_where() -> None:
+    """A band of 1 ± 0.1: two of four points are outside, the last by (2 - 1.1) / 0.1 = 9 half widths."""
+    band = np.array([[1.0], [0.9], [1.1]]) * np.ones(4)
+    curve = replace(overlays()[0], x=np.arange(4.0), real=np.array([1.0, 0.5, 1.05, 2.0]), before=band)
+    assert outside(curve, band) == 0.5
+    at, distance = farthest(curve, band)
+    assert at == 3.0 and distance == pytest.approx(9.0)
+    inside = replace(curve, real=np.array([1.0, nan, 1.0, 1.0]))
+    assert outside(inside, band) == 0.0
+    assert farthest(inside, band)[1] == 0.0
+    assert np.isnan(outside(replace(curve, real=np.full(4, nan)), band))
