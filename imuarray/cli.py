@@ -17,7 +17,7 @@ from imuarray.errors import ImuArrayError
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
-        "demo": "record the emulated array, calibrate, fuse, write report.html",
+        "demo": "record the emulated array, calibrate, fuse, diagnose, write report.html",
         "detect": "what answers on the bus, and is it what the configuration says",
         "log": "record an array into a log",
         "info": "what a log holds",

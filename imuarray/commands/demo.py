@@ -29,7 +29,7 @@ from imuarray.commands.options import find_config, force_option, json_option, pr
 @force_option
 @json_option
 def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool) -> None:
-    """Record the emulated paper array, calibrate it, fuse it, and write report.html.
+    """Record the emulated paper array, calibrate it, fuse it, diagnose it, and write report.html.
 
     No hardware is needed: the chips are emulated to the register, and the drivers do not know.
     """
@@ -46,7 +46,9 @@ def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool)
     if as_json:
         print_json(result)
         return
-    click.echo("The paper's array, emulated to the register: recorded, calibrated, fused.")
+    click.echo("The paper's array, emulated to the register: recorded, calibrated, fused, diagnosed.")
     for line in result["summary"]:
         click.echo(f"  {line}")
-    click.echo(f"Open {result['report']}; the logs, the calibration and the fused results lie beside it.")
+    click.echo(f"  {result['gap']['sentence']}")
+    pages = f"{result['report']} and {result['gap']['page']}"
+    click.echo(f"Open {pages}; the logs, the calibration and the fused results lie beside them.")

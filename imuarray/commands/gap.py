@@ -48,7 +48,7 @@ def command() -> None:
 @click.option(
     "--replicates",
     type=click.IntRange(40, 10_000),
-    default=120,
+    default=100,
     show_default=True,
     help="simulations by which chance is told from a gap",
 )

@@ -13,6 +13,8 @@ from imuarray.characterise.plots import allan_figure
 from imuarray.demo.comparison import BMA180S, Rows
 from imuarray.errors import LogError
 from imuarray.fuse import errors_of, fuse
+from imuarray.gap.diagnosis import Diagnosis
+from imuarray.gap.text import parameters_text, places_text
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from imuarray.report import Figure, Section, Table
@@ -20,6 +22,21 @@ from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
 from imuarray.units import INERTIAL, READABLE, READABLE_SI, STANDARD_GRAVITY
 
 _AXIS_WORDS = {axis: f" along {axis}" for axis in "XYZ"}
+
+
+def gap_section(diagnosis: Diagnosis) -> Section:
+    """What a simulator of the data sheets lacks."""
+    rows = [
+        [cause.effect, places_text(cause), parameters_text(cause.parameters), f"{cause.probability:.2f}"]
+        for cause in diagnosis.causes
+    ]
+    table = Table(
+        ["effect", "where", "parameters", "probability"],
+        rows or [["none", "", "", ""]],
+        "Effects that the data sheets' model lacks; gap.html beside this page has maps, curves and the rest.",
+        (0, 1, 2),
+    )
+    return Section("How far a simulator of the data sheets is from the run at rest", diagnosis.sentence, [table])
 
 
 def recorded_section(logs: Mapping[str, Path]) -> Section:

@@ -60,7 +60,9 @@ class Fitted:
         gain = np.clip(np.divide(mean, own, out=np.ones(3), where=own > 0), 1 / _LARGEST, _LARGEST)
         added = own + np.square(wanted.rms) - mean
         ratio = np.divide(np.square(wanted.rms), mean, out=np.ones(3), where=mean > 0)
-        squares = np.where(added > _ADDED * own, added, own * np.clip(ratio, 1 / _LARGEST, _LARGEST))
+        is_added = added > _ADDED * own
+        squares = np.where(is_added, added, own * np.clip(ratio, 1 / _LARGEST, _LARGEST))
+        gain = np.where(is_added, 1.0, gain)
         offset = np.subtract(wanted.offset, np.mean([one.offset for one in came], axis=0)) / np.sqrt(gain)
         slope = np.subtract(wanted.slope, np.mean([one.slope for one in came], axis=0)) / np.sqrt(gain)
         return Fitted(

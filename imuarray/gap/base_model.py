@@ -68,7 +68,7 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     what the nominal axes feel, faces weighted alike (opposite ones cancel an error of scale); slope that of the means
     over temperature, each log and face about its own mean. Where nobody noted how the box lay, what is felt is the
     array's own estimate (`imuarray.gap.attitude`). A `model` gives the other effects; what these add to noise or level
-    is in the fitted figures as well (`imuarray.gap.null.settled` takes it out).
+    is in the fitted figures as well (`imuarray.gap.compare.settled` takes it out).
     """
     headers, forces = headers_in(campaign), estimated_forces(campaign, motions)
     fitted = {

@@ -16,13 +16,13 @@ import numpy.typing as npt
 
 from imuarray.gap.base_model import Base, Fitted, fit, replicate_seed, residual
 from imuarray.gap.campaign import Campaign, Layout, is_at_rest, summarise_log
-from imuarray.gap.null import Experiment, residual_statistics
+from imuarray.gap.pairs import Pairs, pairs_of
 from imuarray.gap.probes import PROBES, CrossProbe, Probe
 from imuarray.gap.probes.probe import ArrayProbe
-from imuarray.gap.recordings import temperature_of
+from imuarray.gap.recordings import Experiment, temperature_of
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.split import Split
-from imuarray.gap.statistics import Key, Statistics
+from imuarray.gap.statistics import Key, Statistics, residual_statistics
 from imuarray.gap.use import Uses, uses_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.motion.felt import Motion
@@ -64,9 +64,7 @@ class Values:
 class Bench:
     """A campaign as it was recorded: how its logs were looked at (`kinds`, `layouts` of every phase of the split), what
     happened in them, how they are split, the base model, and the keys of its statistics: those of the training part,
-    `of_train` of them, then those of the held-out part. `company`: sensors that are always simulated too, since by
-    them it is told how the box lay.
-    """
+    `of_train` of them, then those of the held-out part."""
 
     kinds: tuple[str, ...]
     split: Split
@@ -76,7 +74,6 @@ class Bench:
     keys: tuple[Key, ...]
     of_train: int
     resolutions: Floats = field(repr=False)
-    company: tuple[str, ...] = ()
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -92,6 +89,28 @@ class Bench:
         """The places of these sensors' keys; `cross`: with what they have in common with others at rest."""
         places = self._places(frozenset(sensors))
         return places if cross else places[~self._is_cross[places]]
+
+    def own(self, unit: Collection[str]) -> npt.NDArray[np.intp]:
+        """The places of what a unit shows: of one sensor without what it shares with others, of several with it."""
+        return self.columns(unit, cross=len(unit) > 1)
+
+    def pairs(self, places: npt.NDArray[np.intp] | None = None) -> Pairs:
+        """All statistics, or those at some places, of both parts in pairs."""
+        chosen = np.arange(len(self.keys)) if places is None else places
+        keys = [self.keys[at] for at in chosen.tolist()]
+        return pairs_of(keys, self.held_out[chosen].tolist(), [self._log_numbers[at] for at in chosen.tolist()])
+
+    @cached_property
+    def _log_numbers(self) -> list[int]:
+        """Of each key: the first log of a kind of the one part belongs to the first of the other."""
+        numbers: dict[tuple[str, int], int] = {}
+        parts: list[list[int]] = []
+        for held_out in (False, True):
+            kinds = [kind for kind, own in zip(self.kinds, self.split.phases(held_out), strict=True) if own]
+            places = [(kind, kinds[:at].count(kind)) for at, kind in enumerate(kinds)]
+            parts.append([numbers.setdefault(place, len(numbers)) for place in places])
+        sides = zip(self.keys, self.held_out.tolist(), strict=True)
+        return [key.log if key.log < 0 else parts[out][key.log] for key, out in sides]
 
     def models(self) -> dict[str, Modelled]:
         """Every sensor as the base model has it."""
@@ -109,7 +128,7 @@ class Bench:
         logs = []
         for at, (experiment, kind) in enumerate(zip(self.experiments, self.kinds, strict=True)):
             simulation = Simulation(experiment.plan, experiment.motion, effects, seed=seed, boot=at)
-            wanted = {*models, *self.company, *(effects if self._moves[at] else ())}
+            wanted = {*models, *(effects if self._moves[at] else ())}
             sources = {name: source for name, source in simulated_sources(simulation).items() if name in wanted}
             layouts = self._layouts(at, held_out)
             logs.append(summarise_log(kind, sources, phases[at], temperature_of(experiment.motion), layouts))
@@ -130,16 +149,24 @@ class Bench:
 
     def measured(self, campaign: Campaign, sensors: Collection[str], *, held_out: bool = True) -> Values:
         """Statistics of a campaign of these sensors that was looked at as the recorded one, nan where it has none."""
-        train = self.split.train(campaign)
-        motions = [self.motions[at] for at in train.logs]
+        train, told = self.split.train(campaign), self._told(campaign)
+        motions = [told[at] for at in train.logs]
         base = fit(train.campaign, motions)
         values = np.full(len(self.keys), np.nan)
         self._put(values, residual_statistics(train.campaign, motions, base), 0)
         if held_out:
             other = self.split.held_out(campaign)
-            motions = [self.motions[at] for at in other.logs]
+            motions = [told[at] for at in other.logs]
             self._put(values, residual_statistics(other.campaign, motions, base), 1)
         return Values(values[self._places(frozenset(sensors))], base.fitted)
+
+    def _told(self, campaign: Campaign) -> tuple[Motion, ...]:
+        """What the box did, as the sensors of a campaign can tell: attitudes that its accelerometers are to tell
+        together are taken as known where some of these are missing.
+        """
+        there = {name for log in campaign.logs for phase in log.phases for name in phase.sensors}
+        needed = {name for name, header in self.base.headers.items() if header.quantity == "specific_force"}
+        return self.motions if needed <= there else tuple(map(_known, self.motions))
 
     def _effects(self, models: Models, number: int) -> dict[str, tuple[Effect, ...]]:
         """Of every sensor, those of the base model where nothing else is said."""
@@ -198,6 +225,13 @@ class Bench:
         return np.sort(np.concatenate([np.zeros(0, np.intp), *(self._of_sensor[name] for name in sorted(sensors))]))
 
 
+def _known(motion: Motion) -> Motion:
+    """The motion with estimated attitudes taken as known."""
+    if not isinstance(motion, Posed):
+        return motion
+    return Posed(tuple(attitude._replace(estimated=False) for attitude in motion.attitudes), motion.surroundings)
+
+
 def _is_shared(probe: Probe) -> bool:
     return isinstance(probe, ArrayProbe) or (isinstance(probe, CrossProbe) and not probe.in_motion)
 
@@ -218,11 +252,4 @@ def bench_of(campaign: Campaign, split: Split, experiments: Sequence[Experiment]
         (*first.keys, *second.keys),
         len(first.keys),
         np.concatenate([first.resolutions, second.resolutions]),
-        _company(experiments, base),
     )
-
-
-def _company(experiments: Sequence[Experiment], base: Base) -> tuple[str, ...]:
-    """All accelerometers, where attitudes are estimated by them."""
-    estimated = any(isinstance(experiment.motion, Posed) for experiment in experiments)
-    return tuple(name for name, item in base.headers.items() if estimated and item.quantity == "specific_force")

@@ -13,7 +13,6 @@ from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.closure import Deviating, deviating
 from imuarray.gap.diagnosis import Cause, Judged, Origin
-from imuarray.gap.pairs import pairs_of
 from imuarray.gap.search import Confirmed, Round
 from imuarray.gap.standing import AXES, Standing, Unit
 from imuarray.log.format import SensorHeader
@@ -29,10 +28,10 @@ ALTERNATIVE = 0.1
 CONFUSABLE = 0.05
 """Odds, against the cause that was taken, from which on an effect is confusable with it: 1 to 20."""
 
-_SAME = 1.25
-"""Parameters of two sensors within that factor, or three standard errors, are the same."""
+_SAME, _SAME_FREQUENCY = 1.25, 1.01
+"""Parameters of two sensors within that factor are the same; lines are told apart more finely."""
 
-_METADATA = frozenset({"axis_error", "channel_swap", "clock_error", "face_error"})
+_METADATA = frozenset({"axis_error", "channel_swap", "clock_error"})
 """Causes that lie in what is said of a log, or of the array, and not in a sensor."""
 
 
@@ -71,7 +70,7 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
         by_name: dict[str, tuple[float, Confirmed]] = {}
         for chance, trial in zip(probabilities(one), one.confirmed, strict=True):
             before = by_name.get(trial.trial.name, (0.0, trial))
-            by_name[trial.trial.name] = (before[0] + chance, before[1])
+            by_name[trial.trial.name] = (before[0] + chance, trial if trial is one.taken else before[1])
         own = by_name[one.taken.trial.name][0]
         likely = {name for name, (chance, _) in by_name.items() if chance > CONFUSABLE * own}
         for name, (chance, trial) in by_name.items():
@@ -124,10 +123,7 @@ def _cause(
 
 def _deviating(bench: Bench, first: Standing, then: Standing) -> Deviating:
     """What deviated of a unit at first, with its scores then."""
-    columns = bench.columns(first.unit, cross=len(first.unit) > 1)
-    keys = [bench.keys[at] for at in columns]
-    pairs = pairs_of(keys, int(np.count_nonzero(~bench.held_out[columns])))
-    return deviating(pairs, first.scores, then.scores, np.ones(len(pairs.keys), bool))
+    return deviating(bench.pairs(bench.own(first.unit)), first.scores, then.scores, first.likeness.is_silent)
 
 
 def _axes(effect: Effect | None) -> tuple[str, ...]:
@@ -168,7 +164,12 @@ def _merged(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:
 def _is_same(headers: Mapping[str, SensorHeader], one: Cause, other: Cause) -> bool:
     chips = {headers[name].chip for name in (*one.sensors, *other.sensors)}
     alike = (one.effect, one.action, one.axes) == (other.effect, other.action, other.axes)
-    return alike and len(chips) == 1 and one.sensors != other.sensors and _agree(one.parameters, other.parameters)
+    return (
+        alike
+        and len(chips) == 1
+        and not set(one.sensors) & set(other.sensors)
+        and _agree(one.parameters, other.parameters)
+    )
 
 
 def _agree(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -182,7 +183,8 @@ def _agree(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
             continue
         first, second = np.broadcast_arrays(first.astype(float), second.astype(float))
         largest = np.fmax(np.abs(first), np.abs(second))
-        if (np.abs(first - second) > (_SAME - 1) * largest).any():
+        factor = _SAME_FREQUENCY if "frequency" in key else _SAME
+        if (np.abs(first - second) > (factor - 1) * largest).any():
             return False
     return True
 

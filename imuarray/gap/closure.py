@@ -22,8 +22,8 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 LARGEST = 100.0
-DEVIATES = 3.5
-"""Score on the training part from which on a statistic counts."""
+DEVIATES, BY_ITSELF = 3.5, 5.0
+"""Score on the training part from which on a statistic counts; on the held-out part, if the other can't tell."""
 
 _DRAWS = 400
 _FAR = 10.0
@@ -81,16 +81,18 @@ class Deviating:
         return low, high
 
 
-def deviating(pairs: Pairs, before: Floats, after: Floats, usable: Bools) -> Deviating:
-    """What deviates on the training part, from scores (n,) of all statistics; `usable` (m,): pairs that may count.
+def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Bools) -> Deviating:
+    """What deviates on the training part, from scores (n,) of all statistics.
 
-    A statistic that only the held-out part has, or that the fit makes zero on the training part, is chosen by itself:
-    levels of another run, what begins in the second half.
+    A statistic that only the held-out part has, or that the fit makes zero on the training part (`silent` (n,)), is
+    chosen by itself, and has to be farther off: levels of another run.
     """
     train, held_out = (np.where(places >= 0, before[places], np.nan) for places in (pairs.train, pairs.held_out))
-    chosen = usable & np.isfinite(held_out) & (np.abs(np.nan_to_num(train)) > DEVIATES)
+    alone = ~np.isfinite(train) | ((pairs.train >= 0) & silent[pairs.train])
+    size = np.where(alone, np.abs(np.nan_to_num(held_out)) - (BY_ITSELF - DEVIATES), np.abs(np.nan_to_num(train)))
+    chosen = np.isfinite(held_out) & (size > DEVIATES)
     if not chosen.any():
-        chosen = usable & np.isfinite(held_out) & (np.abs(np.nan_to_num(held_out)) > DEVIATES)
+        chosen = np.isfinite(held_out) & (np.abs(np.nan_to_num(held_out)) > DEVIATES)
     places = pairs.held_out[chosen]
     keys = tuple(key for key, taken in zip(pairs.keys, chosen, strict=True) if taken)
     return Deviating(keys, _weights(keys), np.nan_to_num(before[places]), np.nan_to_num(after[places], nan=0.0))

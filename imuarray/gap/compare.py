@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.base_model import fit
+from imuarray.gap.base_model import fit, headers_in
 from imuarray.gap.bench import Bench, Models, Values, bench_of
 from imuarray.gap.campaign import Campaign, summarise_log
 from imuarray.gap.judgement import Judged, judged
 from imuarray.gap.likeness import likeness_of
-from imuarray.gap.pairs import Pairs, pairs_of, spread_of
+from imuarray.gap.pairs import Pairs, spread_of
 from imuarray.gap.recordings import Recording, sources_of, temperature_of
 from imuarray.gap.significance import Located, located
-from imuarray.gap.split import split_of
+from imuarray.gap.split import Split, split_of
 from imuarray.gap.workers import Run
 from imuarray.simulate.model import Model
 
@@ -49,12 +49,25 @@ def prepared(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     logs = []
     for one, phases in zip(recordings, split.phases(), strict=True):
         logs.append(summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion)))
-    campaign = Campaign(tuple(logs))
+    campaign = _of_both_parts(Campaign(tuple(logs)), split)
     train = split.train(campaign)
     motions = [recordings[at].experiment.motion for at in train.logs]
     base = fit(train.campaign, motions, model=model, seed=seed)
     bench = bench_of(campaign, split, [one.experiment for one in recordings], base)
     return (bench if model is None else settled(bench)), campaign
+
+
+def _of_both_parts(campaign: Campaign, split: Split) -> Campaign:
+    """Without sensors that only the held-out part has: nothing could be fitted to them."""
+    fitted = set(headers_in(split.train(campaign).campaign))
+    logs = []
+    for log in campaign.logs:
+        phases = [
+            replace(part, sensors={name: one for name, one in part.sensors.items() if name in fitted})
+            for part in log.phases
+        ]
+        logs.append(replace(log, phases=tuple(phases)))
+    return Campaign(tuple(logs))
 
 
 def settled(bench: Bench, replicates: int = 8) -> Bench:
@@ -76,7 +89,7 @@ def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: i
     came = tuple(run(replicate, [(bench.models(), number) for number in range(replicates)]))
     chance = np.array([one.values for one in came])
     first, second = likeness_of(chance[1::2], bench.resolutions), chance[::2]
-    pairs = pairs_of(bench.keys, bench.of_train)
+    pairs = bench.pairs()
     norm = spread_of(pairs.sums(first.scores(chance[1::2])))
     scores = pairs.sums(first.scores(real.values)) / norm
     by_chance = pairs.sums(first.scores(second)) / norm

@@ -34,7 +34,7 @@ from imuarray.simulate.model import Model
 
 Floats = npt.NDArray[np.float64]
 
-REPLICATES = 120
+REPLICATES = 100
 """Of the base model; a half says how statistics scatter, the other how far chance goes."""
 
 REPAIRED = 32
@@ -119,7 +119,7 @@ def _said(case: _Case, searched: Searched, run: Run) -> Diagnosis:
     gap = _gap(case, after)
     unexplained = where_of(bench, found.campaign, pairs, after, _left(after), names, {}) if is_gap else ()
     verdict = verdict_of(is_gap, gap, after, causes)
-    untold = _untold(found, case.candidates, is_gap)
+    untold = _untold(found, case.candidates, is_gap, {cause.effect for cause in causes})
     told = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
     model = case.model.name if case.model else "data sheets"
     return Diagnosis(
@@ -157,7 +157,7 @@ def _repaired(searched: Searched, run: Run) -> list[Any]:
 def _gap(case: _Case, after: Judged) -> Gap:
     """How far it is closed, on the held-out part."""
     pairs, before = case.found.pairs, case.noted.judged
-    counted = deviating(pairs, before.parts, after.parts, np.ones(len(pairs.keys), bool))
+    counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
     gap = gap_of(counted, floor_of(pairs, counted, before, case.noted.chance), case.seed)
     return gap if case.noted.located.is_gap else replace(gap, after=gap.before, closed=None, closed_ci95=None)
 
@@ -175,10 +175,13 @@ def _recorded(one: Recording) -> Recorded:
     return Recorded(one.name, one.kind, seconds, len(sensors), len(one.phases), rows)
 
 
-def _untold(found: Compared, candidates: Mapping[str, Candidate], is_gap: bool) -> tuple[Unshown, ...]:
-    """What this campaign can't show."""
+def _untold(
+    found: Compared, candidates: Mapping[str, Candidate], is_gap: bool, causes: Collection[str]
+) -> tuple[Unshown, ...]:
+    """What this campaign can't show, and didn't."""
     bench, kinds = found.bench, set(found.bench.kinds)
-    hidden = unshown(kinds, facts_of(found.campaign), candidates, bench.base.headers)
+    rest = {name: one for name, one in candidates.items() if name not in causes}
+    hidden = unshown(kinds, facts_of(found.campaign), rest, bench.base.headers)
     return hidden if is_gap else (*hidden, *_unsure(found))
 
 
@@ -186,7 +189,7 @@ def _unsure(found: Compared) -> tuple[Unshown, ...]:
     """In which domains a difference that matters can't be excluded."""
     bench, told = found.bench, Told(found.bench, found.campaign, found.pairs, found.judged, ())
     places = range(len(found.pairs.keys))
-    sized = [told.size(found.pairs.keys[at]) for at in places]
+    sized = [told.size(at) for at in places]
     return unsure(
         np.array([told.scale(at) for at in places]),
         np.array([told.margin(at) for at in places]),

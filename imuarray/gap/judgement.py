@@ -25,7 +25,7 @@ Floats = npt.NDArray[np.float64]
 EXPLAINED, PARTLY = 0.8, 0.3
 """Shares of the gap closed from which on it is explained, or partly."""
 
-DOUBT = 0.01
+DOUBT = 0.05
 """The p of what is left below which something is left."""
 
 _FOLDS = 4
@@ -52,8 +52,8 @@ def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats) -> Jud
     norm = spread_of(pairs.sums(likeness.scores(replicates)))
     parts = likeness.scores(real)
     scores = pairs.sums(parts) / norm
-    largest = np.concatenate([np.nanmax(np.abs(fold), axis=1) for fold in _folded(pairs, replicates, floor)])
-    return Judged(scores, parts, likeness, p_value(float(np.nanmax(np.abs(scores))), largest), _high(largest))
+    largest = np.concatenate([_largest(fold) for fold in _folded(pairs, replicates, floor)])
+    return Judged(scores, parts, likeness, p_value(float(_largest(scores)), largest), _high(largest))
 
 
 def where_of(
@@ -125,7 +125,8 @@ def unknown_of(is_gap: bool, gap: Gap, after: Judged) -> float:
     if not is_gap:
         return 0.0
     closed = gap.closed if gap.closed is not None else (1.0 if after.p > DOUBT else 0.0)
-    beyond = math.log(max(float(np.nanmax(np.abs(after.scores))) / after.limit, 0.1))
+    largest = float(_largest(after.scores))
+    beyond = math.log(max(largest / max(after.limit, 1.0), 0.1))
     return 1 / (1 + math.exp(min(max(_STEEP * (closed - _HALF) - beyond, -50.0), 50.0)))
 
 
@@ -136,7 +137,7 @@ class Told:
         self._bench, self._pairs, self._one = bench, pairs, one
         sides = (bench.split.train(campaign), bench.split.held_out(campaign))
         self._raw = pairs.means(np.concatenate([statistics(side.campaign).values for side in sides]))
-        self._logs = [[names[log] for log in side.logs] for side in sides]
+        self._logs = [[names[log] if names else "" for log in side.logs] for side in sides]
         self._phases = [[log.phases for log in side.campaign.logs] for side in sides]
 
     def where(self, at: int, p: float) -> Where:
@@ -147,7 +148,7 @@ class Told:
         least = self.margin(at)
         raw = float(self._raw[at])
         return Where(
-            self._log(key),
+            self._log(at),
             key.sensor,
             key.axis,
             key.domain,
@@ -168,7 +169,7 @@ class Told:
         """The least difference of a statistic that matters."""
         key = self._pairs.keys[at]
         header = self._bench.base.headers[key.sensor]
-        return margin(key, header, self._bench.base.fitted[key.sensor].noise(header), *self.size(key))
+        return margin(key, header, self._bench.base.fitted[key.sensor].noise(header), *self.size(at))
 
     def _shift(self, at: int) -> float:
         """How far the recording lies from the middle of the model, the mean over the parts."""
@@ -183,14 +184,23 @@ class Told:
         known = scales[np.isfinite(scales)]
         return float(np.sqrt((known**2).sum()) / len(known)) if len(known) else math.nan
 
-    def _log(self, key: Key) -> str:
-        if key.log < 0:
-            return f"all {key.phase} logs"
-        return next(names[key.log] for names in self._logs if key.log < len(names))
+    def _log(self, at: int) -> str:
+        key = self._key(at)
+        return f"all {key.phase} logs" if key.log < 0 else self._logs[self._side(at)][key.log]
 
-    def size(self, key: Key) -> tuple[float, float]:
+    def _key(self, at: int) -> Key:
+        """As its own part has it."""
+        places = (self._pairs.train, self._pairs.held_out)[self._side(at)]
+        return self._bench.keys[int(places[at])]
+
+    def _side(self, at: int) -> int:
+        """0 for the training part, 1 for what the held-out part alone has."""
+        return 0 if self._pairs.train[at] >= 0 else 1
+
+    def size(self, at: int) -> tuple[float, float]:
         """Rows a second of the sensor, and how long its log was looked at."""
-        phases = next(logs[max(key.log, 0)] for logs in self._phases if max(key.log, 0) < len(logs))
+        key = self._key(at)
+        phases = self._phases[self._side(at)][max(key.log, 0)]
         own = [phase.sensors[key.sensor] for phase in phases if key.sensor in phase.sensors]
         seconds = sum((phase.phase.end_ns - phase.phase.start_ns) * 1e-9 for phase in phases)
         rates = [1 / one.intervals.mean_s for one in own if one.intervals.count]
@@ -204,6 +214,11 @@ def _folded(pairs: Pairs, replicates: Floats, floor: Floats) -> Iterator[Floats]
         likeness = likeness_of(replicates[~own], floor)
         norm = spread_of(pairs.sums(likeness.scores(replicates[~own])))
         yield pairs.sums(likeness.scores(replicates[own])) / norm
+
+
+def _largest(scores: Floats) -> Floats:
+    """(...,) of scores (..., m), 0 where nothing is said."""
+    return np.asarray(np.nan_to_num(np.abs(scores)).max(axis=-1, initial=0.0))
 
 
 def _high(largest: Floats) -> float:

@@ -20,9 +20,8 @@ from imuarray.gap.campaign import Campaign, LogSummary
 from imuarray.gap.candidates.axis_error import exchanges
 from imuarray.gap.course import attitudes_of, kind_of
 from imuarray.gap.diagnosis import Cause, Interval
-from imuarray.gap.null import Experiment
 from imuarray.gap.probes.level import mean
-from imuarray.gap.recordings import Recording
+from imuarray.gap.recordings import Experiment, Recording
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog

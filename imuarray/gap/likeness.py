@@ -25,9 +25,6 @@ exactly the form that the simulator gives it."""
 STRANGE = 100.0
 """Score of a statistic that is there on one side only."""
 
-_PRIOR = 8
-"""So many replicates' weight has the scatter without the effect."""
-
 
 @dataclass(frozen=True)
 class Likeness:
@@ -59,16 +56,18 @@ class Likeness:
         costly = -(FREEDOM + 1) / 2 * np.log1p(STRANGE**2 / FREEDOM) - np.log(scale)
         return np.asarray(np.where(strange, costly, np.nan_to_num(density)))
 
+    @property
+    def is_silent(self) -> Bools:
+        """(n,) what the fit makes the same in every replicate."""
+        return np.asarray(self.scale < _SAME * (1 + np.abs(self.location)))
+
     def _is_silent(self, values: Floats) -> Bools:
-        """(n,) where the fit makes a statistic the same in every replicate, and in the recording too."""
-        least = _SAME * (1 + np.abs(self.location))
-        return np.asarray((self.scale < least) & (np.abs(values - self.location) < 10 * least))
+        """(n,) where that goes for the recording too."""
+        return np.asarray(self.is_silent & (np.abs(values - self.location) < 10 * _SAME * (1 + np.abs(self.location))))
 
 
-def likeness_of(replicates: Floats, floor: Floats, before: Likeness | None = None) -> Likeness:
-    """Of replicates (b, n); `floor` (n,) is the least scatter that means anything. With few replicates the scatter of
-    the model `before` the change helps out.
-    """
+def likeness_of(replicates: Floats, floor: Floats) -> Likeness:
+    """Of replicates (b, n); `floor` (n,) is the least scatter that means anything."""
     spoken = np.isfinite(replicates)
     count = np.count_nonzero(spoken, axis=0)
     known = count > len(replicates) // 2
@@ -76,11 +75,6 @@ def likeness_of(replicates: Floats, floor: Floats, before: Likeness | None = Non
     if known.any():
         location[known] = np.nanmedian(replicates[:, known], axis=0)
         scale[known] = _scatter(replicates[:, known], location[known])
-    if before is not None:
-        usable = known & np.isfinite(before.scale)
-        share = _PRIOR / (_PRIOR + count[usable] - 1.0)
-        scale[usable] = np.sqrt((1 - share) * scale[usable] ** 2 + share * before.scale[usable] ** 2)
-        location = np.where(known, location, np.nan)
     least = np.maximum(floor, _ROUNDING * (1 + np.abs(location)))
     return Likeness(location, np.fmax(scale, least), np.asarray(spoken.all(axis=0)), np.asarray(~spoken.any(axis=0)))
 

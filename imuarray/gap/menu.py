@@ -20,7 +20,7 @@ from imuarray.gap.campaign import Layout, layout_of
 from imuarray.gap.candidates.candidate import Kind
 from imuarray.gap.diagnosis import Cause, Unshown, Where
 from imuarray.gap.likeness import FORM, FREEDOM, STRANGE
-from imuarray.gap.null import Experiment
+from imuarray.gap.recordings import Experiment
 from imuarray.gap.rounds import Searched
 from imuarray.gap.search import Confirmed, Round
 from imuarray.gap.source import simulated_sources

@@ -42,11 +42,14 @@ class Pairs:
         return np.where(count > 0, np.nansum(parts, axis=0) / np.maximum(count, 1), np.nan)
 
 
-def pairs_of(keys: Sequence[Key], of_train: int) -> Pairs:
-    """The first `of_train` keys are of the training part, the rest of the held-out one."""
+def pairs_of(keys: Sequence[Key], held_out: Sequence[bool], logs: Sequence[int] | None = None) -> Pairs:
+    """By the keys of both parts, and which of them are held out. `logs` numbers the log of each key so that those that
+    belong together have the same number; without, each part's own numbers do.
+    """
     found: dict[Key, list[int]] = {}
-    for at, key in enumerate(keys):
-        found.setdefault(key, [NOWHERE, NOWHERE])[at >= of_train] = at
+    for at, (key, out) in enumerate(zip(keys, held_out, strict=True)):
+        same = key if logs is None else key._replace(log=logs[at])
+        found.setdefault(same, [NOWHERE, NOWHERE])[out] = at
     places = np.array(list(found.values()), np.intp).reshape(-1, 2)
     return Pairs(tuple(found), places[:, 0], places[:, 1])
 

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
-from imuarray.gap.campaign import LogSummary, summarise_log
 from imuarray.gap.course import attitudes_of, kind_of, phases_of, unknown_temperature
-from imuarray.gap.null import Experiment, Look
 from imuarray.gap.segments import Temperature, Times
 from imuarray.gap.source import RecordedSource, Source
 from imuarray.log import Log, SensorLog
@@ -26,11 +25,18 @@ from imuarray.simulate.converters import THERMOMETERS
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Posed
-from imuarray.simulate.simulation import plan_like
+from imuarray.simulate.simulation import Plan, plan_like
 from imuarray.simulate.timeline import filled
 from imuarray.units import INERTIAL
 
 Floats = npt.NDArray[np.float64]
+
+
+class Experiment(NamedTuple):
+    """What happened in one log: which sensors were read when, and what the box did."""
+
+    plan: Plan
+    motion: Motion
 
 
 @dataclass(frozen=True)
@@ -111,13 +117,6 @@ def sources_of(recording: Recording) -> dict[str, Source]:
         strange = source.header.has_temperature and not header.has_temperature
         sources[name] = _NoThermometer(source) if strange else source
     return sources
-
-
-def summarised(recording: Recording, look: Look | None = None) -> LogSummary:
-    """The log's readings, summarised; in the phases and on the grids of `look`, if that is given."""
-    phases, layouts = (recording.phases, None) if look is None else (look.phases, look.layouts)
-    temperature = temperature_of(recording.experiment.motion)
-    return summarise_log(recording.kind, sources_of(recording), phases, temperature, layouts)
 
 
 class _NoThermometer:

@@ -23,7 +23,7 @@ from imuarray.simulate.effect import Effect
 
 Floats = npt.NDArray[np.float64]
 
-STEPS = 3
+STEPS = 2
 _NUDGE = 0.25
 """Step in the log of a factor by which slopes are taken."""
 
@@ -131,7 +131,7 @@ def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _See
         ]
     except ValueError:
         return None
-    columns = bench.columns(standing.unit, cross=len(standing.unit) > 1)
+    columns = bench.own(standing.unit)
     everything = bench.columns(standing.unit, cross=True)
     kept = np.isin(everything, columns)
     values = np.array([one.values[kept] for one in found])
@@ -154,7 +154,7 @@ def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Fa
     shared out among them.
     """
     unit = standing.unit
-    columns = bench.columns(unit, cross=len(unit) > 1)
+    columns = bench.own(unit)
     of_axis = np.array([bench.keys[at].axis for at in columns])
     slopes = np.zeros((len(columns), len(factors)))
     groups: dict[tuple[int, str, int], list[int]] = {}
@@ -237,7 +237,7 @@ def _pruned(bench: Bench, standing: Standing, tried: Tried) -> Tried:
 
 def _of_axis(bench: Bench, standing: Standing, axis: int) -> npt.NDArray[np.bool_]:
     """Which of the unit's statistics are of one axis."""
-    columns = bench.columns(standing.unit, cross=len(standing.unit) > 1)
+    columns = bench.own(standing.unit)
     return np.array([bench.keys[at].axis == AXES[axis] for at in columns], bool)
 
 

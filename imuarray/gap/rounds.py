@@ -14,11 +14,12 @@ from imuarray.gap.compare import Compared
 from imuarray.gap.evidence import Evidence, Scored, evidence_of
 from imuarray.gap.families import members_of, shared_wins, together, unlike
 from imuarray.gap.likeness import independent_share, likeness_of
-from imuarray.gap.pairs import pairs_of, spread_of
+from imuarray.gap.pairs import spread_of
 from imuarray.gap.search import Round, guesses_of, placebo_of, replicate_of, searched
 from imuarray.gap.split import Side
 from imuarray.gap.standing import NUMBERS, Standing, Unit, compared
 from imuarray.gap.workers import Run
+from imuarray.log.format import SensorHeader
 
 Floats = npt.NDArray[np.float64]
 
@@ -111,7 +112,9 @@ def _families(
     standings: dict[Unit, Standing],
 ) -> None:
     """Shared causes in the place of those of the members, where they are better."""
-    for family, trials in _shared_trials(found, evidence, candidates).items():
+    for family, trials in _shared_trials(found, evidence, standings, candidates).items():
+        if any(name in other for other in rounds if len(other) > 1 for name in family):
+            continue  # its members have a shared cause already
         missing = [(name,) for name in family if (name,) not in standings]
         standings.update(_standing(found, missing, run))
         standing = _standing(found, [family], run)[family]
@@ -130,7 +133,10 @@ def _families(
 
 
 def _shared_trials(
-    found: Compared, evidence: Mapping[Unit, Evidence], candidates: Mapping[str, Candidate]
+    found: Compared,
+    evidence: Mapping[Unit, Evidence],
+    standings: Mapping[Unit, Standing],
+    candidates: Mapping[str, Candidate],
 ) -> dict[Unit, list[Trial]]:
     """What shows only between sensors, by the sensors concerned: those of a chip of which two or more differ and whose
     common statistics do, or one and the other whose data it has.
@@ -143,12 +149,18 @@ def _shared_trials(
     headers = found.bench.base.headers
     units: dict[Unit, list[Trial]] = {}
     for (name,), one in evidence.items():
-        family = tuple(other for (other,) in evidence if headers[other].chip == headers[name].chip)
-        for trial in guesses_of(one, candidates, shared=True):
-            unit = (trial.sensor, *trial.others) if trial.sensor else family
+        family = tuple(other for (other,) in evidence if _is_alike(headers[other], headers[name]))
+        everything = _evidence(found, found.bench.split.both(found.campaign), standings[(name,)], True)
+        brief = [trial for trial in guesses_of(everything, candidates, shared=True) if trial.is_brief]
+        for trial in [*(one for one in guesses_of(one, candidates, shared=True) if not one.is_brief), *brief]:
+            unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
             if len(unit) > 1 and odd & set(unit):
                 units.setdefault(unit, []).append(trial)
     return {unit: unlike(trials) for unit, trials in units.items()}
+
+
+def _is_alike(one: SensorHeader, other: SensorHeader) -> bool:
+    return (one.chip, one.quantity) == (other.chip, other.quantity)
 
 
 def _standing(found: Compared, units: Sequence[Unit], run: Run) -> dict[Unit, Standing]:
@@ -160,7 +172,7 @@ def _standing(found: Compared, units: Sequence[Unit], run: Run) -> dict[Unit, St
 
 def _bare(found: Compared, unit: Unit) -> Standing:
     """Without replicates to compare changes by."""
-    bench, columns = found.bench, found.bench.columns(unit, cross=len(unit) > 1)
+    bench, columns = found.bench, found.bench.own(unit)
     chance = found.chance[:, columns]
     likeness = likeness_of(chance, bench.resolutions[columns])
     return Standing(
@@ -184,8 +196,7 @@ def _is_open(found: Compared, standing: Standing, rounds: Sequence[Round]) -> bo
         return True
     if rounds[-1].taken is None:
         return False
-    columns = found.bench.columns(standing.unit, cross=len(standing.unit) > 1)
-    pairs = pairs_of([found.bench.keys[at] for at in columns], int(np.count_nonzero(~found.bench.held_out[columns])))
+    pairs = found.bench.pairs(found.bench.own(standing.unit))
     norm = spread_of(pairs.sums(standing.likeness.scores(standing.values)))
     return bool(np.nanmax(np.abs(pairs.sums(standing.scores) / norm)) > found.located.limit)
 

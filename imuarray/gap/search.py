@@ -27,7 +27,7 @@ from imuarray.simulate.effects.tone import Tone
 
 Floats = npt.NDArray[np.float64]
 
-REFINED, CONFIRMED = 6, 4
+REFINED, CONFIRMED = 4, 3
 """So many trials of a unit are refined, and confirmed, in a round."""
 
 WORTH = 2.0
@@ -38,6 +38,9 @@ ACCEPTED = 3.0
 
 COST = 1.0
 """Nats that every free parameter costs: of two that explain as much the simpler one is the cause (Akaike 1974)."""
+
+_BEHIND = 15.0
+"""Nats by which a guess may be worse than the best one, and still be refined or confirmed; or half of its gain."""
 
 _WIDER = 0.3
 _BRIEF = 4.0
@@ -114,18 +117,21 @@ def searched(
     looks = _asked(run, _look, standings, {unit: [Tried(trial) for trial in own] for unit, own in trials.items()})
     likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
     refined = _asked(run, _refine, standings, likely)
-    fakes = _asked(run, _refine, standings, {unit: [Tried(trial)] for unit, trial in placebos.items()})
     best = {unit: likeliest(own, CONFIRMED) for unit, own in refined.items()}
-    confirmed = _asked(run, _confirm, standings, {unit: [*best[unit], *fakes[unit]] for unit in best})
+    needed = {unit: [Tried(placebos[unit])] for unit, own in best.items() if own}
+    fakes = _asked(run, _refine, standings, needed)
+    confirmed = _asked(run, _confirm, standings, {unit: [*best[unit], *fakes.get(unit, ())] for unit in best})
     return {unit: _round(standings[unit], own) for unit, own in confirmed.items()}
 
 
 def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
-    """The best trials that are worth it, of each effect and action at most two."""
+    """The best trials that are worth it and not left far behind, of each effect and action at most two."""
+    ranked = sorted((one for one in tried if one.models is not None), key=lambda one: -one.gain)
+    least = max(WORTH, ranked[0].gain - max(_BEHIND, ranked[0].gain / 2)) if ranked else WORTH
     kept: list[Tried] = []
-    for one in sorted(tried, key=lambda one: -one.gain):
+    for one in ranked:
         alike = sum((other.trial.name, other.trial.action) == (one.trial.name, one.trial.action) for other in kept)
-        if one.models is not None and one.gain > WORTH and alike < 2 and len(kept) < count:
+        if one.gain > least and alike < 2 and len(kept) < count:
             kept.append(one)
     return kept
 
@@ -145,7 +151,7 @@ def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
     changed = replace(standing, models=models)
     values = np.array([replicate_of(bench, changed, number) for number in NUMBERS])
     likeness, moved = compared(standing, values)
-    columns, before = bench.columns(standing.unit, cross=len(standing.unit) > 1), standing.likeness
+    columns, before = bench.own(standing.unit), standing.likeness
     out = bench.held_out[columns]
     train_gain, gain = (gain_of(standing, likeness, moved, part) for part in (~out, out))
     if tried.trial.is_brief:
@@ -192,7 +198,9 @@ def _asked(
 
 
 def _round(standing: Standing, found: Sequence[Confirmed]) -> Round:
-    """The last one is the placebo."""
+    """The last one is the placebo; nothing at all if no trial was worth it."""
+    if not found:
+        return Round(standing, (), 0.0, None)
     *real, placebo = found
     odds = _log_odds(standing, real)
     ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))

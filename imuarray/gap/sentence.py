@@ -27,7 +27,7 @@ def sentence_of(
     parts = [f"The recordings differ from the simulator, most in {worst.domain.replace('_', ' ')} of {place}."]
     likely = [cause for cause in causes if cause.probability >= 0.5]
     parts += [f"{_named(cause)}." for cause in likely[:_MOST]]
-    if gap.closed is not None and causes:
+    if gap.closed is not None and likely:
         closed = closed_text(gap.closed, gap.closed_ci95)
         parts.append(f"With {'it' if len(likely) == 1 else 'them'} {closed} of the gap is closed on held-out data.")
     parts += list(_in_use(uses, causes))

@@ -14,13 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.base_model import headers_in
-from imuarray.gap.campaign import Campaign
-from imuarray.gap.null import Null, residual_statistics
-from imuarray.gap.probes import PROBES
-from imuarray.gap.statistics import Key, statistics
+from imuarray.gap.statistics import Key
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.motion.felt import Motion
 
 Floats = npt.NDArray[np.float64]
 
@@ -29,21 +24,6 @@ LEVEL = 0.05
 
 LEVELS = ("array", "chip", "sensor", "axis", "domain", "statistic")
 """Of the tree, from its root."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One statistic: what the recording has, and what the simulation has instead. `effect_size` is the difference of
-    the two, in `unit` ("" for a pure number), `score` that in standard deviations of chance, `p` as of its node.
-    """
-
-    key: Key
-    real: float
-    simulated: float
-    effect_size: float
-    unit: str
-    score: float
-    p: float
 
 
 @dataclass(frozen=True)
@@ -72,51 +52,6 @@ class Node:
         yield self
         for child in self.children:
             yield from child._all()
-
-
-@dataclass(frozen=True)
-class Significance:
-    """`p` of the largest score of all, the tree from the array on, and the statistics that were found, worst first."""
-
-    root: Node
-    findings: tuple[Finding, ...]
-
-    @property
-    def p(self) -> float:
-        """Of there being no gap at all."""
-        return self.root.p
-
-    @property
-    def is_gap(self) -> bool:
-        """Whether anything was found."""
-        return self.root.is_found
-
-
-def significance(campaign: Campaign, motions: Sequence[Motion], null: Null, level: float = LEVEL) -> Significance:
-    """Where the campaign differs from what the base model makes by chance (`null`).
-
-    `level` is the share of false alarms; ValueError if the null has too few replicates to tell.
-    """
-    if (least := 1 / (len(null.scores) + 1)) > level:
-        raise ValueError(f"level: {level}; {len(null.scores)} scored replicates tell nothing below {least:.3g}")
-    residuals, headers = residual_statistics(campaign, motions).values, headers_in(campaign)
-    paths = [_path(number, key, headers[key.sensor]) for number, key in enumerate(null.keys)]
-    tree = _Tree(paths, null.score(residuals), null.scores, level)
-    root = tree.root()
-    raw, effect = statistics(campaign).values, residuals - null.location
-    findings = [
-        _finding(
-            null.keys[number],
-            raw[number],
-            effect[number],
-            tree.scores[number],
-            node.p,
-            headers[null.keys[number].sensor],
-        )
-        for node in root.found("statistic")
-        for number in [int(node.path[-1])]
-    ]
-    return Significance(root, tuple(sorted(findings, key=lambda finding: -abs(finding.score))))
 
 
 @dataclass(frozen=True)
@@ -200,9 +135,3 @@ class _Tree:
 def _path(number: int, key: Key, header: SensorHeader) -> tuple[str, ...]:
     """The last name is the statistic's number."""
     return header.chip, key.sensor, key.axis, key.domain, str(number)
-
-
-def _finding(key: Key, real: float, effect_size: float, score: float, p: float, header: SensorHeader) -> Finding:
-    unit = PROBES[key.probe].unit.replace("{u}", header.unit)
-    values = (float(real), float(real - effect_size), float(effect_size))
-    return Finding(key, *values, unit, float(score), p)

@@ -21,7 +21,7 @@ Unit = tuple[str, ...]
 
 AXES = ("x", "y", "z")
 
-REPLICATES = 16
+REPLICATES = 12
 """By which a refined trial is judged."""
 
 LOOKS = 2
@@ -88,6 +88,10 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     shift[known] = np.nanmean(moved[:, known], axis=0)
     location, scale = before.location + shift, before.scale.copy()
     scale[known] *= _spread_ratio(values[:, known], without[:, known], before.scale[known])
+    if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
+        same = came.all(axis=0) & (np.ptp(values, axis=0) < _SAME * (1 + np.abs(values).max(axis=0)))
+        location[same] = values[:, same].mean(axis=0)
+    scale = np.fmax(scale, _SAME * (1 + np.abs(location)))
     fresh = came.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
     alone = likeness_of(values[:, fresh], np.zeros(int(fresh.sum())))
     location[fresh] = alone.location
@@ -95,7 +99,7 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     never = ~came.any(axis=0)
     location[never & before.always] = np.nan
     always = (before.always & came.all(axis=0)) | fresh
-    return Likeness(location, scale, np.asarray(always), np.asarray(before.never & never)), shift
+    return Likeness(location, scale, np.asarray(always), np.asarray(never & (before.never | before.always))), shift
 
 
 def gain_of(
@@ -114,7 +118,7 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
     the correlation of the pairs says. Few pairs tell only what their differences add.
     """
     if len(values) < _PAIRS:
-        return np.asarray(np.hypot(1.0, np.nanstd(values - without, axis=0) / scale))
+        return np.asarray(np.hypot(1.0, np.nanstd(values - without, axis=0, ddof=1) / scale))
     spreads = [np.nanstd(side, axis=0) for side in (values, without)]
     usable = (spreads[0] > 0) & (spreads[1] > 0) & np.isfinite(scale)
     ratio = np.ones(values.shape[1])
@@ -130,3 +134,4 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
 _PAIRS = 6
 _UNSURE = 0.1
 _TINY = 1e-12
+_SAME = 1e-9

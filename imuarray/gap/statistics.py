@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.gap.base_model import Base, residual
 from imuarray.gap.campaign import Campaign, LogSummary, PhaseSummary, runs_in
 from imuarray.gap.probes import PROBES
 from imuarray.gap.probes.probe import ArrayProbe, CrossProbe, Domain, LogProbe, PhaseProbe, RunsProbe
+from imuarray.simulate.motion.felt import Motion
 
 Floats = npt.NDArray[np.float64]
 
@@ -24,6 +26,9 @@ WHOLE_LOG = -1
 """The phase's number of a statistic of several phases; its phase's name is empty."""
 
 _AXES = ("x", "y", "z")
+
+_NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
+"""Statistics in logs of the sensor's unit to a power: as many logs of the fitted noise are taken from them."""
 
 
 class Key(NamedTuple):
@@ -87,6 +92,24 @@ def statistics(campaign: Campaign) -> Statistics:
         resolutions += [found.resolution] * len(here)
     joined = np.concatenate(values) if values else np.zeros(0)
     return Statistics(tuple(keys), joined, np.array(resolutions))
+
+
+def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Statistics:
+    """Statistics of what a fit leaves, to the campaign or to another part of it: of levels less the predicted ones, of
+    noises over the fitted ones.
+    """
+    found = statistics(residual(campaign, motions, base))
+    return replace(found, values=found.values - _predictions(found.keys, base))
+
+
+def _predictions(keys: Sequence[Key], base: Base) -> Floats:
+    """(n,) what the noise that was fitted makes of statistics in logs, 0 of others."""
+    noises = {name: fitted.noise(base.headers[name]).tolist() for name, fitted in base.fitted.items()}
+    predicted = np.zeros(len(keys))
+    for place, key in enumerate(keys):
+        if power := _NOISE_POWERS.get(key.probe, 0):
+            predicted[place] = power * math.log(noises[key.sensor][_AXES.index(key.axis)])
+    return predicted
 
 
 @lru_cache(maxsize=1 << 15)

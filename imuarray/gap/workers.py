@@ -11,12 +11,13 @@ processes each have as many as there are cores, wait for each other. Processes s
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from multiprocessing.context import SpawnContext, SpawnProcess
-from threading import Lock
+from threading import Lock, Thread
+from time import sleep
 from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 from uuid import uuid4
@@ -31,28 +32,30 @@ _ONE_THREAD: Mapping[str, str] = MappingProxyType(
 """Read by the usual libraries when numpy is imported, and never again: a process has to be born with them."""
 
 _STARTING = Lock()
+_LOOK_S = 2.0
 
 _LATEST: dict[str, Callable[[Any], Any]] = {}
 """The job that came to this process last, by its name."""
 
 
 def processes(workers: int) -> ProcessPoolExecutor:
-    """So many processes for `run`, started when they are needed, with one BLAS thread each; a context manager.
+    """So many processes for `runner`, started when they are needed, with one BLAS thread each; a context manager.
 
     Each imports the program's main module anew (start method "spawn"), which may do nothing then but define things.
     ValueError for fewer than one.
     """
-    return ProcessPoolExecutor(workers, _Context())
+    return ProcessPoolExecutor(workers, _Context(), _watch, (os.getpid(),))
 
 
-def run(executor: Executor | None, job: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """`job` of each item, in the order of the items; they come as they are done. Without an executor one after the
-    other.
+def _watch(parent: int) -> None:
+    """A process ends when the one that started it is gone: nobody would take its results."""
 
-    For processes the job has to be picklable, a `functools.partial` of a module's function, say; it is kept there until
-    another one comes. Logs in it are opened again by each process (`imuarray.log.Log`).
-    """
-    return map(job, items) if executor is None else executor.map(_Sent(job), items)
+    def look() -> None:
+        while os.getppid() == parent:
+            sleep(_LOOK_S)
+        os._exit(1)
+
+    Thread(target=look, daemon=True).start()
 
 
 class Run(Protocol):

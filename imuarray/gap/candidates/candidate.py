@@ -29,7 +29,7 @@ class Trial:
     none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis axis by
     axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be told from
     another effect. `shared`: it shows only between sensors, and all of the chip have it alike,
-    or (`sensor`) this one has it, and `others` show it.
+    or (`sensor`) this one has it, and `others` show it. `whole`: neither part shows it without the other.
     """
 
     effects: tuple[Effect, ...]
@@ -38,6 +38,7 @@ class Trial:
     shared: bool = False
     sensor: str = ""
     others: tuple[str, ...] = ()
+    whole: bool = False
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -47,7 +48,7 @@ class Trial:
 
     @property
     def is_brief(self) -> bool:
-        """Whether it begins at some time within a log: then one part alone may show it."""
+        """Whether both parts are needed to see it: it begins at some time within a log, or lies between two logs."""
         return any(
             isfinite(getattr(effect, "onset_s", 0.0)) and getattr(effect, "onset_s", 0.0) > 0 for effect in self.effects
         )

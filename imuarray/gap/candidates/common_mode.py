@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.in_motion import takes_part
+from imuarray.gap.candidates.levels import change_between_logs
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.candidates.slow import longest_s, wander_of
 from imuarray.gap.cross import Cross
@@ -20,18 +21,24 @@ Floats = npt.NDArray[np.float64]
 _TRACES = ("slow_own_axes", "fast_own_axes", "slow_between_axes")
 _BEYOND = 2.7
 _APART = 5.0
+_FOR_EVER_S = 1e6
 _LEAST_DEGC = 1.0
 _LEAST = 4
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
-    and straight lines taken out; its time constant by that of the sensor's wander, another one slower.
+    and straight lines taken out; its time constant by that of the sensor's wander, another one slower. Of two
+    logs, what they differ by, constant within each.
     """
     yield from with_removal(evidence, CommonMode.name, _found(evidence))
 
 
 def _found(evidence: Evidence) -> Iterator[Trial]:
+    change = change_between_logs(evidence)
+    if change.any():
+        a, b, c = (np.abs(change) / np.sqrt(2)).tolist()
+        yield Trial((CommonMode((a, b, c), _FOR_EVER_S),), shared=True, whole=True)
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
     pairs = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]

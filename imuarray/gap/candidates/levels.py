@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -109,3 +110,16 @@ def _of_phase(one: Seen, group: int) -> tuple[npt.NDArray[np.generic], ...]:
         part.thermometer[held],
         np.full(count, part.width_s),
     )
+
+
+def change_between_logs(evidence: Evidence) -> Floats:
+    """(3,) by how much two or three logs of one kind differ in level, where evidence of both parts tells; else 0."""
+    counts = Counter(kind for _, kind in {(one.log, one.kind) for one in evidence.still})
+    if not any(1 < count < _SERIES for count in counts.values()):
+        return np.zeros(3)
+    probe = "level" if np.isfinite(evidence.values.get("level", np.full((1, 3), np.nan))).any() else "mean"
+    return np.where(np.abs(evidence.score(probe)) > _CHANGED, evidence.shift(probe), 0.0)
+
+
+_SERIES = 4
+_CHANGED = 3.0

@@ -42,8 +42,7 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     for run in runs[:_MOST]:
         for_ever = run.open and run.end_s >= _end_s(evidence, run.log)
         duration_s = math.inf if for_ever else run.end_s - run.onset_s
-        free = ("onset_s",) if for_ever else ("onset_s", "duration_s")
-        yield Trial((Stuck(run.onset_s, duration_s),), free if run.onset_s else free[1:])
+        yield Trial((Stuck(run.onset_s, duration_s),))
 
 
 def _runs(evidence: Evidence) -> list[_Run]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from imuarray.gap.candidates.candidate import Candidate, Trial
-from imuarray.gap.candidates.levels import levels, log_levels
+from imuarray.gap.candidates.levels import change_between_logs, levels, log_levels
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
@@ -20,11 +20,15 @@ _SMALL = 0.2
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
-    """The spread of the logs' levels on the faces that they share."""
+    """The spread of the logs' levels on the faces that they share; of two logs, what they differ by."""
     yield from with_removal(evidence, TurnOnBias.name, _found(evidence))
 
 
 def _found(evidence: Evidence) -> Iterator[Trial]:
+    change = change_between_logs(evidence)
+    if change.any():
+        x, y, z = (np.abs(change) / np.sqrt(2)).tolist()
+        yield Trial((TurnOnBias((x, y, z)),), whole=True)
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
     means, errors = log_levels(levels(evidence))
