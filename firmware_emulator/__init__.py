@@ -6,6 +6,8 @@
 
 It shares register facts with the drivers (`imuarray.facts`) and nothing else: byte order, signs, timing and every scale
 factor are worked out here a second time, so that a wrong driver is noticed.
+
+What can go wrong with such an array is in `firmware_emulator.mechanisms`; `firmware_emulator.cases` records it.
 """
 
 from __future__ import annotations

@@ -10,25 +10,25 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from types import MappingProxyType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self
 
-from firmware_emulator.chip import Chip
+from firmware_emulator.board import Board, named
+from firmware_emulator.chip import Chip, Target
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import Clock, RealClock, VirtualClock
-from firmware_emulator.element import IDENTITY, Matrix, SensingElement
-from firmware_emulator.mux import Pca9544a
-from firmware_emulator.units import unit_of
+from firmware_emulator.element import Matrix
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import WORLDS, Delayed, Phase, PhasedWorld, Still, World, WorldKind
 
-T = TypeVar("T")
 TRUNK = ""
 CLOCKS: dict[str, type[VirtualClock] | type[RealClock]] = {"virtual": VirtualClock, "real": RealClock}
-MUXES = {"pca9544a": Pca9544a}
 Switches = Mapping[str, Mapping[str, Any]]
+BoardKind = Callable[[str, World, int], Board]
 ERRNOS = (6, 121)
 """What Linux adapters say when nobody acknowledges (LNX-40, LNX-41)."""
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
+FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
+"""Parameters that `firmware_emulator.mechanisms` understands."""
 
 
 class MuxLike(Protocol):
@@ -132,12 +132,14 @@ def open_array(
     nack_errno: int = 121,
     host_ns: int = 0,
     switches: Switches = MappingProxyType({}),
+    board: BoardKind = Board,
 ) -> EmulatedBus:
     """Power the array up, now, in `world` (at rest on its -Z face by default), which begins now as well.
 
     `seed` keys noise and the units that are drawn. `switches` are keyword arguments of chips, by sensor or by chip
     (``{"BMA2": {"download_ns": 0}, "l3g4200d": {"wrap_always": True}}``): what data sheets leave open, and what an
-    earlier program left behind. ValueError for a chip, a clock, a multiplexer or a switch that isn't known.
+    earlier program left behind. `board` (name of the array, world, seed) gives the parts. ValueError for a chip, a
+    clock, a multiplexer or a switch that isn't known.
     """
     unknown = set(switches) - {sensor.name for sensor in array.sensors} - set(CHIPS)
     if unknown:
@@ -145,44 +147,35 @@ def open_array(
     time = named(clock, CLOCKS, "clock")() if isinstance(clock, str) else clock
     now_ns = time.now_ns()
     begun = Delayed(world or Still(), now_ns) if now_ns else world or Still()
+    parts = board(array.name, begun, seed)
     names = [TRUNK, *(sensor.bus for sensor in array.sensors if sensor.bus)]
-    wires = {name: Wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}
-    chips = {sensor.name: powered_chip(array.name, sensor, begun, seed, now_ns, switches) for sensor in array.sensors}
-    branches: dict[int, list[Chip]] = {}
+    wires = {name: parts.wire(time, bit_rate_hz, nack_errno, host_ns) for name in names}
+    chips = {sensor.name: powered_chip(parts, sensor, now_ns, switches) for sensor in array.sensors}
+    branches: dict[int, list[Target]] = {}
     for sensor in array.sensors:
+        device = parts.device(sensor, chips[sensor.name])
         if sensor.channel is None:
-            wires[sensor.bus or TRUNK].connect(chips[sensor.name])
+            wires[sensor.bus or TRUNK].connect(device)
         else:
-            branches.setdefault(sensor.channel, []).append(chips[sensor.name])
+            branches.setdefault(sensor.channel, []).append(device)
     if array.mux is not None:
-        wires[TRUNK].connect_router(named(array.mux.chip, MUXES, "mux")(array.mux.address, branches, now_ns))
+        wires[TRUNK].connect_router(parts.router(array.mux.chip, array.mux.address, branches, now_ns))
     elif branches:
         raise ValueError(f"array {array.name}: sensors on channels {sorted(branches)}, but no mux")
-    return EmulatedBus(wires, chips, begun, time)
+    return EmulatedBus(wires, chips, begun, parts.host_clock(time))
 
 
-def powered_chip(
-    array: str, sensor: SensorLike, world: World, seed: int, now_ns: int, switches: Switches = MappingProxyType({})
-) -> Chip:
+def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switches = MappingProxyType({})) -> Chip:
     """The chip of one sensor with its unit's imperfections, powered up at `now_ns`."""
-    given = {**switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
-    chip = named(sensor.chip, CHIPS, f"sensor {sensor.name}: chip")
-    unit = unit_of(array, sensor.name, sensor.chip, sensor.range or 0.0, seed)
-    orientation = IDENTITY if sensor.orientation is None else sensor.orientation
-    element = SensingElement(world, sensor.chip, sensor.name, orientation, unit, seed)
+    given = {**board.switches(sensor), **switches.get(sensor.chip, {}), **switches.get(sensor.name, {})}
+    chip = board.kind(sensor)
+    element = board.element(sensor)
     if sensor.chip == "bmp180":
-        given = {"generator": random.Random(f"{seed} {sensor.name}"), **given}
+        given = {"generator": random.Random(board.generator_key(sensor)), **given}
     try:
         return chip(sensor.address, element, now_ns, **given)
     except TypeError as error:
         raise ValueError(f"sensor {sensor.name}: {error}") from None
-
-
-def named(name: str, known: Mapping[str, T], what: str) -> T:
-    """The entry of that name; ValueError that lists the others."""
-    if name not in known:
-        raise ValueError(f"{what} {name!r}; allowed are {', '.join(known)}")
-    return known[name]
 
 
 def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
@@ -193,8 +186,8 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
     kind = named(query.get("world", "still"), WORLDS, "world")
     own = [field.name for field in fields(kind)]
     for key in query:
-        if key not in SETTINGS and key not in own:
-            raise ValueError(f"{key}: no such parameter; allowed are {', '.join((*SETTINGS, *own))}")
+        if key not in (*SETTINGS, *own, *FITTINGS):
+            raise ValueError(f"{key}: no such parameter; allowed are {', '.join((*SETTINGS, *own, *FITTINGS))}")
     nack_errno = whole_number(query, "errno", 121)
     if nack_errno not in ERRNOS:
         raise ValueError(f"errno={nack_errno}; allowed are {', '.join(map(str, ERRNOS))}")
@@ -205,7 +198,17 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
         seed=whole_number(query, "seed", 0),
         bit_rate_hz=whole_number(query, "bit_rate", 400_000),
         nack_errno=nack_errno,
+        board=board_kind(query, array),
     )
+
+
+def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
+    """The plain board, or one with the mechanisms that the query names."""
+    if not any(key in FITTINGS for key in query):
+        return Board
+    from firmware_emulator.mechanisms.query import board_from
+
+    return board_from(query, array)
 
 
 def world_from(kind: WorldKind, query: Mapping[str, str]) -> PhasedWorld:

@@ -1,0 +1,75 @@
+"""What the emulated array is soldered from: the parts and the host that `open_array` asks for, piece by piece.
+
+`Board` gives what the array's description says. A board whose parts differ (`firmware_emulator.mechanisms`) overrides
+the piece in which they do; the array is then put together and polled in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from firmware_emulator.chip import Chip, Target
+from firmware_emulator.chips import CHIPS
+from firmware_emulator.clock import Clock
+from firmware_emulator.element import IDENTITY, SensingElement
+from firmware_emulator.mux import Pca9544a
+from firmware_emulator.units import unit_of
+from firmware_emulator.wire import Wire
+from firmware_emulator.world import World
+
+if TYPE_CHECKING:
+    from firmware_emulator.array import SensorLike
+
+T = TypeVar("T")
+MUXES = {"pca9544a": Pca9544a}
+
+
+def named(name: str, known: Mapping[str, T], what: str) -> T:
+    """The entry of that name; ValueError that lists the others."""
+    if name not in known:
+        raise ValueError(f"{what} {name!r}; allowed are {', '.join(known)}")
+    return known[name]
+
+
+class Board:
+    """The parts of the array called `array`, in `world`; `seed` keys noise and the units that are drawn."""
+
+    def __init__(self, array: str, world: World, seed: int) -> None:
+        self.array = array
+        self.world = world
+        self.seed = seed
+
+    def wire(self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
+        """One adapter."""
+        return Wire(clock, bit_rate_hz, nack_errno, host_ns)
+
+    def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
+        """The multiplexer; ValueError for one that isn't known."""
+        return named(chip, MUXES, "mux")(address, channels, powered_on_ns)
+
+    def element(self, sensor: SensorLike) -> SensingElement:
+        """The sensing element of one sensor, with its unit's imperfections."""
+        unit = unit_of(self.array, sensor.name, sensor.chip, sensor.range or 0.0, self.seed)
+        orientation = IDENTITY if sensor.orientation is None else sensor.orientation
+        return SensingElement(self.world, sensor.chip, sensor.name, orientation, unit, self.seed)
+
+    def kind(self, sensor: SensorLike) -> Callable[..., Chip]:
+        """What builds the chip of one sensor; ValueError for a chip that isn't known."""
+        return named(sensor.chip, CHIPS, f"sensor {sensor.name}: chip")
+
+    def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
+        """Keyword arguments of that chip, which the caller's go before."""
+        return {}
+
+    def generator_key(self, sensor: SensorLike) -> str:
+        """Keys the noise that a chip draws itself."""
+        return f"{self.seed} {sensor.name}"
+
+    def device(self, sensor: SensorLike, chip: Chip) -> Target:
+        """What is connected to the wire for one sensor: the chip itself, or what stands before it."""
+        return chip
+
+    def host_clock(self, clock: Clock) -> Clock:
+        """The clock that the polling program reads and sleeps on; `clock` is that of the world."""
+        return clock

@@ -1,0 +1,255 @@
+"""Cases: series of logs of an emulated array with mechanisms at work, and apart from them a sealed file that tells all.
+
+A case is what somebody brings home from a bench: units nobody has measured, a log for each experiment, no truth. It is
+polled by the real drivers and written by the real acquisition. Neither the names nor the attributes of its logs tell
+the mechanism, its severity or the seed.
+
+::
+
+    python -m firmware_emulator.cases martin2013 -o case --truth sealed.json --mechanism mains_ripple \\
+        --severity 2 --sensor Gyro2 --seed 7 --experiments static,tumble,heating,turn-on,motion
+
+Every log is a power-up of its own; units stay the same, noise does not. Time is emulated. `/reference` of a log holds
+what the bench was told to do: force, rate and temperature of the table, not of the sensors.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Self, cast
+
+import click
+import h5py
+import numpy as np
+
+from firmware_emulator.array import EmulatedBus, open_array
+from firmware_emulator.mechanisms import MECHANISMS
+from firmware_emulator.mechanisms.experiments import EXPERIMENTS, Experiment, known_experiment
+from firmware_emulator.mechanisms.fitted import FittedBoard, Fitting
+from firmware_emulator.mechanisms.host import HostClock
+from firmware_emulator.mechanisms.query import checked, fitting_of, split
+from firmware_emulator.world import Phase, World
+from imuarray.acquire import record
+from imuarray.array import ArrayConfig, load_array
+from imuarray.bus.protocol import OpenBus
+from imuarray.commands.options import find_config
+from imuarray.errors import ImuArrayError, OutputExistsError
+
+PROGRAM = "firmware_emulator.cases"
+RATE_HZ = 64.0
+"""Frames a second: mains shows at 14 Hz, its harmonics at 28 and 22 Hz."""
+FIRST_LOG = datetime(2013, 9, 16, 9, 0, tzinfo=UTC)
+BETWEEN_LOGS = timedelta(minutes=20)
+
+
+@dataclass(frozen=True)
+class Case:
+    """`experiments` (keys of `EXPERIMENTS`, or own ones) with `fittings` at work on the array; none: nothing is wrong.
+
+    `seed` draws units, noise and whatever mechanisms leave to chance. `severities` go into the truth, a fitting each.
+    With `reference` the logs tell what the bench was told to do; without, only its phases and what the barometer felt.
+    """
+
+    array: ArrayConfig
+    experiments: tuple[Experiment, ...]
+    fittings: tuple[Fitting, ...] = ()
+    severities: tuple[float, ...] = ()
+    seed: int = 0
+    rate_hz: float = RATE_HZ
+    reference: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        array: ArrayConfig,
+        experiments: Sequence[str | Experiment],
+        *mechanisms: tuple[str, float, tuple[str, ...]],
+        seed: int = 0,
+        rate_hz: float = RATE_HZ,
+        reference: bool = True,
+    ) -> Self:
+        """By names: `mechanisms` are (name, severity, sensors), no sensors meaning all on which it can be put.
+
+        ValueError, one line, for a name, a severity or a sensor that isn't possible.
+        """
+        chosen = [one if isinstance(one, Experiment) else known_experiment(one) for one in experiments]
+        fittings = [checked(array, fitting_of(array, *mechanism)) for mechanism in mechanisms]
+        severities = tuple(severity for _, severity, _ in mechanisms)
+        return cls(array, tuple(chosen), tuple(fittings), severities, seed, rate_hz, reference)
+
+    def write(self, folder: Path, truth: Path, *, force: bool = False) -> list[Path]:
+        """Record every log into `folder` and seal the truth in another place; the logs' paths.
+
+        ValueError if `truth` would lie beside the logs, OutputExistsError for a file that is there already.
+        """
+        if folder.resolve() == truth.resolve().parent:
+            raise ValueError(f"{truth}: the truth lies beside the logs; allowed is any other folder")
+        if truth.exists() and not force:
+            raise OutputExistsError(truth)
+        folder.mkdir(parents=True, exist_ok=True)
+        truth.parent.mkdir(parents=True, exist_ok=True)
+        paths: list[Path] = []
+        told: list[dict[str, Any]] = []
+        for experiment in self.experiments:
+            for index in range(experiment.logs):
+                path = folder / experiment.file(index)
+                told.append(self._log(path, experiment, index, run=len(paths), force=force))
+                paths.append(path)
+        truth.write_text(json.dumps(self.truth(told), indent=1) + "\n")
+        return paths
+
+    def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """What the sealed file says; `logs` say what happened in each."""
+        names = {kind: name for name, kind in MECHANISMS.items()}
+        return {
+            "array": self.array.name,
+            "seed": self.seed,
+            "rate_hz": self.rate_hz,
+            "mechanisms": [
+                {
+                    "mechanism": names[type(fitting.mechanism)],
+                    "severity": severity,
+                    "sensors": list(fitting.sensors),
+                    "parameters": asdict(fitting.mechanism),
+                    "resembles": list(fitting.mechanism.resembles),
+                }
+                for fitting, severity in zip(self.fittings, self.severities, strict=True)
+            ],
+            "logs": list(logs),
+        }
+
+    def _log(self, path: Path, experiment: Experiment, index: int, *, run: int, force: bool) -> dict[str, Any]:
+        boards: list[FittedBoard] = []
+
+        def board(name: str, world: World, seed: int) -> FittedBoard:
+            boards.append(FittedBoard(self.array, world, seed, self.fittings, run=run, units="drawn"))
+            return boards[-1]
+
+        bus = open_array(self.array, world=experiment.world, seed=self.seed, board=board)
+        if not self.reference:
+            del bus.truth  # nobody is told
+        summary = record(
+            self.array,
+            cast(OpenBus, bus),
+            path,
+            rate_hz=self.rate_hz,
+            seconds=experiment.seconds,
+            phases=cast(Any, as_shown(experiment.phases(index), bus)),
+            wall_time=FIRST_LOG + run * BETWEEN_LOGS,
+            force=force,
+        )
+        if self.reference:
+            call_it_reference(path)
+        if self.reference and experiment.reference_hz:
+            begun_ns = bus.clock.now_ns() - round(summary.seconds * 1e9)
+            read_reference(path, experiment, begun_ns)
+        return {"log": path.name, "run": run, "notes": boards[0].notes}
+
+
+def as_shown(phases: Sequence[Phase], bus: EmulatedBus) -> tuple[Phase, ...]:
+    """Phases in times of the host's clock, on which whoever notes them looks."""
+    clock = bus.clock
+    if not isinstance(clock, HostClock):
+        return tuple(phases)
+    return tuple(
+        phase._replace(start_ns=clock.shown(phase.start_ns), end_ns=clock.shown(phase.end_ns)) for phase in phases
+    )
+
+
+def call_it_reference(path: Path) -> None:
+    """What the emulated world says of itself is what the bench was told to do."""
+    with h5py.File(path, "r+") as file:
+        file.move("truth", "reference")
+
+
+def read_reference(path: Path, experiment: Experiment, begun_ns: int) -> None:
+    """The reference at its own rate, by a clock of its own that is right, from `begun_ns` of the world on."""
+    times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
+    felt = [experiment.world(begun_ns + at_ns) for at_ns in times.tolist()]
+    columns = {
+        "time": times,
+        "specific_force": np.array([one.force_box for one in felt]),
+        "angular_rate": np.array([one.rate_box for one in felt]),
+        "temperature": np.array([one.temperature_degc for one in felt]),
+    }
+    with h5py.File(path, "r+") as file:
+        for name, values in columns.items():
+            dataset = file["reference"][name]
+            dataset.resize(len(values), axis=0)
+            dataset[:] = values
+
+
+def asked(
+    names: Sequence[str], severities: Sequence[float], sensors: Sequence[str]
+) -> list[tuple[str, float, tuple[str, ...]]]:
+    """Options that come once for each mechanism; ValueError unless they are given for all of them or for none."""
+    severities, sensors = severities or (1.0,) * len(names), sensors or ("",) * len(names)
+    if not len(names) == len(severities) == len(sensors):
+        raise ValueError("--severity and --sensor: as often as --mechanism, or not at all")
+    return [
+        (name, severity, tuple(split(group, ",")))
+        for name, severity, group in zip(names, severities, sensors, strict=True)
+    ]
+
+
+@click.command(PROGRAM, context_settings={"help_option_names": ["-h", "--help"]})
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="folder of the logs")
+@click.option("--truth", required=True, type=click.Path(path_type=Path), help="the sealed file, in another folder")
+@click.option("--mechanism", multiple=True, type=click.Choice(list(MECHANISMS)), help="none: nothing is wrong")
+@click.option("--severity", multiple=True, type=float, help="in units of its reference size  [default: 1]")
+@click.option("--sensor", multiple=True, metavar="NAME,...", help="where  [default: wherever it can be]")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="of units, noise and chance")
+@click.option("--experiments", default=",".join(EXPERIMENTS), show_default=True, help="which, in this order")
+@click.option("--rate-hz", type=float, default=RATE_HZ, show_default=True, help="frames a second")
+@click.option("--only", metavar="NAME,...", help="read only these sensors")
+@click.option("--reference/--no-reference", default=True, help="whether the logs tell what the bench was told to do")
+@click.option("--force", is_flag=True, help="overwrite")
+def program(
+    config: Path,
+    output: Path,
+    truth: Path,
+    mechanism: tuple[str, ...],
+    severity: tuple[float, ...],
+    sensor: tuple[str, ...],
+    seed: int,
+    experiments: str,
+    rate_hz: float,
+    only: str | None,
+    reference: bool,
+    force: bool,
+) -> None:
+    """Write the logs of one case of the emulated array of CONFIG, and seal what is wrong with it."""
+    array = load_array(find_config(config))
+    array = array.only(tuple(only.split(","))) if only else array
+    try:
+        mechanisms, chosen = asked(mechanism, severity, sensor), experiments.split(",")
+        case = Case.of(array, chosen, *mechanisms, seed=seed, rate_hz=rate_hz, reference=reference)
+        paths = case.write(output, truth, force=force)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    for path in paths:
+        click.echo(path)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; what it returns is the exit code: 2 for bad input, with one line."""
+    try:
+        program.main(args=None if arguments is None else list(arguments), prog_name=PROGRAM, standalone_mode=False)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo(f"{PROGRAM}: interrupted", err=True)
+        return 130
+    except (click.ClickException, ImuArrayError) as error:
+        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        click.echo(f"{PROGRAM}: {' '.join(text.split())}", err=True)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""What is done on a bench with an array: the experiments of the paper, in short."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from firmware_emulator.world import Heating, Phase, PhasedWorld, Shaking, Still, Tumble
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """`logs` power-ups of `seconds` each in a `world`, in files called `name`; `phase` names a log as a whole.
+
+    A reference instrument is read at `reference_hz`; 0: with every frame.
+    """
+
+    name: str
+    world: PhasedWorld
+    seconds: float
+    logs: int = 1
+    phase: str = ""
+    reference_hz: float = 0.0
+
+    def file(self, index: int) -> str:
+        """Name of log number `index`."""
+        return f"{self.name}.h5" if self.logs == 1 else f"{self.name}_{index + 1:02d}.h5"
+
+    def phases(self, index: int) -> tuple[Phase, ...]:
+        """What a person with a stopwatch notes during log number `index`."""
+        if not self.phase:
+            return self.world.phases
+        name = f"{self.phase} {index + 1}" if self.logs > 1 else self.phase
+        return (Phase(0, 1 << 62, name, "+Z"),)
+
+
+EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
+    {
+        "static": Experiment("static", Still(), 120.0, phase="static"),
+        "tumble": Experiment("tumble", Tumble(face_s=15.0), 117.0),
+        "heating": Experiment("heating", Heating(scale=0.1), 240.0),
+        "turn-on": Experiment("boot", Still(), 12.0, logs=10, phase="run"),
+        "motion": Experiment("motion", Shaking(peak_g=0.35, peak_dps=150.0), 50.0, reference_hz=500.0),
+    }
+)
+"""By the names that the command line uses; all together nine minutes of emulated time."""
+
+
+def known_experiment(name: str) -> Experiment:
+    """An entry of `EXPERIMENTS`; ValueError that lists the others."""
+    if name not in EXPERIMENTS:
+        raise ValueError(f"experiment {name!r}; allowed are {', '.join(EXPERIMENTS)}")
+    return EXPERIMENTS[name]

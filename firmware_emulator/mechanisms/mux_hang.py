@@ -1,0 +1,51 @@
+"""The multiplexer acknowledges its order and does not switch, for once: twins on the other channel answer."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+from firmware_emulator.element import stream
+from firmware_emulator.mechanisms.fitted import FittedBoard
+from firmware_emulator.mechanisms.mechanism import Mechanism
+from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Site
+
+if TYPE_CHECKING:
+    from firmware_emulator.array import SensorLike
+
+
+@dataclass(frozen=True)
+class MuxHang(Mechanism):
+    """A `share` of the orders is not obeyed; who has no twin at his address on the other channel is not acknowledged,
+    the others are answered for. Begins `WHILE_SET_UP_S` after power-on. Reference: 0.5 % of the orders.
+    """
+
+    share: float = 0.005
+
+    place: ClassVar[str] = "host"
+    resembles: ClassVar[tuple[str, ...]] = ("channel_swap", "glitches")
+
+    @classmethod
+    def at(cls, severity: float) -> Self:
+        """More often."""
+        return cls(share=min(0.5, cls.share * severity))
+
+    def wherever(self, sensors: Sequence[SensorLike]) -> tuple[str, ...]:
+        """Those that have a twin: the same chip at the same address of another channel."""
+        places = Counter((sensor.chip, sensor.address) for sensor in sensors if sensor.channel is not None)
+        touched = [sensor for sensor in sensors if sensor.chip in self.touches]
+        return tuple(sensor.name for sensor in touched if places[sensor.chip, sensor.address] > 1)
+
+    def fit(self, board: FittedBoard, sites: Sequence[Site]) -> None:
+        """At the STOP of an order."""
+        random, begin_ns = stream(board.seed, f"multiplexer, run {board.run}"), round(WHILE_SET_UP_S * 1e9)
+
+        def obeys(at_ns: int) -> bool:
+            if at_ns < begin_ns or random.random() >= self.share:
+                return True
+            board.notes.append(f"multiplexer hung at {at_ns * 1e-9:.3f} s")
+            return False
+
+        board.host.obeys.append(obeys)

@@ -1,0 +1,72 @@
+"""Mechanisms from the parameters of a bus URL.
+
+``emulated:?units=drawn&seed=7&mechanism=mains_ripple,log_creep&severity=2,1&sensor=Gyro1|Gyro2,BMA1&run=3``: lists
+separated by commas, one entry a mechanism; the sensors of one mechanism by ``|``, none for all on which it can be put.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from firmware_emulator.mechanisms import MECHANISMS
+from firmware_emulator.mechanisms.fitted import FittedBoard, Fitting, chosen, sites_of
+
+if TYPE_CHECKING:
+    from firmware_emulator.array import ArrayLike, BoardKind
+    from firmware_emulator.world import World
+
+
+def fittings_from(query: Mapping[str, str], array: ArrayLike) -> tuple[Fitting, ...]:
+    """What `mechanism`, `severity` and `sensor` ask for; ValueError, one line, for what isn't possible."""
+    names = split(query.get("mechanism", ""), ",")
+    severities = split(query.get("severity", ""), ",") or ["1"] * len(names)
+    groups = split(query.get("sensor", ""), ",") or [""] * len(names)
+    if not len(names) == len(severities) == len(groups):
+        raise ValueError("mechanism, severity, sensor: allowed are lists of equal length")
+    return tuple(
+        checked(array, fitting_of(array, name, number(severity), tuple(split(group, "|"))))
+        for name, severity, group in zip(names, severities, groups, strict=True)
+    )
+
+
+def fitting_of(array: ArrayLike, name: str, severity: float, sensors: tuple[str, ...] = ()) -> Fitting:
+    """One mechanism on these sensors, or on all that it touches; ValueError for an unknown name."""
+    mechanism = chosen(name, MECHANISMS, severity)
+    return Fitting(mechanism, sensors or mechanism.wherever(array.sensors))
+
+
+def checked(array: ArrayLike, fitting: Fitting) -> Fitting:
+    """`fitting`, if the mechanism can be put on those sensors."""
+    sites_of(array, fitting)
+    return fitting
+
+
+def board_from(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
+    """The board that the query asks for; its notes stay within it."""
+    fittings = fittings_from(query, array)
+    run, units = query.get("run", "0"), query.get("units", "paper")
+    if not (run.isascii() and run.isdigit()):
+        raise ValueError(f"run={run}; allowed is a whole number")
+
+    def board(name: str, world: World, seed: int) -> FittedBoard:
+        return FittedBoard(array, world, seed, fittings, run=int(run), units=units)
+
+    return board
+
+
+def split(text: str, separator: str) -> list[str]:
+    """The parts of a list, none of an empty one."""
+    return text.split(separator) if text else []
+
+
+def number(text: str) -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"severity={text}; allowed is a number")
+    return value

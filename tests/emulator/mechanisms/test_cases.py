@@ -1,0 +1,164 @@
+"""Cases: real logs by the real drivers, which don't tell what made them; a sealed file that does."""
+
+from __future__ import annotations
+
+import json
+from itertools import combinations
+
+import h5py
+import numpy as np
+import pytest
+
+from firmware_emulator.cases import Case, main
+from firmware_emulator.mechanisms import MECHANISMS
+from firmware_emulator.mechanisms.experiments import EXPERIMENTS, Experiment
+from firmware_emulator.world import Heating, Shaking, Still
+from imuarray.array import load_array
+from imuarray.errors import OutputExistsError
+from imuarray.log import open_log
+from imuarray.shipped import configs
+
+ARRAY = load_array(configs() / "martin2013.toml").only(("BMA1", "BMA3", "Gyro1", "Gyro3"))
+SHORT = (
+    Experiment("static", Still(), 6.0, phase="static"),
+    Experiment("boot", Still(), 1.0, logs=2, phase="run"),
+    Experiment("motion", Shaking(peak_g=0.3, peak_dps=100.0, still_s=1.0, motion_s=2.0), 4.0),
+)
+
+
+def written(tmp_path, name, *mechanisms, seed=1, **settings):
+    """The folder and the truth of one short case."""
+    case = Case.of(ARRAY, SHORT, *mechanisms, seed=seed, **settings)
+    paths = case.write(tmp_path / name, tmp_path / "sealed" / f"{name}.json")
+    return paths, json.loads((tmp_path / "sealed" / f"{name}.json").read_text())
+
+
+def outside(path):
+    """All names, attributes, shapes and events of a file: what it shows besides its numbers."""
+    shown = {}
+
+    def look(name, item):
+        pointers = ("REFERENCE_LIST", "DIMENSION_LIST")
+        shown[name] = {key: str(value) for key, value in item.attrs.items() if key not in pointers}
+
+    with h5py.File(path) as file:
+        shown["/"] = {key: str(value) for key, value in file.attrs.items()}
+        file.visititems(look)
+    return shown
+
+
+def test_logs_of_two_cases_differ_in_their_numbers_only(tmp_path):
+    plain, _ = written(tmp_path, "a")
+    other, _ = written(tmp_path, "b", ("mains_ripple", 3.0, ("Gyro3",)), ("log_creep", 7.0, ("BMA3",)), seed=77)
+    assert [path.name for path in plain] == [path.name for path in other]
+    assert [path.name for path in plain] == ["static.h5", "boot_01.h5", "boot_02.h5", "motion.h5"]
+    for one, two in zip(plain, other, strict=True):
+        assert outside(one) == outside(two)
+        text = two.read_bytes().lower()
+        assert not any(word in text for word in (b"severity", b"mechanism", b"ripple", b"creep", b"seed", b"drawn"))
+        with open_log(two) as log:
+            assert log.truth is None
+            assert log.source == "emulated"
+
+
+@pytest.mark.parametrize("name", ["trapped_charges", "scheduler_latency"])
+def test_the_same_seed_makes_the_same_logs_and_another_one_others(tmp_path, name):
+    one, two, three = (written(tmp_path, f"{at}", (name, 2.0, ()), seed=seed)[0] for at, seed in enumerate((3, 3, 4)))
+    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in two]
+    assert one[0].read_bytes() != three[0].read_bytes()
+
+
+def test_units_stay_and_noise_goes_from_log_to_log(tmp_path):
+    paths, _ = written(tmp_path, "a")
+    with open_log(paths[0]) as static, open_log(paths[1]) as first, open_log(paths[2]) as second:
+        readings = [log["Gyro3"].counts[:64] for log in (static, first, second)]
+        limit = 5 * readings[0].std(axis=0) / np.sqrt(64 / 2)
+        assert (np.abs(readings[0].mean(axis=0) - readings[1].mean(axis=0)) < limit).all()
+        assert not any(np.array_equal(one, two) for one, two in combinations(readings, 2))
+        assert [phase.name for log in (static, first, second) for phase in log.phases] == ["static", "run 1", "run 2"]
+
+
+def test_the_truth_tells_everything(tmp_path):
+    _, truth = written(tmp_path, "a", ("package_tilt", 2.0, ("BMA3",)), ("mux_hang", 20.0, ()), seed=9)
+    assert truth["seed"] == 9
+    tilt, hang = truth["mechanisms"]
+    assert tilt == {
+        "mechanism": "package_tilt",
+        "severity": 2.0,
+        "sensors": ["BMA3"],
+        "parameters": {"tilt_deg": 4.0},
+        "resembles": ["misalignment"],
+    }
+    assert hang["sensors"] == ["BMA1", "BMA3", "Gyro1", "Gyro3"]
+    assert [log["log"] for log in truth["logs"]] == ["static.h5", "boot_01.h5", "boot_02.h5", "motion.h5"]
+    assert "multiplexer hung" in truth["logs"][0]["notes"][0]
+
+
+def test_the_truth_may_not_lie_beside_the_logs(tmp_path):
+    case = Case.of(ARRAY, SHORT[:1])
+    with pytest.raises(ValueError, match="beside the logs"):
+        case.write(tmp_path, tmp_path / "truth.json")
+    case.write(tmp_path / "logs", tmp_path / "truth.json")
+    with pytest.raises(OutputExistsError):
+        case.write(tmp_path / "logs", tmp_path / "truth.json")
+
+
+def test_a_reference_tells_what_the_bench_was_told_or_is_left_out(tmp_path):
+    heated = Experiment("heating", Heating(scale=0.005), 6.0)
+    told, silent = (Case.of(ARRAY, [heated], reference=reference) for reference in (True, False))
+    (told_path,) = told.write(tmp_path / "told", tmp_path / "told.json")
+    (silent_path,) = silent.write(tmp_path / "silent", tmp_path / "silent.json")
+    with open_log(told_path) as log:
+        assert log.reference is not None
+        assert max(log.reference.temperature[:]) == pytest.approx(52.0, abs=0.1)  # the second peak of section 5.2.5
+        assert [phase.name for phase in log.phases] == ["room", "heat", "cool", "heat", "cool"]
+    with open_log(silent_path) as log:
+        assert log.reference is None
+        assert log.truth is None
+
+
+def test_a_moving_box_is_followed_by_a_faster_reference(tmp_path):
+    moved = Experiment(
+        "motion", Shaking(peak_g=0.3, peak_dps=100.0, still_s=1.0, motion_s=2.0), 4.0, reference_hz=500.0
+    )
+    (path,) = Case.of(ARRAY, [moved], seed=6).write(tmp_path / "logs", tmp_path / "truth.json")
+    with open_log(path) as log:
+        reference, gyro = log.reference, log["Gyro1"]
+        assert np.array_equal(np.diff(reference.time[:]), np.full(1999, 2_000_000))
+        dps = np.degrees(reference.angular_rate[:] @ np.asarray(gyro.orientation))
+        wanted = np.array([np.interp(gyro.time[:], reference.time[:], axis) for axis in dps.T]).T
+        read = gyro.counts[:] * 0.07
+        left = read - read[-40:].mean(axis=0) - wanted
+        assert np.abs(wanted).max() > 50
+        assert left.std() < 0.02 * wanted.std() + 0.3  # scale, alignment, 1 ms of age, noise of 0.18 dps
+
+
+@pytest.mark.parametrize("name", sorted(set(MECHANISMS)))
+def test_every_mechanism_can_be_recorded_at_its_worst(tmp_path, name):
+    sensors = ("BMA1", "BMA3") if MECHANISMS[name].place == "pair" else ()
+    case = Case.of(ARRAY, [Experiment("motion", SHORT[2].world, 6.5)], (name, 20.0, sensors), seed=2)
+    (path,) = case.write(tmp_path / "logs", tmp_path / "sealed.json")
+    with open_log(path) as log:
+        assert all(len(log[sensor].time) > 20 for sensor in log.sensors)
+
+
+def test_the_plan_of_the_paper_takes_nine_minutes_of_emulated_time():
+    assert sum(one.seconds * one.logs for one in EXPERIMENTS.values()) == pytest.approx(647.0)
+
+
+def test_command_line(tmp_path, capsys):
+    where = ["-o", str(tmp_path / "logs"), "--truth", str(tmp_path / "truth.json")]
+    small = ["--only", "BMA1,Gyro1", "--experiments", "static", "--rate-hz", "4"]
+    asked = ["--mechanism", "log_creep", "--severity", "3", "--sensor", "Gyro1", "--seed", "5"]
+    assert main(["martin2013", *where, *small, *asked]) == 0
+    assert capsys.readouterr().out.split() == [str(tmp_path / "logs" / "static.h5")]
+    assert json.loads((tmp_path / "truth.json").read_text())["mechanisms"][0]["severity"] == 3.0
+    assert main(["martin2013", *where, *small]) == 2
+    assert "truth.json" in capsys.readouterr().err
+    for wrong, said in (
+        (["--experiments", "dancing"], "experiment 'dancing'; allowed are static"),
+        (["--severity", "3"], "as often as --mechanism"),
+        (["--mechanism", "log_creep", "--sensor", "HMC9"], "sensor 'HMC9' for LogCreep"),
+    ):
+        assert main(["martin2013", *where, *small, *wrong, "--force"]) == 2
+        assert said in capsys.readouterr().err

@@ -1,0 +1,160 @@
+"""What every mechanism promises: parameters that move with severity, an effect that grows with it, independence."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError, astuple, fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import firmware_emulator
+from firmware_emulator.array import open_bus
+from firmware_emulator.mechanisms import MECHANISMS
+from firmware_emulator.mechanisms.fitted import FittedBoard
+from firmware_emulator.mechanisms.query import fittings_from
+from firmware_emulator.world import Heating, Shaking
+from tests.emulator.mechanisms.mechanism_bench import ARRAY, errors, every
+
+EFFECTS = {
+    *("white_noise", "bias_instability", "random_walk", "popcorn_noise", "bandwidth", "tone", "bias", "scale"),
+    *("misalignment", "axis_error", "nonlinearity", "g_sensitivity", "thermal_bias", "thermal_scale", "thermal_lag"),
+    *("quantisation", "saturation", "stale_samples", "glitches", "stuck", "turn_on_bias", "bistable_bias"),
+    *("range_reset", "clock_error", "jitter", "dropped_samples", "skew", "odr_error", "common_mode", "size_effect"),
+    *("channel_swap", "thermometer"),
+}
+"""The names of effects, as the documentation lists them."""
+EITHER_OR = ("rotated_package", "crossed_wiring")
+ON_THE_ELEMENT = (
+    *("carrier_shot_noise", "trapped_charges", "stress_relaxation", "single_trap", "mains_ripple", "package_tilt"),
+    *("reference_voltage", "plate_gap", "drive_imbalance", "thermistor_bow", "gain_resistor", "soft_clipping"),
+    *("power_on_stress", "pipeline_delay", "log_creep", "one_sided_noise", "spinning_motor", "keyed_transmitter"),
+    *("interleaved_converters", "thermal_hysteresis", "vibration_rectification", "reference_noise", "lever_arm"),
+)
+PACKAGE = Path(firmware_emulator.__file__).parent
+
+
+def both(at_ns):
+    """Shaken and heated at once, so that everything has something to act on."""
+    shaken = Shaking(peak_g=0.3, peak_dps=100.0, still_s=0.5, motion_s=20.0)(at_ns)
+    return shaken._replace(temperature_degc=Heating(scale=0.003)(at_ns).temperature_degc)
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_a_mechanism_is_a_frozen_record_with_its_physics_told(name):
+    kind = MECHANISMS[name]
+    mechanism = kind.at(1.0)
+    assert mechanism == kind()  # severity 1 is the size that the defaults state
+    assert len(kind.__doc__ or "") > 80
+    assert kind.__module__ == f"firmware_emulator.mechanisms.{name}"
+    assert set(kind.resembles) <= EFFECTS
+    assert set(kind.touches) <= {"adxl345", "bma180", "l3g4200d"}
+    for field in fields(mechanism):
+        with pytest.raises(FrozenInstanceError):
+            setattr(mechanism, field.name, 0)
+
+
+@pytest.mark.parametrize("name", sorted(set(MECHANISMS) - set(EITHER_OR)))
+def test_parameters_move_one_way_with_severity(name):
+    ladder = np.array(
+        [[value for value in astuple(MECHANISMS[name].at(step)) if np.isscalar(value)] for step in (0.5, 1, 2, 5, 20)],
+        dtype=float,
+    )
+    steps = np.diff(ladder, axis=0)
+    assert all((column >= 0).all() or (column <= 0).all() for column in steps.T)
+    assert steps.any(axis=0).any()
+
+
+@pytest.mark.parametrize("name", ON_THE_ELEMENT)
+def test_the_error_grows_with_severity(name):
+    kind = MECHANISMS[name]
+    where = "Gyro" if "l3g4200d" in kind.touches else "BMA"
+
+    def size(severity: float) -> float:
+        full_scale = 250.0 if where == "Gyro" else 2.0
+        found = errors(kind.at(severity), where, every(31.2, 450), world=both, full_scale=full_scale)
+        return float(np.sqrt(np.mean(found**2)))
+
+    ladder = [size(severity) for severity in (0.5, 1, 4)]
+    assert ladder == sorted(ladder)
+    assert ladder[2] > 1.5 * ladder[1] > 0
+
+
+def test_every_effect_with_a_name_has_a_mechanism_and_some_mechanisms_have_no_name():
+    assert {effect for kind in MECHANISMS.values() for effect in kind.resembles} == EFFECTS
+    assert sum(not kind.resembles for kind in MECHANISMS.values()) >= 8
+
+
+def test_no_file_imports_the_simulator_or_its_judges():
+    """By its text: the mechanisms share register facts with the library and nothing else; cases may record."""
+    allowed = {"cases.py": ("facts", "acquire", "array", "bus", "commands", "errors")}
+    files = [*(PACKAGE / "mechanisms").rglob("*.py"), PACKAGE / "cases.py", PACKAGE / "board.py"]
+    assert len(files) > len(MECHANISMS)
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            for module in modules:
+                top, _, rest = module.partition(".")
+                if top == "imuarray":
+                    assert rest.split(".")[0] in allowed.get(file.name, ("facts",)), (file.name, module)
+                assert not module.startswith(("importlib", "tests")), (file.name, module)
+
+
+def test_nothing_of_the_simulator_is_loaded_by_making_a_case():
+    """By what a fresh interpreter has loaded, whoever imported it."""
+    code = (
+        "import sys, firmware_emulator.cases, firmware_emulator.mechanisms.query;"
+        "print([name for name in sys.modules if name.startswith(('imuarray.simulate', 'imuarray.gap'))])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
+
+
+def test_a_url_names_mechanisms_sensors_and_severities():
+    query = {"mechanism": "mains_ripple,log_creep", "severity": "2,0.5", "sensor": "Gyro|Gyro twin,BMA"}
+    ripple, creep = fittings_from(query, ARRAY)
+    assert ripple.sensors == ("Gyro", "Gyro twin")
+    assert ripple.mechanism == MECHANISMS["mains_ripple"].at(2.0)
+    assert creep.sensors == ("BMA",)
+    assert fittings_from({"mechanism": "mux_hang"}, ARRAY)[0].sensors == ("BMA", "BMA twin", "Gyro", "Gyro twin")
+    assert fittings_from({"mechanism": "supply_drift"}, ARRAY)[0].sensors == ("BMA", "BMA twin")
+    with open_bus({**query, "units": "drawn", "run": "3", "seed": "5"}, ARRAY) as bus:
+        bus.transfer(0x70, b"\x04")
+        assert bus.transfer(0x40, b"\x00", 1) == b"\x03"
+
+
+@pytest.mark.parametrize(
+    ("query", "said"),
+    [
+        ({"mechanism": "magic"}, "mechanism 'magic'; allowed are carrier_shot_noise"),
+        ({"mechanism": "log_creep", "sensor": "Gyro9"}, "allowed are ADXL, BMA, BMA twin, Gyro, Gyro twin"),
+        ({"mechanism": "lever_arm", "sensor": "Gyro"}, "allowed are ADXL, BMA, BMA twin"),
+        ({"mechanism": "log_creep", "severity": "0"}, "allowed is anything above 0"),
+        ({"mechanism": "log_creep", "severity": "much"}, "severity=much; allowed is a number"),
+        ({"mechanism": "log_creep", "severity": "1,2"}, "lists of equal length"),
+        ({"mechanism": "crossed_wiring", "sensor": "BMA"}, "needs exactly 2 sensors"),
+        ({"mechanism": "crossed_wiring", "sensor": "BMA|Gyro"}, "needs sensors of one chip"),
+        ({"mechanism": "rate_divider,slow_oscillator"}, "two mechanisms would change the inside"),
+        ({"units": "new"}, "units=new; allowed are paper, drawn"),
+        ({"run": "-1"}, "run=-1; allowed is a whole number"),
+    ],
+)
+def test_a_url_that_asks_for_what_is_not_possible(query, said):
+    with pytest.raises(ValueError, match=said):
+        open_bus(query, ARRAY)
+
+
+def test_a_fitted_board_with_nothing_on_it_is_the_plain_one():
+    def conversation(**settings):
+        with open_bus({"seed": "4", **settings}, ARRAY) as bus:
+            bus.transfer(0x70, b"\x04")
+            bus.clock.sleep_until(10**9)
+            return [bus.transfer(0x40, b"\x02", 7) for _ in range(50)], bus.clock.now_ns()
+
+    assert conversation() == conversation(units="paper")
+    assert conversation() != conversation(units="paper", run="1")
+    assert isinstance(FittedBoard(ARRAY, both, 4).kind(ARRAY.sensors[0]), type)

@@ -1,0 +1,262 @@
+"""Mechanisms of the stimulus, of temperature and of start-up, against the physics that they state."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from firmware_emulator.mechanisms.bias_current_dac import BiasCurrentDac
+from firmware_emulator.mechanisms.board_to_die import BoardToDie
+from firmware_emulator.mechanisms.crossed_wiring import CrossedWiring
+from firmware_emulator.mechanisms.drive_imbalance import DriveImbalance
+from firmware_emulator.mechanisms.dropped_box import DroppedBox
+from firmware_emulator.mechanisms.fitted import FittedBoard, Fitting
+from firmware_emulator.mechanisms.gain_resistor import GainResistor
+from firmware_emulator.mechanisms.lever_arm import LeverArm
+from firmware_emulator.mechanisms.log_creep import LogCreep
+from firmware_emulator.mechanisms.package_tilt import PackageTilt
+from firmware_emulator.mechanisms.pipeline_delay import PipelineDelay
+from firmware_emulator.mechanisms.plate_gap import PlateGap
+from firmware_emulator.mechanisms.power_on_stress import PowerOnStress
+from firmware_emulator.mechanisms.range_switch import RangeSwitch
+from firmware_emulator.mechanisms.reference_voltage import ReferenceVoltage
+from firmware_emulator.mechanisms.rotated_package import RotatedPackage
+from firmware_emulator.mechanisms.self_heating import SelfHeating
+from firmware_emulator.mechanisms.soft_clipping import SoftClipping
+from firmware_emulator.mechanisms.supply_drift import SupplyDrift
+from firmware_emulator.mechanisms.supply_droop import SupplyDroop
+from firmware_emulator.mechanisms.thermal_hysteresis import ThermalHysteresis
+from firmware_emulator.mechanisms.thermistor_bow import ThermistorBow
+from firmware_emulator.mechanisms.vibration_rectification import VibrationRectification
+from firmware_emulator.world import STANDARD_GRAVITY, UPRIGHT, Still, Stimulus
+from tests.emulator.mechanisms.mechanism_bench import (
+    ARRAY,
+    MS,
+    IdealBoard,
+    S,
+    board,
+    errors,
+    every,
+    samples,
+    turning,
+    warm,
+)
+
+
+def force(x: float, y: float, z: float):
+    """A world of constant specific force in g."""
+    felt = Stimulus((x * STANDARD_GRAVITY, y * STANDARD_GRAVITY, z * STANDARD_GRAVITY))
+    return lambda at_ns: felt
+
+
+def one(mechanism, name, world=None, at_ns=S, **settings):
+    """A single reading (3,)."""
+    return samples(board(mechanism, name, world=world, **settings), name, [at_ns])[0]
+
+
+def test_a_reference_three_percent_high_makes_everything_smaller():
+    assert one(ReferenceVoltage(0.03), "BMA") == pytest.approx([0, 0, 1 / 1.03])
+
+
+def test_a_tilted_package_feels_the_same_force_from_elsewhere():
+    upright, sideways = one(PackageTilt(2.0), "BMA"), one(PackageTilt(2.0), "BMA", force(1, 0, 0))
+    assert np.linalg.norm(upright) == pytest.approx(1.0)
+    assert upright @ sideways == pytest.approx(0.0, abs=1e-12)
+    tilts = [np.degrees(np.arccos(axis @ one(PackageTilt(2.0), "BMA", force(*axis)))) for axis in np.eye(3)]
+    assert max(tilts) <= 2.0 + 1e-6
+    squares = np.sum((2 - 2 * np.cos(np.radians(tilts))) / (2 - 2 * math.cos(math.radians(2.0))))
+    assert squares == pytest.approx(2.0)  # the trace of a rotation is 1 + 2 cos, whatever its axis
+
+
+def test_a_quarter_turn_gives_x_what_y_should_feel():
+    assert one(RotatedPackage(), "BMA", force(0.3, 0.5, 0.7)) == pytest.approx([0.5, -0.3, 0.7])
+
+
+def test_plates_that_come_closer_read_more():
+    assert one(PlateGap(gap_g=80.0), "BMA")[2] == pytest.approx(80 / 79)
+    assert one(PlateGap(gap_g=80.0), "BMA", force(0, 0, -1))[2] == pytest.approx(-80 / 81)
+
+
+def test_a_pendulous_gyroscope_feels_force_across_it_only():
+    pulls = [one(DriveImbalance(0.3), "Gyro", force(*axis)) for axis in np.eye(3)]
+    for axis, pull in zip(np.eye(3), pulls, strict=True):
+        assert pull @ axis == pytest.approx(0.0, abs=1e-12)
+    assert np.allclose(np.array(pulls), -np.array(pulls).T)  # a vector product is antisymmetric
+    assert np.sum(np.square(pulls)) == pytest.approx(2 * 3 * 0.3**2)
+    assert one(DriveImbalance(0.3), "Gyro", force(0, 0, 2)) == pytest.approx(2 * pulls[2])
+
+
+def test_bow_is_even_about_room_temperature():
+    at = {degc: one(ThermistorBow(50e-6), "BMA", warm(lambda _, degc=degc: degc)) for degc in (5.0, 25.0, 35.0, 45.0)}
+    assert at[25.0] == pytest.approx([0, 0, 1])
+    bow = at[45.0] - [0, 0, 1]
+    assert at[5.0] - [0, 0, 1] == pytest.approx(bow)
+    assert (at[35.0] - [0, 0, 1]) * 4 == pytest.approx(bow)
+    assert math.sqrt(np.mean(bow**2)) == pytest.approx(0.02)
+
+
+def test_a_resistor_raises_gain_by_the_same_factor_for_every_degree():
+    got = [one(GainResistor(1e-3), "BMA", warm(lambda _, degc=degc: degc))[2] for degc in (25.0, 35.0, 45.0)]
+    assert got[0] == 1.0
+    assert got[2] == pytest.approx(got[1] ** 2)
+    assert got[1] == pytest.approx(math.exp(0.01))
+
+
+def heated_errors(mechanism, degc, times):
+    """Temperature that the bias of a unit with 1 dps/K follows, read as dps."""
+
+    class Slope(IdealBoard):
+        def unit(self, sensor):
+            return super().unit(sensor).__class__(slope_per_degc=(1.0, 1.0, 1.0))
+
+    fitted = Slope(ARRAY, warm(degc), 1, [Fitting(mechanism, ("Gyro",))])
+    return samples(fitted, "Gyro", times)[:, 0] + 25.0
+
+
+def test_under_a_ramp_the_die_is_late_by_both_time_constants():
+    late = heated_errors(BoardToDie(6.0, 2.0), lambda at_s: 25.0 + 0.1 * at_s, every(20, 5000))
+    assert (25.0 + 0.1 * 99.98 - late[-1]) / 0.1 == pytest.approx(8.0, abs=0.03)
+
+
+def test_after_a_step_the_die_follows_two_exponentials():
+    got = heated_errors(BoardToDie(6.0, 2.0), lambda at_s: 35.0 if at_s >= 1 else 25.0, every(10, 3000))
+    since = np.arange(3000) * 0.01 - 1
+    wanted = np.where(since > 0, 35 - 10 * (6 * np.exp(-since / 6) - 2 * np.exp(-since / 2)) / 4, 25.0)
+    assert np.abs(got - wanted).max() < 0.05
+
+
+def test_the_thermometer_is_late_by_the_board_alone():
+    fitted = board(BoardToDie(6.0, 2.0), "BMA", world=warm(lambda at_s: 25.0 + 0.1 * at_s))
+    element = fitted.element(fitted.sensors["BMA"])
+    for at_ns in every(20, 5000):
+        element.sample(at_ns, 2.0, 1.0)
+    assert 25.0 + 9.998 - element.temperature(99_980 * MS) == pytest.approx(0.6, abs=0.005)
+
+
+def test_a_chip_that_heats_itself_shows_it_on_its_own_thermometer_only():
+    fitted = board(SelfHeating(3.0, 5.0), "BMA")
+    element = fitted.element(fitted.sensors["BMA"])
+    got = [element.temperature(at * S) for at in (0, 5, 500)]
+    assert got == pytest.approx([25.0, 28.0 - 3 / math.e, 28.0])
+    assert element.sample(500 * S, 2.0, 1.0) == (0.0, 0.0, 1.0)
+
+
+def test_hysteresis_depends_on_the_way_and_not_on_its_speed():
+    def up_and_down(at_s: float) -> float:
+        return 25.0 + (at_s if at_s < 20 else 40 - at_s)
+
+    found = errors(ThermalHysteresis(size_dps=0.3, backlash_k=3.0), "Gyro", every(100, 400), world=warm(up_and_down))
+    warming, cooling = found[150], found[350]
+    assert cooling == pytest.approx(-warming)
+    assert math.sqrt(np.mean(warming**2)) == pytest.approx(0.3)
+    slow = errors(
+        ThermalHysteresis(size_dps=0.3, backlash_k=3.0),
+        "Gyro",
+        every(1000, 400),
+        world=warm(lambda at_s: up_and_down(at_s / 10)),
+    )
+    assert np.allclose(slow, found)
+
+
+def test_scale_sags_with_the_battery():
+    found = samples(board(SupplyDroop(0.02, 40.0), "BMA"), "BMA", [0, 40 * S, 4000 * S])[:, 2]
+    assert found == pytest.approx([1.0, 1 - 0.02 * (1 - math.exp(-1)), 0.98])
+
+
+def test_creep_gains_the_same_in_every_decade_and_boot():
+    found = [errors(LogCreep(per_decade_dps=0.15), "Gyro", [0, 9 * S, 99 * S, 999 * S], run=run) for run in (0, 5)]
+    assert np.array_equal(*found)
+    assert np.allclose(found[0], np.outer([0, 1, 2, 3], found[0][1]))
+    assert math.sqrt(np.mean(found[0][1] ** 2)) == pytest.approx(0.15)
+
+
+def test_stress_is_drawn_at_power_on_and_kept():
+    runs = np.array([errors(PowerOnStress(scale_dps=0.2), "Gyro", [0, 60 * S], run=run) for run in range(400)])
+    assert np.array_equal(runs[:, 0], runs[:, 1])
+    drawn = np.abs(runs[:, 0].ravel())
+    assert np.median(drawn) == pytest.approx(0.2 * math.log(2), rel=0.12)  # Laplace, 1200 draws
+    assert drawn.mean() == pytest.approx(0.2, rel=0.12)
+
+
+def test_the_bias_current_comes_up_in_one_of_two_states():
+    runs = np.array([errors(BiasCurrentDac(step_dps=0.5, share=0.4), "Gyro", [S], run=run)[0] for run in range(300)])
+    states = np.unique(np.round(runs, 9), axis=0)
+    assert len(states) == 2
+    assert runs.any(axis=1).mean() == pytest.approx(0.4, abs=4 * math.sqrt(0.24 / 300))
+    assert np.count_nonzero(states[np.abs(states).sum(axis=1) > 0]) == 3
+
+
+def test_a_fall_after_the_first_recording_lasts():
+    runs = np.array([errors(DroppedBox(shift_dps=0.5), "Gyro", [S], run=run)[0] for run in range(4)])
+    assert not runs[0].any()
+    assert np.array_equal(runs[1], runs[3])
+    assert math.sqrt(np.mean(runs[1] ** 2)) == pytest.approx(0.5)
+
+
+def test_a_range_switch_that_stays_open_doubles_the_codes_after_every_fourth_power_up():
+    got = [
+        samples(board(RangeSwitch(octaves=1), "BMA", run=run), "BMA", [S], full_scale=16.0)[0, 2] for run in range(20)
+    ]
+    wrong = [run for run, z in enumerate(got) if z != 1.0]
+    assert all(got[run] == 2.0 for run in wrong)
+    assert wrong[0] >= 2
+    assert set(np.diff(wrong)) == {4}
+
+
+def test_clipping_is_soft_and_never_passes_its_limit():
+    limits = SoftClipping(0.5)
+    element = board(limits, "BMA", world=force(0.1, 1.0, 50.0)).element(ARRAY.sensors[1])
+    x, y, z = element.sample(S, 2.0, 1.0)
+    assert x == pytest.approx(0.1, rel=1e-8)
+    assert y == pytest.approx(2 ** (-1 / 8))
+    assert 0.99 < z <= 1.0
+
+
+def test_a_delayed_chip_feels_the_past_of_a_ramp():
+    world = turning(lambda at_s: (math.radians(10 * at_s), 0.0, 0.0))
+    assert errors(PipelineDelay(0.02), "Gyro", [S], world=world)[0] == pytest.approx([-0.2, 0, 0])
+
+
+def test_a_lever_feels_centripetal_and_tangential_force():
+    steady = turning(lambda at_s: (0.0, 0.0, 3.0))
+    found = one(LeverArm(0.05), "BMA", steady) * STANDARD_GRAVITY
+    speeding = turning(lambda at_s: (0.0, 0.0, 4.0 * (at_s - 1.0)))
+    tangential = one(LeverArm(0.05), "BMA", speeding) * STANDARD_GRAVITY
+    assert found[2] == 0.0
+    across = np.linalg.norm(found) / 9.0  # the arm's part across the axis
+    assert 0 < across <= 0.05
+    assert np.linalg.norm(tangential) == pytest.approx(4.0 * across, rel=1e-6)
+    assert tangential @ found == pytest.approx(0.0, abs=1e-9)
+
+
+def test_shaking_is_rectified_by_its_mean_square():
+    def shaken(at_ns: int) -> Stimulus:
+        return UPRIGHT._replace(
+            force_box=(0.5 * STANDARD_GRAVITY * math.sin(2 * math.pi * 11.0 * at_ns * 1e-9), 0.0, STANDARD_GRAVITY)
+        )
+
+    mechanism = VibrationRectification(per_g2_dps=10.0, memory_s=2.0)
+    assert not errors(mechanism, "Gyro", every(10, 100)).any()
+    found = errors(mechanism, "Gyro", every(7.3, 3000), world=shaken)[2000:]
+    assert np.sqrt(np.mean(found.mean(axis=0) ** 2)) == pytest.approx(10.0 * 0.5**2 / 2, rel=0.03)
+
+
+def test_a_supply_is_felt_by_all_chips_of_a_kind_at_once():
+    drift = SupplyDrift(drift_v=0.02, drift_s=0.5, per_v_dps=50.0)
+    fitted = board(drift, "Gyro", "Gyro twin")
+    times = every(20, 6000)
+    one_, twin = (samples(fitted, name, times) for name in ("Gyro", "Gyro twin"))
+    axis = int(np.argmax(one_.std(axis=0)))
+    assert np.corrcoef(one_[:, axis], twin[:, axis])[0, 1] > 0.999
+    assert one_.std() == pytest.approx(1.0, rel=0.25)
+    lag = np.corrcoef(one_[25:, axis], one_[:-25, axis])[0, 1]
+    assert lag == pytest.approx(math.exp(-1), abs=0.15)
+
+
+def test_crossed_wires_lead_to_the_other_unit():
+    fitting = Fitting(CrossedWiring(), ("BMA", "BMA twin"))
+    crossed, straight = (FittedBoard(ARRAY, Still(), 3, [*which], units="drawn") for which in ([fitting], []))
+    for name, other in (("BMA", "BMA twin"), ("BMA twin", "BMA")):
+        assert np.array_equal(samples(crossed, name, every(5, 9)), samples(straight, other, every(5, 9)))
