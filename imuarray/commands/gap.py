@@ -40,9 +40,15 @@ def command() -> None:
     "--model",
     "model_name",
     metavar="MODEL",
-    help="what the simulator has: a model file, or one that comes with the package (default: the data sheets')",
+    help="what the simulator has: a model file, or one that comes with the package: datasheet, martin2013 (default: "
+    "what the data sheets of the log's chips say)",
 )
-@click.option("--without", default="", metavar="EFFECT,...", help="take these effects out of the library of causes")
+@click.option(
+    "--without",
+    default="",
+    metavar="EFFECT,...",
+    help="take these effects out of the library of causes (imuarray simulate --effects lists them)",
+)
 @click.option("--only", default="", metavar="SENSOR,...", help="diagnose only these sensors")
 @click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="keys every draw")
 @click.option(

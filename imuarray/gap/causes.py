@@ -19,7 +19,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.parameters import to_table
 
-TEMPER = 0.5
+TEMPER = 0.3
 """The log odds of a trial count so much in its probability."""
 
 ALTERNATIVE = 0.1
@@ -57,7 +57,8 @@ def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[Judged, ...]:
                 Judged(trial.trial.name, trial.trial.action, unit, trial.train_gain, trial.gain, trial is one.taken)
                 for trial in one.confirmed
             ]
-            found.append(Judged("", "add", unit, math.nan, one.placebo_gain, False))
+        if own[0].confirmed:
+            found.append(Judged("", "add", unit, math.nan, own[0].placebo_gain, False))
     return tuple(found)
 
 

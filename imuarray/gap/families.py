@@ -42,15 +42,11 @@ def members_of(bench: Bench, family: Standing, standings: Mapping[Unit, Standing
     for name in family.unit:
         unit: Unit = (name,)
         own = np.isin(places, bench.columns(unit, cross=False))
-        likeness = replace(
-            family.likeness,
-            location=family.likeness.location[own],
-            scale=family.likeness.scale[own],
-            always=family.likeness.always[own],
-            never=family.likeness.never[own],
-        )
         found[unit] = replace(
-            standings[unit], models={name: family.models[name]}, likeness=likeness, values=family.values[:, own]
+            standings[unit],
+            models={name: family.models[name]},
+            likeness=family.likeness.of(own),
+            values=family.values[:, own],
         )
     return found
 

@@ -35,12 +35,14 @@ _HALF, _STEEP = 0.65, 6.0
 
 @dataclass(frozen=True)
 class Judged:
-    """The recording beside one model: scores (m,) of pairs and (n,) of their parts, what the model makes of the parts,
-    and how often chance makes as large a score (`p`); `limit` is what chance reaches in one of twenty campaigns.
+    """The recording beside one model: scores (m,) of pairs and (n,) of their parts, how far these lie `apart`, what the
+    model makes of them, and how often chance makes as large a score (`p`); `limit` is what chance reaches in one of
+    twenty campaigns.
     """
 
     scores: Floats
     parts: Floats
+    apart: Floats
     likeness: Likeness
     p: float
     limit: float
@@ -53,7 +55,9 @@ def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats) -> Jud
     parts = likeness.scores(real)
     scores = pairs.sums(parts) / norm
     largest = np.concatenate([_largest(fold) for fold in _folded(pairs, replicates, floor)])
-    return Judged(scores, parts, likeness, p_value(float(_largest(scores)), largest), _high(largest))
+    return Judged(
+        scores, parts, real - likeness.location, likeness, p_value(float(_largest(scores)), largest), _high(largest)
+    )
 
 
 def where_of(
@@ -174,7 +178,7 @@ class Told:
     def _shift(self, at: int) -> float:
         """How far the recording lies from the middle of the model, the mean over the parts."""
         places = [place for place in (self._pairs.train[at], self._pairs.held_out[at]) if place >= 0]
-        parts = self._one.parts[places] * self._one.likeness.scale[places]
+        parts = self._one.apart[places]
         return float(np.nanmean(parts)) if np.isfinite(parts).any() else math.nan
 
     def scale(self, at: int) -> float:

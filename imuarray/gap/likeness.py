@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import logsumexp
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -29,13 +30,16 @@ STRANGE = 100.0
 @dataclass(frozen=True)
 class Likeness:
     """What a model makes of n statistics: `location` and `scale` (n,), and where it `always` or `never` says
-    something.
+    something. Where draws of an effect take it to different places, as of a bias with two states, these are the
+    `branches` (k, n), each as wide as things scatter without the effect (`width`).
     """
 
     location: Floats
     scale: Floats
     always: Bools
     never: Bools
+    branches: Floats | None = None
+    width: Floats | None = None
 
     def scores(self, values: Floats) -> Floats:
         """(..., n) signed distances in standard deviations, at most `STRANGE`; nan where nothing can be said."""
@@ -47,14 +51,30 @@ class Likeness:
         """(n,) of each statistic, 0 where nothing can be said; `moved` (n,) is how far the model's own effects moved
         it, of which the form may be wrong.
         """
-        form = 0.0 if moved is None else FORM * np.nan_to_num(np.abs(moved))
+        form = np.zeros_like(values) if moved is None else FORM * np.nan_to_num(np.abs(moved))
         scale = np.hypot(np.where(np.isfinite(self.scale), self.scale, 1.0), form)
-        scores = np.clip((values - self.location) / scale, -STRANGE, STRANGE)
         strange = np.where(np.isfinite(values), self.never, self.always)
-        density = -(FREEDOM + 1) / 2 * np.log1p(scores**2 / FREEDOM) - np.log(scale)
+        density = _student(values - self.location, scale)
+        if self.branches is not None and self.width is not None:
+            width = np.hypot(np.where(np.isfinite(self.width), self.width, 1.0), form)
+            each = _student(values - self.branches, width)
+            apart = logsumexp(each, axis=0) - np.log(len(each))
+            known = np.isfinite(apart) & np.isfinite(density)
+            density[known] = np.logaddexp(density[known], apart[known]) - np.log(2)
         density = np.where(self._is_silent(values), 0.0, density)
         costly = -(FREEDOM + 1) / 2 * np.log1p(STRANGE**2 / FREEDOM) - np.log(scale)
         return np.asarray(np.where(strange, costly, np.nan_to_num(density)))
+
+    def of(self, chosen: Bools) -> Likeness:
+        """That of some of the statistics."""
+        return Likeness(
+            self.location[chosen],
+            self.scale[chosen],
+            self.always[chosen],
+            self.never[chosen],
+            None if self.branches is None else self.branches[:, chosen],
+            None if self.width is None else self.width[chosen],
+        )
 
     @property
     def is_silent(self) -> Bools:
@@ -64,6 +84,12 @@ class Likeness:
     def _is_silent(self, values: Floats) -> Bools:
         """(n,) where that goes for the recording too."""
         return np.asarray(self.is_silent & (np.abs(values - self.location) < 10 * _SAME * (1 + np.abs(self.location))))
+
+
+def _student(apart: Floats, scale: Floats) -> Floats:
+    """Log density but for a constant, of differences from the middle."""
+    scores = np.clip(apart / scale, -STRANGE, STRANGE)
+    return np.asarray(-(FREEDOM + 1) / 2 * np.log1p(scores**2 / FREEDOM) - np.log(scale))
 
 
 def likeness_of(replicates: Floats, floor: Floats) -> Likeness:

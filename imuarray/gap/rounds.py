@@ -20,11 +20,15 @@ from imuarray.gap.split import Side
 from imuarray.gap.standing import NUMBERS, Standing, Unit, compared
 from imuarray.gap.workers import Run
 from imuarray.log.format import SensorHeader
+from imuarray.simulate.effects.channel_swap import ChannelSwap
 
 Floats = npt.NDArray[np.float64]
 
 ROUNDS = 6
 """More causes than this of one unit are not told apart."""
+
+_MORE = 1.25
+"""What is left has to be so much beyond chance for another cause: no effect has exactly the form of the real one."""
 
 _FAMILY_ROUNDS = 1
 _OWN = 0.5
@@ -51,7 +55,7 @@ def searches(
             break
         progress(f"looking for causes, round {number + 1}: {len(todo)} sensors")
         evidence, trials = _trials(found, todo, candidates)
-        placebos = {unit: placebo_of(one) for unit, one in evidence.items()}
+        placebos = {unit: placebo_of(one) for unit, one in evidence.items()} if number == 0 else {}
         came = searched(todo, trials, placebos, run)
         for unit in _deferred(found, came):
             del came[unit]
@@ -111,25 +115,33 @@ def _families(
     rounds: dict[Unit, list[Round]],
     standings: dict[Unit, Standing],
 ) -> None:
-    """Shared causes in the place of those of the members, where they are better."""
-    for family, trials in _shared_trials(found, evidence, standings, candidates).items():
-        if any(name in other for other in rounds if len(other) > 1 for name in family):
-            continue  # its members have a shared cause already
-        missing = [(name,) for name in family if (name,) not in standings]
-        standings.update(_standing(found, missing, run))
-        standing = _standing(found, [family], run)[family]
-        placebo = placebo_of(next(one for unit, one in evidence.items() if unit[0] in family))
-        came = searched({family: standing}, {family: trials}, {family: placebo}, run)[family]
-        last = [rounds[(name,)][-1] for name in family if rounds.get((name,))]
-        taken = tuple(one.taken for one in last if one.taken is not None)
-        (alone,) = run(together, [(standing, taken)])
-        best = shared_wins(came, alone)
-        if best is None:
+    """Shared causes in the place of those of the members, where they are better; the best first, and none for a sensor
+    that has one already.
+    """
+    trials = _shared_trials(found, evidence, standings, candidates)
+    missing = {(name,) for family in trials for name in family if (name,) not in standings}
+    standings.update(_standing(found, sorted(missing), run))
+    families = _standing(found, list(trials), run)
+    placebos = {
+        family: placebo_of(next(one for (name,), one in evidence.items() if name in family)) for family in trials
+    }
+    came = searched(families, trials, placebos, run)
+    members = {
+        family: tuple(rounds[(name,)][-1].taken for name in family if rounds.get((name,)) is not None)
+        for family in trials
+    }
+    asked = [(families[family], tuple(one for one in members[family] if one is not None)) for family in trials]
+    alone = dict(zip(trials, run(together, asked), strict=True))
+    won = {family: best for family in trials if (best := shared_wins(came[family], alone[family])) is not None}
+    served: set[str] = set()
+    for family in sorted(won, key=lambda one: -won[one].gain):
+        if served & set(family):
             continue
+        served |= set(family)
         for name in family:
             rounds.pop((name,), None)
-        rounds[family] = [came]
-        standings.update(members_of(found.bench, best.standing, standings))
+        rounds[family] = [came[family]]
+        standings.update(members_of(found.bench, won[family].standing, standings))
 
 
 def _shared_trials(
@@ -192,26 +204,32 @@ def _values(bench: Bench, standing: Standing) -> Floats:
 
 def _is_open(found: Compared, standing: Standing, rounds: Sequence[Round]) -> bool:
     """Whether something is left to explain, and the last round found something."""
+    if any(one.name == ChannelSwap.name for model in standing.models.values() for one in model.added):
+        return False  # it reads another's data
     if not rounds:
         return True
     if rounds[-1].taken is None:
         return False
     pairs = found.bench.pairs(found.bench.own(standing.unit))
     norm = spread_of(pairs.sums(standing.likeness.scores(standing.values)))
-    return bool(np.nanmax(np.abs(pairs.sums(standing.scores) / norm)) > found.located.limit)
+    return bool(np.nanmax(np.abs(pairs.sums(standing.scores) / norm)) > _MORE * found.located.limit)
 
 
 def _trials(
     found: Compared, standings: Mapping[Unit, Standing], candidates: Mapping[str, Candidate]
 ) -> tuple[dict[Unit, Evidence], dict[Unit, list[Trial]]]:
-    """What each sensor shows on the training part, and what may explain it: what is brief is looked for in both."""
+    """What each sensor shows on the training part, and what may explain it; what is not seen there is looked for in
+    both.
+    """
     train, both = found.bench.split.train(found.campaign), found.bench.split.both(found.campaign)
     evidence = {unit: _evidence(found, train, standing, False) for unit, standing in standings.items()}
     trials = {}
     for unit, standing in standings.items():
         lasting = [one for one in guesses_of(evidence[unit], candidates) if not one.is_brief]
-        everything = _evidence(found, both, standing, True)
-        trials[unit] = lasting + [one for one in guesses_of(everything, candidates) if one.is_brief]
+        known = {one.name for one in lasting}
+        everything = guesses_of(_evidence(found, both, standing, True), candidates)
+        brief = [one if one.is_brief else replace(one, whole=True) for one in everything if one.name not in known]
+        trials[unit] = lasting + brief
     return evidence, trials
 
 

@@ -118,10 +118,10 @@ def searched(
     likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
     refined = _asked(run, _refine, standings, likely)
     best = {unit: likeliest(own, CONFIRMED) for unit, own in refined.items()}
-    needed = {unit: [Tried(placebos[unit])] for unit, own in best.items() if own}
+    needed = {unit: [Tried(placebos[unit])] for unit, own in best.items() if own and unit in placebos}
     fakes = _asked(run, _refine, standings, needed)
     confirmed = _asked(run, _confirm, standings, {unit: [*best[unit], *fakes.get(unit, ())] for unit in best})
-    return {unit: _round(standings[unit], own) for unit, own in confirmed.items()}
+    return {unit: _round(standings[unit], own, bool(fakes.get(unit))) for unit, own in confirmed.items()}
 
 
 def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
@@ -197,16 +197,14 @@ def _asked(
     return found
 
 
-def _round(standing: Standing, found: Sequence[Confirmed]) -> Round:
-    """The last one is the placebo; nothing at all if no trial was worth it."""
-    if not found:
-        return Round(standing, (), 0.0, None)
-    *real, placebo = found
+def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool) -> Round:
+    """If it `has_placebo`, that is the last."""
+    real, bar = (found[:-1], found[-1].gain) if has_placebo else (found, 0.0)
     odds = _log_odds(standing, real)
     ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
-    least = ACCEPTED + max(placebo.gain, 0.0)
+    least = ACCEPTED + max(bar, 0.0)
     good = [one for one in ranked if one.gain > least and (one.train_gain > WORTH or one.trial.is_brief)]
-    return Round(standing, ranked, placebo.gain, good[0] if good else None)
+    return Round(standing, ranked, bar, good[0] if good else None)
 
 
 def _log_odds(standing: Standing, found: Sequence[Confirmed]) -> tuple[float, ...]:
@@ -214,4 +212,4 @@ def _log_odds(standing: Standing, found: Sequence[Confirmed]) -> tuple[float, ..
         return ()
     best = max(found, key=lambda one: one.gain)
     temper = min(1.0, best.independent / standing.independent)
-    return tuple(temper * one.gain - COST * one.factors for one in found)
+    return tuple(temper * one.gain - COST * one.factors - one.trial.rarity for one in found)

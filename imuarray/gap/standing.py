@@ -21,7 +21,7 @@ Unit = tuple[str, ...]
 
 AXES = ("x", "y", "z")
 
-REPLICATES = 12
+REPLICATES = 8
 """By which a refined trial is judged."""
 
 LOOKS = 2
@@ -99,7 +99,8 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     never = ~came.any(axis=0)
     location[never & before.always] = np.nan
     always = (before.always & came.all(axis=0)) | fresh
-    return Likeness(location, scale, np.asarray(always), np.asarray(never & (before.never | before.always))), shift
+    silent = np.asarray(never & (before.never | before.always))
+    return Likeness(location, scale, np.asarray(always), silent, before.location + moved, before.scale), shift
 
 
 def gain_of(
@@ -118,7 +119,10 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
     the correlation of the pairs says. Few pairs tell only what their differences add.
     """
     if len(values) < _PAIRS:
-        return np.asarray(np.hypot(1.0, np.nanstd(values - without, axis=0, ddof=1) / scale))
+        several = np.isfinite(values - without).sum(axis=0) > 1
+        added = np.zeros(values.shape[1])
+        added[several] = np.nanstd((values - without)[:, several], axis=0, ddof=1)
+        return np.asarray(np.hypot(1.0, added / scale))
     spreads = [np.nanstd(side, axis=0) for side in (values, without)]
     usable = (spreads[0] > 0) & (spreads[1] > 0) & np.isfinite(scale)
     ratio = np.ones(values.shape[1])

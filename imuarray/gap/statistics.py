@@ -57,11 +57,6 @@ class Statistics:
         """One value; KeyError."""
         return float(self.values[self._places[key]])
 
-    def to_rows(self) -> list[list[int | str | float | None]]:
-        """Keys and values as JSON has them, None for nan."""
-        known = zip(self.keys, self.values.tolist(), strict=True)
-        return [[*key, None if math.isnan(value) else value] for key, value in known]
-
     @cached_property
     def _places(self) -> dict[Key, int]:
         return {key: place for place, key in enumerate(self.keys)}

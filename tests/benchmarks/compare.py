@@ -19,7 +19,15 @@ Row = dict[str, Any]
 
 HERE = Path(__file__).parent
 
-SOURCES = ("bus_arithmetic", "emulated_speed", "linux_path", "simulator_speed", "allan_speed", "spectrum_speed")
+SOURCES = (
+    "bus_arithmetic",
+    "emulated_speed",
+    "linux_path",
+    "simulator_speed",
+    "allan_speed",
+    "spectrum_speed",
+    "gap_cost",
+)
 """Files beside this one; each has a function `rows() -> list[Row]`."""
 
 

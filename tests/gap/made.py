@@ -12,6 +12,7 @@ import numpy.typing as npt
 from imuarray.array import parse_array
 from imuarray.gap.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.probes import PROBES, LogProbe, PhaseProbe
+from imuarray.gap.recordings import Recording, sources_of
 from imuarray.gap.segments import Temperature
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.summary import Grid, Summary, Tally
@@ -114,6 +115,12 @@ def campaign_of(kind: str, more: Effects | None = None, seed: int = 0) -> Campai
 def _log(kind: str, motion: Motion, more: Effects, seed: int, boot: int) -> LogSummary:
     sources = simulated_sources(simulation(motion, more, seed, boot))
     return summarise_log(kind, sources, phases_of(motion), temperature_of(motion))
+
+
+def summarised(recording: Recording) -> LogSummary:
+    """A recorded log in its own phases."""
+    motion = recording.experiment.motion
+    return summarise_log(recording.kind, sources_of(recording), recording.phases, temperature_of(motion))
 
 
 def header(name: str = "S", axes: str = "+X+Y+Z", chip: str = "bma180", **changes: Any) -> SensorHeader:

@@ -16,7 +16,7 @@ from imuarray.axes import UP_AXES, up_vector
 from imuarray.gap.base_model import fit
 from imuarray.gap.campaign import Campaign
 from imuarray.gap.labels import Mislabelled, cause_of, corrected, face_of, mislabelled, note_of
-from imuarray.gap.recordings import Recording, recording_of, summarised
+from imuarray.gap.recordings import Recording, recording_of
 from imuarray.gap.split import split_of
 from imuarray.gap.text import parameters_text
 from imuarray.log import open_log
@@ -29,6 +29,7 @@ from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.hand_posed import written
+from tests.gap.made import summarised
 
 SENSOR = """
 [[sensor]]

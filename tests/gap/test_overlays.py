@@ -15,8 +15,8 @@ from imuarray.gap.base_model import fit
 from imuarray.gap.bench import Bench, bench_of, temperature_of
 from imuarray.gap.campaign import Campaign, summarise_log
 from imuarray.gap.diagnosis import Overlay, Where
-from imuarray.gap.null import Experiment
 from imuarray.gap.overlays import Curve, bands, curves_of, drawn, overlays_of
+from imuarray.gap.recordings import Experiment
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.split import split_of
 from imuarray.simulate import plan_of

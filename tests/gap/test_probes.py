@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from imuarray.axes import up_vector
-from imuarray.gap.probes import PROBES, Domain
+from imuarray.gap.campaign import Layout, LogSummary, PhaseSummary
+from imuarray.gap.probes import PROBES, ArrayProbe, Domain
 from imuarray.gap.probes.probe import arcsine, noise_lsb, score_of_largest
 from imuarray.log.format import Phase
 from imuarray.simulate import EFFECTS
 from imuarray.simulate.motion.tumble import ORDER
-from tests.gap.made import SCALE, SECOND, block, gaussian, summary, value
+from tests.gap.made import SCALE, SECOND, block, gaussian, header, summary, value
 
 
 def test_the_registry() -> None:
@@ -69,6 +70,40 @@ def test_level() -> None:
     elsewhere = summary(block(counts - 99), Phase(0, 20 * SECOND, "x_up", "+X"))
     np.testing.assert_allclose(value("mean_return", [found, elsewhere, again]), 5.0 / SCALE)
     assert np.isnan(value("mean_return", [found, elsewhere])).all()
+
+
+def test_the_level_of_a_log_weighs_faces_alike() -> None:
+    """Two phases on one face, one on another: half of it each."""
+    phases = [
+        summary(block(np.full(rows, code)), Phase(0, rows * SECOND // 100, name, up))
+        for rows, code, name, up in ((500, 10, "z_up", "+Z"), (100, 30, "z_up_check", "+Z"), (900, 44, "x_up", "+X"))
+    ]
+    np.testing.assert_allclose(value("level", phases), 32.0 / SCALE)
+    poses = [summary(block(np.full(99, code)), Phase(0, SECOND, f"pose {code}")) for code in (3, 4, 8)]
+    np.testing.assert_allclose(value("level", poses), 5.0 / SCALE)
+    assert np.isnan(value("level", phases[:1])).all()
+
+
+def test_level_apart_from_the_others() -> None:
+    """A1 less the mean of A2 and A3, each along its own axes; not the gyroscope, nor an accelerometer of another
+    chip, nor one of the same chip that measures something else.
+    """
+    sensors = {
+        "A1": (header("A1"), 60),
+        "A2": (header("A2", "-X+Y-Z"), 20),
+        "A3": (header("A3"), 30),
+        "B": (header("B", chip="adxl345"), 999),
+        "G": (header("G", chip="l3g4200d"), 500),
+        "M": (header("M", quantity="angular_rate", unit="dps"), 700),
+    }
+    phase = Phase(0, SECOND, "static", "+Z")
+    found = {name: summary(block(np.full(100, code)), phase, sensor=one) for name, (one, code) in sensors.items()}
+    log = LogSummary("static", (PhaseSummary(phase, 0, Layout({}, 1), found, None),))
+    probe = PROBES["level_apart"]
+    assert isinstance(probe, ArrayProbe)
+    np.testing.assert_allclose(probe.statistic(log, "A1"), 35.0 / SCALE)
+    np.testing.assert_allclose(probe.statistic(log, "A2"), -25.0 / SCALE)
+    assert all(np.isnan(probe.statistic(log, name)).all() for name in "BGM")
 
 
 def test_white_noise_does_not_wander() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
-
 import numpy as np
 import pytest
 
@@ -44,15 +41,7 @@ def test_the_order_is_always_the_same(campaign: Campaign) -> None:
     assert statistics(campaign).keys == statistics(again).keys
 
 
-def test_rows_are_json(campaign: Campaign) -> None:
-    found = statistics(campaign)
-    rows = json.loads(json.dumps(found.to_rows(), allow_nan=False))
-    assert [Key(*row[:-1]) for row in rows] == list(found.keys)
-    values = [math.nan if row[-1] is None else row[-1] for row in rows]
-    np.testing.assert_array_equal(values, found.values)
-
-
 def test_nothing_comes_of_nothing() -> None:
     found = statistics(Campaign(()))
     assert found.keys == ()
-    assert found.to_rows() == []
+    assert len(found.values) == len(found.resolutions) == 0

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 from random import Random
@@ -13,7 +14,7 @@ from random import Random
 import pytest
 
 from imuarray.gap import workers
-from imuarray.gap.workers import processes, run
+from imuarray.gap.workers import processes, runner
 
 
 class Heavy:
@@ -33,27 +34,36 @@ def use(heavy: Heavy, item: int) -> int:
 
 
 def test_results_come_in_order_whoever_works() -> None:
-    job, wanted = partial(power, 3), [1, 3, 9, 27, 81]
-    assert list(run(None, job, range(5))) == wanted
+    wanted = [1, 3, 9, 27, 81]
+    assert runner(3)(power, range(5)) == wanted
     with ThreadPoolExecutor(3) as threads:
-        assert list(run(threads, job, range(5))) == wanted
+        assert runner(3, threads)(power, range(5)) == wanted
 
 
-def test_without_an_executor_nothing_is_done_before_it_is_asked_for() -> None:
-    heavy = Heavy()
-    results: Iterator[int] = run(None, partial(use, heavy), range(3))
-    assert heavy.used == 0
-    assert next(results) == 1
+def test_a_bar_hears_how_many_are_done() -> None:
+    heard: list[int] = []
+
+    @contextmanager
+    def bar(length: int) -> Iterator[Callable[[int], None]]:
+        heard.append(length)
+        yield heard.append
+
+    assert runner(2, bar=bar)(power, [5, 6, 7]) == [32, 64, 128]
+    assert heard == [3, 1, 2, 3]
 
 
 @pytest.mark.slow
-def test_a_process_keeps_the_job() -> None:
-    """A generator that is there already goes on; unpickled anew for every item it would repeat its first number."""
+def test_a_process_keeps_what_is_fixed() -> None:
+    """A generator that is there already goes on; unpickled anew for every item it would repeat its first number.
+    Another runner brings its own.
+    """
     generator = Random(1)
-    wanted = [generator.uniform(0.0, 1.0) for _ in range(4)]
+    wanted = [generator.getrandbits(32) for _ in range(4)]
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        assert list(run(pool, partial(Random(1).uniform, 0.0), [1.0] * 4)) == wanted
-        assert list(run(pool, partial(Random(1).uniform, 0.0), [1.0] * 2)) == wanted[:2]
+        run = runner(Random(1), pool)
+        assert run(Random.getrandbits, [32] * 3) == wanted[:3]
+        assert run(Random.getrandbits, [32]) == wanted[3:]
+        assert runner(Random(1), pool)(Random.getrandbits, [32] * 2) == wanted[:2]
 
 
 @pytest.mark.slow
@@ -61,10 +71,10 @@ def test_processes_have_one_thread_each_and_nothing_is_left_behind(monkeypatch: 
     """As their environment says from the start, whatever that of the parent is."""
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    names = ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "HOME"]
     with processes(2) as pool:
-        assert list(run(pool, os.getenv, names * 4)) == ["1", "1", os.environ["HOME"]] * 4
-        assert [os.getenv(name) for name in names[:2]] == ["7", None]
+        for name, value in (("OMP_NUM_THREADS", "1"), ("OPENBLAS_NUM_THREADS", "1"), ("HOME", os.environ["HOME"])):
+            assert runner(name, pool)(os.getenv, ["nothing"] * 4) == [value] * 4
+        assert [os.getenv(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")] == ["7", None]
 
 
 def test_no_process_is_no_pool() -> None:

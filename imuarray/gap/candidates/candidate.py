@@ -28,8 +28,9 @@ class Trial:
     `effects` are added, with first guesses of their parameters; effects of the kind `removed` are taken out first ("":
     none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis axis by
     axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be told from
-    another effect. `shared`: it shows only between sensors, and all of the chip have it alike,
-    or (`sensor`) this one has it, and `others` show it. `whole`: neither part shows it without the other.
+    another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or (`sensor`) this one
+    has it, and `others` show it. `whole`: neither part shows it without the other. `rarity`: nats by which it is rarer,
+    as it is meant, than others that look the same.
     """
 
     effects: tuple[Effect, ...]
@@ -39,6 +40,7 @@ class Trial:
     sensor: str = ""
     others: tuple[str, ...] = ()
     whole: bool = False
+    rarity: float = 0.0
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property

@@ -24,6 +24,9 @@ _NEAR = 0.15
 
 _LEAST = 1e-3
 _FEW_ODD = 0.01
+_OSCILLATOR = 0.1
+_RARITY = 3.0
+"""A rate to which the chip can't be set is rare; its oscillator is a tenth off at most."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
@@ -52,7 +55,8 @@ def _by_repeats(evidence: Evidence) -> Iterator[Trial]:
         near = [rate for rate in allowed if rate < most_hz and abs(real_hz / rate - 1) < _NEAR]
         for rate in sorted(near, key=lambda rate: abs(real_hz / rate - 1))[:1]:
             yield Trial((OdrError(rate),))
-        yield Trial((OdrError(real_hz),), ("rate_hz",))
+        is_setting = any(abs(real_hz / rate - 1) < _OSCILLATOR for rate in allowed)
+        yield Trial((OdrError(real_hz),), ("rate_hz",), rarity=0.0 if is_setting else _RARITY)
     elif repeated < -_LEAST:
         for rate in [rate for rate in allowed if rate >= rows_hz][:2]:
             yield Trial((OdrError(rate),))

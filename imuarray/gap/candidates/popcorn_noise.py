@@ -17,6 +17,9 @@ from imuarray.simulate.effects.popcorn_noise import PopcornNoise
 Floats = npt.NDArray[np.float64]
 
 _FREE = ("amplitude", "switches_per_s")
+_RARITY = 2.0
+"""A drift without two clear levels is seldom a telegraph."""
+
 _FEWEST = 3.0
 """Fewer jumps in the longest phase don't tell a telegraph from a slow drift."""
 
@@ -38,10 +41,15 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     found = wander_of(evidence)
     limits = {"switches_per_s": (_FEWEST / longest_s(evidence), np.inf)}
     if found is not None:
-        yield Trial((PopcornNoise(sized(2 * found.rms, score), 0.5 / found.time_constant_s),), _FREE, limits=limits)
+        yield Trial(
+            (PopcornNoise(sized(2 * found.rms, score), 0.5 / found.time_constant_s),),
+            _FREE,
+            limits=limits,
+            rarity=_RARITY,
+        )
     amplitude, switches_per_s = _jumps(evidence)
     if switches_per_s > 0:
-        yield Trial((PopcornNoise(sized(amplitude, score), switches_per_s),), _FREE, limits=limits)
+        yield Trial((PopcornNoise(sized(amplitude, score), switches_per_s),), _FREE, limits=limits, rarity=_RARITY)
 
 
 def _jumps(evidence: Evidence) -> tuple[Floats, float]:

@@ -9,12 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.array import parse_array
-from imuarray.gap.base_model import Base, fit, headers_in, residual
+from imuarray.gap.base_model import fit, headers_in, residual
+from imuarray.gap.bench import bench_of
 from imuarray.gap.campaign import Campaign, LogSummary, runs_in, summarise_log
 from imuarray.gap.evidence import Evidence, Seen
-from imuarray.gap.null import Experiment, Look, looks_of, replicate, residual_statistics
+from imuarray.gap.recordings import Experiment
 from imuarray.gap.source import simulated_sources
-from imuarray.gap.statistics import Key, Statistics
+from imuarray.gap.split import Share, Split
+from imuarray.gap.statistics import Key, residual_statistics
 from imuarray.simulate import Motion, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.motion.heating import Heating
@@ -43,7 +45,8 @@ def evidence_of(
     """
     names = (kinds,) if isinstance(kinds, str) else kinds
     campaign, motions = _campaign(names, more, seed), _motions(names)
-    base, found, (location, scale) = fit(campaign, motions), residual_statistics(campaign, motions), _usual(names)
+    base, (location, scale) = fit(campaign, motions), _usual(names)
+    found = residual_statistics(campaign, motions, base)
     scores = np.clip((found.values - location) / np.maximum(scale, found.resolutions), -100.0, 100.0)
     left, headers = residual(campaign, motions, base), headers_in(campaign)
     own = headers[sensor]
@@ -79,13 +82,12 @@ def _usual(kinds: tuple[str, ...]) -> tuple[Floats, Floats]:
     campaign, motions = _campaign(kinds, None, 99), _motions(kinds)
     plans = [plan_of(parse_array(ARRAY), RATE_HZ, motion.seconds) for motion in motions]
     experiments = [Experiment(plan, motion) for plan, motion in zip(plans, motions, strict=True)]
-    base, looks = fit(campaign, motions), looks_of(campaign)
-    found = [_values(looks, experiments, base, number) for number in range(REPLICATES)]
-    values = np.array([one.values for one in found])
+    bench = bench_of(campaign, _nothing_held_out(campaign), experiments, fit(campaign, motions))
+    values = np.array([bench.replicate(bench.models(), number).values for number in range(REPLICATES)])
     spoken = np.isfinite(values).sum(axis=0) > REPLICATES // 2
     location, scale = np.full((2, values.shape[1]), np.nan)
     location[spoken], scale[spoken] = np.nanmedian(values[:, spoken], axis=0), np.nanstd(values[:, spoken], axis=0)
-    return location, np.maximum(_pooled(found[0].keys, scale), 1e-9 * (1 + np.abs(location)))
+    return location, np.maximum(_pooled(bench.keys, scale), 1e-9 * (1 + np.abs(location)))
 
 
 def _pooled(keys: Sequence[Key], scale: Floats) -> Floats:
@@ -100,9 +102,9 @@ def _pooled(keys: Sequence[Key], scale: Floats) -> Floats:
     return pooled
 
 
-def _values(looks: Sequence[Look], experiments: Sequence[Experiment], base: Base, number: int) -> Statistics:
-    motions = [experiment.motion for experiment in experiments]
-    return residual_statistics(replicate(looks, experiments, base, number), motions)
+def _nothing_held_out(campaign: Campaign) -> Split:
+    phases = [tuple(part.phase for part in log.phases) for log in campaign.logs]
+    return Split(tuple(Share(own, tuple(range(len(own))), (False,) * len(own), False) for own in phases))
 
 
 def _seen(raw: Campaign, left: Campaign, sensor: str) -> tuple[Seen, ...]:

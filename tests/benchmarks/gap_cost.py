@@ -1,0 +1,54 @@
+"""How long a diagnosis takes on two processes, beside the time that a user is asked to wait for it.
+
+There is no other program to compare with: the peer is the bound, 60 s for ten minutes of the whole array at rest and
+600 s for a campaign of the paper's size (rest, six faces, heating, fifteen boots, shaking: 4.6 million readings).
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from click.testing import CliRunner
+from compare import Row, row
+
+from imuarray.cli import program
+from imuarray.gap.diagnose import diagnose
+from imuarray.gap.recordings import recordings_of
+from imuarray.gap.workers import processes, runner
+from imuarray.log import open_log
+
+_RATE_HZ = "28"
+_BOUNDS_S = {"ten minutes at rest, nine triads": 60.0, "a campaign of the paper's size": 600.0}
+
+
+def rows() -> list[Row]:
+    """The static log alone, then all experiments."""
+    with tempfile.TemporaryDirectory() as name:
+        logs = _recorded(Path(name))
+        chosen = ([path for path in logs if path.stem == "static"], logs)
+        return [
+            row(f"gap diagnose: {what}", _seconds(paths), bound_s, "s", 1.0, "lower")
+            for (what, bound_s), paths in zip(_BOUNDS_S.items(), chosen, strict=True)
+        ]
+
+
+def _recorded(folder: Path) -> list[Path]:
+    """The array of the paper, simulated with all its units' effects."""
+    for experiment in ("static", "tumble", "heating", "motion", "turn-on"):
+        words = ["simulate", "martin2013", "--model", "martin2013", "--experiment", experiment]
+        words += ["--rate-hz", _RATE_HZ, "--seed", "5", "-o", str(folder / f"{experiment}.h5")]
+        CliRunner().invoke(program, words, catch_exceptions=False)
+    return sorted(folder.glob("*.h5"))
+
+
+def _seconds(paths: Sequence[Path]) -> float:
+    with ExitStack() as stack:
+        logs = [stack.enter_context(open_log(path)) for path in paths]
+        executor = stack.enter_context(processes(2))
+        begin = time.perf_counter()
+        diagnose(recordings_of(logs), lambda bench: runner(bench, executor))
+        return time.perf_counter() - begin

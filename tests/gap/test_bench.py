@@ -1,0 +1,209 @@
+"""A recording on its bench: keys and their places, replicates that are drawn alike, and what a change does to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imuarray.array import ArrayConfig, parse_array
+from imuarray.gap.base_model import fit
+from imuarray.gap.bench import Bench, Modelled, bench_of
+from imuarray.gap.campaign import Campaign, summarise_log
+from imuarray.gap.probes import PROBES
+from imuarray.gap.recordings import Experiment
+from imuarray.gap.source import simulated_sources
+from imuarray.gap.split import split_of
+from imuarray.simulate import Motion, Simulation, plan_of
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.motion.hand_shake import HandShake
+from imuarray.simulate.motion.still import Still, turn_on_run
+from tests.gap.made import ARRAY, BASE, RATE_HZ, phases_of, temperature_of
+
+More = Mapping[str, tuple[Effect, ...]]
+
+SHORT = Still(seconds=20)
+LINE = Tone((0.0, 0.04, 0.0), 17.0)
+"""0.8 of the noise's standard deviation."""
+
+
+def array_of(*names: str) -> ArrayConfig:
+    """`ARRAY` with these sensors alone."""
+    head, *parts = ARRAY.split("[[sensor]]")
+    return parse_array("[[sensor]]".join([head, *(part for part in parts if part.split('"')[1] in names)]))
+
+
+def simulated(motion: Motion, names: Sequence[str], more: More, seed: int = 1, boot: int = 0) -> Simulation:
+    """With `BASE` and more effects."""
+    effects = {name: (*BASE[name], *more.get(name, ())) for name in names}
+    plan = plan_of(array_of(*names), RATE_HZ, motion.seconds)
+    return Simulation(plan, motion, effects, seed=seed, boot=boot)
+
+
+def prepared(
+    logs: Sequence[tuple[str, Motion]], names: Sequence[str], more: More | None = None, seed: int = 1
+) -> tuple[Bench, Campaign]:
+    """A recording of these sensors on its bench."""
+    split = split_of([kind for kind, _ in logs], [phases_of(motion) for _, motion in logs])
+    found = []
+    for boot, (kind, motion) in enumerate(logs):
+        sources = simulated_sources(simulated(motion, names, more or {}, seed, boot))
+        found.append(summarise_log(kind, sources, split.phases()[boot], temperature_of(motion)))
+    campaign = Campaign(tuple(found))
+    experiments = [Experiment(plan_of(array_of(*names), RATE_HZ, motion.seconds), motion) for _, motion in logs]
+    train = split.train(campaign)
+    base = fit(train.campaign, [experiments[at].motion for at in train.logs], seed=seed)
+    return bench_of(campaign, split, experiments, base), campaign
+
+
+@cache
+def static(*more: Effect, seed: int = 1) -> tuple[Bench, Campaign]:
+    """One gyroscope, 20 s at rest; worked out once."""
+    return prepared([("static", SHORT)], ["G1"], {"G1": more}, seed)
+
+
+class Run:
+    """One item after the other."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+
+    def __call__(self, job: Callable[[Bench, Any], Any], items: Sequence[Any]) -> list[Any]:
+        return [job(self._bench, item) for item in items]
+
+
+@pytest.fixture(scope="module")
+def both() -> tuple[Bench, Campaign]:
+    """Two gyroscopes, 10 s at rest and a short shaking."""
+    logs: list[tuple[str, Motion]] = [("static", Still(seconds=10)), ("motion", HandShake(still_s=3, motion_s=4))]
+    return prepared(logs, ["G1", "G2"])
+
+
+def test_keys_are_of_the_training_part_first(both: tuple[Bench, Campaign]) -> None:
+    """Both are halves of every log, so that both have the same keys."""
+    bench, _ = both
+    assert bench.keys[: bench.of_train] == bench.keys[bench.of_train :]
+    np.testing.assert_array_equal(np.flatnonzero(bench.held_out), np.arange(bench.of_train, len(bench.keys)))
+    assert len(bench.resolutions) == len(bench.keys)
+
+
+def test_columns(both: tuple[Bench, Campaign]) -> None:
+    """Of one sensor, of both, and without what they share at rest; what they share in motion stays."""
+    bench, _ = both
+    whole, alone = (bench.columns(["G2"], cross=cross) for cross in (True, False))
+    assert {bench.keys[at].sensor for at in whole} == {"G2"}
+    assert (np.diff(whole) > 0).all()
+    dropped = {bench.keys[at].probe for at in set(whole.tolist()) - set(alone.tolist())}
+    assert {PROBES[probe].domain for probe in dropped} == {"cross_sensor"}
+    assert not dropped & {bench.keys[at].probe for at in alone}
+    assert {PROBES[bench.keys[at].probe].domain for at in np.flatnonzero(bench.is_of_motion)} == {"motion"}
+    assert bench.is_of_motion[alone].any()
+    every = bench.columns(["G1", "G2"], cross=True)
+    np.testing.assert_array_equal(every, np.arange(len(bench.keys)))
+    assert len(bench.columns([], cross=True)) == 0
+
+
+def test_replicates_are_draws_of_their_number() -> None:
+    bench, _ = static()
+    models = bench.models()
+    one, again, other = (bench.replicate(models, number).values for number in (0, 0, 1))
+    np.testing.assert_array_equal(one, again)
+    assert np.nanmean(one != other) > 0.8
+
+
+def test_the_training_part_alone_is_the_same_training_part(both: tuple[Bench, Campaign]) -> None:
+    bench, _ = both
+    whole = bench.replicate(bench.models(), 3)
+    part = bench.replicate(bench.models(), 3, held_out=False)
+    np.testing.assert_array_equal(part.values[: bench.of_train], whole.values[: bench.of_train])
+    assert np.isnan(part.values[bench.of_train :]).all()
+    assert part.fitted == whole.fitted
+
+
+def test_a_lone_sensor_at_rest_is_the_same_in_company() -> None:
+    """Whether or not the other one is simulated, but for what they share."""
+    bench, _ = prepared([("static", Still(seconds=5))], ["G1", "G2"])
+    models = bench.models()
+    alone = bench.replicate({"G1": models["G1"]}, 4).values
+    together = bench.replicate(models, 4).values
+    columns, own = bench.columns(["G1"], cross=True), bench.columns(["G1"], cross=False)
+    np.testing.assert_array_equal(alone[np.isin(columns, own)], together[own])
+    assert np.isnan(alone[~np.isin(columns, own)]).all()
+
+
+def test_what_is_added_and_taken_out_is_simulated() -> None:
+    """The draws stay: of a bias that is added the fit finds just that, of a noise that is more the root of squares."""
+    bench, _ = static()
+    (model,) = bench.models().values()
+    before = bench.replicate({"G1": model}, 0, held_out=False).fitted["G1"]
+    shifted = replace(model, added=(Bias((0.0, 0.3, 0.0)),))
+    moved = bench.replicate({"G1": shifted}, 0, held_out=False).fitted["G1"]
+    np.testing.assert_allclose(np.subtract(moved.offset, before.offset), [0.0, 0.3, 0.0], atol=1e-3)
+    noisier = replace(model, added=(WhiteNoise(0.12),))
+    louder = bench.replicate({"G1": noisier}, 0, held_out=False).fitted["G1"]
+    np.testing.assert_allclose(louder.rms, np.hypot(before.rms, 0.12), rtol=0.15)  # 1000 rows
+
+
+def test_a_kind_that_is_removed_is_not_drawn() -> None:
+    """Of an accelerometer on +z the scale of the population shows in z's level, and without it doesn't."""
+    bench, _ = prepared([("static", Still(seconds=2))], ["A1"])
+    (model,) = bench.models().values()
+
+    def levels(model: Modelled) -> np.ndarray:
+        found = [bench.replicate({"A1": model}, number, held_out=False).fitted["A1"].offset for number in range(12)]
+        return np.std(found, axis=0)
+
+    as_drawn, without = levels(model), levels(replace(model, removed=frozenset({"scale", "misalignment"})))
+    assert as_drawn[2] > 0.003  # a sheet's scale of a percent or so, at 1 g
+    assert (without < 0.001).all()  # 0.004 g over the root of 100 rows
+    known = replace(model, removed=frozenset({"scale", "misalignment"}), added=(Scale((0.0, 0.0, 0.05)),))
+    shifted = bench.replicate({"A1": known}, 0, held_out=False).fitted["A1"].offset[2]
+    plain = bench.replicate({"A1": replace(known, added=())}, 0, held_out=False).fitted["A1"].offset[2]
+    assert shifted - plain == pytest.approx(0.05, abs=1e-3)
+
+
+def test_the_recording_is_measured_as_a_replicate_is() -> None:
+    """What the fit makes zero is zero in both: levels of the training half. Those of the other are told from it."""
+    bench, campaign = static()
+    real = bench.observed(campaign, ["G1"])
+    assert real.uses
+    assert real.fitted == bench.base.fitted
+    replicate = bench.replicate(bench.models(), 0)
+    levels = np.array([key.probe == "mean" for key in bench.keys])
+    for values in (real.values, replicate.values):
+        np.testing.assert_allclose(values[levels & ~bench.held_out], 0.0, atol=1e-9)
+        assert (np.abs(values[levels & bench.held_out]) > 1e-6).all()
+    assert not replicate.uses
+
+
+def test_a_step_between_the_halves_shows_in_the_held_out_level() -> None:
+    """Eight boots, of which every second has 0.2 dps more on y: levels of the held-out part are told from the other's.
+
+    A boot says 200 rows of 0.05 dps: 0.0035 dps.
+    """
+    motions = [turn_on_run(run, 4.0) for run in range(1, 5)]
+    split = split_of(["turn-on"] * 4, [phases_of(motion) for motion in motions])
+    logs = []
+    for boot, motion in enumerate(motions):
+        more = (Bias((0.0, 0.2 * (boot % 2), 0.0)),)
+        sources = simulated_sources(simulated(motion, ["G1"], {"G1": more}, 1, boot))
+        logs.append(summarise_log("turn-on", sources, split.phases()[boot], temperature_of(motion)))
+    campaign = Campaign(tuple(logs))
+    experiments = [Experiment(plan_of(array_of("G1"), RATE_HZ, motion.seconds), motion) for motion in motions]
+    train = split.train(campaign)
+    assert train.logs == (0, 2)
+    base = fit(train.campaign, [motions[at] for at in train.logs])
+    bench = bench_of(campaign, split, experiments, base)
+    values = bench.observed(campaign, ["G1"]).values
+    found = {(bench.held_out[at], key.axis): values[at] for at, key in enumerate(bench.keys) if key.probe == "mean"}
+    assert found[True, "y"] == pytest.approx(0.2, abs=0.02)
+    assert found[True, "x"] == pytest.approx(0.0, abs=0.02)
+    assert found[False, "y"] == pytest.approx(0.0, abs=0.02)

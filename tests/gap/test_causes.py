@@ -1,0 +1,256 @@
+"""Causes, their probabilities, and which of them are one, from rounds made by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.bench import Bench
+from imuarray.gap.candidates import Trial
+from imuarray.gap.causes import TEMPER, causes_of, judged_of, probabilities
+from imuarray.gap.diagnosis import Cause, Judged
+from imuarray.gap.likeness import Likeness
+from imuarray.gap.refine import Tried
+from imuarray.gap.search import COST, Confirmed, Round
+from imuarray.gap.standing import Standing
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.quantisation import Quantisation
+from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.motion.still import Still
+from tests.gap.test_bench import prepared
+
+LINE = Tone((0.0, 0.04, 0.0), 17.0)
+
+
+def nats(log_odds: float) -> float:
+    """The gain, of which a share counts, that makes such odds."""
+    return log_odds / TEMPER
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return prepared([("static", Still(seconds=4))], ["G1", "G2", "A1"])[0]
+
+
+def standing(bench: Bench, sensor: str, score: float) -> Standing:
+    """All statistics of a sensor have this score."""
+    count = len(bench.columns([sensor], cross=False))
+    nothing, always = np.zeros(count, bool), np.ones(count, bool)
+    likeness = Likeness(np.zeros(count), np.ones(count), always, nothing)
+    models = {sensor: bench.models()[sensor]}
+    return Standing((sensor,), models, np.full(count, score), likeness, np.zeros((0, count)), {}, 1.0)
+
+
+def confirmed(bench: Bench, sensor: str, trial: Trial | Effect, gain: float, score: float = 1.0) -> Confirmed:
+    """With it all statistics have this score."""
+    wanted = trial if isinstance(trial, Trial) else Trial((trial,))
+    return Confirmed(Tried(wanted), standing(bench, sensor, score), 2 * gain, gain)
+
+
+def round_of(bench: Bench, sensor: str, *found: Confirmed, taken: int | None = 0, before: float = 10.0) -> Round:
+    return Round(standing(bench, sensor, before), found, -1.0, None if taken is None else found[taken])
+
+
+def causes(bench: Bench, sensor: str, *rounds: Round) -> tuple[Cause, ...]:
+    return causes_of(bench, {(sensor,): rounds}, 1)
+
+
+def of_sensors(bench: Bench, *effects: tuple[str, Effect], gain: float = 10.0) -> tuple[Cause, ...]:
+    """One round for each, in which it was taken."""
+    rounds: dict[tuple[str, ...], Sequence[Round]] = {
+        (sensor,): [round_of(bench, sensor, confirmed(bench, sensor, effect, gain))] for sensor, effect in effects
+    }
+    return causes_of(bench, rounds, 1)
+
+
+@given(st.lists(st.floats(-1e4, 1e4), max_size=5))
+def test_probabilities_leave_room_for_none_of_them(gains: list[float]) -> None:
+    """They sum to one or less, the larger gain is the more probable; nothing is said of numbers too large for exp."""
+    unit = Standing((), {}, np.zeros(0), Likeness(*(np.zeros(0),) * 4), np.zeros((0, 0)), {}, 1.0)  # type: ignore[arg-type]
+    found = tuple(Confirmed(Tried(Trial((LINE,))), unit, gain, gain) for gain in gains)
+    chances = probabilities(Round(unit, found, 0.0, None))
+    assert all(0 <= chance <= 1 for chance in chances)
+    assert math.fsum(chances) <= 1 + 1e-9
+    order = np.argsort(gains, kind="stable")
+    assert (np.diff(np.array(chances)[order]) >= 0).all()
+
+
+def test_probabilities_are_of_tempered_nats(bench: Bench) -> None:
+    """Odds are e^2 to e^1 to 1."""
+    one = round_of(bench, "G1", *(confirmed(bench, "G1", LINE, gain) for gain in (nats(2.0), nats(1.0))))
+    total = 1 + math.e + math.e**2
+    assert probabilities(one) == pytest.approx([math.e**2 / total, math.e / total])
+
+
+def test_a_cause_in_full(bench: Bench) -> None:
+    """Scores of 10 before, of 1 after: all of the excess is closed. Odds are e^15 to 1, with what a number costs."""
+    trial = Trial((LINE,), ("amplitude",))
+    (found,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", trial, nats(15.0) + COST)))
+    assert (found.effect, found.action, found.sensors, found.axes) == ("tone", "add", ("G1",), ("y",))
+    assert found.parameters == {"amplitude_dps": [0.0, 0.04, 0.0], "frequency_hz": 17.0}
+    assert found.each == {"G1": found.parameters}
+    assert found.probability == pytest.approx(1 / (1 + math.exp(-15)))
+    assert found.closed == pytest.approx(1.0)
+    assert found.closed_ci95 == pytest.approx((1.0, 1.0))
+    assert (found.confusable_with, found.origin, found.gain) == ((), "sensor", nats(15.0) + COST)
+
+
+def test_what_is_as_likely_is_confusable(bench: Bench) -> None:
+    """Odds of e^-0.5 are told as a cause of its own; e^-5 is below 1 in 20; e^-2.5 is confusable but too improbable to
+    be told.
+    """
+    found = [
+        confirmed(bench, "G1", LINE, nats(10.0)),
+        confirmed(bench, "G1", Bias(0.3), nats(9.5)),
+        confirmed(bench, "G1", Stuck(0.0, 5.0), nats(7.5)),
+        confirmed(bench, "G1", Quantisation(2.0), nats(5.0)),
+    ]
+    told = causes(bench, "G1", round_of(bench, "G1", *found))
+    assert [(cause.effect, cause.confusable_with) for cause in told] == [
+        ("tone", ("bias", "stuck")),
+        ("bias", ("stuck", "tone")),
+    ]
+
+
+def test_two_guesses_of_one_effect_count_together(bench: Bench) -> None:
+    """With odds e^2, e^2 and 1 of nothing."""
+    found = [confirmed(bench, "G1", effect, nats(2.0)) for effect in (LINE, Tone(LINE.amplitude, 34.0))]
+    (told,) = causes(bench, "G1", round_of(bench, "G1", *found))
+    assert told.probability == pytest.approx(2 * math.e**2 / (1 + 2 * math.e**2))
+    assert told.parameters["frequency_hz"] == 17.0
+    assert told.confusable_with == ()
+
+
+def test_what_was_taken_is_told(bench: Bench) -> None:
+    """The best one did nothing on the training part; the second guess of the same effect was taken."""
+    found = [confirmed(bench, "G1", LINE, 6.0), confirmed(bench, "G1", Tone(LINE.amplitude, 34.0), 5.0)]
+    (told,) = causes(bench, "G1", round_of(bench, "G1", *found, taken=1))
+    assert told.parameters["frequency_hz"] == 34.0
+
+
+def test_shares_are_of_what_was_left(bench: Bench) -> None:
+    """10 at first, 6 after the first round, 1 after the second: excesses 99, 35, 0. The second closes all that the
+    first had left.
+    """
+    first = round_of(bench, "G1", confirmed(bench, "G1", LINE, 10.0, score=6.0))
+    second = round_of(bench, "G1", confirmed(bench, "G1", Quantisation(2.0), 8.0), before=6.0)
+    line, steps = causes(bench, "G1", first, second)
+    assert line.closed == pytest.approx(1 - 35 / 99)
+    assert steps.closed == pytest.approx(1.0)
+
+
+def test_rounds_without_a_cause_tell_none(bench: Bench) -> None:
+    assert causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", LINE, 2.0), taken=None)) == ()
+    assert causes_of(bench, {}, 1) == ()
+
+
+def test_removal_has_no_parameters(bench: Bench) -> None:
+    (gone,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", Trial((), removed="tone"), 9.0)))
+    assert (gone.effect, gone.action, gone.axes, gone.parameters) == ("tone", "remove", (), {})
+    other = Trial((LINE,), removed="tone")
+    (another,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", other, 9.0)))
+    assert (another.effect, another.action) == ("tone", "replace")
+
+
+@pytest.mark.parametrize(
+    ("effect", "origin"),
+    [
+        (ChannelSwap("G2"), "metadata"),
+        (RangeReset(500.0, onset_s=0.0), "metadata"),  # from boot on
+        (RangeReset(500.0, onset_s=2.0), "sensor"),
+        (LINE, "sensor"),
+    ],
+)
+def test_where_a_cause_lies(bench: Bench, effect: Effect, origin: str) -> None:
+    (found,) = of_sensors(bench, ("G1", effect))
+    assert found.origin == origin
+
+
+def test_a_cause_of_one_sensor_in_the_place_of_a_family(bench: Bench) -> None:
+    """Of the two that show it, it is told of the one that has it."""
+    trial = Trial((ChannelSwap("G2"),), shared=True, sensor="G1", others=("G2",))
+    columns = bench.columns(["G1", "G2"], cross=True)
+    count = len(columns)
+    likeness = Likeness(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
+    both = Standing(("G1", "G2"), {}, np.full(count, 9.0), likeness, np.zeros((0, count)), {}, 1.0)
+    one = Confirmed(Tried(trial), both, 9.0, 9.0)
+    (found,) = causes_of(bench, {("G1", "G2"): [Round(both, (one,), 0.0, one)]}, 1)
+    assert found.sensors == ("G1",)
+    assert found.each.keys() == {"G1"}
+
+
+def test_the_same_in_two_sensors_of_a_chip_is_one_cause(bench: Bench) -> None:
+    """0.04 and 0.045 are within a quarter; odds are multiplied, gains added."""
+    one, other = LINE, Tone((0.0, 0.045, 0.0), 17.1)
+    (alone,) = of_sensors(bench, ("G1", one), gain=2.0)
+    (both,) = of_sensors(bench, ("G1", one), ("G2", other), gain=2.0)
+    assert both.sensors == ("G1", "G2")
+    assert both.parameters == both.each["G1"]
+    assert both.each["G2"]["frequency_hz"] == 17.1
+    assert both.gain == pytest.approx(4.0)
+    odds = (alone.probability / (1 - alone.probability)) ** 2
+    assert both.probability == pytest.approx(odds / (1 + odds))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        ("G2", Tone((0.0, 0.06, 0.0), 17.0)),  # half as large again
+        ("G2", Tone((0.04, 0.0, 0.0), 17.0)),  # on another axis
+        ("G2", Quantisation(2.0)),
+        ("A1", LINE),  # of another chip
+    ],
+)
+def test_what_differs_stays_apart(bench: Bench, other: tuple[str, Effect]) -> None:
+    assert len(of_sensors(bench, ("G1", LINE), other)) == 2
+
+
+def test_for_ever_is_not_for_a_while(bench: Bench) -> None:
+    assert len(of_sensors(bench, ("G1", Stuck(5.0, math.inf)), ("G2", Stuck(5.0, 3.0)))) == 2
+
+
+def test_other_lines_are_other_causes(bench: Bench) -> None:
+    """17 and 20 Hz, which 4 s of rows tell apart."""
+    assert len(of_sensors(bench, ("G1", LINE), ("G2", replace(LINE, frequency_hz=20.0)))) == 2
+
+
+def test_no_sensor_is_named_twice(bench: Bench) -> None:
+    """Both gyroscopes have two lines that are alike."""
+    lines = [confirmed(bench, "G1", LINE, 9.0, 5.0), confirmed(bench, "G1", replace(LINE, frequency_hz=18.0), 9.0)]
+    rounds = {
+        (name,): [
+            round_of(bench, name, replace(lines[0], standing=standing(bench, name, 5.0))),
+            round_of(bench, name, replace(lines[1], standing=standing(bench, name, 1.0)), before=5.0),
+        ]
+        for name in ("G1", "G2")
+    }
+    for cause in causes_of(bench, rounds, 1):
+        assert len(set(cause.sensors)) == len(cause.sensors)
+
+
+def test_causes_are_in_order_of_probability(bench: Bench) -> None:
+    rounds = {
+        ("G1",): [round_of(bench, "G1", confirmed(bench, "G1", LINE, 1.0))],
+        ("A1",): [round_of(bench, "A1", confirmed(bench, "A1", Quantisation(2.0), 9.0))],
+    }
+    assert [cause.sensors for cause in causes_of(bench, rounds, 1)] == [("A1",), ("G1",)]
+
+
+def test_everything_that_was_confirmed_is_told_with_its_placebo(bench: Bench) -> None:
+    found = [confirmed(bench, "G1", LINE, 9.0), confirmed(bench, "G1", Trial((), removed="scale"), 1.0)]
+    judged = judged_of({("G1",): [round_of(bench, "G1", *found)]})
+    assert judged[:2] == (
+        Judged("tone", "add", ("G1",), 18.0, 9.0, True),
+        Judged("scale", "remove", ("G1",), 2.0, 1.0, False),
+    )
+    assert (judged[2].effect, judged[2].gain, judged[2].is_accepted) == ("", -1.0, False)

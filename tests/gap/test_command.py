@@ -1,0 +1,290 @@
+"""`imuarray gap diagnose`, as it is typed."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imuarray.cli import main
+from imuarray.gap.candidates import CANDIDATES
+from imuarray.gap.probes import PROBES
+from imuarray.log import open_log
+from imuarray.simulate import load_model
+
+CONFIG = """
+[array]
+name = "two"
+
+[[sensor]]
+name = "G1"
+chip = "l3g4200d"
+address = 0x68
+range = 250
+rate_hz = 800
+bandwidth_hz = 35
+axes = "+X+Y+Z"
+
+[[sensor]]
+name = "A1"
+chip = "bma180"
+address = 0x40
+range = 4
+bandwidth_hz = 150
+axes = "+X+Y+Z"
+"""
+
+MODEL = """
+[model]
+name = "humming"
+
+[[sensor]]
+name = "G1"
+chip = "l3g4200d"
+white_noise.rms_dps = 0.05
+bias.offset_dps = 0.5
+{line}
+
+[[sensor]]
+name = "A1"
+chip = "bma180"
+white_noise.rms_g = 0.004
+bias.offset_g = 0.02
+"""
+
+LINE = "tone = { amplitude_dps = [0.0, 0.04, 0.0], frequency_hz = 17.0 }"
+"""0.8 of the noise's standard deviation, on y."""
+
+FILES = ["gap.json", "repaired.toml", "report.html"]
+
+Said = tuple[int, str, list[str]]
+Type = Callable[..., Said]
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with logs of 20 s, with a line in a gyroscope and without."""
+    folder = tmp_path_factory.mktemp("gap")
+    (folder / "two.toml").write_text(CONFIG)
+    for name, line in (("humming", LINE), ("quiet", "")):
+        (folder / f"{name}.toml").write_text(MODEL.format(line=line))
+        asked = ["two.toml", "--model", f"{name}.toml", "--seconds", 20, "--rate-hz", 100, "-o", f"{name}.h5"]
+        asked = [str(folder / one) if str(one).endswith((".toml", ".h5")) else str(one) for one in asked]
+        assert main(["simulate", *asked]) == 0
+    return folder
+
+
+@pytest.fixture
+def typed(here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Type:
+    """``typed("humming.h5", ...)``: exit code, standard output, lines of standard error."""
+    monkeypatch.chdir(here)
+    capsys.readouterr()
+
+    def call(*arguments: object, workers: int = 1, replicates: int = 40) -> Said:
+        rest = [*map(str, arguments), "--workers", str(workers), "--replicates", str(replicates)]
+        code = main(["gap", "diagnose", *rest])
+        out, err = capsys.readouterr()
+        return code, out, err.splitlines()
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def found(here: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What is written of the line; worked out once."""
+    asked = [here / "humming.h5", "--only", "G1", "--workers", 1, "--replicates", 40, "--seed", 3, "-o", here / "out"]
+    assert main(["gap", "diagnose", *map(str, asked)]) == 0
+    assert sorted(path.name for path in (here / "out").iterdir()) == FILES
+    read: dict[str, Any] = json.loads((here / "out" / "gap.json").read_text())
+    return read
+
+
+WHERE = {"log", "sensor", "axis", "domain", "phase", "statistic", "real", "simulated", "significance", "effect_size"}
+CAUSE = {
+    "effect",
+    "action",
+    "sensors",
+    "axes",
+    "probability",
+    "parameters",
+    "closed",
+    "closed_ci95",
+    "confusable_with",
+}
+WHOLE = {
+    "verdict",
+    "gap",
+    "where",
+    "causes",
+    "unknown",
+    "unexplained",
+    "next_experiment",
+    "seed",
+    "model",
+    "software",
+}
+
+
+def test_json_has_what_other_programs_rely_on(found: dict[str, Any]) -> None:
+    """The published names, of the published kinds; more may be there."""
+    assert found.keys() >= WHOLE
+    assert found["gap"].keys() >= {"before", "after", "floor", "closed", "closed_ci95"}
+    assert all(one.keys() >= WHERE for one in [*found["where"], *found["unexplained"]])
+    assert all(one.keys() >= CAUSE for one in found["causes"])
+    assert found["verdict"] == "explained"
+    assert found["gap"]["before"] > found["gap"]["after"]
+    low, high = found["gap"]["closed_ci95"]
+    assert low <= found["gap"]["closed"] <= high
+    worst = found["where"][0]
+    assert (worst["log"], worst["sensor"], worst["axis"]) == ("humming.h5", "G1", "y")
+    assert worst["domain"] == PROBES[worst["statistic"]].domain
+    assert 0 <= found["unknown"] <= 1
+    assert isinstance(found["next_experiment"], str)
+    assert (found["seed"], found["model"]) == (3, "data sheets")
+    assert found["software"].startswith("imuarray ")
+
+
+def test_the_cause_is_told(found: dict[str, Any]) -> None:
+    """1000 rows in noise of 0.05 dps tell an amplitude to 0.0022 dps."""
+    cause = found["causes"][0]
+    assert (cause["effect"], cause["action"], cause["sensors"], cause["axes"]) == ("tone", "add", ["G1"], ["y"])
+    assert cause["probability"] > 0.9
+    assert cause["parameters"]["amplitude_dps"] == pytest.approx([0.0, 0.04, 0.0], abs=0.009)
+    assert cause["parameters"]["frequency_hz"] == pytest.approx(17.0, abs=0.4)
+    assert cause["closed"] > 0.8
+    assert cause["confusable_with"] == []
+
+
+def test_nothing_is_overwritten_without_force(found: dict[str, Any], typed: Type, here: Path) -> None:
+    """It is said before anything is worked out, and only one of the files has to be there."""
+    before = {name: (here / "out" / name).read_bytes() for name in FILES}
+    code, out, err = typed("humming.h5", "-o", "out")
+    assert (code, out, len(err)) == (2, "", 1)
+    assert "out/gap.json" in err[0]
+    assert "--force" in err[0]
+    assert {name: (here / "out" / name).read_bytes() for name in FILES} == before
+    (here / "other").mkdir(exist_ok=True)
+    (here / "other" / "report.html").write_text("mine")
+    assert typed("humming.h5", "-o", "other")[0] == 2
+    assert [path.name for path in (here / "other").iterdir()] == ["report.html"]
+    code, out, err = typed("humming.h5", "--only", "G1", "-o", "other", "--force")
+    assert code == 0
+    assert err[-1] == "other: report.html, gap.json, repaired.toml written"
+    assert "mine" not in (here / "other" / "report.html").read_text()
+    assert out.splitlines()[0]
+
+
+def test_json_on_standard_output_is_the_file(found: dict[str, Any], typed: Type) -> None:
+    code, out, _ = typed("humming.h5", "--only", "G1", "--seed", 3, "--json")
+    assert code == 0
+    assert json.loads(out) == found
+
+
+def test_no_gap(typed: Type) -> None:
+    """The seed is one of the 20 of 21 in which chance makes none."""
+    code, out, _ = typed("quiet.h5", "--json")
+    said = json.loads(out)
+    assert (code, said["verdict"], said["causes"], said["unknown"]) == (0, "no gap", [], 0.0)
+    assert (said["gap"]["closed"], said["gap"]["closed_ci95"]) == (None, None)
+
+
+def test_the_repaired_model_is_a_model(
+    found: dict[str, Any], typed: Type, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is simulated from, and a recording is compared with it: the line is no gap any more."""
+    with (here / "out" / "repaired.toml").open("rb") as file:
+        assert tomllib.load(file)["model"]["name"] == "repaired data sheets"
+    assert "tone" in load_model(here / "out" / "repaired.toml").sensors[0].effects
+    asked = ["two.toml", "--model", "out/repaired.toml", "--only", "G1", "--seconds", "5", "-o", "again.h5", "--force"]
+    assert main(["simulate", *asked]) == 0
+    with open_log(here / "again.h5") as log:
+        assert list(log.sensors) == ["G1"]
+    capsys.readouterr()
+    code, out, _ = typed("humming.h5", "--only", "G1", "--model", "out/repaired.toml", "--json")
+    said = json.loads(out)
+    assert (code, said["model"]) == (0, "repaired data sheets")
+    assert said["verdict"] == "no gap"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["humming.h5", "--without", "tone,ghosts"], ["ghosts", *CANDIDATES]),
+        (["humming.h5", "--only", "Nose"], ["humming.h5", "Nose"]),
+        (["two.toml"], ["two.toml"]),
+        (["nothing.h5"], ["nothing.h5"]),
+        (["humming.h5", "--model", "nothing.toml"], ["nothing.toml"]),
+        (["humming.h5", "--model", "humming.h5"], ["humming.h5"]),
+        (["humming.h5", "-o", "two.toml"], ["two.toml"]),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_nothing_is_left(
+    typed: Type, here: Path, arguments: list[str], words: list[str]
+) -> None:
+    before = sorted(here.iterdir())
+    code, out, err = typed(*arguments)
+    assert (code, out, len(err)) == (2, "", 1)
+    assert all(word in err[0] for word in words)
+    assert sorted(here.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["humming.h5", "--replicates", "10"], ["humming.h5", "--workers", "0"], ["humming.h5", "--what"]]
+)
+def test_a_slip_of_the_keyboard(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    monkeypatch.chdir(here)
+    assert main(["gap", "diagnose", *arguments]) == 2
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("arguments", [["gap", "--help"], ["gap", "diagnose", "--help"]])
+def test_help(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    """Every option says what it does."""
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    for word in ["diagnose"] if len(arguments) == 2 else ["REAL.h5", "--without", "--only", "-o", "--json", "--model"]:
+        assert word in out
+
+
+@pytest.mark.slow
+def test_effects_can_be_left_out(found: dict[str, Any], typed: Type) -> None:
+    """Without its cause the line may be blamed on something else, but on no tone, and is closed less."""
+    code, out, _ = typed("humming.h5", "--only", "G1", "--without", "tone", "--json")
+    said = json.loads(out)
+    assert code == 0
+    assert "tone" not in {one["effect"] for one in said["causes"]}
+    assert (said["gap"]["closed"] or 0.0) < found["gap"]["closed"]
+    assert said["unknown"] > found["unknown"]
+
+
+@pytest.mark.slow
+def test_workers_change_nothing(found: dict[str, Any], typed: Type) -> None:
+    code, out, _ = typed("humming.h5", "--only", "G1", "--seed", 3, "--json", workers=2)
+    assert code == 0
+    assert json.loads(out) == found
+
+
+@pytest.mark.slow
+def test_all_sensors_of_a_log(typed: Type) -> None:
+    """The accelerometer has nothing to do with it."""
+    code, out, _ = typed("humming.h5", "--json")
+    said = json.loads(out)
+    assert code == 0
+    assert said["causes"][0]["effect"] == "tone"
+    assert {name for cause in said["causes"] for name in cause["sensors"]} == {"G1"}
+
+
+@pytest.mark.slow
+def test_two_logs(typed: Type) -> None:
+    """Of one kind: the second is held out, in which the line isn't. A name given twice is one log."""
+    code, out, _ = typed("humming.h5", "quiet.h5", "humming.h5", "--only", "G1", "--json")
+    said = json.loads(out)
+    assert code == 0
+    assert {one["log"] for one in said["where"]} <= {"humming.h5", "quiet.h5"}
+    assert said["verdict"] != "explained"

@@ -1,0 +1,190 @@
+"""A recording beside its replicates: false alarms where nothing is wrong, gaps where they were put."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.gap.base_model import fit
+from imuarray.gap.bench import Bench
+from imuarray.gap.campaign import Campaign
+from imuarray.gap.compare import Compared, compared_with_base, settled
+from imuarray.gap.judgement import where_of
+from imuarray.gap.likeness import likeness_of
+from imuarray.gap.workers import processes, runner
+from imuarray.simulate import parse_model
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.nonlinearity import Nonlinearity
+from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.tumble import Tumble
+from tests.gap.made import BASE
+from tests.gap.test_bench import SHORT, Run, prepared
+
+Floats = npt.NDArray[np.float64]
+More = Mapping[str, tuple[Effect, ...]]
+
+NAMES = tuple(BASE)
+
+
+@cache
+def bare(seed: int = 0) -> tuple[Bench, Campaign]:
+    """All four sensors, 20 s at rest, without anything but the base's effects."""
+    return recorded({}, seed)
+
+
+def recorded(more: More, seed: int, motion: Motion = SHORT, kind: str = "static") -> tuple[Bench, Campaign]:
+    return prepared([(kind, motion)], NAMES, more, seed)
+
+
+def compared(more: More, seed: int, replicates: int = 40) -> Compared:
+    """The whole way, from a simulated recording on."""
+    bench, campaign = recorded(more, seed)
+    return compared_with_base(bench, campaign, Run(bench), replicates)
+
+
+@pytest.fixture(scope="module")
+def nothing() -> Compared:
+    return compared({}, 0, 80)
+
+
+def units(seed: int) -> dict[str, tuple[Effect, ...]]:
+    """Scales and leaning axes as the data sheets have them, drawn by other means than the library's."""
+    random = np.random.default_rng((99, seed))
+    return {
+        name: (
+            Scale(tuple(np.clip(random.normal(0, 0.01, 3), -0.02, 0.02))),  # type: ignore[arg-type]
+            Misalignment(tuple(np.clip(random.normal(0, 0.5, 6), -1, 1))),
+        )
+        for name in BASE
+    }
+
+
+def test_false_alarms(nothing: Compared) -> None:
+    """60 campaigns, each with its own fit, beside the replicates of another one, of which 40 are scored: p <= 0.05 has
+    a probability of 2/41 over both; at most 14 come with one of 0.998 (beta-binomial: 60, 2, 39).
+    """
+    bench = nothing.bench
+
+    def known(job: Callable[[Bench, Any], Any], items: Sequence[Any]) -> list[Any]:
+        return list(nothing.replicates)
+
+    alarms = 0
+    for seed in range(60):
+        _, campaign = recorded(units(seed), 1000 + seed)
+        alarms += compared_with_base(bench, campaign, known, 80).located.is_gap
+    assert alarms <= 14
+
+
+@pytest.mark.slow
+def test_false_alarms_are_as_rare_as_promised() -> None:
+    """60 campaigns, 20 scored replicates each: p <= 0.05 has a probability of 1/21 each; at most 8 of 60 come with
+    one of 0.998 (binomial).
+    """
+    assert sum(compared(units(seed), seed).located.is_gap for seed in range(60)) <= 8
+
+
+def test_scores_are_standard(nothing: Compared) -> None:
+    """About normal in the middle: 68 % within one, of 40 x 700 scores that hang together, by the other 40; scales of 40
+    replicates scatter by 11 %, which makes tails a little longer. Statistics that count things are not normal.
+    """
+    likeness = likeness_of(nothing.chance[1::2], nothing.bench.resolutions)
+    chosen = np.array([key.domain in ("level", "spread", "spectrum", "allan") for key in nothing.bench.keys])
+    scores = likeness.scores(nothing.chance[::2])[:, chosen & np.isfinite(likeness.location) & ~likeness.is_silent]
+    assert np.nanmedian(scores) == pytest.approx(0.0, abs=0.1)
+    assert np.nanmean(np.abs(scores) < 1) == pytest.approx(0.68, abs=0.05)
+
+
+def test_another_seed_draws_others(nothing: Compared) -> None:
+    bench = replace(nothing.bench, base=replace(nothing.bench.base, seed=77))
+    other = compared_with_base(bench, nothing.campaign, Run(bench), 40)
+    assert not np.array_equal(other.chance, nothing.chance[:40], equal_nan=True)
+    one, two = nothing.judged.likeness, other.judged.likeness
+    held = np.isfinite(one.location) & np.isfinite(two.location) & ~one.is_silent & ~two.is_silent
+    apart = (two.location - one.location)[held] / one.scale[held]
+    assert np.abs(np.median(apart)) < 0.2  # medians of 40 and 80 replicates scatter by 0.2 and 0.14
+
+
+def test_a_tone_is_found_where_it_is() -> None:
+    """0.8 of the noise's standard deviation at 17 Hz on one axis of one gyroscope."""
+    found = compared({**units(1), "G2": (*units(1)["G2"], Tone((0.0, 0.04, 0.0), 17.0))}, 1)
+    root = found.located.root
+    assert found.located.is_gap
+    assert found.located.p == pytest.approx(1 / 21)
+    assert [node.path for node in root.found("chip")][:1] == [("l3g4200d",)]
+    assert [node.path for node in root.found("axis")] == [("l3g4200d", "G2", "y")]
+    assert root.found("domain")[0].path[-1] == "spectrum"
+    first, *_ = found.located.found
+    key = found.pairs.keys[first]
+    assert (key.sensor, key.axis, key.domain) == ("G2", "y", "spectrum")
+    assert abs(found.judged.scores[first]) > 5
+    assert {(found.pairs.keys[at].sensor, found.pairs.keys[at].axis) for at in found.located.found} == {("G2", "y")}
+
+
+@pytest.mark.slow
+def test_sizes_are_in_the_units_of_the_statistic() -> None:
+    """0.06 g per g^2 along x: the mean of the faces +x and -x is off by 0.06 g."""
+    bench, campaign = recorded({"A2": (Nonlinearity(quadratic=(0.06, 0.0, 0.0)),)}, 3, Tumble(4.0, 1.0), "tumble")
+    found = compared_with_base(bench, campaign, Run(bench), 40)
+    told = where_of(bench, campaign, found.pairs, found.judged, found.located.found, ["tumble.h5"], found.located.found)
+    (square,) = [one for one in told if one.statistic == "force_square"]
+    assert (square.sensor, square.axis, square.unit) == ("A2", "x", "g/g^2")
+    assert square.real - square.simulated == pytest.approx(0.06, abs=0.002)
+    assert square.real == pytest.approx(0.06, abs=0.002)
+
+
+MODEL = """
+[model]
+name = "known"
+[[sensor]]
+name = "A1"
+chip = "bma180"
+scale.error = 0.03
+[[sensor]]
+name = "G1"
+chip = "l3g4200d"
+tone.amplitude_dps = 0.05
+tone.frequency_hz = 17.0
+"""
+
+
+def test_what_a_model_adds_is_not_counted_twice() -> None:
+    """Of A1's 1.05 g on +z the model explains 0.03 g, 0.02 g are bias; of G1's variance 0.05^2 / 2 is the tone's, the
+    rest of 0.05^2 + 0.05^2 / 2 white. 1000 rows: 4 standard errors of the rms are 9 %, of what is left without the tone
+    14 %.
+    """
+    bench, campaign = recorded({"A1": (Scale(0.03),), "G1": (Tone(0.05, 17.0, float("nan")),)}, 8)
+    base = fit(bench.split.train(campaign).campaign, [SHORT], model=parse_model(MODEL))
+    assert base.fitted["A1"].offset[2] == pytest.approx(0.05, abs=1e-3)
+    assert base.fitted["G1"].rms == pytest.approx((0.05 * 1.5**0.5,) * 3, rel=0.1)
+    found = settled(replace(bench, base=base)).base.fitted
+    assert found["A1"].offset == pytest.approx((0.02,) * 3, abs=1e-3)
+    assert found["G1"].rms == pytest.approx((0.05,) * 3, rel=0.14)
+    assert found["G2"].rms == pytest.approx(base.fitted["G2"].rms, rel=0.1)
+
+
+def test_what_is_sent_to_processes_can_be_sent() -> None:
+    """Plain data, small beside what is simulated."""
+    bench, _ = bare()
+    sent = pickle.dumps(bench)
+    assert len(sent) < 500_000
+    assert pickle.loads(sent).keys == bench.keys  # noqa: S301
+
+
+@pytest.mark.slow
+def test_processes_change_no_bit() -> None:
+    bench, campaign = bare()
+    alone = compared_with_base(bench, campaign, runner(bench), 40)
+    with processes(2) as pool:
+        together = compared_with_base(bench, campaign, runner(bench, pool), 40)
+    np.testing.assert_array_equal(together.chance, alone.chance)
+    assert together.located == alone.located

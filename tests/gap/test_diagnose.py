@@ -1,0 +1,285 @@
+"""The whole way, from logs on disk: what is put in is named and closed on held-out data, what isn't there isn't."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imuarray.errors import ConfigError
+from imuarray.gap.candidates import CANDIDATES
+from imuarray.gap.compare import prepared
+from imuarray.gap.diagnose import diagnose, library
+from imuarray.gap.diagnosis import Diagnosis
+from imuarray.gap.recordings import Recording, recordings_of
+from imuarray.log import open_log
+from imuarray.simulate import Motion, parse_model, write_log
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.common_mode import CommonMode
+from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.model import Model
+from imuarray.simulate.motion.still import Still, turn_on_run
+from imuarray.simulate.motion.tumble import Tumble
+from tests.gap.test_bench import LINE, SHORT, More, Run, simulated
+
+REPLICATES = 40
+"""As few as tell a gap: of 20 that are scored one in 21 is the smallest p."""
+
+WITH_LINE = """
+[model]
+name = "with a line"
+
+[[sensor]]
+name = "G1"
+chip = "l3g4200d"
+tone.amplitude_dps = [0.0, 0.05, 0.0]
+tone.frequency_hz = 17.0
+"""
+
+
+def recorded(
+    folder: Path, more: More | None = None, names: Sequence[str] = ("G1",), motions: Sequence[Motion] = (SHORT,)
+) -> tuple[Recording, ...]:
+    """Logs of these sensors, written and opened again."""
+    logs = []
+    for boot, motion in enumerate(motions):
+        path = folder / f"log{boot}.h5"
+        write_log(simulated(motion, names, more or {}, 1, boot), path)
+        logs.append(open_log(path))
+    return recordings_of(logs)
+
+
+def diagnosed(
+    recordings: Sequence[Recording], *, model: Model | None = None, without: Collection[str] = (), **more: Any
+) -> Diagnosis:
+    return diagnose(recordings, Run, model=model, without=without, seed=1, replicates=REPLICATES, **more)
+
+
+@pytest.fixture(scope="module")
+def lined(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, ...]:
+    """20 s with a line of 0.04 dps at 17 Hz on y."""
+    return recorded(tmp_path_factory.mktemp("line"), {"G1": (LINE,)})
+
+
+@pytest.fixture(scope="module")
+def tone(lined: tuple[Recording, ...]) -> Diagnosis:
+    return diagnosed(lined)
+
+
+def amplitude_of(cause: Mapping[str, Any]) -> list[float]:
+    return [float(value) for value in cause["amplitude_dps"]]
+
+
+def test_a_line_is_named_and_closed(tone: Diagnosis) -> None:
+    """1000 rows in noise of 0.05 dps tell an amplitude to 0.0022 dps, bins of the spectrum are 0.4 Hz apart at most."""
+    (cause,) = tone.causes
+    assert (cause.effect, cause.action, cause.sensors, cause.axes) == ("tone", "add", ("G1",), ("y",))
+    assert cause.probability > 0.9
+    assert amplitude_of(cause.parameters) == pytest.approx([0.0, 0.04, 0.0], abs=0.009)
+    assert cause.parameters["frequency_hz"] == pytest.approx(17.0, abs=0.4)
+    assert tone.verdict == "explained"
+    assert tone.p == pytest.approx(1 / 21)
+    assert tone.gap.before > 5
+    assert tone.gap.closed is not None
+    assert tone.gap.closed > 0.8
+    assert tone.gap.closed_ci95 is not None
+    low, high = tone.gap.closed_ci95
+    assert low <= tone.gap.closed <= high
+    assert tone.unknown < 0.3
+    assert "G1 (y): tone" in tone.sentence
+
+
+def test_where_it_differs_is_the_axis_that_has_the_line(tone: Diagnosis) -> None:
+    assert (tone.where[0].sensor, tone.where[0].axis, tone.where[0].domain) == ("G1", "y", "spectrum")
+    assert {(one.sensor, one.axis) for one in tone.where} == {("G1", "y")}
+    sizes = [abs(one.significance) for one in tone.where]
+    assert max(sizes) > 10
+    assert tone.held_out == "held out: the second half of every phase of 1 log"
+
+
+def test_all_that_was_looked_at_is_told(tone: Diagnosis) -> None:
+    accepted = [one for one in tone.judged if one.is_accepted]
+    assert [one.effect for one in accepted] == ["tone"]
+    assert [one for one in tone.judged if not one.effect]  # placebos
+    (recording,) = tone.recorded
+    assert (recording.name, recording.kind, recording.sensors) == ("log0.h5", "static", 1)
+    assert recording.rows == pytest.approx(2000, abs=2)
+    assert recording.seconds == pytest.approx(20.0, abs=0.05)
+
+
+def test_it_goes_into_json(tone: Diagnosis) -> None:
+    """Whatever isn't a finite number is null."""
+    read = json.loads(json.dumps(tone.as_json(), allow_nan=False))
+    assert read["verdict"] == tone.verdict
+    assert read["causes"][0]["effect"] == "tone"
+    assert read["gap"]["closed"] == tone.gap.closed
+    assert (read["seed"], read["replicates"], read["model"]) == (1, REPLICATES, "data sheets")
+
+
+def test_the_repaired_model_is_accepted(tone: Diagnosis, lined: tuple[Recording, ...]) -> None:
+    """As the model to begin with it leaves no gap; p > 0.05 has a probability of 0.95, the seed is fixed."""
+    assert tone.repaired is not None
+    again = diagnosed(lined, model=tone.repaired)
+    assert (again.verdict, again.causes) == ("no gap", ())
+    assert again.model == tone.repaired.name
+
+
+def test_no_gap_no_causes(tmp_path: Path) -> None:
+    heard: list[str] = []
+    found = diagnosed(recorded(tmp_path), progress=heard.append)
+    assert (found.verdict, found.causes, found.where, found.unexplained) == ("no gap", (), (), ())
+    assert (found.gap.closed, found.gap.closed_ci95, found.unknown) == (None, None, 0.0)
+    assert found.p > 0.05
+    assert found.gap.before == found.gap.after
+    assert "no statistic is beyond chance" in found.sentence
+    assert heard == ["reading the recordings", "simulating the base model", "simulating the repaired model"]
+
+
+def test_what_the_library_lacks_is_not_blamed(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
+    """The same recording without lines among the causes: nothing else takes their place and closes the gap."""
+    found = diagnosed(lined, without=["tone"])
+    assert found.verdict in ("unexplained", "partly explained")
+    assert "tone" not in {cause.effect for cause in found.causes} | {one.effect for one in found.judged}
+    assert found.unknown > 0.5
+    assert found.unknown > tone.unknown
+    assert found.unexplained[0].sensor == "G1"
+    assert "Not explained" in found.sentence
+    assert found.p == tone.p
+    assert found.gap.before == tone.gap.before
+
+
+def test_an_effect_that_a_model_has_too_many_is_taken_out(tmp_path: Path) -> None:
+    found = diagnosed(recorded(tmp_path), model=parse_model(WITH_LINE))
+    (cause,) = found.causes
+    assert (cause.effect, cause.action, cause.sensors, cause.parameters) == ("tone", "remove", ("G1",), {})
+    assert found.verdict == "explained"
+    assert "without tone" in found.sentence
+    assert found.repaired is not None
+    (sensor,) = found.repaired.sensors
+    assert sensor.name == "G1"
+    assert "tone" not in sensor.effects
+
+
+def test_noise_is_not_counted_twice(tmp_path: Path) -> None:
+    """The model has the line that the recording has: of the variance 0.05^2 + 0.05^2 / 2 the noise keeps the first."""
+    line = Tone((0.0, 0.05, 0.0), 17.0)
+    recordings = recorded(tmp_path, {"G1": (line,)})
+    bench, _ = prepared(recordings, parse_model(WITH_LINE), 1)
+    assert bench.base.fitted["G1"].rms == pytest.approx((0.05,) * 3, rel=0.1)
+    plain, _ = prepared(recordings, None, 1)
+    assert plain.base.fitted["G1"].rms[1] == pytest.approx(0.05 * 1.5**0.5, rel=0.1)
+
+
+def test_a_seed_is_a_diagnosis(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
+    again = diagnosed(lined)
+    assert json.dumps(again.as_json()) == json.dumps(tone.as_json())
+
+
+def test_the_library() -> None:
+    assert library(()) == dict(CANDIDATES)
+    assert set(CANDIDATES) - set(library(["tone", "stuck"])) == {"tone", "stuck"}
+    with pytest.raises(ConfigError, match="effect 'ghosts': allowed are"):
+        library(["tone", "ghosts"])
+
+
+@pytest.fixture(scope="module", params=[4.0, 13.0])
+def stuck(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[float, Diagnosis]:
+    """1.5 s of the same counts, in the half that is fitted to or in that which is judged by."""
+    return request.param, diagnosed(recorded(tmp_path_factory.mktemp("stuck"), {"G1": (Stuck(request.param, 1.5),)}))
+
+
+@pytest.mark.slow
+def test_a_moment_of_silence_is_found_in_either_part(stuck: tuple[float, Diagnosis]) -> None:
+    cause = stuck[1].causes[0]
+    assert (cause.effect, cause.action, cause.sensors) == ("stuck", "add", ("G1",))
+    assert cause.probability > 0.9
+    assert stuck[1].verdict == "explained"
+
+
+@pytest.mark.slow
+def test_when_it_stood_still_and_how_long(stuck: tuple[float, Diagnosis]) -> None:
+    """Rows are 0.01 s apart."""
+    onset_s, found = stuck
+    assert found.causes[0].parameters["onset_s"] == pytest.approx(onset_s, abs=0.1)
+    assert found.causes[0].parameters["duration_s"] == pytest.approx(1.5, abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def swapped(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """A1 has A2's data, at rest on one face; A2 has a line."""
+    more = {"A1": (ChannelSwap("A2"),), "A2": (Tone((0.0, 0.0, 0.01), 9.0),)}
+    return diagnosed(recorded(tmp_path_factory.mktemp("swapped"), more, ("A1", "A2")))
+
+
+@pytest.mark.slow
+def test_a_sensor_that_has_anothers_data(swapped: Diagnosis) -> None:
+    """Each may be the one; between them all is the same."""
+    cause = swapped.causes[0]
+    assert (cause.effect, cause.origin) == ("channel_swap", "metadata")
+    assert (cause.sensors, cause.parameters["sensor"]) in ((("A1",), "A2"), (("A2",), "A1"))
+    assert swapped.verdict == "explained"
+
+
+@pytest.mark.slow
+def test_no_two_sensors_have_each_others_data(swapped: Diagnosis) -> None:
+    """That would look like nothing at all."""
+    assert len([cause for cause in swapped.causes if cause.effect == "channel_swap"]) == 1
+
+
+@pytest.mark.slow
+def test_on_six_faces_it_is_told_which(tmp_path: Path) -> None:
+    """A2 is put on another way round than A1: what A1 says is what A2 feels."""
+    found = diagnosed(recorded(tmp_path, {"A1": (ChannelSwap("A2"),)}, ("A1", "A2"), (Tumble(2.0, 0.5),)))
+    cause = found.causes[0]
+    assert (cause.effect, cause.sensors, cause.parameters) == ("channel_swap", ("A1",), {"sensor": "A2"})
+    assert cause.origin == "metadata"
+    assert found.verdict == "explained"
+
+
+@pytest.mark.slow
+def test_what_sensors_share_is_one_cause(tmp_path: Path) -> None:
+    """A wander of 0.03 dps that both gyroscopes have, of 5 s: 60 s of it tell its size to a half."""
+    shared = CommonMode((0.03, 0.03, 0.03), 5.0)
+    motion = Still(seconds=60)
+    found = diagnosed(recorded(tmp_path, {"G1": (shared,), "G2": (shared,)}, ("G1", "G2"), (motion,)))
+    cause = found.causes[0]
+    assert (cause.effect, set(cause.sensors)) == ("common_mode", {"G1", "G2"})
+    assert np.mean(cause.parameters["rms_dps"]) == pytest.approx(0.03, rel=0.8)
+    assert found.gap.closed is not None
+    assert found.gap.closed > 0.8
+
+
+@pytest.mark.slow
+def test_what_changes_from_boot_to_boot(tmp_path: Path) -> None:
+    """Six boots; every second one is held out."""
+    motions = [turn_on_run(run, 6.0) for run in range(1, 7)]
+    found = diagnosed(recorded(tmp_path, {"G1": (TurnOnBias((0.1, 0.1, 0.1)),)}, motions=motions))
+    assert found.causes[0].effect == "turn_on_bias"
+    assert found.verdict == "explained"
+    assert found.held_out == "held out: 3 of 6 logs (every second of a kind)"
+
+
+@pytest.mark.slow
+def test_a_sensor_that_one_log_lacks(tmp_path: Path) -> None:
+    """The second one wasn't read in the log that is held out: the first is diagnosed as ever."""
+    paths = [tmp_path / name for name in ("both.h5", "one.h5")]
+    write_log(simulated(SHORT, ["G1", "G2"], {"G1": (LINE,)}), paths[0])
+    write_log(simulated(SHORT, ["G1"], {"G1": (LINE,)}, boot=1), paths[1])
+    found = diagnosed(recordings_of([open_log(path) for path in paths]))
+    assert found.causes[0].effect == "tone"
+    assert found.causes[0].sensors == ("G1",)
+    assert any("G2 is left out" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_a_sensor_that_only_the_held_out_log_has(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("one.h5", "both.h5")]
+    write_log(simulated(SHORT, ["G1"], {"G1": (LINE,)}), paths[0])
+    write_log(simulated(SHORT, ["G1", "G2"], {"G1": (LINE,)}, boot=1), paths[1])
+    assert diagnosed(recordings_of([open_log(path) for path in paths])).causes[0].effect == "tone"

@@ -1,0 +1,115 @@
+"""What a sensor shows, told from scores made by hand, and collected from a recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from imuarray.gap.at_rest import Fitted
+from imuarray.gap.evidence import Evidence, Scored, Seen, evidence_of
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.motion.still import turn_on_run
+from tests.gap.made import block, gaussian, header, summary
+from tests.gap.test_bench import LINE, prepared, static
+
+NAN = math.nan
+
+FITTED = Fitted((0.01, 0.01, 0.02), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def evidence(
+    scores: Mapping[str, Sequence[Sequence[float]]], scale: float = 0.5, seen: Sequence[Seen] = ()
+) -> Evidence:
+    """Values of these scores about 10, in standard deviations of `scale`."""
+    given = {probe: np.array(rows) for probe, rows in scores.items()}
+    expected = {probe: np.full(rows.shape, 10.0) for probe, rows in given.items()}
+    values = {probe: 10 + scale * rows for probe, rows in given.items()}
+    return Evidence(header(), FITTED, tuple(seen), values, expected, given, ())
+
+
+def test_the_score_that_is_farthest_from_zero() -> None:
+    """By axis, over rows and probes; that of a whole sensor stands for each axis."""
+    made = evidence({"line": [[1.0, -4.0, NAN], [2.0, 3.0, NAN]], "repeats": [[-2.5]], "silent": [[NAN] * 3]})
+    np.testing.assert_array_equal(made.score("line"), [2.0, -4.0, 0.0])
+    np.testing.assert_array_equal(made.score("line", "repeats"), [-2.5, -4.0, -2.5])
+    np.testing.assert_array_equal(made.score("repeats", "no such probe"), [-2.5] * 3)
+    np.testing.assert_array_equal(made.score("silent"), 0.0)
+    np.testing.assert_array_equal(made.score("no such probe"), 0.0)
+
+
+def test_oddity_is_of_size_on_any_axis() -> None:
+    made = evidence({"line": [[1.0, -4.0, NAN]], "repeats": [[3.0]]})
+    assert made.is_odd("line")
+    assert not made.is_odd("line", beyond=4.0)
+    assert not made.is_odd("repeats")
+    assert not made.is_odd("no such probe")
+
+
+def test_shifts_are_of_the_worst_row_and_of_the_typical_one() -> None:
+    """Scores times their scale; a row that misses an axis is no typical one."""
+    made = evidence({"mean": [[1.0, -4.0, NAN], [2.0, 3.0, 1.0], [4.0, 9.0, 3.0]], "repeats": [[2.0], [NAN], [-6.0]]})
+    np.testing.assert_allclose(made.shift("mean"), [2.0, 4.5, 1.5])
+    np.testing.assert_allclose(made.typical("mean"), [1.5, 3.0, 1.0])
+    np.testing.assert_allclose(made.shift("repeats"), -3.0)
+    np.testing.assert_allclose(made.typical("repeats"), -1.0)
+    for nothing in (made.shift("no such probe"), made.typical("no such probe")):
+        np.testing.assert_array_equal(nothing, 0.0)
+
+
+def test_rate_is_the_usual_one() -> None:
+    """Of 100, 100 and 20 rows/s; without a phase the sensor's own."""
+    rows = [summary(block(gaussian(rows=100), interval_ns)) for interval_ns in (10**7, 10**7, 5 * 10**7)]
+    seen = [Seen(0, "static", True, one, one, None) for one in rows]
+    assert evidence({}, seen=seen).rows_per_s == pytest.approx(100.0)
+    assert evidence({}).rows_per_s == 1.0
+
+
+def test_noise_has_that_of_rounding() -> None:
+    """2048 counts/g: a step's variance is 1 / (12 x 2048^2)."""
+    np.testing.assert_allclose(evidence({}).noise, np.sqrt(np.array([1e-4, 1e-4, 4e-4]) + 1 / (12 * 2048**2)))
+
+
+def test_what_a_recording_shows() -> None:
+    """The training half alone: of each probe as many rows as it has phases; what is left has no level."""
+    bench, campaign = static(LINE)
+    train = bench.split.train(campaign)
+    number = np.arange(bench.of_train, dtype=float)
+    keys, parts = bench.keys[: bench.of_train], [False] * bench.of_train
+    scored = Scored(keys, parts, number, number - 1, number * 2)
+    found = evidence_of(bench, train, "G1", scored, bench.models()["G1"], (LINE,))
+    assert (found.header.name, found.effects, found.runs, found.others) == ("G1", (LINE,), None, ())
+    (seen,) = found.seen
+    assert seen.is_still
+    assert found.still == found.seen
+    assert seen.raw.rows == pytest.approx(1000, abs=2)
+    assert np.average(seen.left.segments.mean, axis=0) == pytest.approx([0.0] * 3, abs=0.05)
+    assert found.rows_per_s == pytest.approx(100.0, rel=1e-3)
+    for at, key in enumerate(keys):
+        place = max("xyz".find(key.axis), 0)
+        assert found.values[key.probe][0, place] == at
+        assert found.expected[key.probe][0, place] == at - 1
+        assert found.scores[key.probe][0, place] == 2 * at
+        assert found.values[key.probe].shape == (1, 3 if key.axis else 1)
+
+
+def test_levels_are_told_from_the_present_model() -> None:
+    """A model with 0.1 dps more on x leaves 0.1 dps less; sensors that measure the same are named, runs counted."""
+    motions = [turn_on_run(run, 4.0) for run in range(1, 5)]
+    bench, campaign = prepared([("turn-on", motion) for motion in motions], ["G1", "G2", "A1"])
+    train = bench.split.train(campaign)
+    model = bench.models()["G1"]
+    x, y, z = model.fitted.offset
+    shifted = type(model)(Fitted(model.fitted.rms, (x + 0.1, y, z), model.fitted.slope), (Bias(),))
+    nothing = Scored((), (), np.zeros(0), np.zeros(0), np.zeros(0))
+    one, other = (evidence_of(bench, train, "G1", nothing, each, ()) for each in (model, shifted))
+    assert [item.name for item in one.others] == ["G2"]
+    assert [seen.log for seen in one.seen] == [0, 1]
+    assert one.runs is not None
+    assert one.runs.means.shape == (2, 3)
+    for before, after in zip(one.seen, other.seen, strict=True):
+        apart = (after.left.segments.mean - before.left.segments.mean) / one.header.sensitivity
+        np.testing.assert_allclose(np.average(apart, axis=0), [-0.1, 0.0, 0.0], atol=1e-9)
+        np.testing.assert_array_equal(after.raw.segments.mean, before.raw.segments.mean)

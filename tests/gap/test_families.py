@@ -1,0 +1,102 @@
+"""A cause that sensors share against causes of their own, and where the members stand with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.gap.bench import Bench
+from imuarray.gap.candidates import Trial
+from imuarray.gap.compare import compared_with_base
+from imuarray.gap.families import members_of, shared_wins, together, unlike
+from imuarray.gap.refine import Tried
+from imuarray.gap.search import Confirmed, Round, confirmed
+from imuarray.gap.standing import Standing
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.motion.still import Still
+from tests.gap.test_bench import Run, prepared
+from tests.gap.test_refine import standing_of
+from tests.gap.test_standing import drawn
+from tests.gap.test_standing import standing as by_hand
+
+BOTH = ("A1", "A2")
+SWAP = Trial((ChannelSwap("A2"),), shared=True, sensor="A1", others=("A2",))
+
+
+@pytest.fixture(scope="module")
+def swapped() -> tuple[Bench, Standing, dict[tuple[str, ...], Standing]]:
+    """A1 has A2's readings, 10 s at rest: the two together, and each alone."""
+    bench, campaign = prepared([("static", Still(seconds=10))], BOTH, {"A1": (ChannelSwap("A2"),)})
+    found = compared_with_base(bench, campaign, Run(bench), 40)
+    return bench, standing_of(found, BOTH), {(name,): standing_of(found, (name,)) for name in BOTH}
+
+
+def found(gain: float) -> Confirmed:
+    return Confirmed(Tried(Trial(())), by_hand([0.0], drawn(1)), gain, gain)
+
+
+@pytest.mark.parametrize(
+    ("shared", "members", "is_shared"), [(9.0, 8.0, True), (8.0, 9.0, False), (8.0, 8.0, False), (None, -5.0, False)]
+)
+def test_what_is_shared_has_to_be_taken_and_to_gain_more(shared: float | None, members: float, is_shared: bool) -> None:
+    best = None if shared is None else found(shared)
+    round_ = Round(by_hand([0.0], drawn(1)), () if best is None else (best,), 0.0, best)
+    assert shared_wins(round_, found(members)) is (best if is_shared else None)
+
+
+def test_trials_of_all_members_are_tried_once() -> None:
+    trials = [Trial((Tone(1.0, 5.0),), shared=True), SWAP, Trial((Tone(1.0, 5.0),), shared=True), SWAP]
+    assert unlike(trials) == trials[:2]
+    assert unlike([]) == []
+
+
+def test_the_same_readings_show_between_two_sensors(
+    swapped: tuple[Bench, Standing, dict[tuple[str, ...], Standing]],
+) -> None:
+    """Alone neither shows anything; as a pair they are far off, and with the right cause they aren't."""
+    bench, pair, alone = swapped
+    assert all(np.nanmax(np.abs(one.scores)) < 8 for one in alone.values())
+    right = confirmed(bench, pair, Tried(SWAP, pair.changed(SWAP)))
+    assert min(right.gain, right.train_gain) > 10
+    before, after = (np.nanmean(np.abs(one.scores) > 8) for one in (pair, right.standing))
+    assert before > 0.05
+    assert after < 0.01
+    assert right.standing.models["A1"].added == (ChannelSwap("A2"),)
+    assert right.standing.models["A2"].added == ()
+
+
+def test_members_stand_with_the_familys_models(
+    swapped: tuple[Bench, Standing, dict[tuple[str, ...], Standing]],
+) -> None:
+    """Each with its own model and statistics, those between sensors left out."""
+    bench, pair, alone = swapped
+    with_it = replace(pair, models=pair.changed(SWAP))
+    members = members_of(bench, with_it, alone)
+    assert list(members) == [("A1",), ("A2",)]
+    for (name,), one in members.items():
+        assert one.models == {name: with_it.models[name]}
+        columns = bench.columns([name], cross=False)
+        assert one.values.shape == (len(pair.values), len(columns))
+        np.testing.assert_array_equal(one.real, alone[(name,)].real)
+        family = bench.columns(BOTH, cross=True)
+        for at, place in enumerate(columns):
+            (where,) = np.flatnonzero(family == place)
+            np.testing.assert_array_equal(one.values[:, at], pair.values[:, where])
+            np.testing.assert_array_equal(one.likeness.location[at], pair.likeness.location[where])
+
+
+def test_causes_of_members_together(swapped: tuple[Bench, Standing, dict[tuple[str, ...], Standing]]) -> None:
+    """Without any nothing is gained; those that aren't there lose."""
+    bench, pair, alone = swapped
+    assert together(bench, (pair, ())).gain == pytest.approx(0.0, abs=1e-6)
+    line = Tone((0.01, 0.0, 0.0), 9.0)
+    members = []
+    for (name,), one in alone.items():
+        model = replace(one.models[name], added=(line,))
+        members.append(Confirmed(Tried(Trial((line,))), replace(one, models={name: model}), 1.0, 1.0))
+    both = together(bench, (pair, tuple(members)))
+    assert both.gain < 0
+    assert all(both.standing.models[name].added == (line,) for name in BOTH)

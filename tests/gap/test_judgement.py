@@ -1,0 +1,234 @@
+"""Verdicts, and what is told of single statistics, on replicates made by hand and on a recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.closure import deviating
+from imuarray.gap.diagnose import REPAIRED
+from imuarray.gap.diagnosis import Cause, Gap
+from imuarray.gap.judgement import (
+    DOUBT,
+    EXPLAINED,
+    PARTLY,
+    Judged,
+    floor_of,
+    gap_of,
+    judged,
+    map_of,
+    unknown_of,
+    verdict_of,
+    where_of,
+)
+from imuarray.gap.likeness import Likeness, likeness_of
+from imuarray.gap.pairs import Pairs, pairs_of
+from imuarray.gap.statistics import Key
+from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.still import Still, turn_on_run
+from imuarray.simulate.motion.tumble import Tumble
+from tests.gap.test_bench import LINE, prepared
+from tests.gap.test_refine import found_in
+
+Floats = npt.NDArray[np.float64]
+
+CAUSE = Cause("tone", "add", ("G1",), (), 0.9, {}, 0.9, (0.8, 1.0), ())
+COUNT = 60
+"""Statistics of each part."""
+
+
+def key(number: int, sensor: str = "G1", domain: Literal["level", "spectrum"] = "level") -> Key:
+    return Key(0, sensor, "x", "static", number, domain, "mean")
+
+
+def paired(keys: Sequence[Key]) -> Pairs:
+    return pairs_of([*keys, *keys], [False] * len(keys) + [True] * len(keys))
+
+
+PAIRS = paired([key(number) for number in range(COUNT)])
+
+
+def chance(rows: int, seed: int) -> Floats:
+    return np.random.default_rng(seed).normal(size=(rows, 2 * COUNT))
+
+
+def gap(closed: float | None) -> Gap:
+    return Gap(9.0, 1.0, 0.9, closed, None if closed is None else (closed, closed))
+
+
+def after(largest: float, p: float = 0.5, limit: float = 4.0) -> Judged:
+    nothing = np.zeros(1)
+    return Judged(np.array([largest]), nothing, nothing, Likeness(*(nothing,) * 4), p, limit)  # type: ignore[arg-type]
+
+
+def test_where_nothing_is_wrong_p_is_even() -> None:
+    """Of 150 campaigns without a gap, each with 40 replicates of its own, p is 0.1 or less in a tenth: 15, and at most
+    27 with a probability of 0.999 (binomial).
+    """
+    ps = []
+    for seed in range(150):
+        drawn = chance(41, seed)
+        ps.append(judged(PAIRS, drawn[0], drawn[1:], np.zeros(2 * COUNT)).p)
+    assert sum(p <= 0.1 for p in ps) <= 27
+    assert 0.3 < np.median(ps) < 0.7
+
+
+def test_what_is_wrong_is_scored_in_standard_deviations() -> None:
+    """5 in both parts: 5 sqrt(2); 6 in one: 6 / sqrt(2). 120 replicates tell a scatter to 7 %."""
+    real = chance(1, 1)[0]
+    real[[3, COUNT + 3]], real[[4, COUNT + 4]] = 5.0, (6.0, 0.0)
+    found = judged(PAIRS, real, chance(120, 2), np.zeros(2 * COUNT))
+    assert found.scores[3] == pytest.approx(5 * 2**0.5, rel=0.3)
+    assert found.scores[4] == pytest.approx(6 / 2**0.5, rel=0.3)
+    assert found.p == pytest.approx(1 / 121)
+    assert 2.5 < found.limit < 5  # the largest of 60 standard ones, in one of twenty campaigns: 3.3
+    assert np.abs(np.delete(found.scores, [3, 4])).max() < 5
+
+
+def test_p_of_few_replicates_is_not_small() -> None:
+    """However large a score is."""
+    real = np.full(2 * COUNT, 50.0)
+    assert judged(PAIRS, real, chance(40, 3), np.zeros(2 * COUNT)).p == pytest.approx(1 / 41)
+
+
+@pytest.mark.parametrize(
+    ("closed", "verdict"),
+    [
+        (1.1, "explained"),
+        (EXPLAINED, "explained"),
+        (EXPLAINED - 0.01, "partly explained"),
+        (PARTLY, "partly explained"),
+        (PARTLY - 0.01, "unexplained"),
+        (-2.0, "unexplained"),
+    ],
+)
+def test_verdicts(closed: float, verdict: str) -> None:
+    assert verdict_of(True, gap(closed), after(2.0), [CAUSE]) == verdict
+    assert verdict_of(True, gap(closed), after(2.0), []) == "unexplained"
+    assert verdict_of(False, gap(closed), after(2.0), []) == "no gap"
+
+
+def test_where_no_share_is_told_what_is_left_decides() -> None:
+    assert verdict_of(True, gap(None), after(2.0, p=0.5), [CAUSE]) == "explained"
+    assert verdict_of(True, gap(None), after(90.0, p=DOUBT / 2), [CAUSE]) == "partly explained"
+
+
+def test_what_is_left_can_be_doubted() -> None:
+    """Scores of 50 with the causes in."""
+    left = judged(PAIRS, np.full(2 * COUNT, 50.0), chance(REPAIRED, 4), np.zeros(2 * COUNT))
+    assert verdict_of(True, gap(None), left, [CAUSE]) == "partly explained"
+
+
+@given(st.floats(-1, 1.2), st.floats(0.001, 0.2), st.floats(0.1, 99), st.floats(0.1, 10))
+def test_something_unknown_is_the_less_probable_the_more_is_closed(
+    closed: float, more: float, largest: float, further: float
+) -> None:
+    found = unknown_of(True, gap(closed), after(largest))
+    assert 0 <= found <= 1
+    assert unknown_of(True, gap(closed + more), after(largest)) < found
+    assert unknown_of(True, gap(closed), after(largest + further)) >= found
+    assert unknown_of(False, gap(closed), after(largest)) == 0.0
+
+
+def test_unknown_is_even_at_two_thirds() -> None:
+    """With what is left just at the limit of chance."""
+    assert unknown_of(True, gap(0.65), after(4.0)) == pytest.approx(0.5)
+    assert unknown_of(True, gap(1.0), after(4.0)) < 0.2
+    assert unknown_of(True, gap(0.0), after(40.0)) > 0.9
+    assert unknown_of(True, gap(None), after(4.0, p=0.5)) == pytest.approx(unknown_of(True, gap(1.0), after(4.0)))
+    assert unknown_of(True, gap(None), after(4.0, p=1e-3)) == pytest.approx(unknown_of(True, gap(0.0), after(4.0)))
+
+
+def test_the_gap_overall_and_by_domain() -> None:
+    """A level of 10 that goes, a line of 8 that stays: squares 100, 64 before, 1, 64 after."""
+    pairs = paired([key(0), key(1, domain="spectrum")])
+    before, left = np.array([10.0, 8.0, 10.0, 8.0]), np.array([1.0, 8.0, 1.0, 8.0])
+    found = gap_of(deviating(pairs, before, left, np.zeros(4, bool)), 0.7, 1)
+    assert found.floor == 0.7
+    assert found.before == pytest.approx(82**0.5)
+    assert found.after == pytest.approx(32.5**0.5)
+    assert found.closed == pytest.approx(1 - 31.5 / 81)
+    assert found.domains == {
+        "level": pytest.approx((10.0, 1.0, 1.0)),
+        "spectrum": pytest.approx((8.0, 8.0, 0.0)),
+    }
+
+
+def test_the_floor_is_that_of_chance() -> None:
+    """About 1 for standard scores of many statistics; 1 where nothing is counted."""
+    pairs, rows = PAIRS, chance(200, 5)
+    scores = np.full(2 * COUNT, 9.0)
+    before = Judged(scores[:COUNT], scores, np.zeros(2 * COUNT), likeness_of(rows, np.zeros(2 * COUNT)), 0.01, 4.0)
+    counted = deviating(pairs, scores, scores, np.zeros(2 * COUNT, bool))
+    assert floor_of(pairs, counted, before, rows) == pytest.approx(1.0, abs=0.1)
+    nothing = deviating(pairs, 0 * scores, scores, np.zeros(2 * COUNT, bool))
+    assert floor_of(pairs, nothing, before, rows) == 1.0
+
+
+def test_the_map_has_the_largest_of_each() -> None:
+    keys = [key(0), key(1), key(0, "A1"), key(2, domain="spectrum")]
+    nothing = Likeness(*(np.zeros(8),) * 4)  # type: ignore[arg-type]
+    one, two = (
+        Judged(np.array(scores), np.zeros(8), np.zeros(8), nothing, 0.5, 4.0)
+        for scores in ([1.0, -7.0, math.nan, 2.0], [1.0, 0.5, 3.0, math.nan])
+    )
+    found = map_of(paired(keys), one, two, ["A1", "G1"])
+    level, spectrum = (found.domains.index(name) for name in ("level", "spectrum"))
+    np.testing.assert_array_equal(found.before[:, [level, spectrum]], [[math.nan, math.nan], [7.0, 2.0]])
+    np.testing.assert_array_equal(found.after[:, [level, spectrum]], [[3.0, math.nan], [1.0, math.nan]])
+    assert np.isnan(np.delete(found.before, [level, spectrum], axis=1)).all()
+    assert (found.sensors, found.limit) == (("A1", "G1"), 4.0)
+
+
+def test_a_statistic_in_its_units() -> None:
+    """A line of 0.04 dps in noise of 0.05 dps; 20 s of 100 rows/s."""
+    found = found_in(LINE)
+    places = list(found.located.found)
+    told = where_of(found.bench, found.campaign, found.pairs, found.judged, places, ["a.h5"], found.located.found)
+    worst = next(one for one in told if one.statistic == "noise_excess" or one.statistic == "line")
+    assert (worst.log, worst.sensor, worst.axis, worst.phase) == ("a.h5", "G1", "y", "static")
+    assert worst.p == found.located.found[places[told.index(worst)]]
+    for one in told:
+        assert one.significance == pytest.approx(found.judged.scores[places[told.index(one)]])
+        assert one.effect_size == pytest.approx((one.real - one.simulated) / one.margin)
+        assert np.sign(one.effect_size) == np.sign(one.significance)
+
+
+def labelled(logs: Sequence[tuple[str, Motion]]) -> list[tuple[str, str, int, int]]:
+    """Of every pair of levels: the log that is told, its phase, and where the two parts stand (-1: nowhere)."""
+    bench, campaign = prepared(logs, ["G1"])
+    pairs = bench.pairs()
+    count = len(bench.keys)
+    plain = Likeness(np.zeros(count), np.ones(count), np.zeros(count, bool), np.zeros(count, bool))
+    one = Judged(np.zeros(len(pairs.keys)), np.zeros(count), np.zeros(count), plain, 0.5, 4.0)
+    places = [at for at, item in enumerate(pairs.keys) if item.probe == "mean" and item.axis == "x"]
+    names = [f"log {number}" for number in range(len(logs))]
+    told = where_of(bench, campaign, pairs, one, places, names, {})
+    return [
+        (found.log, found.phase, int(pairs.train[at]), int(pairs.held_out[at]))
+        for at, found in zip(places, told, strict=True)
+    ]
+
+
+def test_a_log_is_named_by_the_part_that_it_is_of() -> None:
+    """Four boots: the first and third are fitted to, the second and fourth are judged by."""
+    found = labelled([("turn-on", turn_on_run(run, 2.0)) for run in range(1, 5)])
+    assert sorted((log, phase) for log, phase, _, _ in found) == [
+        (f"log {run - 1}", f"run {run}") for run in range(1, 5)
+    ]
+
+
+def test_halves_are_paired_whatever_other_logs_there_are() -> None:
+    """Three static logs, of which two are fitted to, and a tumble, whose halves belong together."""
+    logs: list[tuple[str, Motion]] = [("static", Still(seconds=2))] * 3
+    found = labelled([*logs, ("tumble", Tumble(1.0, 0.5))])
+    tumbled = [one for one in found if one[1] != "static"]
+    assert tumbled
+    assert all(first >= 0 and second >= 0 for _, _, first, second in tumbled)

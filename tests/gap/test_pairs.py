@@ -1,0 +1,79 @@
+"""A statistic of two parts put together again, and how far such sums scatter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.pairs import LEAST, NOWHERE, Pairs, pairs_of, spread_of
+from imuarray.gap.statistics import Key
+
+NAN = math.nan
+
+BOTH = Pairs((), np.array([0, 1, NOWHERE]), np.array([2, NOWHERE, 3]))
+"""Of four statistics: one in both parts, one in each alone."""
+
+
+def key(name: str, log: int = 0) -> Key:
+    return Key(log, name, "x", "static", 0, "level", "mean")
+
+
+def test_a_sum_is_of_the_parts_that_speak() -> None:
+    """Of two independent standard scores the sum over the root of two is standard; of one it is the score."""
+    np.testing.assert_allclose(BOTH.sums(np.array([3.0, -2.0, 1.0, 7.0])), [4 / 2**0.5, -2.0, 7.0])
+    np.testing.assert_allclose(BOTH.sums(np.array([3.0, NAN, NAN, 7.0])), [3.0, NAN, 7.0])
+    np.testing.assert_allclose(BOTH.sums(np.array([NAN, 1.0, -4.0, NAN])), [-4.0, 1.0, NAN])
+    np.testing.assert_allclose(BOTH.sums(np.full(4, NAN)), [NAN] * 3)
+
+
+def test_means_are_of_the_parts_that_speak() -> None:
+    np.testing.assert_allclose(BOTH.means(np.array([3.0, -2.0, 1.0, 7.0])), [2.0, -2.0, 7.0])
+    np.testing.assert_allclose(BOTH.means(np.array([NAN, -2.0, 1.0, NAN])), [1.0, -2.0, NAN])
+
+
+@given(st.lists(st.lists(st.one_of(st.just(NAN), st.floats(-1e6, 1e6)), min_size=4, max_size=4), max_size=5))
+def test_replicates_are_summed_one_by_one(rows: list[list[float]]) -> None:
+    scores = np.array(rows).reshape(-1, 4)
+    every = BOTH.sums(scores)
+    assert every.shape == (len(rows), 3)
+    for row, sums in zip(scores, every, strict=True):
+        np.testing.assert_array_equal(BOTH.sums(row), sums)
+
+
+@given(st.sets(st.text("abc", min_size=1, max_size=2)), st.sets(st.text("abc", min_size=1, max_size=2)))
+def test_pairs_are_of_the_same_key(train: set[str], held_out: set[str]) -> None:
+    """Each key once; where it stands in each part is where it stood."""
+    keys = [*map(key, sorted(train)), *map(key, sorted(held_out, reverse=True))]
+    pairs = pairs_of(keys, [False] * len(train) + [True] * len(held_out))
+    assert set(pairs.keys) == set(keys)
+    assert len(pairs.keys) == len(set(keys))
+    for one, first, second in zip(pairs.keys, pairs.train, pairs.held_out, strict=True):
+        assert (first != NOWHERE) == (one.sensor in train)
+        assert (second != NOWHERE) == (one.sensor in held_out)
+        assert first == NOWHERE or (keys[first] == one and first < len(train))
+        assert second == NOWHERE or (keys[second] == one and second >= len(train))
+
+
+def test_the_spread_of_standard_sums() -> None:
+    """1 if parts are independent, the root of two if they are the same, the root of a half if the fit makes the one
+    zero: 2000 replicates, each within 5 standard errors of 1 / sqrt(4000).
+    """
+    random = np.random.default_rng(1)
+    one, other = random.normal(size=(2, 2000))
+    pair = Pairs((), np.array([0]), np.array([1]))
+    for scores, expected in (((one, other), 1.0), ((one, one), 2**0.5), ((0 * one, other), 0.5**0.5)):
+        spread = spread_of(pair.sums(np.stack(scores, axis=1)))
+        assert spread[0] == pytest.approx(expected, rel=0.08)
+
+
+def test_no_spread_is_small_and_wild_ones_count_little() -> None:
+    """Nothing known, all the same, and one of 100 in 50: squares are of 5 at most."""
+    sums = np.zeros((50, 3))
+    sums[:, 0] = NAN
+    sums[3, 2] = 100.0
+    sums[:, 2] += np.where(np.arange(50) % 2, 1.0, -1.0) * (np.arange(50) != 3)
+    np.testing.assert_allclose(spread_of(sums), [LEAST, LEAST, math.sqrt((49 + 25) / 50)])

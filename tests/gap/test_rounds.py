@@ -1,0 +1,76 @@
+"""All rounds of the search, from where a recording leaves the base model to models that explain it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from imuarray.gap.candidates import CANDIDATES, Candidate, Trial
+from imuarray.gap.evidence import Evidence
+from imuarray.gap.rounds import ROUNDS, Searched, searches
+from imuarray.simulate.effects.tone import Tone
+from tests.gap.test_bench import LINE, Run
+from tests.gap.test_refine import found_in
+
+OTHER = Tone((0.06, 0.0, 0.0), 29.0)
+
+
+@pytest.fixture(scope="module")
+def two_lines() -> Searched:
+    """A line on y and one on x."""
+    found = found_in(LINE, OTHER)
+    return searches(found, {"tone": CANDIDATES["tone"]}, Run(found.bench))
+
+
+def test_what_one_round_takes_the_next_one_has(two_lines: Searched) -> None:
+    """Both lines are found, one after the other or both at once; the last round finds nothing, or nothing is left."""
+    (rounds,) = two_lines.rounds.values()
+    assert len(rounds) <= ROUNDS
+    assert all(one.taken is not None for one in rounds[:-1])
+    for before, after in pairwise(rounds):
+        assert before.taken is not None
+        assert after.before.models == before.taken.standing.models
+    lines = [effect for effect in two_lines.models["G1"].added if isinstance(effect, Tone)]
+    for line, axis in ((LINE, 1), (OTHER, 0)):
+        near = [one for one in lines if abs(one.frequency_hz - line.frequency_hz) < 0.3]
+        assert sum(one.amplitude[axis] for one in near) == pytest.approx(line.amplitude[axis], rel=0.25)
+
+
+def test_each_round_explains_more(two_lines: Searched) -> None:
+    (rounds,) = two_lines.rounds.values()
+    sizes = [np.sqrt(np.nanmean(np.square(one.before.scores))) for one in rounds]
+    assert sizes == sorted(sizes, reverse=True)
+
+
+def test_nothing_is_found_without_candidates() -> None:
+    """One round, in which nothing is taken; models are those of the base."""
+    found = found_in(LINE)
+    heard: list[str] = []
+    came = searches(found, {}, Run(found.bench), heard.append)
+    ((one,),) = came.rounds.values()
+    assert (one.confirmed, one.taken) == ((), None)
+    assert came.models == found.bench.models()
+    assert heard == ["looking for causes, round 1: 1 sensors"]
+
+
+def test_candidates_see_what_is_left() -> None:
+    """A candidate of nothing but what it is shown: at first the line, and that the model has no tone; the training part
+    for what lasts, and both parts for what is brief.
+    """
+    shown: list[Evidence] = []
+
+    def guesses(evidence: Evidence) -> list[Trial]:
+        shown.append(evidence)
+        return []
+
+    found = found_in(LINE)
+    searches(found, {"made up": Candidate("made up", guesses)}, Run(found.bench))
+    train, both = shown[:2]
+    assert len(train.seen) == 1
+    assert len(both.seen) == 2
+    assert len(both.scores["line"]) == 2 * len(train.scores["line"])
+    assert np.argmax(train.score("line")) == 1
+    assert not [one for one in train.effects if isinstance(one, Tone)]
+    assert {one.name for one in train.effects} >= {"white_noise", "bias", "thermal_bias"}

@@ -1,0 +1,255 @@
+"""One round of the search: what is looked at further, what is taken, and what it has to beat."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.bench import Bench
+from imuarray.gap.candidates import Candidate, Trial
+from imuarray.gap.refine import Tried, look
+from imuarray.gap.search import (
+    ACCEPTED,
+    COST,
+    WORTH,
+    Confirmed,
+    Round,
+    confirmed,
+    guesses_of,
+    likeliest,
+    placebo_of,
+    replicate_of,
+    searched,
+)
+from imuarray.gap.standing import Standing, Unit
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from tests.gap.test_bench import LINE, Run, prepared, static
+from tests.gap.test_evidence import evidence
+from tests.gap.test_refine import found_in, standing_of
+from tests.gap.test_standing import drawn
+from tests.gap.test_standing import standing as by_hand
+
+UNIT: Unit = ("G1",)
+KINDS: tuple[Effect, ...] = (Bias(1.0), WhiteNoise(1.0), LINE)
+
+
+@pytest.fixture(scope="module")
+def tone() -> tuple[Bench, Standing]:
+    found = found_in(LINE)
+    return found.bench, standing_of(found)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 2), st.booleans(), st.booleans(), st.floats(-10, 50)), max_size=15),
+    st.integers(0, 6),
+)
+def test_the_likeliest(drawn_trials: list[tuple[int, bool, bool, float]], count: int) -> None:
+    """The largest gains first; of each effect and action two at most; none that isn't worth it, has no model, or is
+    behind the best one by more than 15 nats and by more than half.
+    """
+    tried = [
+        Tried(Trial((KINDS[kind],), removed=KINDS[kind].name if taken else ""), {} if is_made else None, gain)
+        for kind, taken, is_made, gain in drawn_trials
+    ]
+    kept = likeliest(tried, count)
+    best = max((one.gain for one in tried if one.models is not None), default=0.0)
+    least = max(WORTH, min(best - 15, best / 2))
+    gains = [one.gain for one in kept]
+    assert gains == sorted(gains, reverse=True)
+    assert len(kept) <= count
+    assert all(one.models is not None and one.gain > least for one in kept)
+    named = [(one.trial.name, one.trial.action) for one in kept]
+    assert all(named.count(one) <= 2 for one in named)
+    if len(kept) < count:  # whatever was left out had no place
+        for one in tried:
+            alike = named.count((one.trial.name, one.trial.action))
+            assert any(one is other for other in kept) or one.models is None or one.gain <= least or alike == 2
+
+
+def test_the_placebo_is_nowhere() -> None:
+    """A twentieth of the noise, where no simple fraction of the rate is."""
+    made = evidence({})
+    trial = placebo_of(made)
+    (effect,) = trial.effects
+    assert isinstance(effect, Tone)
+    np.testing.assert_allclose(effect.amplitude, 0.05 * made.noise)
+    share = effect.frequency_hz / made.rows_per_s
+    assert 0.1 < share < 0.5
+    for below in range(1, 20):
+        assert abs(share - float(Fraction(round(share * below), below))) > 0.2 / below**2
+    assert trial.free == ("amplitude",)
+
+
+def test_guesses_are_of_a_lone_sensor_or_of_a_family() -> None:
+    alone, shared = Trial((LINE,)), Trial((Bias(1.0),), shared=True)
+    candidates = {"tone": Candidate("tone", lambda _: [alone]), "bias": Candidate("bias", lambda _: iter([shared]))}
+    assert guesses_of(evidence({}), candidates) == [alone]
+    assert guesses_of(evidence({}), candidates, shared=True) == [shared]
+    assert guesses_of(evidence({}), {}) == []
+
+
+def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Bench, Standing]) -> None:
+    bench, standing = tone
+    right, wrong = (
+        confirmed(bench, standing, look(bench, standing, Trial((effect,))))
+        for effect in (LINE, Tone(LINE.amplitude, 31.0))
+    )
+    assert min(right.gain, right.train_gain) > 10
+    assert max(wrong.gain, wrong.train_gain) < 5
+    assert right.own_share == pytest.approx(1.0)  # nothing moved
+    assert right.standing.models["G1"].added == (LINE,)
+    before, after = (np.nanmax(np.abs(one.scores)) for one in (standing, right.standing))
+    assert after < before / 2
+
+
+def test_the_choice_of_a_moment_costs(tone: tuple[Bench, Standing]) -> None:
+    """Of what begins within the log the mean of both parts counts, less four nats."""
+    bench, standing = tone
+    tried = look(bench, standing, Trial((LINE,)))
+    plain = confirmed(bench, standing, tried)
+    brief = confirmed(bench, standing, replace(tried, trial=Trial((Stuck(3.0, 1.0),))))
+    assert brief.gain == pytest.approx((plain.train_gain + plain.gain) / 2 - 4)
+    assert brief.train_gain == pytest.approx(plain.train_gain)
+
+
+def test_no_change_gains_nothing(tone: tuple[Bench, Standing]) -> None:
+    bench, standing = tone
+    found = confirmed(bench, standing, Tried(Trial(()), standing.models))
+    assert (found.gain, found.train_gain) == (pytest.approx(0, abs=1e-6), pytest.approx(0, abs=1e-6))
+
+
+def test_a_lone_sensor_is_without_what_it_shares() -> None:
+    bench, _ = prepared([("static", static()[0].motions[0])], ["G1", "G2"])
+    nothing = np.zeros(0)
+    models = bench.models()
+    for unit in (("G1",), ("G1", "G2")):
+        own = {name: models[name] for name in unit}
+        standing = replace(by_hand([], drawn(0)), unit=unit, models=own, real=nothing)
+        columns = bench.columns(unit, cross=len(unit) > 1)
+        values = replicate_of(bench, standing, 2)
+        assert values.shape == columns.shape
+        assert np.isfinite(values).mean() > 0.5  # the rest says nothing of one log
+
+
+class Told:
+    """In the place of simulations: gains by effect, of the looks and refinements (`first`) and of what is confirmed."""
+
+    def __init__(self, first: dict[str, float], last: dict[str, tuple[float, float]]) -> None:
+        self._first, self._last, self.asked = first, last, list[int]()
+
+    def __call__(self, job: Callable[[Bench, Any], Any], items: Sequence[Any]) -> list[Any]:
+        self.asked.append(len(items))
+        if job.__name__ == "_confirm":
+            return [self._confirmed(item.standing, item.tried) for item in items]
+        return [replace(item.tried, models={}, gain=self._first[item.tried.trial.name]) for item in items]
+
+    def _confirmed(self, standing: Standing, tried: Tried) -> Confirmed:
+        return Confirmed(tried, standing, *self._last[tried.trial.name])
+
+
+def round_of(first: dict[str, float], last: dict[str, tuple[float, float]], *effects: Effect) -> tuple[Round, Told]:
+    """The placebo is the tone."""
+    told = Told(first, last)
+    standing = by_hand([0.0], drawn(1))
+    came = searched({UNIT: standing}, {UNIT: [Trial((one,)) for one in effects]}, {UNIT: Trial((LINE,))}, told)
+    return came[UNIT], told
+
+
+def test_what_gains_most_is_taken() -> None:
+    first = {"bias": 5.0, "white_noise": 9.0, "stuck": 1.0, "tone": 0.0}
+    last = {"bias": (5.0, 8.0), "white_noise": (9.0, 7.0), "tone": (0.0, 1.0)}
+    found, told = round_of(first, last, Bias(1.0), WhiteNoise(1.0), Stuck(0.0))
+    assert told.asked == [3, 2, 1, 3]  # looks, refined, the placebo, confirmed
+    assert [one.trial.name for one in found.confirmed] == ["bias", "white_noise"]
+    assert found.placebo_gain == 1.0
+    assert found.taken is found.confirmed[0]
+
+
+def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
+    """As in later rounds: the placebo of the first one told what chance makes."""
+    for gain, is_taken in ((ACCEPTED + 0.1, True), (ACCEPTED - 0.1, False)):
+        told = Told({"bias": 9.0}, {"bias": (9.0, gain)})
+        found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Trial((Bias(1.0),))]}, {}, told)[UNIT]
+        assert told.asked == [1, 1, 0, 1]
+        assert ([one.trial.name for one in found.confirmed], found.placebo_gain) == (["bias"], 0.0)
+        assert (found.taken is not None) == is_taken
+
+
+def test_parameters_cost() -> None:
+    """A nat for each number that was fitted, from the odds and not from what is accepted: of two that gain about the
+    same the simpler one is the cause.
+    """
+    first = {"bias": 5.0, "tone": 9.0, "white_noise": 0.0}
+    last = {"bias": (5.0, 8.0), "tone": (9.0, 9.0), "white_noise": (0.0, 0.0)}
+    told = Told(first, last)
+    trials = [Trial((Tone(1.0, 9.0),), ("amplitude", "frequency_hz")), Trial((Bias((1.0, 0.0, 0.0)),), ("offset",))]
+    standing = by_hand([0.0], drawn(1))
+    found = searched({UNIT: standing}, {UNIT: trials}, {UNIT: Trial((WhiteNoise(1.0),))}, told)[UNIT]
+    assert [one.trial.name for one in found.confirmed] == ["bias", "tone"]
+    assert [one.factors for one in found.confirmed] == [1, 4]
+    assert found.log_odds == pytest.approx((8 - COST, 9 - 4 * COST))
+    assert found.taken is found.confirmed[0]
+
+
+def test_odds_count_what_is_independent_with_the_best() -> None:
+    """Half of what is independent without it: half the nats, of the best and of the others."""
+    standing = by_hand([0.0], drawn(1), independent=0.4)
+    tried = [Tried(Trial((one,))) for one in (LINE, Bias(1.0))]
+    every = tuple(
+        Confirmed(one, standing, 9.0, gain, independent=share)
+        for one, gain, share in zip(tried, (20.0, 6.0), (0.2, 0.4), strict=True)
+    )
+    assert Round(standing, every, 0.0, None).log_odds == pytest.approx((10.0, 3.0))
+    assert Round(standing, every[1:], 0.0, None).log_odds == pytest.approx((6.0,))
+    assert Round(standing, (), 0.0, None).log_odds == ()
+
+
+@pytest.mark.parametrize(
+    ("train", "gain", "placebo", "is_taken"),
+    [
+        (5.0, ACCEPTED + 0.1, -9.0, True),  # a placebo that loses is no help
+        (5.0, ACCEPTED - 0.1, -9.0, False),
+        (5.0, ACCEPTED + 1.9, 2.0, False),
+        (5.0, ACCEPTED + 2.1, 2.0, True),
+        (WORTH - 0.1, 99.0, 0.0, False),  # nothing to be seen where it was fitted
+    ],
+)
+def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_taken: bool) -> None:
+    found, _ = round_of({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, placebo)}, Bias(1.0))
+    assert (found.taken is not None) == is_taken
+
+
+def test_what_is_brief_may_show_in_one_part_alone() -> None:
+    last = {"stuck": (-1.0, 30.0), "tone": (0.0, 0.0)}
+    found, _ = round_of({"stuck": 9.0, "tone": 0.0}, last, Stuck(3.0, 1.0))
+    assert found.taken is not None
+
+
+def test_nothing_worth_looking_at() -> None:
+    found, told = round_of({"bias": WORTH, "tone": 0.0}, {"tone": (0.0, -1.0)}, Bias(1.0))
+    assert told.asked == [1, 0, 0, 0]  # no placebo where nothing is to be compared with it
+    assert (found.confirmed, found.taken, found.placebo_gain) == ((), None, 0.0)
+
+
+def test_a_round_on_simulations(tone: tuple[Bench, Standing]) -> None:
+    """A line that is there, guessed at half its size, and a noise that isn't."""
+    bench, standing = tone
+    trials = [Trial((Tone((0.0, 0.02, 0.0), 17.0),), ("amplitude",)), Trial((WhiteNoise((0.03, 0.0, 0.0)),), ("rms",))]
+    placebo = Trial((Tone(0.0025, 100 * (math.sqrt(5) - 1) / 4),), ("amplitude",))
+    (found,) = searched({UNIT: standing}, {UNIT: trials}, {UNIT: placebo}, Run(bench)).values()
+    assert found.taken is not None
+    assert found.taken.trial.name == "tone"
+    assert found.before is standing
+    assert found.placebo_gain < ACCEPTED

@@ -1,0 +1,108 @@
+"""What a person would say of a diagnosis made by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from imuarray.gap.diagnosis import Cause, Figure, Gap, Use, Where
+from imuarray.gap.sentence import meaning, sentence_of
+from imuarray.simulate.effects import EFFECTS
+
+GAP = Gap(9.0, 1.5, 0.9, 0.97, (0.92, 0.99))
+
+
+def where(**changes: Any) -> Where:
+    facts: dict[str, Any] = {"log": "a.h5", "sensor": "G1", "axis": "y", "domain": "run_to_run", "phase": "run 1"}
+    rest = ("mean", "mean of the run", 1.0, 0.0, "dps", 9.0, 0.01, 4.0, 0.25, "material")
+    return Where(**{**facts, **changes}, **dict(zip(list(Where.__dataclass_fields__)[5:], rest, strict=True)))
+
+
+def cause(effect: str = "tone", probability: float = 0.9, **changes: Any) -> Cause:
+    facts: dict[str, Any] = {
+        "action": "add",
+        "sensors": ("G1",),
+        "axes": ("y",),
+        "parameters": {"frequency_hz": 17.0},
+        "closed": 0.9,
+        "closed_ci95": (0.8, 1.0),
+        "confusable_with": (),
+    }
+    return Cause(effect, probability=probability, **{**facts, **changes})
+
+
+def use(sensor: str, real: float, before: float, after: float) -> Use:
+    figures = [Figure(value, value / 2, value * 2) for value in (real, before, after)]
+    return Use("heading error after coasting 5 s", sensor, "deg", *figures)
+
+
+def test_no_gap() -> None:
+    said = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (use("G1", 1.0, 2.0, 1.0),))
+    assert said == "The recordings look like what the simulator makes of them: no statistic is beyond chance."
+
+
+def test_one_cause() -> None:
+    said = sentence_of("explained", GAP, [cause()], [where()], [], [])
+    assert said == (
+        "The recordings differ from the simulator, most in run to run of G1 y. G1 (y): tone (a sine in the signal:"
+        " frequency 17 Hz), probability 0.90. With it 97 % (92 to 99) of the gap is closed on held-out data."
+    )
+
+
+def test_several_causes_and_what_else_it_could_be() -> None:
+    causes = [
+        cause(confusable_with=("glitches", "jitter")),
+        cause("scale", 0.6, action="remove", axes=(), parameters={}),
+        cause("quantisation", 0.55, action="replace", parameters={}),
+        cause("bias", 0.3),
+    ]
+    said = sentence_of("explained", GAP, causes, [where(axis="")], [], [])
+    assert "most in run to run of G1." in said
+    assert "probability 0.90; it could as well be glitches or jitter." in said
+    assert "G1: without scale, probability 0.60." in said
+    assert "another quantisation, probability 0.55." in said
+    assert "bias" not in said  # less probable than not
+    assert "With them 97 %" in said
+
+
+def test_no_more_than_four_causes_are_named() -> None:
+    causes = [cause(sensors=(f"G{number}",)) for number in range(6)]
+    said = sentence_of("explained", GAP, causes, [where()], [], [])
+    assert "G3 (y): tone" in said
+    assert "G4 (y): tone" not in said
+
+
+def test_what_is_not_explained() -> None:
+    left = [where(sensor="G2", axis="z", phase="static"), where()]
+    for verdict in ("unexplained", "partly explained"):
+        said = sentence_of(verdict, GAP, [], [where()], left, [])  # type: ignore[arg-type]
+        assert said.endswith("Not explained: mean of the run, G2 z in static.")
+    assert "Not explained" not in sentence_of("explained", GAP, [cause()], [where()], left, [])
+    whole = sentence_of("unexplained", GAP, [], [where()], [where(axis="", phase="")], [])
+    assert whole.endswith("Not explained: mean of the run, G1.")
+    assert "closed" not in whole
+
+
+def test_the_figure_of_use_that_changed_most() -> None:
+    """Of the sensors concerned: by 60 % of what was recorded, not by 50 %."""
+    uses = [use("G1", 1.0, 0.5, 0.9), use("G1", 2.0, 0.8, 1.7), use("G2", 1.0, 0.1, 0.9), use("G1", 0.0, 9.0, 1.0)]
+    said = sentence_of("explained", GAP, [cause()], [where()], [], uses)
+    assert said.endswith("G1, heading error after coasting 5 s: recorded 2 deg, simulated 0.8 before and 1.7 after.")
+    assert "recorded" not in sentence_of("unexplained", GAP, [], [where()], [], uses)
+
+
+def test_them_are_named() -> None:
+    said = sentence_of("explained", GAP, [cause(probability=0.4), cause("glitches", 0.3)], [where()], [], [])
+    assert "With them" not in said
+
+
+@pytest.mark.parametrize("effect", sorted(EFFECTS))
+def test_every_effect_has_a_meaning(effect: str) -> None:
+    words = meaning(effect)
+    assert words
+    assert words == words.strip(" .")
+
+
+def test_what_is_no_effect_means_nothing() -> None:
+    assert meaning("ghosts") == ""

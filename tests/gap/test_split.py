@@ -1,0 +1,134 @@
+"""Both parts of every campaign together are the campaign, and nothing is in both."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.campaign import Campaign, Layout, LogSummary, PhaseSummary
+from imuarray.gap.source import simulated_sources
+from imuarray.gap.split import Side, Split, split_of
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.tumble import Tumble
+from tests.gap.made import phases_of, simulation
+
+KINDS = ("static", "tumble", "heating", "turn-on", "motion")
+
+LOGS = st.lists(
+    st.tuples(st.sampled_from(KINDS), st.lists(st.integers(0, 10**10), min_size=2, max_size=6, unique=True)),
+    min_size=1,
+    max_size=8,
+)
+"""Kinds, and the edges of phases that follow each other."""
+
+
+def phases_between(edges_ns: list[int]) -> list[Phase]:
+    return [Phase(*both, f"phase {at}", "+Z") for at, both in enumerate(pairwise(sorted(edges_ns)))]
+
+
+def summarised(kind: str, phases: tuple[Phase, ...]) -> LogSummary:
+    """A log of no sensors."""
+    return LogSummary(kind, tuple(PhaseSummary(one, at, Layout({}, 1), {}, None) for at, one in enumerate(phases)))
+
+
+def whole(split: Split, kinds: list[str]) -> Campaign:
+    return Campaign(tuple(map(summarised, kinds, split.phases())))
+
+
+def stretches(side: Side) -> set[tuple[int, Phase]]:
+    return {(at, one.phase) for at, log in zip(side.logs, side.campaign.logs, strict=True) for one in log.phases}
+
+
+@given(LOGS)
+def test_the_parts_make_up_the_whole(logs: list[tuple[str, list[int]]]) -> None:
+    """Every nanosecond of every phase is in one part, and in one only."""
+    kinds, phases = [kind for kind, _ in logs], [phases_between(edges) for _, edges in logs]
+    split = split_of(kinds, phases)
+    campaign = whole(split, kinds)
+    train, held_out = split.train(campaign), split.held_out(campaign)
+    assert not stretches(train) & stretches(held_out)
+    everything = sorted((at, one.start_ns, one.end_ns) for side in (train, held_out) for at, one in stretches(side))
+    for number, own in enumerate(phases):
+        mine = [(start, end) for at, start, end in everything if at == number]
+        assert mine[0][0] == own[0].start_ns
+        assert mine[-1][1] == own[-1].end_ns
+        assert all(end == start for (_, end), (start, _) in pairwise(mine))
+
+
+@given(LOGS)
+def test_every_second_of_a_kind_or_halves(logs: list[tuple[str, list[int]]]) -> None:
+    kinds, phases = [kind for kind, _ in logs], [phases_between(edges) for _, edges in logs]
+    split = split_of(kinds, phases)
+    campaign = whole(split, kinds)
+    for kind in set(kinds):
+        mine = [number for number, one in enumerate(kinds) if one == kind]
+        trained = [number for number in split.train(campaign).logs if kinds[number] == kind]
+        judged = [number for number in split.held_out(campaign).logs if kinds[number] == kind]
+        if len(mine) == 1:
+            assert trained == judged == mine
+        else:
+            assert trained == mine[::2]
+            assert judged == mine[1::2]
+
+
+def test_a_half_keeps_name_face_and_number() -> None:
+    """9 ns: 4 to the one, 5 to the other."""
+    split = split_of(["static"], [[Phase(0, 9, "z_up", "+Z"), Phase(20, 40, "z_down", "-Z")]])
+    campaign = whole(split, ["static"])
+    for side, expected in (
+        (split.train(campaign), [Phase(0, 4, "z_up", "+Z"), Phase(20, 30, "z_down", "-Z")]),
+        (split.held_out(campaign), [Phase(4, 9, "z_up", "+Z"), Phase(30, 40, "z_down", "-Z")]),
+    ):
+        assert [one.phase for one in side.campaign.logs[0].phases] == expected
+        assert [one.number for one in side.campaign.logs[0].phases] == [0, 1]
+    both = split.both(campaign)
+    assert (both.campaign, both.logs) == (campaign, (0,))
+
+
+def test_what_was_summarised_in_one_part_alone_is_that_part() -> None:
+    """As simulations are of which only the training part is needed."""
+    phases = [Phase(0, 10, "run 1", "+Z"), Phase(20, 30, "run 2", "+Z")]
+    kinds = ["static", "turn-on", "turn-on"]
+    split = split_of(kinds, [phases] * 3)
+    short = Campaign(tuple(map(summarised, kinds, split.phases(held_out=False))))
+    every = split.train(whole(split, kinds))
+    one = split.train(short)
+    assert (one.logs, stretches(one)) == (every.logs, stretches(every)) == ((0, 1), stretches(every))
+    assert [part.number for part in one.campaign.logs[0].phases] == [0, 1]
+
+
+def test_every_row_is_read_in_one_part() -> None:
+    """Rows that stand on the middle of a phase, too: halves begin with what stands on their edge."""
+    motion = Tumble(2.0, 0.5)
+    phases = phases_of(motion)
+    shared = split_of(["tumble"], [phases]).phases()[0]
+    for source in simulated_sources(simulation(motion, {}, 1)).values():
+        for number, phase in enumerate(phases):
+            parts = [
+                {int(time) for block in source.blocks(half.start_ns, half.end_ns) for time in block.time}
+                for half in shared[2 * number : 2 * number + 2]
+            ]
+            assert not parts[0] & parts[1]
+            every = {int(time) for block in source.blocks(phase.start_ns, phase.end_ns) for time in block.time}
+            assert parts[0] | parts[1] == every
+            assert abs(len(parts[0]) - len(parts[1])) <= 1
+
+
+@pytest.mark.parametrize(
+    ("kinds", "words"),
+    [
+        (["static"], "held out: the second half of every phase of 1 log"),
+        (["static", "tumble"], "held out: the second half of every phase of 2 logs"),
+        (["turn-on"] * 5, "held out: 2 of 5 logs (every second of a kind)"),
+        (
+            ["static", "tumble", "static"],
+            "held out: 1 of 3 logs (every second of a kind) and the second half of every phase of 1 log",
+        ),
+        ([], "held out: nothing"),
+    ],
+)
+def test_words(kinds: list[str], words: str) -> None:
+    assert split_of(kinds, [[Phase(0, 10, "static", "+Z")]] * len(kinds)).words == words

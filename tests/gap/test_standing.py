@@ -1,0 +1,190 @@
+"""What a change makes of a unit's statistics, on replicates made by hand and on simulated ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from imuarray.gap.at_rest import Fitted
+from imuarray.gap.bench import Modelled
+from imuarray.gap.candidates import Trial
+from imuarray.gap.likeness import FORM, FREEDOM, Likeness
+from imuarray.gap.standing import LOOKS, NUMBERS, REPLICATES, Standing, compared, gain_of
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.tone import Tone
+
+Floats = npt.NDArray[np.float64]
+
+NAN = math.nan
+FITTED = Fitted((0.1, 0.1, 0.1), (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
+LINE, OTHER = Tone(1.0, 5.0), Tone(1.0, 9.0)
+
+
+def standing(
+    real: list[float],
+    values: Floats,
+    likeness: Likeness | None = None,
+    models: Mapping[str, Modelled] | None = None,
+    independent: float = 1.0,
+) -> Standing:
+    """Of statistics that are standard without a change."""
+    count = len(real)
+    usual = Likeness(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
+    known = models or {"G1": Modelled(FITTED)}
+    wanted = dict.fromkeys(known, FITTED)
+    return Standing(tuple(known), known, np.array(real), likeness or usual, values, wanted, independent)
+
+
+def drawn(count: int, seed: int = 1, rows: int = REPLICATES) -> Floats:
+    return np.random.default_rng(seed).normal(size=(rows, count))
+
+
+def test_few_of_the_replicates_are_looked_at() -> None:
+    assert len(NUMBERS) == REPLICATES
+    assert 2 <= LOOKS < REPLICATES
+
+
+def test_a_trial_changes_every_sensor_or_its_own() -> None:
+    models = {"G1": Modelled(FITTED, (LINE, Bias(0.5))), "G2": Modelled(FITTED)}
+    unit = standing([0.0], drawn(1), models=models)
+    added = unit.changed(Trial((OTHER,)))
+    assert [model.added for model in added.values()] == [(LINE, Bias(0.5), OTHER), (OTHER,)]
+    own = unit.changed(Trial((OTHER,), sensor="G2"))
+    assert [model.added for model in own.values()] == [(LINE, Bias(0.5)), (OTHER,)]
+    assert all(not model.removed for model in own.values())
+
+
+def test_what_is_removed_is_gone_from_both_places() -> None:
+    """From what was added, and from what the base model draws; what takes its place comes after."""
+    unit = standing([0.0], drawn(1), models={"G1": Modelled(FITTED, (LINE, Bias(0.5)), frozenset({"scale"}))})
+    (model,) = unit.changed(Trial((OTHER,), removed="tone")).values()
+    assert model == Modelled(FITTED, (Bias(0.5), OTHER), frozenset({"scale", "tone"}))
+    (bare,) = unit.changed(Trial((), removed="tone")).values()
+    assert bare == Modelled(FITTED, (Bias(0.5),), frozenset({"scale", "tone"}))
+
+
+def test_ordinary_parameters_make_up_for_what_is_missing() -> None:
+    """The replicates' fits have 0.5 more of an offset than the recording's: it is taken off. Who reads another's data
+    keeps his own.
+    """
+    models = {"G1": Modelled(FITTED), "G2": Modelled(FITTED, (ChannelSwap("G1"),))}
+    unit = standing([0.0], drawn(1), models=models)
+    came = [dict.fromkeys(models, replace(FITTED, offset=(1.5 + bias, 2.0, 3.0))) for bias in (-0.1, 0.1)]
+    found = unit.settled({"G1": replace(models["G1"], added=(Scale(0.1),)), "G2": models["G2"]}, came)
+    np.testing.assert_allclose(found["G1"].fitted.offset, [0.5, 2.0, 3.0])
+    np.testing.assert_allclose(found["G1"].fitted.rms, FITTED.rms)
+    assert found["G1"].added == (Scale(0.1),)
+    assert found["G2"] == models["G2"]
+
+
+@given(st.integers(2, REPLICATES), st.floats(-50, 50))
+def test_a_shift_moves_the_middle_and_not_the_scatter(count: int, shift: float) -> None:
+    """Draws are the same with and without the change, so that two replicates tell it exactly."""
+    without = drawn(3)
+    likeness, moved = compared(standing([0.0] * 3, without), without[:count] + np.array([shift, 0.0, -shift]))
+    np.testing.assert_allclose(moved, [shift, 0.0, -shift], atol=1e-9)
+    np.testing.assert_allclose(likeness.location, moved, atol=1e-9)
+    np.testing.assert_allclose(likeness.scale, 1.0, rtol=1e-6)
+    assert likeness.always.all()
+    assert not likeness.never.any()
+
+
+@given(st.floats(0.05, 20))
+def test_a_scatter_that_is_scaled_is_told_by_many(factor: float) -> None:
+    """All replicates are the same draws, so that the ratio is exact however few there are."""
+    without = drawn(4, seed=2)
+    likeness, _ = compared(standing([0.0] * 4, without), factor * without)
+    np.testing.assert_allclose(likeness.scale, factor, rtol=1e-3)
+
+
+def test_a_scatter_of_other_draws_is_believed_only_in_part() -> None:
+    """Of 200 statistics drawn anew with the same scatter: the log of the ratio of two standard deviations of 16 has one
+    of sqrt(2 / 30) = 0.26; shrunk by its own uncertainty it is a third of that or less in the middle.
+    """
+    without, anew = drawn(200, 3), drawn(200, 4)
+    likeness, _ = compared(standing([0.0] * 200, without), anew)
+    assert np.median(np.abs(np.log(likeness.scale))) < 0.26 / 3
+    wider, _ = compared(standing([0.0] * 200, without), 10 * anew)
+    assert np.median(wider.scale) == pytest.approx(10, rel=0.15)
+
+
+def test_two_replicates_only_widen() -> None:
+    """By the scatter of what the change makes: +3 and -3."""
+    without = drawn(1)
+    likeness, moved = compared(standing([0.0], without), without[:2] + np.array([[3.0], [-3.0]]))
+    assert moved[0] == pytest.approx(0.0, abs=1e-12)
+    assert likeness.scale[0] >= math.hypot(1, 3) * (1 - 1e-9)
+
+
+def test_a_single_pair_says_nothing_of_the_scatter() -> None:
+    """Of two replicates with the change one is silent: the scatter is what it was."""
+    unit = standing([0.0], drawn(1))
+    likeness, moved = compared(unit, np.array([unit.values[0] + 3.0, [NAN]]))
+    assert moved[0] == pytest.approx(3.0)
+    assert likeness.scale[0] == pytest.approx(1.0)
+
+
+def test_what_speaks_only_since_the_change() -> None:
+    """It is there always now, about where the replicates have it, as sure as a tenth of its size at best."""
+    nothing = np.full((REPLICATES, 1), NAN)
+    never = Likeness(np.array([NAN]), np.array([NAN]), np.array([False]), np.array([True]))
+    unit = standing([20.0], nothing, never)
+    likeness, moved = compared(unit, np.array([[20.01], [19.99]]))
+    assert likeness.location[0] == pytest.approx(20.0)
+    assert likeness.scale[0] == pytest.approx(2.1)
+    assert (likeness.always[0], likeness.never[0]) == (True, False)
+    assert gain_of(unit, likeness, moved) > 10  # the recording speaks too
+
+
+def test_what_no_longer_speaks_and_is_silent_here() -> None:
+    """The recording lacks what the model always has: a change after which it is silent explains that."""
+    unit = standing([NAN], drawn(1))
+    likeness, moved = compared(unit, np.full((REPLICATES, 1), NAN))
+    assert np.isnan(likeness.location[0])
+    assert not likeness.always[0]
+    assert gain_of(unit, likeness, moved) == pytest.approx(22.8, abs=0.1)
+
+
+def test_silence_is_no_excuse() -> None:
+    """The recording says 5, the model 0: a change after which it never says anything is no better."""
+    unit = standing([5.0], drawn(1))
+    likeness, moved = compared(unit, np.full((REPLICATES, 1), NAN))
+    assert gain_of(unit, likeness, moved) <= 0
+
+
+def test_what_a_change_makes_the_same_every_time_is_that() -> None:
+    """As the difference of two sensors of which one has the other's readings: 0 in all replicates, and here, but for
+    what rounding makes of it.
+    """
+    unit = standing([0.0], drawn(1))
+    likeness, moved = compared(unit, 1e-16 * drawn(1, seed=2))
+    assert abs(likeness.scores(unit.real)[0]) < 1
+    assert gain_of(unit, likeness, moved) > -0.1
+
+
+@given(st.floats(-30, 30), st.floats(-30, 30), st.floats(0.05, 1.0))
+def test_a_gain_is_a_ratio_of_densities(real: float, shift: float, independent: float) -> None:
+    """Of the t distribution, tempered by the share that is independent; the shift may be off by its share."""
+    unit = standing([real, 0.0], drawn(2), independent=independent)
+    likeness, moved = compared(unit, unit.values + np.array([shift, 0.0]))
+    width = math.hypot(1.0, FORM * shift)
+    expected = stats.t.logpdf(real, FREEDOM, shift, width) - stats.t.logpdf(real, FREEDOM)
+    assert gain_of(unit, likeness, moved) == pytest.approx(independent * expected, abs=1e-6)
+    assert gain_of(unit, likeness, moved, np.array([False, True])) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_no_change_gains_nothing() -> None:
+    unit = standing([1.0, -3.0, NAN], drawn(3))
+    likeness, moved = compared(unit, unit.values)
+    assert gain_of(unit, likeness, moved) == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(likeness.scores(unit.real), unit.scores)
