@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,10 +35,13 @@ _METADATA = frozenset({"axis_error", "channel_swap", "clock_error"})
 """Causes that lie in what is said of a log, or of the array, and not in a sensor."""
 
 
-def probabilities(one: Round) -> list[float]:
-    """Of each trial that was confirmed, the rest being that it is none of them."""
+def probabilities(one: Round, beside: Collection[str] = ()) -> list[float]:
+    """Of each trial that was confirmed, the rest being that it is none of them; effects that are there `beside` it are
+    no rivals, and have none.
+    """
     odds = TEMPER * np.array([*one.log_odds, 0.0])
-    weights = np.exp(odds - odds.max())
+    rivals = np.array([*(trial.trial.name not in beside for trial in one.confirmed), True])
+    weights = np.where(rivals, np.exp(odds - odds.max(initial=0.0, where=rivals)), 0.0)
     return list((weights / weights.sum())[:-1].tolist())
 
 
@@ -65,16 +68,20 @@ def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[Judged, ...]:
 def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> Iterator[Cause]:
     """What the rounds took and what of it stayed, each with what else was likely."""
     first = rounds[0].before
+    taken = {one.taken.trial.name for one in rounds if one.taken is not None}
     for number, one in enumerate(rounds):
         if one.taken is None or _is_undone(one.taken, rounds[number + 1 :]):
             continue
         by_name: dict[str, tuple[float, Confirmed]] = {}
-        for chance, trial in zip(probabilities(one), one.confirmed, strict=True):
+        beside = taken - {one.taken.trial.name}
+        for chance, trial in zip(probabilities(one, beside), one.confirmed, strict=True):
             before = by_name.get(trial.trial.name, (0.0, trial))
             by_name[trial.trial.name] = (before[0] + chance, trial if trial is one.taken else before[1])
         own = by_name[one.taken.trial.name][0]
         likely = {name for name, (chance, _) in by_name.items() if chance > CONFUSABLE * own}
         for name, (chance, trial) in by_name.items():
+            if name in beside:
+                continue
             if (trial is one.taken or chance > ALTERNATIVE) and not _undoes(trial, one.before):
                 yield _cause(bench, unit, first, one.before, trial, chance, tuple(sorted(likely - {name})), seed)
 

@@ -53,6 +53,7 @@ def searches(
         todo = {unit: one for unit, one in standings.items() if _is_open(found, one, rounds.get(unit, ()))}
         if not todo:
             break
+        todo = _in_company(found, todo, standings, run)
         progress(f"looking for causes, round {number + 1}: {len(todo)} sensors")
         evidence, trials = _trials(found, todo, candidates)
         placebos = {unit: placebo_of(one) for unit, one in evidence.items()} if number == 0 else {}
@@ -63,7 +64,6 @@ def searches(
             rounds.setdefault(unit, []).append(one)
             if one.taken is not None:
                 standings[unit] = one.taken.standing
-        standings = _in_company(found, standings, run)
         if number < _FAMILY_ROUNDS:
             _families(found, candidates, run, evidence, rounds, standings)
     models = dict(found.bench.models())
@@ -90,21 +90,23 @@ def _deferred(found: Compared, came: Mapping[Unit, Round]) -> list[Unit]:
     ]
 
 
-def _in_company(found: Compared, standings: Mapping[Unit, Standing], run: Run) -> dict[Unit, Standing]:
-    """Where units stand beside the others' present models, where that makes a difference."""
+def _in_company(
+    found: Compared, units: Mapping[Unit, Standing], standings: Mapping[Unit, Standing], run: Run
+) -> dict[Unit, Standing]:
+    """Where `units` stand beside the others' present models, where that makes a difference."""
     models = {name: model for one in standings.values() for name, model in one.models.items() if model.added}
     if not found.bench.is_of_motion.any() or not models:
-        return dict(standings)
+        return dict(units)
     asked = [
         replace(one, company={name: model for name, model in models.items() if name not in one.unit})
-        for one in standings.values()
+        for one in units.values()
     ]
     changed = [one for one in asked if one.company != standings[one.unit].company]
     again = {
         one.unit: replace(one, likeness=compared(one, values)[0], values=values)
         for one, values in zip(changed, run(_values, changed), strict=True)
     }
-    return {**standings, **again}
+    return {**units, **again}
 
 
 def _families(

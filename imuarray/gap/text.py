@@ -161,10 +161,14 @@ def _closes(cause: Cause) -> str:
 def _where(where: Sequence[Where]) -> Iterator[str]:
     if not where:
         return
-    more = f", the worst {_WORST}" if len(where) > _WORST else ""
+    kinds: dict[tuple[str, str, str], Where] = {}
+    for one in where:
+        kinds.setdefault((one.sensor, one.axis, one.statistic), one)  # where it is worst: logs repeat each other
+    worst = list(kinds.values())[:_WORST]
+    more = f", the worst {len(worst)}" if len(where) > len(worst) else ""
     yield f"Where it differs: {len(where)} statistics{more} (sd of chance; size in margins, matters from 1 on)"
     heading = ["sensor", "domain", "statistic", "phase", "real", "sim.", "unit", "sd", "size", ""]
-    yield from _aligned([heading, *map(_row, where[:_WORST])], (4, 5, 7, 8), _COLUMNS)
+    yield from _aligned([heading, *map(_row, worst)], (4, 5, 7, 8), _COLUMNS)
 
 
 def _row(one: Where) -> list[str]:
