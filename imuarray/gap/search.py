@@ -55,7 +55,8 @@ class Confirmed:
     """A refined trial judged: the unit as it stands with it, and the nats that it gains on the training and on the
     held-out part; a brief one, which a part may not show, gains the mean of both. `own_share` of the gain comes from
     what the unit shows alone, not from how it moves beside others. `independent` is the share of the statistics that
-    it moves which is independent with it in: a slow drift moves many of them together.
+    it moves which is independent with it in: a slow drift moves many of them together. `closes`: the squared scores of
+    the held-out part get smaller.
     """
 
     tried: Tried
@@ -64,6 +65,7 @@ class Confirmed:
     gain: float
     own_share: float = 1.0
     independent: float = 1.0
+    closes: bool = True
 
     @property
     def factors(self) -> int:
@@ -161,7 +163,9 @@ def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
     touched = (np.abs(moved) > before.scale) | (np.abs(np.log(likeness.scale / before.scale)) > _WIDER)
     independent = independent_share(likeness.scores(values)[:, touched]) if touched.any() else standing.independent
     stands = replace(changed, likeness=likeness, values=values)
-    return Confirmed(tried, stands, train_gain, gain, share, independent)
+    counted = np.ones_like(out) if tried.trial.is_brief else out
+    closes = _squares(stands.scores[counted]) <= _squares(standing.scores[counted])
+    return Confirmed(tried, stands, train_gain, gain, share, independent, closes)
 
 
 class _Asked(NamedTuple):
@@ -203,8 +207,13 @@ def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool) ->
     odds = _log_odds(standing, real)
     ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
     least = ACCEPTED + max(bar, 0.0)
-    good = [one for one in ranked if one.gain > least and (one.train_gain > WORTH or one.trial.is_brief)]
+    good = [one for one in ranked if one.closes and one.gain > least and (one.train_gain > WORTH or one.trial.is_brief)]
     return Round(standing, ranked, bar, good[0] if good else None)
+
+
+def _squares(scores: Floats) -> float:
+    """Their sum; what says nothing counts nothing."""
+    return float((np.nan_to_num(scores) ** 2).sum())
 
 
 def _log_odds(standing: Standing, found: Sequence[Confirmed]) -> tuple[float, ...]:
