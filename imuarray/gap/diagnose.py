@@ -16,6 +16,7 @@ from imuarray.gap.candidates import CANDIDATES, Candidate
 from imuarray.gap.causes import causes_of, judged_of
 from imuarray.gap.closure import deviating
 from imuarray.gap.compare import Compared, compared_with_base, prepared, replicate
+from imuarray.gap.described import changes_alike, lines_left
 from imuarray.gap.diagnosis import Diagnosis, Gap, Recorded, Unshown
 from imuarray.gap.judgement import Judged, Told, floor_of, gap_of, judged, map_of, unknown_of, verdict_of, where_of
 from imuarray.gap.labels import Mislabelled, cause_of, corrected, mislabelled
@@ -138,7 +139,12 @@ def _said(case: _Case, searched: Searched, run: Run) -> Diagnosis:
         map_of(pairs, noted.judged, after, tuple(bench.base.headers)),
         overlays_of(bench, found.campaign, where, bench.models(), searched.models, run, names=names),
         tuple(map(_recorded, case.recordings)),
-        (*(f"{one.name}: {note}" for one in case.recordings for note in one.notes), *notes_of(lines, shared)),
+        (
+            *lines_left(found.campaign, unexplained, names),
+            *(_shared(found) if is_gap else ()),
+            *notes_of(lines, shared),
+            *(f"{one.name}: {note}" for one in case.recordings for note in one.notes),
+        ),
         bench.split.words,
         case.seed,
         len(found.replicates),
@@ -146,6 +152,12 @@ def _said(case: _Case, searched: Searched, run: Run) -> Diagnosis:
         f"imuarray {imuarray.__version__}",
         repaired(bench, searched.models, case.model, f"repaired {model}", logs=names),
     )
+
+
+def _shared(found: Compared) -> tuple[str, ...]:
+    """Changes of bias from log to log that units of a chip share."""
+    bench = found.bench
+    return changes_alike(bench.keys, found.real.values, bench.held_out.tolist(), bench.base.headers)
 
 
 def _repaired(searched: Searched, run: Run) -> list[Any]:

@@ -1,0 +1,57 @@
+"""Lines put into simulated logs at known frequencies, and the sentences that tell them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from imuarray.gap.described import changes_alike, line_hz, lines_left
+from imuarray.gap.diagnosis import Where
+from imuarray.gap.statistics import Key
+from imuarray.simulate.effects.tone import Tone
+from tests.gap.made import campaign_of, header
+
+LINE = Tone((0.0, 0.05, 0.0), 20.0)
+
+
+def where(sensor: str, axis: str, statistic: str = "line") -> Where:
+    values = ("static", statistic, "", 30.0, 0.0, "", 30.0, 0.01, 3.0, 1.0)
+    return Where("a.h5", sensor, axis, "spectrum", *values, "material")  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def campaign():  # type: ignore[no-untyped-def]
+    return campaign_of("static", {"G1": (LINE,)}, seed=3)
+
+
+def test_a_line_is_where_it_was_put(campaign) -> None:  # type: ignore[no-untyped-def]
+    (phase,) = campaign.logs[0].still("G1")
+    assert line_hz(phase, 1) == pytest.approx(20.0, abs=phase.spectrum.resolution_hz / phase.intervals.mean_s)
+    assert line_hz(phase, 0) is None
+
+
+def test_it_is_told_once(campaign) -> None:  # type: ignore[no-untyped-def]
+    told = lines_left(campaign, [where("G1", "y"), where("G1", "y"), where("G1", "y", "lag_1")], ["a.h5"])
+    assert len(told) == 1
+    found = re.fullmatch(r"G1 y: a line that no cause explains: (.*) Hz in 1 of 1 stretches at rest of a.h5\.", told[0])
+    assert found is not None
+    assert float(found[1]) == pytest.approx(20.0, abs=0.2)
+
+
+def test_nothing_is_told_of_what_has_none(campaign) -> None:  # type: ignore[no-untyped-def]
+    assert lines_left(campaign, [where("G2", "x")], ["a.h5"]) == ()
+    assert lines_left(campaign, [], ["a.h5"]) == ()
+
+
+@pytest.mark.parametrize(("changes", "told"), [((0.008, 0.0085, 0.0082), True), ((0.008, -0.008, 0.0082), False)])
+def test_a_change_that_units_share(changes: tuple[float, ...], told: bool) -> None:
+    """Three units 8 mg higher in the held-out log, along their own axes; what was fitted to doesn't count."""
+    headers = {name: header(name) for name in ("A1", "A2", "A3")}
+    keys = [Key(0, name, "z", "", -1, "level", "level") for name in headers]
+    both = np.array([*(1.0, 1.0, 1.0), *changes])
+    found = changes_alike([*keys, *keys], both, [False] * 3 + [True] * 3, headers)
+    assert bool(found) == told
+    if told:
+        assert "All 3 bma180, z: held-out log 1 lies +8.23 mg" in found[0]
