@@ -17,7 +17,7 @@ from firmware_emulator.array import EmulatedBus, open_bus
 from firmware_emulator.serve import DEFAULT_HOST, DEFAULT_PORT, UsbipServer
 from imuarray.array import ArrayConfig, load_array
 from imuarray.commands.options import find_config
-from imuarray.errors import ImuArrayError
+from imuarray.commands.program import run
 
 PROGRAM = "firmware_emulator"
 
@@ -65,16 +65,7 @@ def serve_usbip(array: ArrayConfig, bus: EmulatedBus, host: str, port: int) -> N
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; what it returns is the exit code."""
-    try:
-        program.main(args=None if arguments is None else list(arguments), prog_name=PROGRAM, standalone_mode=False)
-    except (click.Abort, KeyboardInterrupt):
-        click.echo(f"{PROGRAM}: interrupted", err=True)
-        return 130
-    except (click.ClickException, ImuArrayError) as error:
-        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        click.echo(f"{PROGRAM}: {' '.join(text.split())}", err=True)
-        return 2
-    return 0
+    return run(program, PROGRAM, arguments)
 
 
 if __name__ == "__main__":

@@ -38,7 +38,8 @@ from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array
 from imuarray.bus.protocol import OpenBus
 from imuarray.commands.options import find_config
-from imuarray.errors import ImuArrayError, OutputExistsError
+from imuarray.commands.program import run
+from imuarray.errors import OutputExistsError
 
 PROGRAM = "firmware_emulator.cases"
 RATE_HZ = 64.0
@@ -239,16 +240,7 @@ def program(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; what it returns is the exit code: 2 for bad input, with one line."""
-    try:
-        program.main(args=None if arguments is None else list(arguments), prog_name=PROGRAM, standalone_mode=False)
-    except (click.Abort, KeyboardInterrupt):
-        click.echo(f"{PROGRAM}: interrupted", err=True)
-        return 130
-    except (click.ClickException, ImuArrayError) as error:
-        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        click.echo(f"{PROGRAM}: {' '.join(text.split())}", err=True)
-        return 2
-    return 0
+    return run(program, PROGRAM, arguments)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import click
 
 from imuarray import __version__
-from imuarray.errors import ImuArrayError
+from imuarray.commands.program import run
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
@@ -63,20 +63,7 @@ def program(context: click.Context) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; what it returns is the exit code."""
-    try:
-        result = program.main(
-            args=None if arguments is None else list(arguments), prog_name="imuarray", standalone_mode=False
-        )
-    except click.exceptions.Exit as stop:
-        return stop.exit_code
-    except click.Abort:
-        click.echo("imuarray: interrupted", err=True)
-        return 130
-    except (click.ClickException, ImuArrayError) as error:
-        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        click.echo(f"imuarray: {' '.join(text.split())}", err=True)
-        return 2
-    return result if isinstance(result, int) else 0
+    return run(program, "imuarray", arguments)
 
 
 if __name__ == "__main__":

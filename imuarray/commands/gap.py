@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,15 +14,13 @@ from imuarray.commands.options import (
     find_model,
     force_option,
     json_option,
+    prepare_folder,
     print_json,
     progress,
-    refuse_existing,
 )
 
 if TYPE_CHECKING:
-    from imuarray.gap.bench import Bench
     from imuarray.gap.diagnosis import Diagnosis
-    from imuarray.gap.workers import Run
     from imuarray.simulate.model import Model
 
 FILES = ("gap.json", "repaired.toml", "report.html")
@@ -95,13 +93,13 @@ def diagnose(
     from imuarray.gap.diagnose import diagnose as diagnosed
     from imuarray.gap.diagnose import library
     from imuarray.gap.recordings import recordings_of
-    from imuarray.gap.workers import processes
+    from imuarray.gap.workers import processes, runner
     from imuarray.log import open_log
 
     left_out = _names(without)
     library(left_out)
     if output is not None:
-        _prepare(output, force)
+        prepare_folder(output, FILES, force)
     model = _model(model_name)
     with ExitStack() as stack:
         opened = [stack.enter_context(open_log(path)) for path in dict.fromkeys(logs)]
@@ -110,7 +108,7 @@ def diagnose(
         stages = _Stages()
         found = diagnosed(
             recordings,
-            lambda bench: _called(bench, executor, stages),
+            lambda bench: runner(bench, executor, stages.bar),
             model=model,
             without=left_out,
             seed=seed,
@@ -136,36 +134,15 @@ class _Stages:
     """What is going on, for who watches."""
 
     def __init__(self) -> None:
-        self.name = ""
+        self._name = ""
 
     def begin(self, name: str) -> None:
         """The next stage."""
-        self.name = name
+        self._name = name
 
-    @contextmanager
-    def bar(self, length: int) -> Iterator[Callable[[int], None]]:
+    def bar(self, length: int) -> AbstractContextManager[Callable[[int], None]]:
         """Its bar."""
-        with progress(length, f"{self.name:<46.46}") as done:
-            yield done
-
-
-def _called(bench: Bench, executor: Any, stages: _Stages) -> Run:
-    """What calls functions of the bench, side by side, with a bar."""
-    from imuarray.gap.workers import runner
-
-    return runner(bench, executor, stages.bar)
-
-
-def _prepare(folder: Path, force: bool) -> None:
-    """Make the folder, or say at once why it can't be written to."""
-    from imuarray.errors import ImuArrayError
-
-    for name in FILES:
-        refuse_existing(folder / name, force, in_new_folder=True)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ImuArrayError(f"{error.filename or folder}: {error.strerror or error}") from error
+        return progress(length, f"{self._name:<46.46}")
 
 
 def _write(folder: Path, found: Diagnosis) -> None:

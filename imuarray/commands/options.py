@@ -6,14 +6,14 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
 import click
 
-from imuarray.errors import ConfigError, OutputExistsError
+from imuarray.errors import ConfigError, ImuArrayError, OutputExistsError
 from imuarray.shipped import configs
 
 config_argument = click.argument("config", type=click.Path(path_type=Path))
@@ -68,6 +68,18 @@ def refuse_existing(path: Path, force: bool, source: Path | None = None, *, in_n
         raise click.UsageError(f"{path}: is what the output is made from; choose another name")
     if path.exists() and not force:
         raise OutputExistsError(path)
+
+
+def prepare_folder(folder: Path, names: Sequence[str], force: bool) -> None:
+    """Make a folder for files of these names, or say at once why it can't be written to: `refuse_existing` for each;
+    ImuArrayError where no folder can be.
+    """
+    for name in names:
+        refuse_existing(folder / name, force, in_new_folder=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ImuArrayError(f"{error.filename or folder}: {error.strerror or error}") from error
 
 
 def print_json(value: Any) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+from imuarray.commands.options import force_option, json_option, prepare_folder, print_json, progress
 
 if TYPE_CHECKING:
     from imuarray.paper.replica import Observed, Replica
@@ -67,7 +67,7 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
     from imuarray.paper.replica import Replica, compare, observe, render_text
 
     if output:
-        _prepare(output, _REPLICA_FILES, force)
+        prepare_folder(output, _REPLICA_FILES, force)
     with progress(100, "replica") as done:
         observed = observe(seed, progress=lambda so_far, total, what: done(round(100 * so_far / total)))
     found = Replica(seed, tuple(compare(observed)))
@@ -86,7 +86,7 @@ def _gap(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
     from imuarray.paper.gap import diagnose, render_text
 
     if output:
-        _prepare(output, (_GAP_FILE,), force)
+        prepare_folder(output, (_GAP_FILE,), force)
     found = diagnose(seed)
     result = found.as_json()
     if output:
@@ -98,18 +98,6 @@ def _gap(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
         click.echo(render_text(found), nl=False)
     if output:
         click.echo(f"{output}: {_GAP_FILE} written", err=True)
-
-
-def _prepare(folder: Path, names: tuple[str, ...], force: bool) -> None:
-    """Make the folder, or say at once why it can't be written to."""
-    from imuarray.errors import ImuArrayError
-
-    for name in names:
-        refuse_existing(folder / name, force, in_new_folder=True)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ImuArrayError(f"{error.filename or folder}: {error.strerror or error}") from error
 
 
 def _write_replica(folder: Path, found: Replica, observed: Observed) -> None:
