@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +31,11 @@ __all__ = ["Base", "Fitted", "data_sheets", "fit", "headers_in", "replicate_seed
 SCALE_SIGMA, ANGLE_SIGMA_DEG = 0.01, 0.5
 """Population of a chip whose data sheet names none."""
 
-_POPULATION = ("scale", "misalignment")
+USUAL: Mapping[str, Recipe] = MappingProxyType(
+    {"scale": {"error": Spread(sigma=SCALE_SIGMA)}, "misalignment": {"angles_deg": Spread(sigma=ANGLE_SIGMA_DEG)}}
+)
+"""What sensors have beside the fitted, where there is no model; populations of chips of which no data sheet has one."""
+
 _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 
 
@@ -141,7 +146,7 @@ def _unfitted(effects: Iterable[Effect]) -> Iterator[Effect]:
 def _typical(header: SensorHeader, units: Streams) -> Iterator[Effect]:
     """A draw from the population of the chip, or where its data sheet names none, from the usual one."""
     sheets = data_sheets()
-    for kind in _POPULATION:
+    for kind in USUAL:
         model = sheets if kind in sheets.parts(header, population=True) else _usual(header)
         yield from (effect for effect in model.effects(header, units, population=True) if effect.name == kind)
 
@@ -153,8 +158,5 @@ def data_sheets() -> Model:
 
 
 def _usual(header: SensorHeader) -> Model:
-    effects: Mapping[str, tuple[Recipe, ...]] = {
-        "scale": ({"error": Spread(sigma=SCALE_SIGMA)},),
-        "misalignment": ({"angles_deg": Spread(sigma=ANGLE_SIGMA_DEG)},),
-    }
+    effects = {kind: (recipe,) for kind, recipe in USUAL.items()}
     return Model("usual", "A chip of which nothing is known.", (Part(header.chip, effects=effects),), ())

@@ -22,7 +22,7 @@ from imuarray.gap.probes.probe import ArrayProbe
 from imuarray.gap.recordings import Experiment, temperature_of
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.split import Split
-from imuarray.gap.statistics import Key, Statistics, residual_statistics
+from imuarray.gap.statistics import Key, Statistics, residual_statistics, statistics
 from imuarray.gap.use import Uses, uses_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.motion.felt import Motion
@@ -64,7 +64,8 @@ class Values:
 class Bench:
     """A campaign as it was recorded: how its logs were looked at (`kinds`, `layouts` of every phase of the split), what
     happened in them, how they are split, the base model, and the keys of its statistics: those of the training part,
-    `of_train` of them, then those of the held-out part."""
+    `of_train` of them, then those of the held-out part.
+    """
 
     kinds: tuple[str, ...]
     split: Split
@@ -93,6 +94,10 @@ class Bench:
     def own(self, unit: Collection[str]) -> npt.NDArray[np.intp]:
         """The places of what a unit shows: of one sensor without what it shares with others, of several with it."""
         return self.columns(unit, cross=len(unit) > 1)
+
+    def among(self, unit: Collection[str], sensors: Collection[str]) -> Bools:
+        """Which of the statistics of these sensors, as a replicate has them, are what a unit of them shows (`own`)."""
+        return np.isin(self.columns(sensors, cross=True), self.own(unit))
 
     def pairs(self, places: npt.NDArray[np.intp] | None = None) -> Pairs:
         """All statistics, or those at some places, of both parts in pairs."""
@@ -238,11 +243,7 @@ def _is_shared(probe: Probe) -> bool:
 
 def bench_of(campaign: Campaign, split: Split, experiments: Sequence[Experiment], base: Base) -> Bench:
     """The bench of a recorded campaign that was summarised in all phases of its split."""
-    train, held_out = split.train(campaign), split.held_out(campaign)
-    motions = [experiment.motion for experiment in experiments]
-    fitted = fit(train.campaign, [motions[at] for at in train.logs])
-    first = residual_statistics(train.campaign, [motions[at] for at in train.logs], fitted)
-    second = residual_statistics(held_out.campaign, [motions[at] for at in held_out.logs], fitted)
+    first, second = (statistics(side.campaign) for side in (split.train(campaign), split.held_out(campaign)))
     return Bench(
         tuple(log.kind for log in campaign.logs),
         split,

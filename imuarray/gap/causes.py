@@ -14,7 +14,8 @@ from imuarray.gap.candidates import Trial
 from imuarray.gap.closure import Deviating, deviating
 from imuarray.gap.diagnosis import Cause, Judged, Origin
 from imuarray.gap.search import Confirmed, Round
-from imuarray.gap.standing import AXES, Standing, Unit
+from imuarray.gap.standing import Standing, Unit
+from imuarray.gap.statistics import AXES
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.parameters import to_table

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +38,7 @@ class Compared:
     judged: Judged
     located: Located
 
-    @property
+    @cached_property
     def chance(self) -> Floats:
         """(b, n) the replicates' statistics."""
         return np.array([one.values for one in self.replicates])

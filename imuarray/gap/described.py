@@ -10,8 +10,7 @@ import numpy.typing as npt
 from imuarray.gap.campaign import Campaign
 from imuarray.gap.diagnosis import Where
 from imuarray.gap.probes.spectrum import LINE
-from imuarray.gap.standing import AXES
-from imuarray.gap.statistics import Key
+from imuarray.gap.statistics import AXES, Key
 from imuarray.gap.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.units import READABLE

@@ -116,16 +116,20 @@ def _said(case: _Case, searched: Searched, run: Run) -> Diagnosis:
     after = judged(pairs, found.real.values, made, bench.resolutions) if causes else found.judged
     lines = lines_of(causes, bench.base.headers)
     causes = tuple(sorted((*map(cause_of, case.wrong), *causes), key=lambda one: -one.probability))
-    where = where_of(noted.bench, noted.campaign, pairs, noted.judged, noted.located.found, names, noted.located.found)
+    told = Told(bench, found.campaign, pairs, names)
+    as_noted = told if noted is found else Told(noted.bench, noted.campaign, pairs, names)
+    where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
     gap = _gap(case, after)
-    unexplained = where_of(bench, found.campaign, pairs, after, _left(after), names, {}) if is_gap else ()
+    unexplained = where_of(told, after, _left(after), {}) if is_gap else ()
     verdict = verdict_of(is_gap, gap, after, causes)
-    untold = _untold(found, case.candidates, is_gap, {cause.effect for cause in causes})
-    told = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
+    unseen = {name: one for name, one in case.candidates.items() if name not in {cause.effect for cause in causes}}
+    hidden = unshown(set(bench.kinds), facts_of(found.campaign), unseen, bench.base.headers)
+    untold = hidden if is_gap else (*hidden, *_unsure(found, told))
+    in_use = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
     model = case.model.name if case.model else "data sheets"
     return Diagnosis(
         verdict,
-        sentence_of(verdict, gap, causes, where, unexplained, told),
+        sentence_of(verdict, gap, causes, where, unexplained, in_use),
         noted.located.p,
         gap,
         where,
@@ -134,7 +138,7 @@ def _said(case: _Case, searched: Searched, run: Run) -> Diagnosis:
         unexplained,
         next_experiment(bench, searched, causes, unexplained, untold, run),
         untold,
-        told,
+        in_use,
         judged_of(searched.rounds),
         map_of(pairs, noted.judged, after, tuple(bench.base.headers)),
         overlays_of(bench, found.campaign, where, bench.models(), searched.models, run, names=names),
@@ -187,25 +191,13 @@ def _recorded(one: Recording) -> Recorded:
     return Recorded(one.name, one.kind, seconds, len(sensors), len(one.phases), rows)
 
 
-def _untold(
-    found: Compared, candidates: Mapping[str, Candidate], is_gap: bool, causes: Collection[str]
-) -> tuple[Unshown, ...]:
-    """What this campaign can't show, and didn't."""
-    bench, kinds = found.bench, set(found.bench.kinds)
-    rest = {name: one for name, one in candidates.items() if name not in causes}
-    hidden = unshown(kinds, facts_of(found.campaign), rest, bench.base.headers)
-    return hidden if is_gap else (*hidden, *_unsure(found))
-
-
-def _unsure(found: Compared) -> tuple[Unshown, ...]:
+def _unsure(found: Compared, told: Told) -> tuple[Unshown, ...]:
     """In which domains a difference that matters can't be excluded."""
-    bench, told = found.bench, Told(found.bench, found.campaign, found.pairs, found.judged, ())
     places = range(len(found.pairs.keys))
-    sized = [told.size(at) for at in places]
     return unsure(
-        np.array([told.scale(at) for at in places]),
+        np.array([told.scale(at, found.judged) for at in places]),
         np.array([told.margin(at) for at in places]),
         found.pairs.keys,
-        np.array([seconds for _, seconds in sized]),
-        bench.base.headers,
+        np.array([told.size(at)[1] for at in places]),
+        found.bench.base.headers,
     )

@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.refine import Tried
@@ -37,11 +35,10 @@ def shared_wins(family: Round, members: Confirmed) -> Confirmed | None:
 
 def members_of(bench: Bench, family: Standing, standings: Mapping[Unit, Standing]) -> dict[Unit, Standing]:
     """Where each member of a family stands with the family's models."""
-    places = bench.columns(family.unit, cross=True)
     found: dict[Unit, Standing] = {}
     for name in family.unit:
         unit: Unit = (name,)
-        own = np.isin(places, bench.columns(unit, cross=False))
+        own = bench.among(unit, family.unit)
         found[unit] = replace(
             standings[unit],
             models={name: family.models[name]},

@@ -60,18 +60,9 @@ def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats) -> Jud
     )
 
 
-def where_of(
-    bench: Bench,
-    campaign: Campaign,
-    pairs: Pairs,
-    one: Judged,
-    found: Iterable[int],
-    names: Sequence[str],
-    p: Mapping[int, float],
-) -> tuple[Where, ...]:
-    """The statistics at places `found` of the pairs; `names` are the logs'."""
-    told = Told(bench, campaign, pairs, one, names)
-    return tuple(told.where(at, p.get(at, one.p)) for at in found)
+def where_of(told: Told, one: Judged, found: Iterable[int], p: Mapping[int, float]) -> tuple[Where, ...]:
+    """The statistics at places `found` of the pairs, as one model makes them; `p` of those that have their own."""
+    return tuple(told.where(at, one, p.get(at, one.p)) for at in found)
 
 
 def map_of(pairs: Pairs, before: Judged, after: Judged, sensors: Sequence[str]) -> Map:
@@ -135,20 +126,20 @@ def unknown_of(is_gap: bool, gap: Gap, after: Judged) -> float:
 
 
 class Told:
-    """What is needed to tell of single statistics."""
+    """What is needed to tell of single statistics of a recorded campaign; `names` are the logs'."""
 
-    def __init__(self, bench: Bench, campaign: Campaign, pairs: Pairs, one: Judged, names: Sequence[str]) -> None:
-        self._bench, self._pairs, self._one = bench, pairs, one
+    def __init__(self, bench: Bench, campaign: Campaign, pairs: Pairs, names: Sequence[str]) -> None:
+        self._bench, self._pairs = bench, pairs
         sides = (bench.split.train(campaign), bench.split.held_out(campaign))
         self._raw = pairs.means(np.concatenate([statistics(side.campaign).values for side in sides]))
-        self._logs = [[names[log] if names else "" for log in side.logs] for side in sides]
+        self._logs = [[names[log] for log in side.logs] for side in sides]
         self._phases = [[log.phases for log in side.campaign.logs] for side in sides]
 
-    def where(self, at: int, p: float) -> Where:
+    def where(self, at: int, one: Judged, p: float) -> Where:
         """One statistic."""
         key, header = self._pairs.keys[at], self._bench.base.headers[self._pairs.keys[at].sensor]
         probe = PROBES[key.probe]
-        shift, scale = self._shift(at), self.scale(at)
+        shift, scale = self._shift(at, one), self.scale(at, one)
         least = self.margin(at)
         raw = float(self._raw[at])
         return Where(
@@ -162,7 +153,7 @@ class Told:
             raw,
             raw - shift,
             probe.unit.replace("{u}", header.unit),
-            float(self._one.scores[at]),
+            float(one.scores[at]),
             p,
             shift / least if least > 0 else math.inf,
             least,
@@ -175,16 +166,16 @@ class Told:
         header = self._bench.base.headers[key.sensor]
         return margin(key, header, self._bench.base.fitted[key.sensor].noise(header), *self.size(at))
 
-    def _shift(self, at: int) -> float:
+    def _shift(self, at: int, one: Judged) -> float:
         """How far the recording lies from the middle of the model, the mean over the parts."""
         places = [place for place in (self._pairs.train[at], self._pairs.held_out[at]) if place >= 0]
-        parts = self._one.apart[places]
+        parts = one.apart[places]
         return float(np.nanmean(parts)) if np.isfinite(parts).any() else math.nan
 
-    def scale(self, at: int) -> float:
+    def scale(self, at: int, one: Judged) -> float:
         """Standard error of a statistic's difference, of both parts together."""
         places = [place for place in (self._pairs.train[at], self._pairs.held_out[at]) if place >= 0]
-        scales = self._one.likeness.scale[places]
+        scales = one.likeness.scale[places]
         known = scales[np.isfinite(scales)]
         return float(np.sqrt((known**2).sum()) / len(known)) if len(known) else math.nan
 

@@ -18,7 +18,8 @@ import numpy.typing as npt
 from imuarray.gap.bench import Bench, Models
 from imuarray.gap.candidates import Trial
 from imuarray.gap.likeness import FREEDOM, Likeness
-from imuarray.gap.standing import AXES, LOOKS, NUMBERS, Standing, compared, gain_of
+from imuarray.gap.standing import LOOKS, NUMBERS, Standing, compared, gains_of
+from imuarray.gap.statistics import AXES
 from imuarray.simulate.effect import Effect
 
 Floats = npt.NDArray[np.float64]
@@ -53,14 +54,13 @@ class Factor(NamedTuple):
 
 @dataclass(frozen=True)
 class Tried:
-    """A trial as far as it was refined: the models with it, nats gained on the training part, `errors` the standard
-    errors of the logs of its factors; None as `models` if it wasn't, or can't be, simulated.
+    """A trial as far as it was refined: the models with it, nats gained on the training part; None as `models` if it
+    wasn't, or can't be, simulated.
     """
 
     trial: Trial
     models: Models | None = None
     gain: float = -np.inf
-    errors: tuple[tuple[Factor, float], ...] = ()
 
 
 def look(bench: Bench, standing: Standing, trial: Trial) -> Tried:
@@ -82,15 +82,14 @@ def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
         if not factors:
             break
         slopes = _slopes(bench, standing, trial, factors, seen)
-        steps, errors = _step(standing, seen, slopes)
+        steps = _step(standing, seen, slopes)
         trial = _moved(trial, factors, steps)
         models = _with_fitted(standing.changed(trial), seen.settled)
         after = _seen(bench, standing, models, trial.is_brief)
         if after is None:
             break
         seen = after
-        tried = Tried(trial, seen.settled, _gain(standing, seen), tuple(zip(factors, errors.tolist(), strict=True)))
-        best = max(best, tried, key=lambda one: one.gain)
+        best = max(best, Tried(trial, seen.settled, _gain(standing, seen)), key=lambda one: one.gain)
         if np.abs(steps).max() < _DONE:
             break
     return _pruned(bench, standing, best)
@@ -131,12 +130,10 @@ def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _See
         ]
     except ValueError:
         return None
-    columns = bench.own(standing.unit)
-    everything = bench.columns(standing.unit, cross=True)
-    kept = np.isin(everything, columns)
+    kept = bench.among(standing.unit, standing.unit)
     values = np.array([one.values[kept] for one in found])
     if not whole:
-        out = bench.held_out[columns]
+        out = bench.held_out[bench.own(standing.unit)]
         values[:, out] = standing.values[:LOOKS, out]
     likeness, moved = compared(standing, values)
     return _Seen(values, likeness, moved, standing.settled(models, [one.fitted for one in found]))
@@ -144,7 +141,7 @@ def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _See
 
 def _gain(standing: Standing, seen: _Seen) -> float:
     """Of the training part: the rest stands as it was."""
-    return gain_of(standing, seen.likeness, seen.moved)
+    return float(gains_of(standing, seen.likeness, seen.moved).sum())
 
 
 def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Factor], seen: _Seen) -> Floats:
@@ -178,8 +175,8 @@ def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Fa
     return slopes
 
 
-def _step(standing: Standing, seen: _Seen, slopes: Floats) -> tuple[Floats, Floats]:
-    """(k,) best changes of the logs of the factors, and their standard errors."""
+def _step(standing: Standing, seen: _Seen, slopes: Floats) -> Floats:
+    """(k,) best changes of the logs of the factors."""
     likeness = seen.likeness
     known = np.isfinite(likeness.location) & np.isfinite(standing.real) & np.isfinite(likeness.scale)
     apart = np.where(known, standing.real - likeness.location, 0.0)
@@ -189,7 +186,7 @@ def _step(standing: Standing, seen: _Seen, slopes: Floats) -> tuple[Floats, Floa
     design = slopes / scale[:, None]
     normal = design.T @ (weight[:, None] * design) + np.eye(slopes.shape[1]) / _PRIOR**2
     steps = np.linalg.solve(normal, design.T @ (weight * scores))
-    return np.clip(steps, -_FURTHEST, _FURTHEST), np.sqrt(np.diag(np.linalg.inv(normal)))
+    return np.clip(steps, -_FURTHEST, _FURTHEST)
 
 
 def _moved(trial: Trial, factors: Sequence[Factor], steps: Floats) -> Trial:
@@ -226,8 +223,8 @@ def _pruned(bench: Bench, standing: Standing, tried: Tried) -> Tried:
     )
     if tried.models is None or seen is None:
         return tried
-    gains = {axis: gain_of(standing, seen.likeness, seen.moved, _of_axis(bench, standing, axis)) for axis in active}
-    idle = {axis for axis, gain in gains.items() if gain < _AXIS_GAIN}
+    gains = gains_of(standing, seen.likeness, seen.moved)
+    idle = {axis for axis in active if gains[_of_axis(bench, standing, axis)].sum() < _AXIS_GAIN}
     if not idle or len(idle) == len(active):
         return tried
     trial = replace(tried.trial, effects=tuple(_without(effect, idle) for effect in tried.trial.effects))

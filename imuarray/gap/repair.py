@@ -6,11 +6,10 @@ Every sensor has what was fitted to it and what was found; what else it has stay
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 
-from imuarray.gap.base_model import ANGLE_SIGMA_DEG, SCALE_SIGMA, data_sheets
+from imuarray.gap.base_model import USUAL, data_sheets
 from imuarray.gap.bench import ORDINARY, Bench, Modelled, Models
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
@@ -18,12 +17,7 @@ from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.model import TRIADS, Model, Part, noise_bandwidth_hz
 from imuarray.simulate.parameters import to_table
-from imuarray.simulate.population import Recipe, Spread, figure_of
-
-_USUAL: Mapping[str, Recipe] = MappingProxyType(
-    {"scale": {"error": Spread(sigma=SCALE_SIGMA)}, "misalignment": {"angles_deg": Spread(sigma=ANGLE_SIGMA_DEG)}}
-)
-"""What sensors have beside the fitted, where there is no model; populations of chips of which no data sheet has one."""
+from imuarray.simulate.population import Recipe, figure_of
 
 _SLOPE = "slope_"
 """Begins the key of the part of `thermal_bias` that is fitted anew."""
@@ -90,10 +84,10 @@ def _designs(headers: Collection[SensorHeader]) -> Model:
     parts: dict[tuple[str, str, float | None], Part] = {}
     for header in headers:
         for part in (part for part in data_sheets().designs if part.fits(header)):
-            if kept := {kind: recipes for kind, recipes in part.effects.items() if kind in _USUAL}:
+            if kept := {kind: recipes for kind, recipes in part.effects.items() if kind in USUAL}:
                 parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=kept)
         known = Model("", "", tuple(parts.values()), ()).parts(header)
-        if missing := {kind: (recipe,) for kind, recipe in _USUAL.items() if kind not in known}:
+        if missing := {kind: (recipe,) for kind, recipe in USUAL.items() if kind not in known}:
             unit = _unit(header)
             before = parts.get((header.chip, unit, None), Part(header.chip, unit=unit))
             parts[header.chip, unit, None] = replace(before, effects={**before.effects, **missing})

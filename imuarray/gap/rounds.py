@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -55,9 +56,9 @@ def searches(
             break
         todo = _in_company(found, todo, standings, run)
         progress(f"looking for causes, round {number + 1}: {len(todo)} sensors")
-        evidence, trials = _trials(found, todo, candidates)
-        placebos = {unit: placebo_of(one) for unit, one in evidence.items()} if number == 0 else {}
-        came = searched(todo, trials, placebos, run)
+        guessed = _guessed(found, todo, candidates)
+        placebos = {unit: one.placebo for unit, one in guessed.items()} if number == 0 else {}
+        came = searched(todo, {unit: one.alone for unit, one in guessed.items()}, placebos, run)
         for unit in _deferred(found, came):
             del came[unit]
         for unit, one in came.items():
@@ -65,7 +66,7 @@ def searches(
             if one.taken is not None:
                 standings[unit] = one.taken.standing
         if number < _FAMILY_ROUNDS:
-            _families(found, candidates, run, evidence, rounds, standings)
+            _families(found, guessed, run, rounds, standings)
     models = dict(found.bench.models())
     for standing in standings.values():
         models.update(standing.models)
@@ -111,22 +112,19 @@ def _in_company(
 
 def _families(
     found: Compared,
-    candidates: Mapping[str, Candidate],
+    guessed: Mapping[Unit, _Guessed],
     run: Run,
-    evidence: Mapping[Unit, Evidence],
     rounds: dict[Unit, list[Round]],
     standings: dict[Unit, Standing],
 ) -> None:
     """Shared causes in the place of those of the members, where they are better; the best first, and none for a sensor
     that has one already.
     """
-    trials = _shared_trials(found, evidence, standings, candidates)
+    trials = _shared_trials(found, guessed)
     missing = {(name,) for family in trials for name in family if (name,) not in standings}
     standings.update(_standing(found, sorted(missing), run))
     families = _standing(found, list(trials), run)
-    placebos = {
-        family: placebo_of(next(one for (name,), one in evidence.items() if name in family)) for family in trials
-    }
+    placebos = {family: next(one.placebo for (name,), one in guessed.items() if name in family) for family in trials}
     came = searched(families, trials, placebos, run)
     members = {
         family: tuple(rounds[(name,)][-1].taken for name in family if rounds.get((name,)) is not None)
@@ -146,12 +144,7 @@ def _families(
         standings.update(members_of(found.bench, won[family].standing, standings))
 
 
-def _shared_trials(
-    found: Compared,
-    evidence: Mapping[Unit, Evidence],
-    standings: Mapping[Unit, Standing],
-    candidates: Mapping[str, Candidate],
-) -> dict[Unit, list[Trial]]:
+def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Unit, list[Trial]]:
     """What shows only between sensors, by the sensors concerned: those of a chip of which two or more differ and whose
     common statistics do, or one and the other whose data it has.
     """
@@ -162,11 +155,9 @@ def _shared_trials(
     }
     headers = found.bench.base.headers
     units: dict[Unit, list[Trial]] = {}
-    for (name,), one in evidence.items():
-        family = tuple(other for (other,) in evidence if _is_alike(headers[other], headers[name]))
-        everything = _evidence(found, found.bench.split.both(found.campaign), standings[(name,)], True)
-        brief = [trial for trial in guesses_of(everything, candidates, shared=True) if trial.is_brief]
-        for trial in [*(one for one in guesses_of(one, candidates, shared=True) if not one.is_brief), *brief]:
+    for (name,), one in guessed.items():
+        family = tuple(other for (other,) in guessed if _is_alike(headers[other], headers[name]))
+        for trial in one.shared:
             unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
             if len(unit) > 1 and odd & set(unit):
                 units.setdefault(unit, []).append(trial)
@@ -217,30 +208,44 @@ def _is_open(found: Compared, standing: Standing, rounds: Sequence[Round]) -> bo
     return bool(np.nanmax(np.abs(pairs.sums(standing.scores) / norm)) > _MORE * found.located.limit)
 
 
-def _trials(
+class _Guessed(NamedTuple):
+    """What may explain what a sensor shows: trials for it `alone`, those that are `shared` with others, its placebo."""
+
+    alone: list[Trial]
+    shared: list[Trial]
+    placebo: Trial
+
+
+def _guessed(
     found: Compared, standings: Mapping[Unit, Standing], candidates: Mapping[str, Candidate]
-) -> tuple[dict[Unit, Evidence], dict[Unit, list[Trial]]]:
-    """What each sensor shows on the training part, and what may explain it; what is not seen there is looked for in
-    both.
-    """
+) -> dict[Unit, _Guessed]:
+    """By what each sensor shows on the training part; what is not seen there is looked for in both."""
     train, both = found.bench.split.train(found.campaign), found.bench.split.both(found.campaign)
-    evidence = {unit: _evidence(found, train, standing, False) for unit, standing in standings.items()}
-    trials = {}
+    guessed = {}
     for unit, standing in standings.items():
-        lasting = [one for one in guesses_of(evidence[unit], candidates) if not one.is_brief]
-        known = {one.name for one in lasting}
+        evidence = _evidence(found, train, standing, False)
+        lasting = [one for one in guesses_of(evidence, candidates) if not one.is_brief]
         everything = guesses_of(_evidence(found, both, standing, True), candidates)
-        brief = [one if one.is_brief else replace(one, whole=True) for one in everything if one.name not in known]
-        trials[unit] = lasting + brief
-    return evidence, trials
+        known = {one.name for one in lasting if not one.shared}
+        late = [
+            one if one.is_brief else replace(one, whole=True)
+            for one in everything
+            if not one.shared and one.name not in known
+        ]
+        brief = [one for one in everything if one.shared and one.is_brief]
+        guessed[unit] = _Guessed(
+            [*(one for one in lasting if not one.shared), *late],
+            [*(one for one in lasting if one.shared), *brief],
+            placebo_of(evidence),
+        )
+    return guessed
 
 
 def _evidence(found: Compared, side: Side, standing: Standing, whole: bool) -> Evidence:
     """What a lone sensor shows, on the training part or on both; what it shares with others is as under the base."""
     bench, (name,) = found.bench, standing.unit
-    every, alone = (bench.columns(standing.unit, cross=cross) for cross in (True, False))
+    every, mine = bench.columns(standing.unit, cross=True), bench.among(standing.unit, standing.unit)
     expected, scores = found.judged.likeness.location[every], found.judged.parts[every]
-    mine = np.isin(every, alone)
     expected[mine], scores[mine] = standing.likeness.location, standing.scores
     chosen = np.ones(len(every), bool) if whole else ~bench.held_out[every]
     keys = [bench.keys[at] for at in every[chosen]]

@@ -21,7 +21,7 @@ from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.evidence import Evidence
 from imuarray.gap.likeness import independent_share
 from imuarray.gap.refine import Tried, factors_of, look, refine
-from imuarray.gap.standing import NUMBERS, Standing, Unit, compared, gain_of
+from imuarray.gap.standing import NUMBERS, Standing, Unit, compared, gains_of
 from imuarray.gap.workers import Run
 from imuarray.simulate.effects.tone import Tone
 
@@ -97,10 +97,9 @@ class Round:
         return _log_odds(self.before, self.confirmed)
 
 
-def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate], *, shared: bool = False) -> list[Trial]:
-    """All trials for one sensor; `shared`: those for all units of its chip instead."""
-    found = [trial for candidate in candidates.values() for trial in candidate.guesses(evidence)]
-    return [trial for trial in found if trial.shared == shared]
+def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[Trial]:
+    """All trials that one sensor suggests."""
+    return [trial for candidate in candidates.values() for trial in candidate.guesses(evidence)]
 
 
 def placebo_of(evidence: Evidence) -> Trial:
@@ -141,10 +140,7 @@ def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
 def replicate_of(bench: Bench, standing: Standing, number: int) -> Floats:
     """(n,) the unit's statistics in one replicate of its models; what a lone sensor shares with others is left out."""
     values = bench.replicate(standing.models, number, company=standing.company).values
-    if len(standing.unit) > 1:
-        return values
-    every, own = (bench.columns(standing.unit, cross=cross) for cross in (True, False))
-    return np.asarray(values[np.isin(every, own)])
+    return np.asarray(values[bench.among(standing.unit, standing.unit)])
 
 
 def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
@@ -155,11 +151,11 @@ def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
     likeness, moved = compared(standing, values)
     columns, before = bench.own(standing.unit), standing.likeness
     out = bench.held_out[columns]
-    train_gain, gain = (gain_of(standing, likeness, moved, part) for part in (~out, out))
+    gains = gains_of(standing, likeness, moved)
+    train_gain, gain = (float(gains[part].sum()) for part in (~out, out))
     if tried.trial.is_brief:
         gain = (train_gain + gain) / 2 - _BRIEF
-    alone = gain_of(standing, likeness, moved, ~bench.is_of_motion[columns])
-    share = alone / max(gain_of(standing, likeness, moved), 1e-9)
+    share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
     touched = (np.abs(moved) > before.scale) | (np.abs(np.log(likeness.scale / before.scale)) > _WIDER)
     independent = independent_share(likeness.scores(values)[:, touched]) if touched.any() else standing.independent
     stands = replace(changed, likeness=likeness, values=values)

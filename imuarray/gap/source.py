@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from imuarray.log import Log, SensorLog
+from imuarray.log import SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.log.headers import recorded_header
 from imuarray.log.writer import Block
@@ -88,11 +88,6 @@ class SimulatedSource:
             else:
                 high = middle
         return low
-
-
-def recorded_sources(log: Log) -> dict[str, Source]:
-    """The triads of an open log, by name."""
-    return {name: RecordedSource(sensor) for name, sensor in log.sensors.items() if sensor.is_triad}
 
 
 def simulated_sources(simulation: Simulation) -> dict[str, Source]:

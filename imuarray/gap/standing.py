@@ -19,8 +19,6 @@ Floats = npt.NDArray[np.float64]
 Unit = tuple[str, ...]
 """Names of sensors that are looked at together."""
 
-AXES = ("x", "y", "z")
-
 REPLICATES = 8
 """By which a refined trial is judged."""
 
@@ -103,13 +101,10 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     return Likeness(location, scale, np.asarray(always), silent, before.location + moved, before.scale), shift
 
 
-def gain_of(
-    standing: Standing, likeness: Likeness, moved: Floats, columns: npt.NDArray[np.bool_] | slice = slice(None)
-) -> float:
-    """Nats by which a change makes the recording's statistics in `columns` likelier."""
+def gains_of(standing: Standing, likeness: Likeness, moved: Floats) -> Floats:
+    """(n,) nats by which a change makes each of the recording's statistics likelier; they add up."""
     before = standing.likeness.log_density(standing.real)
-    after = likeness.log_density(standing.real, moved)
-    return standing.independent * float((after - before)[columns].sum())
+    return standing.independent * (likeness.log_density(standing.real, moved) - before)
 
 
 def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:

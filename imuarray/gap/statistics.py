@@ -25,7 +25,7 @@ ALL_LOGS = -1
 WHOLE_LOG = -1
 """The phase's number of a statistic of several phases; its phase's name is empty."""
 
-_AXES = ("x", "y", "z")
+AXES = ("x", "y", "z")
 
 _NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
 """Statistics in logs of the sensor's unit to a power: as many logs of the fitted noise are taken from them."""
@@ -81,7 +81,7 @@ def statistics(campaign: Campaign) -> Statistics:
     resolutions: list[float] = []
     for found in _all(campaign):
         value = np.atleast_1d(found.value)
-        here = _keys(found.log, found.sensor, found.phase, found.phase_number, found.probe, len(value) == len(_AXES))
+        here = _keys(found.log, found.sensor, found.phase, found.phase_number, found.probe, len(value) == len(AXES))
         keys += here
         values.append(value)
         resolutions += [found.resolution] * len(here)
@@ -103,14 +103,14 @@ def _predictions(keys: Sequence[Key], base: Base) -> Floats:
     predicted = np.zeros(len(keys))
     for place, key in enumerate(keys):
         if power := _NOISE_POWERS.get(key.probe, 0):
-            predicted[place] = power * math.log(noises[key.sensor][_AXES.index(key.axis)])
+            predicted[place] = power * math.log(noises[key.sensor][AXES.index(key.axis)])
     return predicted
 
 
 @lru_cache(maxsize=1 << 15)
 def _keys(log: int, sensor: str, phase: str, phase_number: int, probe: str, by_axis: bool) -> tuple[Key, ...]:
     """Of one probe at one place; every replicate has the same."""
-    axes = _AXES if by_axis else ("",)
+    axes = AXES if by_axis else ("",)
     return tuple(Key(log, sensor, axis, phase, phase_number, PROBES[probe].domain, probe) for axis in axes)
 
 

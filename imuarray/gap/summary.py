@@ -19,7 +19,6 @@ from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 from imuarray.gap.haar import Haar, HaarTally
 from imuarray.gap.segments import Segments, SegmentTally, Temperature
-from imuarray.gap.source import Source
 from imuarray.gap.status import IntervalMoments, Intervals, StatusTally
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
@@ -136,14 +135,3 @@ class Tally:
         for axis in range(3):
             self._codes[axis] = self._codes[axis].merge(histogram(block.counts[:, axis]))
             self._steps[axis] = self._steps[axis].merge(histogram(np.abs(steps[axis]).astype(np.int64)))
-
-
-def summarise(source: Source, phase: Phase, temperature: Temperature, grid: Grid | None = None) -> Summary:
-    """One sensor in one phase; `grid` as wanted, else the one for its number of rows. A phase without rows has a
-    summary of nan.
-    """
-    chosen = grid or Grid.of(source.rows(phase.start_ns, phase.end_ns))
-    tally = Tally(source.header, phase, chosen)
-    for block in source.blocks(phase.start_ns, phase.end_ns):
-        tally.update(block)
-    return tally.result(temperature)

@@ -16,7 +16,7 @@ from imuarray.gap.base_model import fit
 from imuarray.gap.bench import Bench
 from imuarray.gap.campaign import Campaign
 from imuarray.gap.compare import Compared, compared_with_base, settled
-from imuarray.gap.judgement import where_of
+from imuarray.gap.judgement import Told, where_of
 from imuarray.gap.likeness import likeness_of
 from imuarray.gap.workers import processes, runner
 from imuarray.simulate import parse_model
@@ -135,7 +135,9 @@ def test_sizes_are_in_the_units_of_the_statistic() -> None:
     """0.06 g per g^2 along x: the mean of the faces +x and -x is off by 0.06 g."""
     bench, campaign = recorded({"A2": (Nonlinearity(quadratic=(0.06, 0.0, 0.0)),)}, 3, Tumble(4.0, 1.0), "tumble")
     found = compared_with_base(bench, campaign, Run(bench), 40)
-    told = where_of(bench, campaign, found.pairs, found.judged, found.located.found, ["tumble.h5"], found.located.found)
+    told = where_of(
+        Told(bench, campaign, found.pairs, ["tumble.h5"]), found.judged, found.located.found, found.located.found
+    )
     (square,) = [one for one in told if one.statistic == "force_square"]
     assert (square.sensor, square.axis, square.unit) == ("A2", "x", "g/g^2")
     assert square.real - square.simulated == pytest.approx(0.06, abs=0.002)

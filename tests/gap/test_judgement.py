@@ -20,6 +20,7 @@ from imuarray.gap.judgement import (
     EXPLAINED,
     PARTLY,
     Judged,
+    Told,
     floor_of,
     gap_of,
     judged,
@@ -191,7 +192,7 @@ def test_a_statistic_in_its_units() -> None:
     """A line of 0.04 dps in noise of 0.05 dps; 20 s of 100 rows/s."""
     found = found_in(LINE)
     places = list(found.located.found)
-    told = where_of(found.bench, found.campaign, found.pairs, found.judged, places, ["a.h5"], found.located.found)
+    told = where_of(Told(found.bench, found.campaign, found.pairs, ["a.h5"]), found.judged, places, found.located.found)
     worst = next(one for one in told if one.statistic == "noise_excess" or one.statistic == "line")
     assert (worst.log, worst.sensor, worst.axis, worst.phase) == ("a.h5", "G1", "y", "static")
     assert worst.p == found.located.found[places[told.index(worst)]]
@@ -210,7 +211,7 @@ def labelled(logs: Sequence[tuple[str, Motion]]) -> list[tuple[str, str, int, in
     one = Judged(np.zeros(len(pairs.keys)), np.zeros(count), np.zeros(count), plain, 0.5, 4.0)
     places = [at for at, item in enumerate(pairs.keys) if item.probe == "mean" and item.axis == "x"]
     names = [f"log {number}" for number in range(len(logs))]
-    told = where_of(bench, campaign, pairs, one, places, names, {})
+    told = where_of(Told(bench, campaign, pairs, names), one, places, {})
     return [
         (found.log, found.phase, int(pairs.train[at]), int(pairs.held_out[at]))
         for at, found in zip(places, told, strict=True)

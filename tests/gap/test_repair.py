@@ -13,6 +13,7 @@ from imuarray.array import parse_array
 from imuarray.gap.at_rest import Fitted
 from imuarray.gap.base_model import Base
 from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.campaign import summarise_phase
 from imuarray.gap.candidates import CANDIDATES
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.recordings import recordings_of
@@ -20,7 +21,6 @@ from imuarray.gap.repair import repaired
 from imuarray.gap.search import Run
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.split import Split
-from imuarray.gap.summary import summarise
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate import Simulation
@@ -169,7 +169,7 @@ def test_a_simulation_of_the_file_shows_the_line() -> None:
     made = Simulation.of_array(parse_array(ARRAY), motion, model, frame_rate_hz=RATE_HZ, seconds=motion.seconds, seed=3)
     (phase,) = phases_of(motion)
     for name, is_there in (("G1", True), ("G2", False)):
-        spectrum = summarise(simulated_sources(made)[name], phase, temperature_of(motion)).spectrum
+        spectrum = summarise_phase(simulated_sources(made), phase, 0, temperature_of(motion)).sensors[name].spectrum
         density = spectrum.density[1:, 1]
         assert (density.max() > 8 * np.median(density)) == is_there
         if is_there:
