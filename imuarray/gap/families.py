@@ -22,7 +22,7 @@ def together(bench: Bench, asked: tuple[Standing, tuple[Confirmed, ...]]) -> Con
     family, members = asked
     models = dict(family.models)
     for one in members:
-        models.update(one.standing.models)
+        models.update({name: model for name, model in one.standing.models.items() if name in models})
     first = members[0].trial if members else Trial(())
     return confirmed(bench, family, Tried(first, models, 0.0))
 
@@ -31,6 +31,15 @@ def shared_wins(family: Round, members: Confirmed) -> Confirmed | None:
     """The shared cause, if it is worth it and beats those of the members."""
     best = family.taken
     return best if best is not None and best.gain > members.gain else None
+
+
+def staying_beside(family: Round, members: Sequence[Confirmed]) -> tuple[Confirmed, ...]:
+    """Causes of members that are something else than the shared one, and gain more than their part of what it does."""
+    best = family.taken
+    if best is None:
+        return ()
+    part = best.gain / len(best.standing.unit)
+    return tuple(one for one in members if one.gain > part and one.trial.name != best.trial.name)
 
 
 def members_of(bench: Bench, family: Standing, standings: Mapping[Unit, Standing]) -> dict[Unit, Standing]:

@@ -65,34 +65,33 @@ class Tried:
 
 def look(bench: Bench, standing: Standing, trial: Trial) -> Tried:
     """The gain of a trial as it was guessed."""
-    seen = _seen(bench, standing, standing.changed(trial), trial.is_brief)
-    if seen is None:
-        return Tried(trial)
-    return Tried(trial, seen.settled, _gain(standing, seen))
+    found = _simulated(bench, standing, trial, standing.changed(trial))
+    return Tried(trial) if found is None else found.tried
 
 
 def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
-    """The trial with its free parameters fitted; the best of all steps."""
-    seen = _seen(bench, standing, standing.changed(trial), trial.is_brief)
-    if seen is None:
+    """The trial with its free parameters fitted, and the ordinary ones as they came out or once more re-adapted; the
+    best of all steps, each as it was simulated.
+    """
+    now = _simulated(bench, standing, trial, standing.changed(trial))
+    if now is None:
         return Tried(trial)
-    best = Tried(trial, seen.settled, _gain(standing, seen))
+    best = now
     for _ in range(STEPS):
-        factors = factors_of(trial)
+        factors = factors_of(now.tried.trial)
         if not factors:
             break
-        slopes = _slopes(bench, standing, trial, factors, seen)
-        steps = _step(standing, seen, slopes)
-        trial = _moved(trial, factors, steps)
-        models = _with_fitted(standing.changed(trial), seen.settled)
-        after = _seen(bench, standing, models, trial.is_brief)
+        steps = _step(standing, now.seen, _slopes(bench, standing, now.tried.trial, factors, now.seen))
+        moved = _moved(now.tried.trial, factors, steps)
+        after = _simulated(bench, standing, moved, _with_fitted(standing.changed(moved), now.seen.settled))
         if after is None:
             break
-        seen = after
-        best = max(best, Tried(trial, seen.settled, _gain(standing, seen)), key=lambda one: one.gain)
+        now, best = after, max(best, after, key=_gained)
         if np.abs(steps).max() < _DONE:
             break
-    return _pruned(bench, standing, best)
+    settled = _with_fitted(standing.changed(best.tried.trial), best.seen.settled)
+    again = _simulated(bench, standing, best.tried.trial, settled)
+    return _pruned(bench, standing, best if again is None else max(best, again, key=_gained)).tried
 
 
 def factors_of(trial: Trial) -> list[Factor]:
@@ -122,6 +121,23 @@ class _Seen(NamedTuple):
     settled: Models
 
 
+class _Simulated(NamedTuple):
+    """A trial with the models that were simulated, and what these make."""
+
+    tried: Tried
+    seen: _Seen
+
+
+def _gained(one: _Simulated) -> float:
+    return one.tried.gain
+
+
+def _simulated(bench: Bench, standing: Standing, trial: Trial, models: Models) -> _Simulated | None:
+    """A trial as it is with these models; None for parameters that an effect refuses."""
+    seen = _seen(bench, standing, models, trial.needs_both)
+    return None if seen is None else _Simulated(Tried(trial, models, _gain(standing, seen, trial)), seen)
+
+
 def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _Seen | None:
     """Of the training part, or of both (`whole`); None for parameters that an effect refuses."""
     try:
@@ -139,9 +155,10 @@ def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _See
     return _Seen(values, likeness, moved, standing.settled(models, [one.fitted for one in found]))
 
 
-def _gain(standing: Standing, seen: _Seen) -> float:
-    """Of the training part: the rest stands as it was."""
-    return float(gains_of(standing, seen.likeness, seen.moved).sum())
+def _gain(standing: Standing, seen: _Seen, trial: Trial) -> float:
+    """Of the training part, the rest stands as it was; of a trial that needs both the mean of what they gain."""
+    gain = float(gains_of(standing, seen.likeness, seen.moved).sum())
+    return gain / 2 if trial.needs_both else gain
 
 
 def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Factor], seen: _Seen) -> Floats:
@@ -162,7 +179,7 @@ def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Fa
             steps = np.zeros(len(factors))
             steps[members] = nudge
             models = _with_fitted(standing.changed(_moved(trial, factors, steps)), seen.settled)
-            nudged = _seen(bench, standing, models, trial.is_brief)
+            nudged = _seen(bench, standing, models, trial.needs_both)
             if nudged is not None:
                 break
         else:
@@ -215,21 +232,19 @@ def _with_fitted(models: Models, settled: Models) -> Models:
     return {name: replace(model, fitted=settled[name].fitted) for name, model in models.items()}
 
 
-def _pruned(bench: Bench, standing: Standing, tried: Tried) -> Tried:
+def _pruned(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
     """Without the axes that gain too little, where an axis of 0 is without the effect."""
-    active = _active_axes(tried.trial)
-    seen = (
-        None if tried.models is None or len(active) < 2 else _seen(bench, standing, tried.models, tried.trial.is_brief)
-    )
-    if tried.models is None or seen is None:
-        return tried
-    gains = gains_of(standing, seen.likeness, seen.moved)
+    active = _active_axes(found.tried.trial)
+    if len(active) < 2:
+        return found
+    gains = gains_of(standing, found.seen.likeness, found.seen.moved)
     idle = {axis for axis in active if gains[_of_axis(bench, standing, axis)].sum() < _AXIS_GAIN}
     if not idle or len(idle) == len(active):
-        return tried
-    trial = replace(tried.trial, effects=tuple(_without(effect, idle) for effect in tried.trial.effects))
-    seen = _seen(bench, standing, _with_fitted(standing.changed(trial), tried.models), trial.is_brief)
-    return tried if seen is None else replace(tried, trial=trial, models=seen.settled, gain=_gain(standing, seen))
+        return found
+    trial = found.tried.trial
+    fewer = replace(trial, effects=tuple(_without(effect, idle) for effect in trial.effects))
+    models = _with_fitted(standing.changed(fewer), found.seen.settled)
+    return _simulated(bench, standing, fewer, models) or found
 
 
 def _of_axis(bench: Bench, standing: Standing, axis: int) -> npt.NDArray[np.bool_]:

@@ -13,7 +13,7 @@ from imuarray.gap.bench import Bench, Modelled
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.compare import Compared
 from imuarray.gap.evidence import Evidence, Scored, evidence_of
-from imuarray.gap.families import members_of, shared_wins, together, unlike
+from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.pairs import spread_of
 from imuarray.gap.search import Round, guesses_of, placebo_of, replicate_of, searched
@@ -118,19 +118,24 @@ def _families(
     standings: dict[Unit, Standing],
 ) -> None:
     """Shared causes in the place of those of the members, where they are better; the best first, and none for a sensor
-    that has one already.
+    that has one already. Causes of members that gain more than their part of the shared one stay beside it.
     """
     trials = _shared_trials(found, guessed)
     missing = {(name,) for family in trials for name in family if (name,) not in standings}
     standings.update(_standing(found, sorted(missing), run))
-    families = _standing(found, list(trials), run)
+    families = dict(_standing(found, list(trials), run))
     placebos = {family: next(one.placebo for (name,), one in guessed.items() if name in family) for family in trials}
     came = searched(families, trials, placebos, run)
-    members = {
-        family: tuple(rounds[(name,)][-1].taken for name in family if rounds.get((name,)) is not None)
-        for family in trials
-    }
-    asked = [(families[family], tuple(one for one in members[family] if one is not None)) for family in trials]
+    taken = {name: own[-1].taken for (name, *more), own in rounds.items() if not more}
+    members = {family: tuple(one for name in family if (one := taken.get(name)) is not None) for family in trials}
+    staying = {family: staying_beside(came[family], members[family]) for family in trials}
+    several = [family for family in trials if staying[family]]
+    for family, one in zip(several, run(together, [(families[one], staying[one]) for one in several]), strict=True):
+        families[family] = one.standing
+    came.update(searched({one: families[one] for one in several}, {one: trials[one] for one in several}, placebos, run))
+    asked = [
+        (families[family], tuple(one for one in members[family] if one not in staying[family])) for family in trials
+    ]
     alone = dict(zip(trials, run(together, asked), strict=True))
     won = {family: best for family in trials if (best := shared_wins(came[family], alone[family])) is not None}
     served: set[str] = set()
@@ -138,7 +143,8 @@ def _families(
         if served & set(family):
             continue
         served |= set(family)
-        for name in family:
+        kept = {name for one in staying[family] for name in one.standing.unit}
+        for name in set(family) - kept:
             rounds.pop((name,), None)
         rounds[family] = [came[family]]
         standings.update(members_of(found.bench, won[family].standing, standings))
@@ -188,6 +194,7 @@ def _bare(found: Compared, unit: Unit) -> Standing:
         np.zeros((0, len(columns))),
         {name: found.real.fitted[name] for name in unit},
         independent_share(likeness.scores(chance)),
+        probes=np.unique([bench.keys[at].probe for at in columns], return_inverse=True)[1],
     )
 
 
@@ -224,15 +231,11 @@ def _guessed(
     guessed = {}
     for unit, standing in standings.items():
         evidence = _evidence(found, train, standing, False)
-        lasting = [one for one in guesses_of(evidence, candidates) if not one.is_brief]
+        lasting = [one for one in guesses_of(evidence, candidates) if not one.needs_both]
         everything = guesses_of(_evidence(found, both, standing, True), candidates)
         known = {one.name for one in lasting if not one.shared}
-        late = [
-            one if one.is_brief else replace(one, whole=True)
-            for one in everything
-            if not one.shared and one.name not in known
-        ]
-        brief = [one for one in everything if one.shared and one.is_brief]
+        late = [replace(one, whole=True) for one in everything if not one.shared and one.name not in known]
+        brief = [one for one in everything if one.shared and one.needs_both]
         guessed[unit] = _Guessed(
             [*(one for one in lasting if not one.shared), *late],
             [*(one for one in lasting if one.shared), *brief],

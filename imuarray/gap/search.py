@@ -153,13 +153,13 @@ def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
     out = bench.held_out[columns]
     gains = gains_of(standing, likeness, moved)
     train_gain, gain = (float(gains[part].sum()) for part in (~out, out))
-    if tried.trial.is_brief:
+    if tried.trial.needs_both:
         gain = (train_gain + gain) / 2 - _BRIEF
     share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
     touched = (np.abs(moved) > before.scale) | (np.abs(np.log(likeness.scale / before.scale)) > _WIDER)
     independent = independent_share(likeness.scores(values)[:, touched]) if touched.any() else standing.independent
     stands = replace(changed, likeness=likeness, values=values)
-    counted = np.ones_like(out) if tried.trial.is_brief else out
+    counted = np.ones_like(out) if tried.trial.needs_both else out
     closes = _squares(stands.scores[counted]) <= _squares(standing.scores[counted])
     return Confirmed(tried, stands, train_gain, gain, share, independent, closes)
 
@@ -203,7 +203,9 @@ def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool) ->
     odds = _log_odds(standing, real)
     ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
     least = ACCEPTED + max(bar, 0.0)
-    good = [one for one in ranked if one.closes and one.gain > least and (one.train_gain > WORTH or one.trial.is_brief)]
+    good = [
+        one for one in ranked if one.closes and one.gain > least and (one.train_gain > WORTH or one.trial.needs_both)
+    ]
     return Round(standing, ranked, bar, good[0] if good else None)
 
 

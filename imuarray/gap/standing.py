@@ -34,7 +34,8 @@ class Standing:
     """A unit: its `models`, what n statistics are in the recording (`real`) and what the models make of them, in
     general (`likeness`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
     what the fit of the recording gave, `independent` the share of the statistics that is. `company` are the models of
-    other sensors, which statistics of motion are told by.
+    other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes: statistics of one scatter
+    alike (none: nothing is known of that).
     """
 
     unit: Unit
@@ -45,6 +46,7 @@ class Standing:
     wanted: Mapping[str, Fitted]
     independent: float
     company: Models = field(default_factory=dict)
+    probes: npt.NDArray[np.intp] | None = field(default=None, repr=False)
 
     @property
     def scores(self) -> Floats:
@@ -81,6 +83,8 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     """
     before, without = standing.likeness, standing.values[: len(values)]
     moved, came = values - without, np.isfinite(values)
+    if standing.probes is not None:
+        moved = moved * _kept(moved / before.scale, standing.probes)
     known = np.isfinite(moved).any(axis=0)
     shift = np.zeros(moved.shape[1])
     shift[known] = np.nanmean(moved[:, known], axis=0)
@@ -98,7 +102,17 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     location[never & before.always] = np.nan
     always = (before.always & came.all(axis=0)) | fresh
     silent = np.asarray(never & (before.never | before.always))
-    return Likeness(location, scale, np.asarray(always), silent, before.location + moved, before.scale), shift
+    return Likeness(location, scale, np.asarray(always), silent, *_branched(before, moved, shift)), shift
+
+
+def _branched(before: Likeness, moved: Floats, shift: Floats) -> tuple[Floats, Floats]:
+    """Where each replicate takes the statistics (k, n), on top of where effects that were there before take it, and how
+    wide they scatter there (n,); a replicate without the change moves as they do on average.
+    """
+    if before.branches is None or before.width is None:
+        return before.location + moved, before.scale
+    rest = np.broadcast_to(shift, (max(0, len(before.branches) - len(moved)), len(shift)))
+    return before.branches + np.concatenate([moved, rest])[: len(before.branches)], before.width
 
 
 def gains_of(standing: Standing, likeness: Likeness, moved: Floats) -> Floats:
@@ -107,17 +121,34 @@ def gains_of(standing: Standing, likeness: Likeness, moved: Floats) -> Floats:
     return standing.independent * (likeness.log_density(standing.real, moved) - before)
 
 
+def _kept(moved: Floats, probes: npt.NDArray[np.intp]) -> Floats:
+    """(n,) how much of what each statistic moved by (r, n), in standard deviations, the change did.
+
+    Where a change makes noise fall otherwise, pairs differ by chance alone; what that adds to the mean of r of them is
+    told from their scatter, for all statistics of a probe together, and the rest by how far the means are apart
+    (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc. 68, 1973).
+    """
+    known = np.isfinite(moved).all(axis=0)
+    kept = np.ones(moved.shape[1])
+    for probe in np.unique(probes[known]) if len(moved) > 1 else ():
+        own = moved[:, known & (probes == probe)]
+        by_chance = min(float(own.var(axis=0, ddof=1).mean()), _INDEPENDENT) / len(own)
+        square = float((own.mean(axis=0) ** 2).mean())
+        kept[probes == probe] = max(0.0, 1 - by_chance / square) if square > 0 else 0.0
+    return kept
+
+
 def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
     """(n,) by how much a change widens or narrows the scatter, from replicates with and without it.
 
     Where a pair agrees closely even a few replicates tell; the log of the ratio is shrunk by how uncertain it is, as
-    the correlation of the pairs says. Few pairs tell only what their differences add.
+    the correlation of the pairs says. Few pairs tell only what their differences add to those of independent ones.
     """
     if len(values) < _PAIRS:
         several = np.isfinite(values - without).sum(axis=0) > 1
         added = np.zeros(values.shape[1])
-        added[several] = np.nanstd((values - without)[:, several], axis=0, ddof=1)
-        return np.asarray(np.hypot(1.0, added / scale))
+        added[several] = np.nanvar((values - without)[:, several], axis=0, ddof=1)
+        return np.asarray(np.sqrt(1.0 + np.maximum(added / scale**2 - _INDEPENDENT, 0.0)))
     spreads = [np.nanstd(side, axis=0) for side in (values, without)]
     usable = (spreads[0] > 0) & (spreads[1] > 0) & np.isfinite(scale)
     ratio = np.ones(values.shape[1])
@@ -131,6 +162,9 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
 
 
 _PAIRS = 6
+_INDEPENDENT = 2.0
+"""Variance of the difference of two independent readings of variance 1."""
+
 _UNSURE = 0.1
 _TINY = 1e-12
 _SAME = 1e-9

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.bench import Bench
+from imuarray.gap.bench import Bench, Modelled
 from imuarray.gap.candidates import Trial
 from imuarray.gap.compare import compared_with_base
-from imuarray.gap.families import members_of, shared_wins, together, unlike
+from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.refine import Tried
 from imuarray.gap.search import Confirmed, Round, confirmed
 from imuarray.gap.standing import Standing
@@ -19,7 +19,7 @@ from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.still import Still
 from tests.gap.test_bench import Run, prepared
 from tests.gap.test_refine import standing_of
-from tests.gap.test_standing import drawn
+from tests.gap.test_standing import FITTED, drawn
 from tests.gap.test_standing import standing as by_hand
 
 BOTH = ("A1", "A2")
@@ -45,6 +45,19 @@ def test_what_is_shared_has_to_be_taken_and_to_gain_more(shared: float | None, m
     best = None if shared is None else found(shared)
     round_ = Round(by_hand([0.0], drawn(1)), () if best is None else (best,), 0.0, best)
     assert shared_wins(round_, found(members)) is (best if is_shared else None)
+
+
+def test_what_stays_beside_a_shared_cause() -> None:
+    """A line that gains more than a member's part, 20 of 2; not what gains less, nor another of the shared kind."""
+    shared = found(40.0)
+    shared = replace(
+        shared, tried=Tried(SWAP), standing=by_hand([0.0], drawn(1), models={name: Modelled(FITTED) for name in BOTH})
+    )
+    line, weak = (replace(found(gain), tried=Tried(Trial((Tone(1.0, 5.0),)))) for gain in (20.5, 19.5))
+    same = replace(found(30.0), tried=Tried(SWAP))
+    round_ = Round(by_hand([0.0], drawn(1)), (shared,), 0.0, shared)
+    assert staying_beside(round_, (line, weak, same)) == (line,)
+    assert staying_beside(replace(round_, taken=None), (line,)) == ()
 
 
 def test_trials_of_all_members_are_tried_once() -> None:

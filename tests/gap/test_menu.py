@@ -145,7 +145,7 @@ def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
     rounds = {("A1",): [replace(one, confirmed=(one.confirmed[0], other))]}
     said = next_experiment(bench, Searched(rounds, {}), [cause("tone", "A1", rivals=["bias"])], [], [], Run(bench))
     assert said.startswith("Nothing on the menu (static, tumble, heating, turn-on) tells tone from bias of A1: at most")
-    assert float(re.findall(r"([\d.]+) nats", said)[0]) < LEAST
+    assert float(re.findall(r"([\d.]+) nats", said)[0]) <= LEAST  # as rounded
 
 
 @pytest.mark.usefixtures("_short")

@@ -232,7 +232,7 @@ def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_
     assert (found.taken is not None) == is_taken
 
 
-def test_what_is_brief_may_show_in_one_part_alone() -> None:
+def test_what_needs_both_may_show_in_one_part_alone() -> None:
     last = {"stuck": (-1.0, 30.0), "tone": (0.0, 0.0)}
     found, _ = round_of({"stuck": 9.0, "tone": 0.0}, last, Stuck(3.0, 1.0))
     assert found.taken is not None

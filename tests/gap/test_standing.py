@@ -188,3 +188,33 @@ def test_no_change_gains_nothing() -> None:
     likeness, moved = compared(unit, unit.values)
     assert gains_of(unit, likeness, moved).sum() == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(likeness.scores(unit.real), unit.scores)
+
+
+def test_noise_that_falls_otherwise_is_no_shift() -> None:
+    """300 statistics of one probe drawn anew, which differ by sqrt(2 / 8) from those before, and 300 of another that
+    move by 0.4: what the first seem to have moved is taken for chance, and the second keep what they moved.
+    """
+    without, anew = drawn(600, 3), drawn(600, 4)
+    anew[:, 300:] = without[:, 300:] + 0.4
+    unit = standing([0.0] * 600, without)
+    _, all_moved = compared(unit, anew)
+    assert all_moved[:300].std() == pytest.approx(0.5, rel=0.15)
+    likeness, moved = compared(replace(unit, probes=np.repeat([0, 1], 300)), anew)
+    assert moved[:300].std() < 0.15
+    np.testing.assert_allclose(moved[300:], 0.4, rtol=1e-9)
+    assert likeness.branches is not None
+    np.testing.assert_allclose(likeness.branches[0, 300:], 0.4, rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [LOOKS, REPLICATES])
+def test_where_an_earlier_effect_takes_a_statistic_it_still_does(count: int) -> None:
+    """To 0 or to 10, by the boot; a later change that does nothing to it makes no reading likelier or less likely."""
+    without = drawn(1, 5)
+    states = without + np.array([0.0, 10.0] * (REPLICATES // 2))[:, None]
+    unit = standing([10.0], without)
+    first, _ = compared(unit, states)
+    after = replace(unit, likeness=first, values=states)
+    likeness, moved = compared(after, states[:count].copy())
+    np.testing.assert_allclose(gains_of(after, likeness, moved), 0.0, atol=1e-6)
+    later, moved = compared(after, states[:count] + 1.0)
+    assert gains_of(replace(after, real=np.array([11.0])), later, moved) > 0.1

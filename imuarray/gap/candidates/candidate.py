@@ -49,11 +49,12 @@ class Trial:
         return self.effects[0].name if self.effects else self.removed
 
     @property
-    def is_brief(self) -> bool:
-        """Whether both parts are needed to see it: it begins at some time within a log, or lies between two logs."""
-        return any(
-            isfinite(getattr(effect, "onset_s", 0.0)) and getattr(effect, "onset_s", 0.0) > 0 for effect in self.effects
-        )
+    def needs_both(self) -> bool:
+        """Whether both parts are needed to see it: neither shows it without the other (`whole`), or it begins at some
+        time within a log, or lies between two logs.
+        """
+        onsets = [getattr(effect, "onset_s", 0.0) for effect in self.effects]
+        return self.whole or any(isfinite(onset) and onset > 0 for onset in onsets)
 
     @property
     def action(self) -> Action:

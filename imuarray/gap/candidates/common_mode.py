@@ -15,6 +15,7 @@ from imuarray.gap.candidates.slow import longest_s, wander_of
 from imuarray.gap.cross import Cross
 from imuarray.gap.evidence import Evidence, Seen
 from imuarray.simulate.effects.common_mode import CommonMode
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 
 Floats = npt.NDArray[np.float64]
 
@@ -29,16 +30,13 @@ _LEAST = 4
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
     and straight lines taken out; its time constant by that of the sensor's wander, another one slower. Of two
-    logs, what they differ by, constant within each.
+    logs, what they differ by, constant within each: alone, and with what the others don't share of it.
     """
     yield from with_removal(evidence, CommonMode.name, _found(evidence))
 
 
 def _found(evidence: Evidence) -> Iterator[Trial]:
-    change = change_between_logs(evidence)
-    if change.any():
-        a, b, c = (np.abs(change) / np.sqrt(2)).tolist()
-        yield Trial((CommonMode((a, b, c), _FOR_EVER_S),), shared=True, whole=True)
+    yield from _between_logs(evidence)
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
     pairs = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
@@ -54,6 +52,23 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     time_constant_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
     for time_s in (time_constant_s, min(_APART * time_constant_s, 3 * longest_s(evidence))):
         yield Trial((CommonMode((x, y, z), time_s),), ("rms", "time_constant_s"), shared=True)
+
+
+def _between_logs(evidence: Evidence) -> Iterator[Trial]:
+    """A change of level that the others have too, and beside it what this one's own differs from it."""
+    change = change_between_logs(evidence)
+    if not change.any():
+        return
+    own = np.where(np.abs(evidence.score("level_apart")) > _BEYOND, evidence.shift("level_apart"), 0.0)
+    common = np.where(change == 0, 0.0, change - own)
+    if not common.any():
+        return
+    a, b, c = (np.abs(common) / np.sqrt(2)).tolist()
+    shared = CommonMode((a, b, c), _FOR_EVER_S)
+    yield Trial((shared,), shared=True, whole=True)
+    if own.any():
+        x, y, z = (np.abs(own) / np.sqrt(2)).tolist()
+        yield Trial((shared, TurnOnBias((x, y, z))), shared=True, whole=True)
 
 
 def _covariance(seen: Sequence[tuple[Seen, Cross]], sensor: str, partners: Sequence[str]) -> Floats:

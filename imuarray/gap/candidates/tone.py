@@ -1,4 +1,4 @@
-"""`tone`: a line in the spectrum."""
+"""`tone`: a line in the spectrum, that stays where it is or drifts."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
+from scipy.stats import theilslopes
 
-from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.candidates.candidate import Candidate, Trial
+from imuarray.gap.candidates.lines import highest_lines, pooled
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.tone import Tone
@@ -25,31 +25,30 @@ _TRACES = (
 _BEYOND = 2.7
 _MAINS_HZ = (50.0, 60.0)
 
-_FIRST = 2
-_HALF_WIDTH = 2
-"""Bins on each side that a Hann window spreads a line over."""
-
-_BESIDE = 33
-_HIGH = 4.0
-"""A line is so many standard deviations above its neighbours' median, by the cube root of its density, which is about
-normal (Wilson and Hilferty, PNAS 17, 1931).
-"""
-
 _CLEAR = 2.0
 _LINES = 2
 
+_LEAST_PHASES = 5
+_DRIFTS, _SCATTER = 0.75, 0.25
+"""Bins by which a line has to move to drift, and the share of that by which it may leave a straight course."""
 
-class _Line(NamedTuple):
-    """At `bin` of a spectrum; `power` (3,) in squared counts, `height` (3,) over the floor in standard deviations."""
+_BETWEEN = 2.0
 
-    bin: float
+
+class _Sighting(NamedTuple):
+    """The highest line of one phase at rest: in which log, at `time_s` of it, `power` and `height` (3,)."""
+
+    log: int
+    time_s: float
+    hertz: float
+    bin_hz: float
     power: Floats
     height: Floats
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """The two highest lines of the mean spectrum at rest, at the frequency at which rows show them; at that of the
-    mains if it is where rows show these.
+    mains if it is where rows show these. One that is elsewhere in each phase, by its course.
     """
     yield from with_removal(evidence, Tone.name, _found(evidence), several=True)
 
@@ -57,52 +56,64 @@ def guesses(evidence: Evidence) -> Iterator[Trial]:
 def _found(evidence: Evidence) -> Iterator[Trial]:
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
-    spectrum = _pooled([one.raw.spectrum for one in evidence.still])
+    spectrum = pooled([one.raw.spectrum for one in evidence.still])
     if spectrum is None:
         return
-    known_hz = [effect.frequency_hz for effect in evidence.effects if isinstance(effect, Tone)]
+    known = [effect for effect in evidence.effects if isinstance(effect, Tone)]
     bin_hz = evidence.rows_per_s / spectrum.segment_rows
-    for line in _lines(spectrum, [_shown_hz(hertz, evidence.rows_per_s) / bin_hz for hertz in known_hz]):
-        power = np.where(line.height > _CLEAR, line.power, 0.0)
-        x, y, z = (np.sqrt(2 * power) / evidence.header.sensitivity).tolist()
-        yield Trial((Tone((x, y, z), _true_hz(line.bin * bin_hz, bin_hz, evidence.rows_per_s)),), ("amplitude",))
+    places = [_shown_hz(effect.frequency_hz, evidence.rows_per_s) / bin_hz for effect in known]
+    for line in highest_lines(spectrum, _LINES, places):
+        amplitude = _amplitude(evidence, line.power, line.height)
+        yield Trial((Tone(amplitude, _true_hz(line.bin * bin_hz, bin_hz, evidence.rows_per_s)),), ("amplitude",))
+    if not any(effect.drift_hz_per_h for effect in known):
+        yield from _drifting(evidence, [place * bin_hz for place in places])
 
 
-def _pooled(spectra: list[Spectrum]) -> Spectrum | None:
-    """The finest one, of all phases in which it is as fine; with freedom added up."""
-    known = [one for one in spectra if one.segments]
-    if not known:
-        return None
-    rows = max(one.segment_rows for one in known)
-    alike = [one for one in known if one.segment_rows == rows]
-    density = np.average([one.density for one in alike], axis=0, weights=[one.segments for one in alike])
-    freedom = np.sum([one.freedom for one in alike], axis=0)
-    first = alike[0]
-    runs = (first.rate_hz, rows, sum(one.segments for one in alike), sum(one.runs for one in alike))
-    return Spectrum(first.frequency_hz, density, freedom, *runs, sum(one.rows for one in alike), 0)
+def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Trial]:
+    """The line that is highest in most phases, if it moves straight on in each log. What a single log can't tell is
+    how far from there others begin: twice as far, it is taken, as it drifts in this one.
+    """
+    seen = list(_sightings(evidence, known_hz))
+    if len(seen) < max(_LEAST_PHASES, len(evidence.still) / 2):
+        return
+    logs, time_s, hertz = (np.array([getattr(one, name) for one in seen]) for name in ("log", "time_s", "hertz"))
+    centred = np.zeros((2, len(seen)))
+    for log in set(logs.tolist()):
+        own = logs == log
+        centred[:, own] = [value[own] - np.median(value[own]) for value in (time_s, hertz)]
+    if np.ptp(centred[0]) == 0:
+        return
+    slope = float(theilslopes(centred[1], centred[0]).slope)
+    length_s = np.ptp(time_s)
+    moved_hz = float(abs(slope) * length_s)
+    off_hz = float(np.median(np.abs(centred[1] - slope * centred[0])))
+    if moved_hz < _DRIFTS * max(one.bin_hz for one in seen) or off_hz > _SCATTER * moved_hz:
+        return
+    firsts = [float(np.median((hertz - slope * time_s)[logs == log])) for log in sorted(set(logs.tolist()))]
+    spread_hz = float(np.std(firsts, ddof=1)) if len(firsts) > 1 else _BETWEEN * moved_hz
+    power, height = (np.median([getattr(one, name) for one in seen], axis=0) for name in ("power", "height"))
+    first_hz = max(float(np.mean(firsts)), 0.0)
+    tone = Tone(
+        _amplitude(evidence, power, height), first_hz, frequency_spread_hz=spread_hz, drift_hz_per_h=3600 * slope
+    )
+    yield Trial((tone,), ("amplitude",))
 
 
-def _lines(spectrum: Spectrum, known: list[float]) -> Iterator[_Line]:
-    """The highest ones, those beside `known` bins left out."""
-    density = spectrum.density
-    floor = median_filter(density, size=(min(_BESIDE, len(density)), 1), mode="mirror")
-    floor = np.maximum(floor, 1e-12 * density.max())
-    height = (np.cbrt(density / floor) - 1) / np.sqrt(2 / (9 * spectrum.freedom))[:, None]
-    highest = height.max(axis=1)
-    highest[:_FIRST] = 0
-    bins = np.arange(len(density))
-    for place in known:
-        highest[np.abs(bins - place) <= _HALF_WIDTH + 1] = 0
-    for _ in range(_LINES):
-        peak = int(highest.argmax())
-        if highest[peak] < _HIGH:
-            return
-        near = np.abs(bins - peak) <= _HALF_WIDTH
-        excess = np.maximum(density - floor, 0.0)[near]
-        power = excess.sum(axis=0) / spectrum.segment_rows
-        at = float(np.average(bins[near], weights=excess.sum(axis=1)))
-        yield _Line(at, power, height[peak])
-        highest[near] = 0
+def _sightings(evidence: Evidence, known_hz: list[float]) -> Iterator[_Sighting]:
+    for one in evidence.still:
+        spectrum = one.raw.spectrum
+        if spectrum.segments == 0 or not one.raw.intervals.count:
+            continue
+        bin_hz = evidence.rows_per_s / spectrum.segment_rows
+        for line in highest_lines(spectrum, 1, [hertz / bin_hz for hertz in known_hz]):
+            time_s = float(np.nanmean(one.raw.segments.time_s))
+            yield _Sighting(one.log, time_s, line.bin * bin_hz, bin_hz, line.power, line.height)
+
+
+def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> tuple[float, float, float]:
+    """In the sensor's unit, of the axes on which the line is clear."""
+    x, y, z = (np.sqrt(2 * np.where(height > _CLEAR, power, 0.0)) / evidence.header.sensitivity).tolist()
+    return x, y, z
 
 
 def _shown_hz(hertz: float, rows_per_s: float) -> float:

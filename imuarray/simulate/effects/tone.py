@@ -14,10 +14,13 @@ from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
 @dataclass(frozen=True)
 class Tone(Effect):
-    """y = x + amplitude sin(2 pi frequency t + phase), t the instant at which the chip really samples.
+    """y = x + amplitude sin(2 pi (frequency + drift t / 2) t + phase), t the instant at which the chip really samples.
 
-    `amplitude` in the sensor's unit, `frequency_hz`, `phase_deg` at the log's epoch (nan: drawn at each boot, another
-    one for another frequency). The y axis of the paper's gyroscope has a peak near 50 Hz (Appendix A, Figure 14). In
+    `amplitude` in the sensor's unit, `phase_deg` at the log's epoch (nan: drawn at each boot, another one for another
+    frequency). At the log's epoch each boot has `frequency_hz`, with a standard deviation of `frequency_spread_hz`
+    between boots, and from there on it drifts by `drift_hz_per_h`: the beat of two oscillators does, which start
+    elsewhere each time and warm up. The y axis of the paper's gyroscope has a peak near 50 Hz (Appendix A, Figure 14);
+    lines of MPU-9150 units drift by 10 Hz an hour (recordings of Carlsson et al., IEEE Sensors J. 21(6), 2021). In
     data: a line in the spectrum, at |frequency - k rows_per_s| where it is polled too slowly; a hump in the Allan
     deviation.
     """
@@ -26,11 +29,17 @@ class Tone(Effect):
     amplitude: Triple = per_axis(suffix="_{u}")
     frequency_hz: float = scalar(0.0)
     phase_deg: float = scalar(math.nan)
+    frequency_spread_hz: float = scalar(0.0)
+    drift_hz_per_h: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a frequency outside 0 to 1e6 Hz or an infinite phase."""
+        """ValueError for a frequency or spread outside 0 to 1e6 Hz, a drift beyond 1e6 Hz an hour or an infinite
+        phase.
+        """
         super().__post_init__()
         require("frequency_hz", self.frequency_hz, 0.0, 1e6)
+        require("frequency_spread_hz", self.frequency_spread_hz, 0.0, 1e6)
+        require("drift_hz_per_h", self.drift_hz_per_h, -1e6, 1e6)
         if math.isinf(self.phase_deg):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is wanted, or nan: drawn at each boot")
 
@@ -38,7 +47,10 @@ class Tone(Effect):
         """Adds to the value."""
         if self.amplitude == (0.0, 0.0, 0.0):
             return analog
-        turns = analog.instant_ns * (self.frequency_hz * 1e-9) + self._phase_deg(at) / 360
+        time_s = analog.instant_ns * 1e-9
+        hertz = self._first_hz(at)  # mean of those from the epoch to each row, if it drifts
+        turns = time_s * (hertz + time_s * (self.drift_hz_per_h / 7200) if self.drift_hz_per_h else hertz)
+        turns += self._phase_deg(at) / 360
         wave = np.sin(2 * np.pi * (turns - np.floor(turns))).astype(analog.value.dtype)
         return replace(analog, value=analog.value + wave[:, None] * per_row(self.amplitude, analog.value))
 
@@ -46,3 +58,10 @@ class Tone(Effect):
         if not math.isnan(self.phase_deg):
             return self.phase_deg
         return at.boot_generator(self.name, f"{self.frequency_hz!r} Hz").uniform(0.0, 360.0)
+
+    def _first_hz(self, at: Place) -> float:
+        """At the log's epoch."""
+        if self.frequency_spread_hz == 0:
+            return self.frequency_hz
+        drawn = at.boot_generator(self.name, f"{self.frequency_hz!r} Hz, its spread").standard_normal()
+        return float(self.frequency_hz + self.frequency_spread_hz * drawn)

@@ -18,6 +18,7 @@ from imuarray.simulate.effects.bias_instability import BiasInstability
 from imuarray.simulate.effects.common_mode import CommonMode
 from imuarray.simulate.effects.popcorn_noise import PopcornNoise
 from imuarray.simulate.effects.random_walk import RandomWalk
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from tests.gap.candidates.evidence_of import evidence_of
 
 
@@ -111,6 +112,19 @@ def test_a_wander_of_all_units(kind: str, rms: float, time_constant_s: float) ->
     found = common(list(COMMON_MODE.guesses(evidence_of(kind, "A1", both, seed=7))))
     assert is_near(float(np.mean(found.rms)), rms, 2.0)
     assert is_near(found.time_constant_s, time_constant_s, 4.0)
+
+
+def test_a_change_between_two_logs_that_all_units_share() -> None:
+    """All of it is shared, or with what the other unit lacks beside it."""
+    shared = (CommonMode((0.01,) * 3, 1e6),)
+    (trial,) = COMMON_MODE.guesses(evidence_of(("static", "static"), "A1", {"A1": shared, "A2": shared}, seed=5))
+    assert trial.whole
+    assert trial.needs_both
+    assert [effect.name for effect in trial.effects] == ["common_mode"]
+    own = (*shared, TurnOnBias((0.004,) * 3))
+    alone, both = COMMON_MODE.guesses(evidence_of(("static", "static"), "A1", {"A1": own, "A2": shared}, seed=5))
+    assert alone.effects == both.effects[:1]
+    assert [effect.name for effect in both.effects] == ["common_mode", "turn_on_bias"]
 
 
 def test_nothing_wanders() -> None:

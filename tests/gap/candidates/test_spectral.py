@@ -60,6 +60,17 @@ def test_a_line_that_the_model_has_is_not_found_again() -> None:
     assert [trial.action for trial in trials if trial.action == "remove"] == ["remove"]
 
 
+def test_a_line_that_drifts() -> None:
+    """From 13 Hz on by 0.04 Hz/s while the box lies on six faces; how far others begin from there, nobody can see."""
+    put_in = Tone((0.0, 0.05, 0.0), 13.0, drift_hz_per_h=144.0)
+    (drifting,) = (tone for tone in tones("tumble", put_in) if tone.drift_hz_per_h)
+    assert drifting.frequency_hz == pytest.approx(13.0, abs=0.3)
+    assert drifting.drift_hz_per_h == pytest.approx(144.0, rel=0.2)
+    assert drifting.amplitude == pytest.approx((0.0, 0.05, 0.0), rel=0.2, abs=0.01)
+    assert drifting.frequency_spread_hz > 0
+    assert all(tone.drift_hz_per_h == 0 for tone in tones("tumble", replace(put_in, drift_hz_per_h=0.0)))
+
+
 def test_nothing_is_shaped() -> None:
     evidence = evidence_of("static", "A1", seed=5)
     for candidate in (BANDWIDTH, TONE, WHITE_NOISE):

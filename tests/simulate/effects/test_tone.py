@@ -58,3 +58,34 @@ def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog
         Tone(1.0, -1.0)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="phase_deg: inf"):
         Tone(1.0, 1.0, np.inf)  # type: ignore[arg-type]
+
+
+def test_a_frequency_that_drifts(place: MakePlace, analog: MakeAnalog) -> None:
+    """10 Hz and 360 Hz an hour more, 0.1 Hz/s: after t s 10 t + 0.05 t^2 turns; 0, 0.25 and 1000.25 of them."""
+    turns = np.array([0.0, 0.25, 1000.25])
+    times_s = (-10 + np.sqrt(100 + 0.2 * turns)) / 0.1
+    instant_ns = np.rint(times_s * 1e9).astype(np.int64)
+    effect = Tone((2.0, 0.0, 0.0), 10.0, 0.0, drift_hz_per_h=360.0)
+    value = effect.analog(analog(0, 3, instant_ns=instant_ns), place()).value
+    np.testing.assert_allclose(value[:, 0], [0.0, 2.0, 2.0], atol=1e-5)
+
+
+def test_each_boot_begins_at_another_frequency(place: MakePlace, analog: MakeAnalog) -> None:
+    """Normal about 100 Hz, by the phase that a line has gained after 1 ms; the same boot has the same."""
+    instant_ns = np.array([0, 1_000_000])
+    sines = [
+        Tone(1.0, 100.0, 0.0, frequency_spread_hz=5.0)  # type: ignore[arg-type]
+        .analog(analog(0, 2, instant_ns=instant_ns), place(boot=boot))
+        .value[1, 0]
+        for boot in (*range(400), 7)
+    ]
+    hertz = np.arcsin(sines) / (2e-3 * np.pi)
+    assert hertz[-1] == hertz[7]
+    assert kstest(hertz[:-1], "norm", (100.0, 5.0)).pvalue > 1e-4  # as often wrong as that
+
+
+def test_what_a_drift_may_be() -> None:
+    with pytest.raises(ValueError, match=r"frequency_spread_hz: -1(\.0)?; allowed is 0 to 1e\+06"):
+        Tone(1.0, 1.0, frequency_spread_hz=-1.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"drift_hz_per_h: nan; allowed is -1e\+06 to 1e\+06"):
+        Tone(1.0, 1.0, drift_hz_per_h=np.nan)  # type: ignore[arg-type]

@@ -1,0 +1,69 @@
+"""Lines in the spectrum of a phase: peaks that stand above their neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import median_filter
+
+from imuarray.characterise.spectrum import Spectrum
+
+Floats = npt.NDArray[np.float64]
+
+HALF_WIDTH = 2
+"""Bins on each side that a Hann window spreads a line over."""
+
+_FIRST = 2
+_BESIDE = 33
+_HIGH = 4.0
+"""A line is so many standard deviations above its neighbours' median, by the cube root of its density, which is about
+normal (Wilson and Hilferty, PNAS 17, 1931).
+"""
+
+
+class Line(NamedTuple):
+    """At `bin` of a spectrum; `power` (3,) in squared counts, `height` (3,) over the floor in standard deviations."""
+
+    bin: float
+    power: Floats
+    height: Floats
+
+
+def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -> Iterator[Line]:
+    """So many at most, the highest first, those beside `known` bins left out."""
+    density = spectrum.density
+    floor = median_filter(density, size=(min(_BESIDE, len(density)), 1), mode="mirror")
+    floor = np.maximum(floor, 1e-12 * density.max())
+    height = (np.cbrt(density / floor) - 1) / np.sqrt(2 / (9 * spectrum.freedom))[:, None]
+    highest = height.max(axis=1)
+    highest[:_FIRST] = 0
+    bins = np.arange(len(density))
+    for place in known:
+        highest[np.abs(bins - place) <= HALF_WIDTH + 1] = 0
+    for _ in range(count):
+        peak = int(highest.argmax())
+        if highest[peak] < _HIGH:
+            return
+        near = np.abs(bins - peak) <= HALF_WIDTH
+        excess = np.maximum(density - floor, 0.0)[near]
+        power = excess.sum(axis=0) / spectrum.segment_rows
+        at = float(np.average(bins[near], weights=excess.sum(axis=1)))
+        yield Line(at, power, height[peak])
+        highest[near] = 0
+
+
+def pooled(spectra: Sequence[Spectrum]) -> Spectrum | None:
+    """The finest one, of all phases in which it is as fine; with freedom added up."""
+    known = [one for one in spectra if one.segments]
+    if not known:
+        return None
+    rows = max(one.segment_rows for one in known)
+    alike = [one for one in known if one.segment_rows == rows]
+    density = np.average([one.density for one in alike], axis=0, weights=[one.segments for one in alike])
+    freedom = np.sum([one.freedom for one in alike], axis=0)
+    first = alike[0]
+    runs = (first.rate_hz, rows, sum(one.segments for one in alike), sum(one.runs for one in alike))
+    return Spectrum(first.frequency_hz, density, freedom, *runs, sum(one.rows for one in alike), 0)
