@@ -1,11 +1,13 @@
 """The base model: what a simulation has before anything is blamed, its few parameters fitted to a campaign's summaries.
 
 Every sensor has `white_noise`, `bias` and a linear `thermal_bias`, fitted; `scale` and `misalignment` are drawn anew
-for every replicate from the population of its chip, since no log in one attitude tells them from a bias.
+for every replicate from the population of its chip, since no log in one attitude tells them from a bias. The phase of
+`own_clock` is drawn for every log, since it is another one after every boot and no log at rest tells it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -20,6 +22,7 @@ from imuarray.gap.campaign import Campaign, PhaseSummary
 from imuarray.log.format import SensorHeader
 from imuarray.shipped import configs
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.model import Model, Part, load_model
 from imuarray.simulate.motion.felt import Motion
@@ -32,9 +35,22 @@ SCALE_SIGMA, ANGLE_SIGMA_DEG = 0.01, 0.5
 """Population of a chip whose data sheet names none."""
 
 USUAL: Mapping[str, Recipe] = MappingProxyType(
-    {"scale": {"error": Spread(sigma=SCALE_SIGMA)}, "misalignment": {"angles_deg": Spread(sigma=ANGLE_SIGMA_DEG)}}
+    {
+        "own_clock": {"phase_deg": math.nan},
+        "scale": {"error": Spread(sigma=SCALE_SIGMA)},
+        "misalignment": {"angles_deg": Spread(sigma=ANGLE_SIGMA_DEG)},
+    }
 )
 """What sensors have beside the fitted, where there is no model; populations of chips of which no data sheet has one."""
+
+PRINTED = frozenset({"scale", "misalignment"})
+"""Those for which the data sheets' populations are taken. Not the clock's: with a rate that is off, ages go round
+within a log, so that every replicate has the same mean age; at the set rate, in step with the polls, they stay what
+they are. A recording may be like either, and is no odd one among replicates that keep step.
+"""
+
+_IN_STEP = OwnClock(phase_deg=math.nan)
+"""Of a chip of whose clock the model says nothing."""
 
 _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 
@@ -42,7 +58,8 @@ _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 @dataclass(frozen=True)
 class Base:
     """The fitted sensors by name; `model` has the rest of their effects (None: the data sheets' scale and misalignment
-    are all), of which populations are drawn; `seed` keys the draws.
+    are all), of which populations are drawn; `seed` keys the draws. A model that says nothing of a sensor's clock
+    leaves it its own phase at each boot.
     """
 
     headers: Mapping[str, SensorHeader]
@@ -63,7 +80,8 @@ class Base:
     def _drawn(self, header: SensorHeader, units: Streams) -> tuple[Effect, ...]:
         if self.model is None:
             return tuple(_typical(header, units))
-        return tuple(_unfitted(self.model.effects(header, units)))
+        effects = tuple(_unfitted(self.model.effects(header, units)))
+        return effects if any(effect.name == OwnClock.name for effect in effects) else (_IN_STEP, *effects)
 
 
 def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = None, seed: int = 0) -> Base:
@@ -147,7 +165,8 @@ def _typical(header: SensorHeader, units: Streams) -> Iterator[Effect]:
     """A draw from the population of the chip, or where its data sheet names none, from the usual one."""
     sheets = data_sheets()
     for kind in USUAL:
-        model = sheets if kind in sheets.parts(header, population=True) else _usual(header)
+        is_printed = kind in PRINTED and kind in sheets.parts(header, population=True)
+        model = sheets if is_printed else _usual(header)
         yield from (effect for effect in model.effects(header, units, population=True) if effect.name == kind)
 
 

@@ -8,6 +8,7 @@ from types import MappingProxyType
 MEANINGS: Mapping[str, str] = MappingProxyType(
     {
         "clock_error": "the log's clock goes wrong by a constant ratio",
+        "own_clock": "the chip makes its readings by a clock of its own, and answers a poll with the latest of them",
         "skew": "readings are older than their stamps",
         "jitter": "every reading is stamped a little off",
         "dropped_samples": "readings are lost, alone or in bursts",

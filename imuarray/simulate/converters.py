@@ -18,6 +18,13 @@ from imuarray.simulate.signal import Analog, Codes, Counts, Floats, Integers
 EVEN_ONLY_FROM_HZ = 1600.0
 """The ADXL345's data rate from which on its lowest bit is always 0 in full resolution (ADX-47)."""
 
+_NEAREST = 0.75
+"""Rates that it can be set to are octaves apart (ADX-32): what its oscillator makes of one is nearer to no other."""
+
+_ON_TIME = 1e-6
+_ROUNDED_S = 1e-9
+"""A reading that is due within a millionth of a period, or within what times are rounded to, is there."""
+
 
 @dataclass(frozen=True)
 class CodeSpan:
@@ -53,8 +60,10 @@ THERMOMETERS: Mapping[str, Thermometer] = MappingProxyType(
 
 
 def even_step(chip: str, rate_hz: float) -> int:
-    """2 for an ADXL345 so fast that only even codes come (ADX-47), else 1."""
-    return 2 if chip == "adxl345" and rate_hz >= EVEN_ONLY_FROM_HZ else 1
+    """2 for an ADXL345 so fast that only even codes come (ADX-47), else 1; its real rate may be a little off the set
+    one.
+    """
+    return 2 if chip == "adxl345" and rate_hz >= _NEAREST * EVEN_ONLY_FROM_HZ else 1
 
 
 def adxl345_bandwidth_hz(rate_hz: float) -> float:
@@ -89,29 +98,30 @@ def converted(analog: Analog, span: CodeSpan) -> Counts:
     return np.asarray(codes, np.int32)
 
 
-def latest_reading(instant_ns: Integers, rate_hz: float) -> Integers:
-    """When the chip made the reading with which it answers at `instant_ns` (n,): the latest of `rate_hz` a second, the
-    first one at time 0; the instant itself for a chip without a rate.
+def latest_reading(instant_ns: Integers, rate_hz: float, phase: float = 0.0) -> Integers:
+    """When the chip made the reading with which it answers at `instant_ns` (n,): the latest of `rate_hz` a second, one
+    of them `phase` periods before time 0; the instant itself for a chip without a rate.
     """
     if rate_hz <= 0:
         return instant_ns
-    latest = _reading(instant_ns, rate_hz)
+    latest = _reading(instant_ns, rate_hz, phase)
+    latest -= phase
     latest *= 1e9 / rate_hz
     return np.asarray(np.rint(latest, out=latest), np.int64)
 
 
-def _reading(instant_ns: Integers, rate_hz: float) -> Floats:
-    """The number of the latest reading; a millionth of a period late still counts as on time."""
+def _reading(instant_ns: Integers, rate_hz: float, phase: float) -> Floats:
+    """The number of the latest reading; one that is due at once still counts."""
     periods = instant_ns * (rate_hz * 1e-9)
-    periods += 1e-6
+    periods += max(_ON_TIME, _ROUNDED_S * rate_hz) + phase
     return np.asarray(np.floor(periods, out=periods))
 
 
-def held(codes: Codes, rate_hz: float) -> Codes:
-    """What is read of a chip that makes `rate_hz` readings a second and is asked more often: the latest one, once more
-    and not fresh.
+def held(codes: Codes, rate_hz: float, phase: float = 0.0) -> Codes:
+    """What is read of a chip that makes `rate_hz` readings a second, one of them `phase` periods before time 0, and is
+    asked more often: the latest one, once more and not fresh.
     """
-    sample = _reading(codes.instant_ns, rate_hz)
+    sample = _reading(codes.instant_ns, rate_hz, phase)
     fresh = np.concatenate([[True], np.diff(sample) > 0])
     newest = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
     return replace(codes, counts=codes.counts[newest], fresh=codes.fresh[newest] & fresh)

@@ -117,7 +117,7 @@ def _item(value: Any, where: str) -> float | str | Spread:
         raise ConfigError(f"{where}: {str(value)[:40]}; a number, a text or a table with mean and sigma is wanted")
     if not isinstance(value, str) and HUGE < abs(value) < math.inf:
         raise ConfigError(f"{where}: a number beyond {HUGE:g}; no sensor has it")
-    return value
+    return math.nan if value != value else value  # the one nan: recipes that have it are equal
 
 
 def _spread_of(table: dict[str, Any], where: str) -> Spread:

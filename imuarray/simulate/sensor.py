@@ -157,14 +157,14 @@ class SimulatedSensor:
         instants = Instants(first, stamps, stamps, np.ones(len(stamps), bool), self.header.rate_hz)
         for effect, at in acting:
             instants = effect.sampled(instants, at)
-        instants = replace(instants, instant_ns=latest_reading(instants.instant_ns, instants.rate_hz))
+        instants = replace(instants, instant_ns=latest_reading(instants.instant_ns, instants.rate_hz, instants.phase))
         felt = self._motion.felt(instants.instant_ns)
         for effect, at in acting:
             felt = effect.felt(felt, at)
         analog = self._sensed(first, instants, felt)
         for effect, at in acting:
             analog = effect.analog(analog, at)
-        codes = self._coded(analog)
+        codes = self._coded(analog, instants.phase)
         for effect, at in acting[:until]:
             codes = effect.codes(codes, at)
         return instants, codes
@@ -190,12 +190,12 @@ class SimulatedSensor:
             instants.rate_hz,
         )
 
-    def _coded(self, analog: Analog) -> Codes:
+    def _coded(self, analog: Analog, phase: float) -> Codes:
         thermometer = THERMOMETERS.get(self.header.chip) if self.header.has_temperature else None
         temperature = None if thermometer is None else thermometer.counts(analog.thermometer_degc)
         counts = converted(analog, self._span)
         codes = Codes(analog.first, analog.instant_ns, counts, temperature, np.ones(len(counts), bool))
-        return held(codes, analog.rate_hz) if 0 < analog.rate_hz < self.timeline.rows_per_s else codes
+        return held(codes, analog.rate_hz, phase) if 0 < analog.rate_hz < self.timeline.rows_per_s else codes
 
     def _status(self, counts: npt.NDArray[np.int16], fresh: Bools) -> npt.NDArray[np.uint16]:
         """Flags as the logger would set them: stale, saturated."""

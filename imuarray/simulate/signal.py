@@ -32,7 +32,8 @@ __all__ = ["Analog", "Codes", "Felt", "Instants", "Motion", "Place", "Triple", "
 @dataclass(frozen=True)
 class Instants:
     """When rows are read: `stamp_ns` (n,) is what the log will say, `instant_ns` (n,) when the chip was really asked;
-    rows that are not `kept` (n,) never arrive. The chip answers with the latest of `rate_hz` readings a second.
+    rows that are not `kept` (n,) never arrive. The chip answers with the latest of `rate_hz` readings a second; at the
+    log's epoch so much of a period as `phase` says has passed since one of them.
     """
 
     first: int
@@ -40,6 +41,7 @@ class Instants:
     instant_ns: Integers
     kept: Bools
     rate_hz: float
+    phase: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from imuarray.gap.statistics import Key, statistics
 from imuarray.log.format import Phase
 from imuarray.simulate import parse_model
 from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.motion.still import Still
 from tests.gap.made import BASE, PLANS, block, campaign_of, gaussian, header, summary
@@ -105,7 +107,8 @@ def test_every_replicate_draws_its_units() -> None:
         assert errors.std() == pytest.approx(expected, rel=0.1)
     effects = base.effects(7)
     assert effects == base.effects(7) != base.effects(8)
-    assert {effect.name for effect in effects["G2"]} == {"scale", "misalignment", "white_noise", "bias", "thermal_bias"}
+    drawn_too = {"own_clock", "scale", "misalignment"}
+    assert {effect.name for effect in effects["G2"]} == drawn_too | {"white_noise", "bias", "thermal_bias"}
     angles = [effect.angles_deg for effect in effects["G2"] if isinstance(effect, Misalignment)]
     assert 0 < np.abs(angles).max() <= 1.5
 
@@ -126,9 +129,33 @@ def test_a_model_keeps_all_but_what_is_fitted() -> None:
     campaign = campaign_of("static")
     base = fit(campaign, PLANS["static"], model=parse_model(MODEL))
     effects = base.effects(0)
-    assert [effect.name for effect in effects["A1"]] == ["scale", "random_walk", "white_noise", "bias", "thermal_bias"]
-    assert effects["A1"][2:] == fit(campaign, PLANS["static"]).effects(0)["A1"][-3:]
-    assert [effect.name for effect in effects["G1"]] == ["white_noise", "bias", "thermal_bias"]
+    fitted = ["white_noise", "bias", "thermal_bias"]
+    assert [effect.name for effect in effects["A1"]] == ["own_clock", "scale", "random_walk", *fitted]
+    assert effects["A1"][3:] == fit(campaign, PLANS["static"]).effects(0)["A1"][-3:]
+    assert [effect.name for effect in effects["G1"]] == ["own_clock", *fitted]
+
+
+@pytest.mark.parametrize(
+    ("clock", "expected"),
+    [
+        ("", OwnClock(phase_deg=math.nan)),
+        ("own_clock = {}", OwnClock()),
+        ("own_clock.rate_error = 0.02", OwnClock(0.02)),
+    ],
+)
+def test_a_clock_of_which_a_model_says_nothing_keeps_step_with_a_phase_of_its_own(
+    clock: str, expected: OwnClock
+) -> None:
+    base = fit(campaign_of("static"), PLANS["static"], model=parse_model(MODEL + clock))
+    (found,) = (effect for effect in base.drawn(0)["A1"] if isinstance(effect, OwnClock))
+    assert found == expected
+
+
+def test_every_replicate_keeps_step_at_each_chips_set_rate() -> None:
+    """Also the BMA180, whose oscillator the data sheet gives 10 % (BMA-107)."""
+    drawn = fitted_to("static").drawn(3)
+    for effects in drawn.values():
+        assert [effect for effect in effects if isinstance(effect, OwnClock)] == [OwnClock(phase_deg=math.nan)]
 
 
 def test_seeds_of_replicates_are_their_own() -> None:

@@ -1,9 +1,9 @@
 """Each effect, strong, moves a probe of the domain that it belongs to; without effects nothing moves.
 
-Some effects are seen in one experiment only: what needs a motion (clock_error, skew, jitter, size_effect), several
-faces (scale, misalignment, axis_error, nonlinearity, g_sensitivity: on one face all of them look like a bias), warmth
-(thermal_bias, thermal_scale, thermal_lag) or several boots (turn_on_bias, bistable_bias, a range that is lost at a
-boot). What stays unseen is pinned too: at rest no instant matters.
+Some effects are seen in one experiment only: what needs a motion (clock_error, own_clock, skew, jitter, size_effect),
+several faces (scale, misalignment, axis_error, nonlinearity, g_sensitivity: on one face all of them look like a bias),
+warmth (thermal_bias, thermal_scale, thermal_lag) or several boots (turn_on_bias, bistable_bias, a range that is lost at
+a boot). What stays unseen is pinned too: at rest no instant matters.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ class Case(NamedTuple):
 
 CASES: Mapping[str, Case] = {
     "clock_error": Case("motion", "motion", ("A1",), {"error_ppm": 2000.0}),
+    "own_clock": Case("motion", "motion", ("G1",), {"rate_error": -0.4, "phase_deg": 90.0}),
     "skew": Case("motion", "motion", ("G1",), {"delay_s": 0.005}),
     "jitter": Case("motion", "motion", ("G1",), {"rms_s": 0.002}),
     "dropped_samples": Case("static", "timing", ("A1",), {"probability": 0.01, "burst_rows": 3.0}),
@@ -72,7 +73,7 @@ CASES: Mapping[str, Case] = {
     "channel_swap": Case("static", "cross_sensor", ("G1",), {"sensor": "G2"}),
 }
 
-UNSEEN_AT_REST = ("clock_error", "skew", "jitter", "size_effect", "thermal_lag")
+UNSEEN_AT_REST = ("clock_error", "own_clock", "skew", "jitter", "size_effect", "thermal_lag")
 """A box that stands still at one temperature feels the same at any instant, anywhere."""
 
 

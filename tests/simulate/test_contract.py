@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -20,6 +21,7 @@ Row = Instants | Felt | Analog | Codes
 
 HARMFUL: Mapping[str, Mapping[str, Any]] = {
     "clock_error": {"error_ppm": 500.0},
+    "own_clock": {"rate_error": 0.03, "phase_deg": math.nan},
     "skew": {"delay_s": 0.02},
     "jitter": {"rms_s": 1e-3},
     "dropped_samples": {"probability": 0.3, "burst_rows": 5.0},
@@ -55,6 +57,7 @@ HARMFUL: Mapping[str, Mapping[str, Any]] = {
 
 CHANGED: Mapping[str, set[str]] = {
     "clock_error": {"Instants.instant_ns"},
+    "own_clock": {"Instants.rate_hz", "Instants.phase"},
     "skew": {"Instants.instant_ns"},
     "jitter": {"Instants.instant_ns"},
     "dropped_samples": {"Instants.kept"},
@@ -89,6 +92,7 @@ CHANGED: Mapping[str, set[str]] = {
 }
 
 RANDOM = {
+    "own_clock",
     "jitter",
     "dropped_samples",
     "turn_on_bias",

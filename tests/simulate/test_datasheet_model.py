@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import atan, degrees, sqrt
+from math import atan, degrees, isnan, sqrt
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from scipy.stats import truncnorm
 
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.model import TRIADS, load_model
 from imuarray.simulate.population import Spread
 from imuarray.simulate.streams import Streams
@@ -66,6 +67,7 @@ SHEETS: dict[str, tuple[float, tuple[Printed, ...]]] = {
     "bma180": (
         2.0,
         (
+            typical("own_clock", "rate_error", 10 * PERCENT)._replace(axes=(0,)),  # BMA-107
             typical("scale", "error", 1.5 * PERCENT),  # BMA-72
             Printed("thermometer", "offset_degc", 5 / 3, 5.0, axes=(0,)),  # BMA-64: a minimum and a maximum
             typical("bias", "offset", 60 * MG),  # BMA-113
@@ -221,7 +223,7 @@ def test_noise_is_the_data_sheets(
     assert drawn(sensor(chip, **settings), "white_noise", "rms", 1) == pytest.approx(expected, rel=2e-3)
 
 
-EVERYWHERE = {"thermal_scale", "nonlinearity", "white_noise"}
+EVERYWHERE = {"own_clock", "thermal_scale", "nonlinearity", "white_noise"}
 ALSO = {
     "adxl345": {"misalignment", "scale", "bias", "thermal_bias"},
     "bma180": {"misalignment", "scale", "bias", "thermal_bias", "thermometer"},
@@ -229,6 +231,14 @@ ALSO = {
     "hmc5883l": {"misalignment", "scale"},  # offset: removed by set and reset (HMC-58)
     "hmc5883": {"misalignment", "scale"},
 }
+
+
+def test_every_clock_starts_anew_at_each_boot_and_only_boschs_has_a_tolerance(sensor: MakeSensor) -> None:
+    """BMA-107; for the others none is printed. The clock of no chip waits for a poll."""
+    for chip in TRIADS:
+        (clock,) = (effect for effect in MODEL.effects(sensor(chip), Streams(3)) if isinstance(effect, OwnClock))
+        assert isnan(clock.phase_deg)
+        assert (clock.rate_error != 0) == (chip == "bma180")
 
 
 def test_every_chip_and_range_has_what_is_printed_and_nothing_else(sensor: MakeSensor) -> None:

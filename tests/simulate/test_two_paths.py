@@ -19,7 +19,7 @@ from scipy import stats
 from firmware_emulator.array import open_array
 from firmware_emulator.units import unit_of
 from imuarray.acquire import record
-from imuarray.array import ArrayConfig, SensorConfig, load_array
+from imuarray.array import ArrayConfig, SensorConfig, load_array, parse_array
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
 from imuarray.simulate import Felt, Motion, Simulation, plan_like, write_log
@@ -27,7 +27,9 @@ from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.g_sensitivity import GSensitivity
 from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.skew import Skew
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.thermal_scale import ThermalScale
 from imuarray.simulate.effects.thermometer import Thermometer
@@ -155,3 +157,74 @@ def test_flags_agree(pair: tuple[Log, Log]) -> None:
     for name in INERTIAL:
         theirs, ours = (np.asarray(log[name].status) for log in pair)
         assert abs((theirs != 0).mean() - (ours != 0).mean()) < 0.01, name
+
+
+SLOW_CHIPS = """
+[array]
+name = "slow chips"
+bus = "i2c:/dev/i2c-1"
+
+[[sensor]]
+name = "A"
+chip = "adxl345"
+address = 0x53
+range = 16
+rate_hz = 100
+
+[[sensor]]
+name = "G"
+chip = "l3g4200d"
+address = 0x68
+range = 2000
+rate_hz = 100
+bandwidth_hz = 25
+"""
+POLLED_HZ = 64.0
+
+
+@pytest.fixture(scope="module", params=[-0.04, 0.0, 0.03])
+def slow_chips(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A log of emulated chips whose readings are up to 10 ms old, in a box that is shaken; what makes counts of one of
+    them in a simulation of that log; by how much each chip's oscillator is off (the emulated ADXL345's never is).
+    """
+    motion = HandShake(peak_g=3.0, peak_dps=900.0, still_s=4.0, motion_s=12.0)
+    array, path = parse_array(SLOW_CHIPS), tmp_path_factory.mktemp("slow") / "emulated.h5"
+    switches = {"G": {"rate_error": request.param}}
+    with open_array(array, world=World(motion), seed=SEED, switches=switches) as bus:
+        record(array, bus, path, rate_hz=POLLED_HZ, seconds=motion.seconds, phases=motion.phases)
+    log = open_log(path)
+    later = Later(motion, motion.phases[0].end_ns - log.phases[0].end_ns)
+    units = {sensor.name: effects_of_unit(array, sensor) for sensor in array.sensors}
+
+    def simulated(name: str, *when: Effect) -> Any:
+        made = Simulation(plan_like(log, [name]), later, {name: (*units[name], *when)}, seed=9).sensors[name]
+        return np.asarray(made.block(0, made.rows).counts, float)
+
+    yield log, simulated, {"A": 0.0, "G": request.param}
+    log.close()
+
+
+@pytest.mark.parametrize("name", ["A", "G"])
+def test_readings_are_as_old_as_the_chips_own_clock_has_them(slow_chips: Any, name: str) -> None:
+    """With the right rate there is a phase at which nothing is left but two noises, in all rows of the motion; half a
+    period beside it, or with another rate, far more is left whatever the phase.
+
+    Of x alone, whose first byte comes 27 clocks after the stamp: a conversion that ends within the burst tears y and z
+    off.
+    """
+    log, simulated, rate_errors = slow_chips
+    right = rate_errors[name]
+    theirs = np.asarray(log[name].counts[:, 0], float)
+    still, moved = (log[name].between(log.phases[at].start_ns, log.phases[at].end_ns) for at in (0, 1))
+
+    def left(rate_error: float, phase_deg: float) -> float:
+        """Variance that is left in motion, over that at rest: of 768 and 256 rows."""
+        apart = theirs - simulated(name, OwnClock(rate_error, phase_deg), Skew(-27 / 400e3))[:, 0]
+        return float(apart[moved].var() / apart[still].var())
+
+    around = np.arange(15.0, 375.0, 15.0)
+    near = min(around, key=lambda phase_deg: left(right, phase_deg))
+    best = min(near + np.arange(-10.0, 10.0), key=lambda phase_deg: left(right, phase_deg))
+    assert left(right, best) < 1.5  # five standard errors of such a ratio, each root(2 / 768 + 2 / 256)
+    assert left(right, best + 180.0) > 50
+    assert min(left(right + 0.02, phase_deg) for phase_deg in around) > 50

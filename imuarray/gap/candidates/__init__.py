@@ -77,4 +77,7 @@ CANDIDATES: Mapping[str, Candidate] = MappingProxyType(
         "channel_swap": CHANNEL_SWAP,
     }
 )
-"""In the physical order of the effects."""
+"""In the physical order of the effects. `own_clock` is none of them: every chip that is polled has a phase of its own,
+and the base model draws it, so that only what goes beyond is left. Of that an age that no period explains is a `skew`,
+one that changes a `jitter`, and a rate that repeats rows an `odr_error`, each of which says more of its cause.
+"""

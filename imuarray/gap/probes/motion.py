@@ -2,6 +2,9 @@
 
 The reference is the mean of the other sensors that measure the same, along the axes that this one nominally has. It is
 noisy itself, which makes gains a little too small; as much so in a simulation of the same motion.
+
+A polled chip's readings are up to one of its periods old, and in step with the polls always as old: a delay that says
+nothing. What is left of a sensor's motion is what no delay of it explains either.
 """
 
 from __future__ import annotations
@@ -14,6 +17,9 @@ from imuarray.gap.cross import Cross
 from imuarray.gap.probes.probe import NOTHING, CrossProbe, Floats, log
 
 AXES = np.arange(3)
+
+_ENDS = 0.02
+"""Share of what is left that is kept: about that of the windows at segments' ends, whose change is not known."""
 
 
 def gain(cross: Cross, sensor: str) -> Floats:
@@ -38,18 +44,17 @@ def delay(cross: Cross, sensor: str) -> Floats:
     found = _beside(cross, sensor)
     if found is None:
         return NOTHING
-    turning, changes = (found.weights @ moments @ found.weights.T for moments in (cross.turning, cross.changes))
     own, reference = AXES, AXES + 3
-    lacks = turning[reference, reference] - turning[own, reference]
-    square = changes[reference, reference]
+    lacks = found.turning[reference, reference] - found.turning[own, reference]
+    square = found.changes[reference, reference]
     ratio = np.divide(lacks, square, out=NOTHING.copy(), where=square > 0)
     return np.asarray(ratio * cross.window_s)
 
 
 def residual(cross: Cross, sensor: str) -> Floats:
-    """Log of the variance that the reference doesn't explain."""
+    """Log of the variance that the reference doesn't explain, whatever the delay behind it."""
     found = _beside(cross, sensor)
-    return NOTHING if found is None else log(_left(found.moments, AXES, AXES + 3))
+    return NOTHING if found is None else log(_left(found, AXES + 3))
 
 
 def coupling(cross: Cross, sensor: str) -> Floats:
@@ -60,16 +65,17 @@ def coupling(cross: Cross, sensor: str) -> Floats:
     if found is None or found.moments.shape[0] == 6:
         return NOTHING
     everything = np.arange(3, found.moments.shape[0])
-    return np.asarray(log(_left(found.moments, AXES, AXES + 3)) - log(_left(found.moments, AXES, everything)))
+    return np.asarray(log(_left(found, AXES + 3)) - log(_left(found, everything)))
 
 
 class _Beside(NamedTuple):
-    """`moments` (q, q) of the sensor's axes, the reference's and what else may explain them; `weights` (q, p) are what
-    these are made of.
+    """Of the sensor's axes, the reference's and what else may explain them: `moments`, `turning` and `changes` (q, q)
+    as `Cross` has them.
     """
 
     moments: Floats
-    weights: Floats
+    turning: Floats
+    changes: Floats
 
 
 def _beside(cross: Cross, sensor: str) -> _Beside | None:
@@ -88,7 +94,7 @@ def _beside(cross: Cross, sensor: str) -> _Beside | None:
         feel = [item.name for item in cross.sensors if item.quantity == "specific_force"]
         more += [turn @ _mean_box(cross, feel)] if feel else []
     weights = np.concatenate([own, *more])
-    return _Beside(weights @ cross.fast @ weights.T, weights)
+    return _Beside(*(weights @ moments @ weights.T for moments in (cross.fast, cross.turning, cross.changes)))
 
 
 def _mean_box(cross: Cross, sensors: tuple[str, ...] | list[str]) -> Floats:
@@ -115,10 +121,19 @@ def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
     return np.asarray(np.linalg.lstsq(scaled, moments[np.ix_(by, of)] / size[:, None], rcond=1e-12)[0] / size[:, None])
 
 
-def _left(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:
-    """Variances (o,) that are left."""
-    found = _coefficients(moments, of, by)
-    return np.asarray(np.diag(moments)[of] - np.einsum("bo,bo->o", found, moments[np.ix_(by, of)]))
+def _left(beside: _Beside, by: np.ndarray) -> Floats:
+    """Variances (3,) of the sensor's axes that are left without what these columns explain, and of that without what
+    the reference's changes do.
+    """
+    moments, reference = beside.moments, AXES + 3
+    found = _coefficients(moments, AXES, by)
+    left = np.asarray(np.diag(moments)[AXES] - np.einsum("bo,bo->o", found, moments[np.ix_(by, AXES)]))
+    lagging = beside.turning[np.ix_(AXES, reference)] - found.T @ beside.turning[np.ix_(by, reference)]
+    changes = beside.changes[np.ix_(reference, reference)]
+    if not np.isfinite(changes).all():
+        return left
+    delayed = np.einsum("or,rs,os->o", lagging, np.linalg.pinv(changes, hermitian=True), lagging)
+    return np.asarray(np.maximum(left - delayed, _ENDS * left))
 
 
 _CROSS = ("misalignment", "axis_error", "channel_swap")
@@ -126,12 +141,14 @@ _CROSS = ("misalignment", "axis_error", "channel_swap")
 GAIN = CrossProbe("motion", "share of motion along the axis", "", ("scale", "axis_error", "range_reset"), gain, True)
 NEXT = CrossProbe("motion", "share of motion along the next axis", "", _CROSS, next_axis, True)
 AFTER = CrossProbe("motion", "share of motion along the axis after the next", "", _CROSS, axis_after, True)
-DELAY = CrossProbe("motion", "delay behind the others", "s", ("skew", "clock_error", "stale_samples"), delay, True)
+DELAY = CrossProbe(
+    "motion", "delay behind the others", "s", ("skew", "clock_error", "stale_samples", "own_clock"), delay, True
+)
 RESIDUAL = CrossProbe(
     "motion",
     "log of the variance that the others don't explain",
     "log {u}^2",
-    ("jitter", "size_effect", "nonlinearity", "skew", "saturation"),
+    ("jitter", "size_effect", "nonlinearity", "skew", "saturation", "own_clock"),
     residual,
     True,
 )

@@ -21,6 +21,7 @@ from imuarray.simulate.effects.jitter import Jitter
 from imuarray.simulate.effects.misalignment import Misalignment
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
 from imuarray.simulate.effects.odr_error import OdrError
+from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.popcorn_noise import PopcornNoise
 from imuarray.simulate.effects.quantisation import Quantisation
 from imuarray.simulate.effects.random_walk import RandomWalk
@@ -43,6 +44,7 @@ EFFECTS: Mapping[str, type[Effect]] = MappingProxyType(
     {
         # when a row is read, and whether it arrives
         "clock_error": ClockError,
+        "own_clock": OwnClock,
         "skew": Skew,
         "jitter": Jitter,
         "dropped_samples": DroppedSamples,

@@ -30,5 +30,5 @@ def test_what_the_model_has_is_removed_or_replaced(several: bool, actions: list[
 
 def test_what_every_sensor_has_stays() -> None:
     evidence = evidence_of("static", "A1", seed=5, modelled=(ThermalBias(quadratic=(1e-3,) * 3),))
-    for name in ("white_noise", "bias", "thermal_bias", "scale", "misalignment"):
+    for name in ("white_noise", "bias", "thermal_bias", "scale", "misalignment", "own_clock"):
         assert list(removals(evidence, name)) == []
