@@ -45,18 +45,18 @@ _FIRST_REPAIRED = 2_000_000
 
 
 @dataclass(frozen=True)
-class _Case:
+class Begun:
     """What is diagnosed: the recordings, compared with the base model; those as they were `noted`, if some of their
-    faces were noted wrongly (`wrong`); the library of causes, the model and the seed.
+    faces were noted wrongly (`wrong`); the model, the seed, and what calls functions of the bench.
     """
 
     recordings: Sequence[Recording]
     found: Compared
     noted: Compared
     wrong: tuple[Mislabelled, ...]
-    candidates: Mapping[str, Candidate]
     model: Model | None
     seed: int
+    run: Run
 
     @property
     def names(self) -> list[str]:
@@ -80,6 +80,20 @@ def diagnose(
     the library of causes; ConfigError for one that isn't in it. `progress` hears what is going on.
     """
     candidates = library(without)
+    begin = begun(recordings, run, model=model, seed=seed, replicates=replicates, progress=progress)
+    return explained(begin, candidates, progress)
+
+
+def begun(
+    recordings: Sequence[Recording],
+    run: Callable[[Bench], Run],
+    *,
+    model: Model | None = None,
+    seed: int = 0,
+    replicates: int = REPLICATES,
+    progress: Callable[[str], None] = lambda what: None,
+) -> Begun:
+    """Where recordings differ from the base model: the part of `diagnose` that needs no library of causes."""
     progress("reading the recordings")
     bench, campaign = prepared(recordings, model, seed)
     called = run(bench)
@@ -93,9 +107,20 @@ def diagnose(
         called = run(bench)
         found = compared_with_base(bench, campaign, called, replicates)
         noted = noted if noted.pairs.keys == found.pairs.keys else found
-    searched = searches(found, candidates, called, progress) if found.located.is_gap else Searched({}, bench.models())
+    return Begun(recordings, found, noted, wrong, model, seed, called)
+
+
+def explained(
+    begin: Begun, candidates: Mapping[str, Candidate], progress: Callable[[str], None] = lambda what: None
+) -> Diagnosis:
+    """The rest of `diagnose`: the search for causes among `candidates`, and what is said of them."""
+    found = begin.found
+    if found.located.is_gap:
+        searched = searches(found, candidates, begin.run, progress)
+    else:
+        searched = Searched({}, found.bench.models())
     progress("simulating the repaired model")
-    return _said(_Case(recordings, found, noted, wrong, candidates, model, seed), searched, called)
+    return _said(begin, candidates, searched)
 
 
 def library(without: Collection[str]) -> dict[str, Candidate]:
@@ -105,9 +130,9 @@ def library(without: Collection[str]) -> dict[str, Candidate]:
     return {name: one for name, one in CANDIDATES.items() if name not in without}
 
 
-def _said(case: _Case, searched: Searched, run: Run) -> Diagnosis:
+def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched) -> Diagnosis:
     """Everything that follows from the search."""
-    found, noted, bench, names = case.found, case.noted, case.found.bench, case.names
+    found, noted, bench, names, run = case.found, case.noted, case.found.bench, case.names, case.run
     is_gap, pairs = noted.located.is_gap, found.pairs
     shared = environment_of(found.campaign) if is_gap else ()
     causes = with_origins(causes_of(bench, searched.rounds, case.seed), bench.base.headers, shared)
@@ -122,7 +147,7 @@ def _said(case: _Case, searched: Searched, run: Run) -> Diagnosis:
     gap = _gap(case, after)
     unexplained = where_of(told, after, _left(after), {}) if is_gap else ()
     verdict = verdict_of(is_gap, gap, after, causes)
-    unseen = {name: one for name, one in case.candidates.items() if name not in {cause.effect for cause in causes}}
+    unseen = {name: one for name, one in candidates.items() if name not in {cause.effect for cause in causes}}
     hidden = unshown(set(bench.kinds), facts_of(found.campaign), unseen, bench.base.headers)
     untold = hidden if is_gap else (*hidden, *_unsure(found, told))
     in_use = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
@@ -170,7 +195,7 @@ def _repaired(searched: Searched, run: Run) -> list[Any]:
     return run(replicate, [(searched.models, number) for number in numbers])
 
 
-def _gap(case: _Case, after: Judged) -> Gap:
+def _gap(case: Begun, after: Judged) -> Gap:
     """How far it is closed, on the held-out part."""
     pairs, before = case.found.pairs, case.noted.judged
     counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
