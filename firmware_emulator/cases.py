@@ -198,6 +198,27 @@ def asked(
     ]
 
 
+def described() -> dict[str, dict[str, Any]]:
+    """Every mechanism: the chips that it `touches`, how many sensors it takes (`place`), what it `resembles`, and whether
+    it is `graded`: there more or less, not merely there or not.
+    """
+    return {
+        name: {
+            "touches": list(kind.touches),
+            "place": kind.place,
+            "resembles": list(kind.resembles),
+            "graded": kind.at(1.0) != kind.at(2.0),
+        }
+        for name, kind in MECHANISMS.items()
+    }
+
+
+def _describe(context: click.Context, _: click.Parameter, is_asked: bool) -> None:
+    if is_asked and not context.resilient_parsing:
+        click.echo(json.dumps(described(), indent=1))
+        context.exit()
+
+
 @click.command(PROGRAM, context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="folder of the logs")
@@ -211,6 +232,9 @@ def asked(
 @click.option("--only", metavar="NAME,...", help="read only these sensors")
 @click.option("--reference/--no-reference", default=True, help="whether the logs tell what the bench was told to do")
 @click.option("--force", is_flag=True, help="overwrite")
+@click.option(
+    "--mechanisms", is_flag=True, is_eager=True, expose_value=False, callback=_describe, help="tell of them, as JSON"
+)
 def program(
     config: Path,
     output: Path,

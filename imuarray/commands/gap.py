@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imuarray.commands.gap_validate import validate
 from imuarray.commands.options import (
     find_model,
     force_option,
@@ -30,6 +31,9 @@ FILES = ("gap.json", "repaired.toml", "report.html")
 @click.group("gap")
 def command() -> None:
     """Where recordings and simulations differ, and why."""
+
+
+command.add_command(validate)
 
 
 @command.command("diagnose")

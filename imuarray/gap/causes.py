@@ -127,6 +127,7 @@ def _cause(
         _origin(taken.trial),
         taken.gain,
         each,
+        taken.trial.needs_both,
     )
 
 
@@ -211,6 +212,7 @@ def _joined(one: Cause, other: Cause) -> Cause:
         confusable_with=tuple(sorted({*one.confusable_with} & {*other.confusable_with})),
         gain=one.gain + other.gain,
         each={**one.each, **other.each},
+        needs_both=one.needs_both or other.needs_both,
     )
 
 

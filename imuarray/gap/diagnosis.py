@@ -52,7 +52,8 @@ class Cause:
     """One cause, with the probability that it is there. `sensors` and `axes` concerned (no axes: all); `parameters` by
     their names with units, of the first sensor where they differ (`each` has all); `closed` is the share of the gap of
     these sensors that goes with it, on data that it was not fitted to. `gain` is how much likelier it makes that data,
-    in nats.
+    in nats. `needs_both`: the training part alone doesn't show it, so that it was told, and its share closed, by both
+    parts together.
     """
 
     effect: str
@@ -67,6 +68,7 @@ class Cause:
     origin: Origin = "sensor"
     gain: float = 0.0
     each: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    needs_both: bool = False
 
 
 @dataclass(frozen=True)

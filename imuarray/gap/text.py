@@ -150,6 +150,7 @@ def _causes(diagnosis: Diagnosis) -> Iterator[str]:
         yield line
         more = [parameters_text(cause.parameters)] if cause.parameters else []
         more += [f"may also be {' or '.join(cause.confusable_with)}"] if cause.confusable_with else []
+        more += ["told by both parts together, nothing was withheld from it"] if cause.needs_both else []
         more += [f"not of the sensor but of the {cause.origin}"] if cause.origin != "sensor" else []
         yield from _hanging(" " * 8, ". ".join(more)) if more else []
 

@@ -41,7 +41,7 @@ def causes_table(causes: Sequence[Cause]) -> Table:
             _parameters(cause),
             closed_text(cause.closed, cause.closed_ci95),
             ", ".join(cause.confusable_with) or NOTHING,
-            cause.origin,
+            f"{cause.origin}, told by both parts" if cause.needs_both else cause.origin,
         ]
         for cause in causes
     ]

@@ -103,6 +103,10 @@ def test_a_cause_in_full(bench: Bench) -> None:
     assert found.closed == pytest.approx(1.0)
     assert found.closed_ci95 == pytest.approx((1.0, 1.0))
     assert (found.confusable_with, found.origin, found.gain) == ((), "sensor", nats(15.0) + COST)
+    assert not found.needs_both
+    late = replace(trial, whole=True)
+    (found,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", late, nats(15.0))))
+    assert found.needs_both
 
 
 def test_what_is_as_likely_is_confusable(bench: Bench) -> None:

@@ -46,6 +46,8 @@ def test_causes() -> None:
     assert lines[first].split() == ["97", "%", "add", "thermal_lag", "Gyro2", "closes", "86", "%", "(75", "to", "94)"]
     assert lines[first + 1].strip() == "time constant 12.3 s. may also be random_walk"
     assert any(line.strip() == "offset 0, 0, 12.3 mg. not of the sensor but of the metadata" for line in lines)
+    both = text_of(replace(made(), causes=tuple(replace(cause, needs_both=True) for cause in CAUSES[:1])))
+    assert "random_walk. told by both parts together, nothing was withheld from it" in both
     starts = {line.index(cause.effect) for cause in CAUSES for line in lines if f" {cause.effect} " in line}
     assert lines[first].index("thermal_lag") in starts
 

@@ -162,3 +162,18 @@ def test_command_line(tmp_path, capsys):
     ):
         assert main(["martin2013", *where, *small, *wrong, "--force"]) == 2
         assert said in capsys.readouterr().err
+
+
+def test_mechanisms_are_described(capsys):
+    """What a run over all of them has to know, as JSON; a register that is there or not has no degrees."""
+    assert main(["--mechanisms"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == set(MECHANISMS)
+    assert told["mains_ripple"] == {
+        "touches": ["adxl345", "bma180", "l3g4200d"],
+        "place": "sensor",
+        "resembles": ["tone"],
+        "graded": True,
+    }
+    assert not told["rotated_package"]["graded"]
+    assert told["one_sided_noise"]["resembles"] == []

@@ -1,0 +1,148 @@
+"""`imuarray gap validate`: the check of the diagnosis on cases whose truth is sealed."""
+
+from __future__ import annotations
+
+import os
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+from imuarray.commands.options import json_option, print_json, progress
+
+if TYPE_CHECKING:
+    from imuarray.validation.case import Half
+    from imuarray.validation.scoring import Figures
+
+_SIZES = ("glance", "reduced", "short", "medium", "full")
+"""`imuarray.validation.plans.SIZES`, which costs too much to import for a list of names; a test compares."""
+
+
+@click.command("validate")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="outcomes, sealed truth and results; the same command again goes on where it stopped",
+)
+@click.option("--size", type=click.Choice(_SIZES), default="reduced", show_default=True, help="how many cases")
+@click.option(
+    "--half",
+    type=click.Choice(["development", "sealed"]),
+    default="development",
+    show_default=True,
+    help="seeds for trying things out, or those that are looked at once, when all is settled",
+)
+@click.option("--seed", type=click.IntRange(0, 99), default=0, show_default=True, help="another set of the same half")
+@click.option(
+    "--executor",
+    "where",
+    default="processes",
+    show_default=True,
+    metavar="processes|tcp://HOST:PORT",
+    help="who works: processes of this machine, or the Dask cluster of that scheduler",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 256),
+    default=lambda: os.cpu_count() or 1,
+    show_default="the machine's processors",
+    help="processes; results are the same",
+)
+@click.option("--again", is_flag=True, help="try cases that failed once more")
+@click.option("--score-only", is_flag=True, help="open the truth of what is there; run nothing")
+@json_option
+def validate(
+    output: Path,
+    size: str,
+    half: str,
+    seed: int,
+    where: str,
+    workers: int,
+    again: bool,
+    score_only: bool,
+    as_json: bool,
+) -> None:
+    """Diagnose cases in which something is wrong that the diagnosis is not told, and score what it says.
+
+    The logs come from the emulated array with physical mechanisms at work in it, which shares no code with the
+    simulator that the diagnosis believes in. Each case's truth goes into DIR/sealed, which is opened when all cases are
+    done. Exit code 1 if a figure misses its bar by more than chance.
+    """
+    from imuarray.validation.plans import SIZES, cases
+
+    planned = cases(cast("Half", half), SIZES[size], seed)
+    if not score_only:
+        _begin(output, {"half": half, "size": size, "seed": seed, "cases": len(planned)})
+        _run(output, planned, where, workers, again)
+    found = _scored(output, planned)
+    _write(output, found, f"imuarray gap validate --half {half} --size {size} --seed {seed} -o {output.name}")
+    _say(found, as_json)
+    if any(row.is_refuted for row in found.failed):
+        raise click.exceptions.Exit(1)
+
+
+def _begin(folder: Path, plan: dict[str, Any]) -> None:
+    """What is run with which thresholds, noted once; ConfigError if the folder is another run's."""
+    import json
+
+    from imuarray.errors import ConfigError
+    from imuarray.validation.case import write_json
+    from imuarray.validation.thresholds import frozen
+
+    wanted = {**plan, "frozen": frozen()}
+    path = folder / "plan.json"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(path, wanted)
+        return
+    noted = json.loads(path.read_text(encoding="utf-8"))
+    for key, value in wanted.items():
+        if noted.get(key) != value:
+            raise ConfigError(f"{path}: begun with another {key}; allowed is the same, or another folder")
+
+
+def _run(folder: Path, planned: list[Any], where: str, workers: int, again: bool) -> None:
+    from imuarray.validation.running import executor_of, run_cases
+    from imuarray.validation.trial import tried
+
+    with executor_of(where, workers) as executor, progress(len(planned), "cases") as tell:
+        ran = run_cases(planned, folder, tried, executor, again=again, progress=tell)
+    for name in (*ran.failed, *ran.lost):
+        click.echo(f"{folder}/outcomes/{name}.json: failed; --again tries it once more", err=True)
+
+
+def _scored(folder: Path, planned: list[Any]) -> Figures:
+    from imuarray.validation.generator import CHIPS
+    from imuarray.validation.plans import HIDDEN
+    from imuarray.validation.scoring import score_folder
+
+    return score_folder(folder, hidden=HIDDEN, planned=planned, sensors=CHIPS)
+
+
+def _write(folder: Path, found: Figures, command: str) -> None:
+    from imuarray.errors import MissingExtraError
+    from imuarray.report.validation_page import write_validation_page
+    from imuarray.report.validation_words import markdown
+    from imuarray.validation.case import write_json
+    from imuarray.validation.scoring import as_json
+
+    write_json(folder / "figures.json", as_json(found))
+    (folder / "results.md").write_text(markdown(found, date.today().isoformat(), command), encoding="utf-8")
+    try:
+        write_validation_page(folder / "results.html", found, command=command, force=True)
+    except MissingExtraError as error:
+        click.echo(f"{folder}: figures.json and results.md only; the page: {error}", err=True)
+
+
+def _say(found: Figures, as_json: bool) -> None:
+    from imuarray.validation.scoring import as_json as table_of
+    from imuarray.validation.scoring import text_of
+
+    if as_json:
+        print_json(table_of(found))
+    else:
+        click.echo(text_of(found), nl=False)

@@ -1,0 +1,157 @@
+"""Drawings of a validation's page: false alarms, detection, what is taken for what, probabilities, closure.
+
+Whiskers are 95 % intervals; grey bands and lines are bars.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from imuarray.report.figures import PALETTE
+from imuarray.report.gap_sheet import NARROW, legend_above, make_logarithmic, plain, sheet
+from imuarray.validation.rates import Bin, Estimate, rate
+from imuarray.validation.score_closure import WITHIN, Closure
+from imuarray.validation.score_detection import DETECTION, FALSE_ALARMS, Curve
+from imuarray.validation.score_rows import Row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from imuarray.validation.score_causes import Confusion
+
+_GREY, _BLUE, _RED, *_ = PALETTE
+_BAND, _INK = "#d9e0e5", "#1d2327"
+_COLOURS = (_INK, *PALETTE[1:])
+_MARKERS = "osD^vP"
+_NOMINAL = 0.05
+_SPREAD = 0.05
+"""Curves stand apart by so much of an e-fold, so that whiskers don't hide each other."""
+_DARK = 0.6
+"""Share from which on numbers are white."""
+_LEAST_CLOSED = -0.25
+"""Shares below it are drawn there: a gap that got larger."""
+
+
+def alarms_figure(rows: Sequence[Row]) -> Figure:
+    """False alarms of each plan, the band that is allowed, and the nominal rate."""
+    figure, panel = sheet(NARROW, 1.2 + 0.4 * len(rows))
+    low, high = (100 * (end or 0.0) for end in FALSE_ALARMS)
+    panel.axvspan(low, high, color=_BAND, label=f"allowed: {low:g} to {high:g} %")
+    panel.axvline(100 * _NOMINAL, color=_GREY, linewidth=1, linestyle="--", label="nominal")
+    for place, row in enumerate(rows):
+        colour = _RED if row.passes is False else _BLUE
+        _whisker(panel, Estimate(row.value, row.low, row.high, row.cases), place, colour)
+    names = [f"{plain(row.name.partition('plan ')[2])} ({row.cases})" for row in rows]
+    panel.set_yticks(range(len(rows)), names)
+    panel.set_ylim(len(rows) - 0.5, -0.5)
+    panel.set_xlim(0, None)
+    panel.set_xlabel("false alarms (%)")
+    legend_above(panel)
+    return figure
+
+
+def detection_figure(curves: Sequence[Curve]) -> Figure:
+    """Share of cases in which a gap is told against severity, all plans together and each."""
+    figure, panel = sheet(NARROW, 4.0)
+    for number, curve in enumerate(curves):
+        shift = np.exp(_SPREAD * (number - (len(curves) - 1) / 2))
+        places = np.array([limits for limits, _ in curve.points]) * shift
+        found = np.array([(one.value, one.value - one.low, one.high - one.value) for _, one in curve.points])
+        colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
+        drawn = panel.errorbar(
+            places,
+            found[:, 0],
+            yerr=np.maximum(found[:, 1:].T, 0),
+            color=colour,
+            marker=marker,
+            markersize=4.5,
+            linewidth=2.0 if number == 0 else 1.2,
+            elinewidth=0.9,
+            capsize=2,
+        )
+        drawn.set_label(plain(curve.plan))
+    for limits, (least, _) in DETECTION.items():
+        ends = np.array([limits / 1.25, limits * 1.25])
+        panel.plot(ends, np.full(2, least), color="#9aa5ad", linewidth=5, zorder=0, solid_capstyle="butt")
+    ticks = sorted({limits for curve in curves for limits, _ in curve.points})
+    make_logarithmic(panel, "x")
+    panel.set_xticks(ticks, [f"{limits:g}" for limits in ticks])
+    panel.set_ylim(-0.02, 1.04)
+    panel.set_xlabel("severity (detection limits)")
+    panel.set_ylabel("share detected")
+    panel.grid(color="0.9", linewidth=0.7)
+    legend_above(panel)
+    return figure
+
+
+def confusion_figure(confusion: Confusion) -> Figure:
+    """Rows: what was at work; columns: the first cause said. Colour is the share of the row, numbers are cases, frames
+    are what would be right.
+    """
+    from matplotlib.patches import Rectangle
+
+    counts = np.array(confusion.counts, float).reshape(len(confusion.truths), len(confusion.said))
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    figure, panel = sheet(2.6 + 0.27 * len(confusion.said), 1.8 + 0.2 * len(confusion.truths))
+    panel.pcolormesh(shares, cmap="Blues", vmin=0, vmax=1, edgecolors="white", linewidth=0.6)
+    for row, column in np.argwhere(counts > 0).tolist():
+        colour = "white" if shares[row, column] > _DARK else _INK
+        text = f"{counts[row, column]:.0f}"
+        panel.text(column + 0.5, row + 0.53, text, ha="center", va="center", fontsize=6.5, color=colour)
+    for row, column in np.argwhere(np.array(confusion.right, bool).reshape(counts.shape)).tolist():
+        panel.add_patch(Rectangle((column, row), 1, 1, fill=False, edgecolor=_RED, linewidth=1.2))
+    panel.set_ylim(len(confusion.truths), 0)
+    panel.set_yticks(np.arange(len(confusion.truths)) + 0.5, [plain(name, 34) for name in confusion.truths])
+    names = [plain(name).replace("_", " ") for name in confusion.said]
+    panel.set_xticks(np.arange(len(names)) + 0.5, names, rotation=60, ha="left", rotation_mode="anchor")
+    panel.tick_params(length=0, labeltop=True, labelbottom=False, labelsize=7.5)
+    panel.spines[:].set_visible(False)
+    return figure
+
+
+def reliability_figure(bins: Sequence[Bin]) -> Figure:
+    """The share of causes that are right against the probability that was said; numbers are causes."""
+    figure, panel = sheet(NARROW, 4.4)
+    panel.plot([0, 1], [0, 1], color=_GREY, linewidth=1, linestyle="--", label="as said")
+    filled = [one for one in bins if one.cases]
+    for one in filled:
+        found = rate(round(one.right * one.cases), one.cases)
+        reach = np.maximum([[found.value - found.low], [found.high - found.value]], 0)
+        panel.errorbar(one.mean, one.right, yerr=reach, color=_BLUE, marker="o", markersize=5, capsize=2.5)
+        panel.annotate(str(one.cases), (one.mean, one.right), (6, 4), textcoords="offset points", fontsize=7.5)
+    panel.set(xlim=(-0.02, 1.06), ylim=(-0.04, 1.06), aspect="equal")
+    panel.set_xlabel("probability said")
+    panel.set_ylabel("share of causes that are right")
+    legend_above(panel)
+    return figure
+
+
+def closure_figure(closures: Sequence[Closure]) -> Figure:
+    """The share of the gap said to be closed against the oracle's, and the band that is near enough."""
+    figure, panel = sheet(NARROW, 4.4)
+    ends = np.array([_LEAST_CLOSED, 1.0])
+    panel.fill_between(ends, ends - WITHIN, ends + WITHIN, color=_BAND, label=f"within {WITHIN}")
+    for is_right, colour, marker, label in ((False, _RED, "x", "wrong cause first"), (True, _BLUE, "o", "right")):
+        own = [one for one in closures if one.is_right == is_right and isfinite(one.claimed)]
+        places = np.array([(one.oracle, one.claimed) for one in own]).reshape(-1, 2)
+        x, y = np.maximum(places, _LEAST_CLOSED).T
+        panel.scatter(x, y, s=14, color=colour, marker=marker, linewidth=0.8, alpha=0.7, label=label)
+    panel.set(xlim=(_LEAST_CLOSED - 0.03, 1.05), ylim=(_LEAST_CLOSED - 0.03, 1.05), aspect="equal")
+    panel.set_xlabel("share closed by the oracle")
+    panel.set_ylabel("share said to be closed")
+    panel.grid(color="0.92", linewidth=0.6)
+    legend_above(panel)
+    return figure
+
+
+def _whisker(panel: Axes, found: Estimate, place: float, colour: str) -> None:
+    """A share in percent, lying."""
+    if not found.cases:
+        return
+    reach = 100 * np.maximum([[found.value - found.low], [found.high - found.value]], 0)
+    panel.errorbar(100 * found.value, place, xerr=reach, color=colour, marker="o", markersize=5, capsize=3)

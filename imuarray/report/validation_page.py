@@ -1,0 +1,212 @@
+"""The page of a validation run: every figure with its bar, what misses one and where, plots, how it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.util import find_spec
+from math import isfinite
+from os import PathLike
+
+from imuarray.gap.text import share
+from imuarray.report import validation_figures as drawings
+from imuarray.report.gap_sheet import SmallFigure
+from imuarray.report.gap_tables import marked
+from imuarray.report.page import Figure, Section, Table, write_page
+from imuarray.report.validation_words import failing_rows, frozen_text, plain_text, summary_lines
+from imuarray.validation.rates import Bin
+from imuarray.validation.score_answers import NO_GAP
+from imuarray.validation.score_rows import Row
+from imuarray.validation.scoring import Figures, decimal, lost_by, texts
+
+NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
+Parts = list[Table | Figure]
+
+
+def write_validation_page(
+    path: str | PathLike[str], figures: Figures, *, command: str = "", force: bool = False
+) -> None:
+    """Write the page; `command` made the run. Without matplotlib it says so and has tables alone.
+
+    OutputExistsError if it is there and not `force`, MissingExtraError without jinja2.
+    """
+    drawn = find_spec("matplotlib") is not None
+    summary = list(summary_lines(figures))
+    sections = (
+        _figures(figures),
+        _missed(figures),
+        _alarms(figures, drawn=drawn),
+        _detection(figures, drawn=drawn),
+        _causes(figures, drawn=drawn),
+        _probabilities(figures, drawn=drawn),
+        _closure(figures, drawn=drawn),
+        _run(figures, command),
+    )
+    title = f"Diagnosis checked on data whose effect is withheld: {figures.half or 'unnamed'} half"
+    write_page(path, title, summary if drawn else [*summary, NO_FIGURES], sections, force=force)
+
+
+def _figures(figures: Figures) -> Section:
+    rows = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *texts(row)] for row in figures.rows]
+    heading = ["figure", "", "value", "95 %", "cases", "bar"]
+    caption = "Marked where a bar is missed; n.a.: no cases; nothing: no bar."
+    counted = [[name, about] for about, name in _counted(figures).items()]
+    words = "Each figure with its interval, the number of cases, and the bar that was set before."
+    told = Table(["figure", "what is counted"], counted, "What is counted.", (1,))
+    return Section("Figures and their bars", words, [Table(heading, rows, caption), *_by_plan(figures), told])
+
+
+def _by_plan(figures: Figures) -> Iterator[Table]:
+    """A table of the figures that there are on several plans, if there are any."""
+    cells = {row.name: {cell.name: cell for cell in row.cells if cell.group == "plan"} for row in figures.rows}
+    plans = sorted({plan for own in cells.values() for plan in own})
+    rows = [
+        [name, *(f"{decimal(own[plan].value)} ({own[plan].cases})" if plan in own else "–" for plan in plans)]
+        for name, own in cells.items()
+        if own
+    ]
+    if len(plans) > 1:
+        yield Table(["figure", *plans], rows, "On each plan, in brackets the cases.")
+
+
+def _counted(figures: Figures) -> dict[str, str]:
+    """What is counted, and of which figures that is said."""
+    found: dict[str, list[str]] = {}
+    for row in figures.rows:
+        found.setdefault(row.about, []).append(row.name)
+    return {about: "; ".join(names) for about, names in found.items()}
+
+
+def _missed(figures: Figures) -> Section:
+    title = "Where a bar is missed"
+    rows = list(failing_rows(figures))
+    if not figures.failed:
+        return Section(title, "Nowhere.")
+    words = (
+        "The parts of the cases that pull a figure down, by severity, mechanism or kind, those first whose interval is "
+        "outside the bar. A cell of few cases misses by chance."
+    )
+    heading = ["figure", "cell", "value", "95 %", "cases"]
+    return Section(title, words, [Table(heading, rows, "Figures that miss their bar, and cells of them.", (1,))])
+
+
+def _alarms(figures: Figures, *, drawn: bool) -> Section:
+    rows = [row for row in figures.rows if row.name.startswith("false alarms")]
+    known = [row for row in rows if row.cases]
+    parts: Parts = []
+    if drawn and known:
+        told = ", ".join(f"{_plan_of(row)} {share(row.value)}" for row in known)
+        caption = "Cases without anything wrong in which a gap is told; in brackets how many cases there are."
+        parts.append(SmallFigure(drawings.alarms_figure(known), caption, f"{caption} {told}."))
+    words = "Nothing is wrong with these cases, and one in twenty may be told to have a gap."
+    cells = [[_plan_of(row), *texts(row)] for row in rows]
+    table = Table(["plan", "value", "95 %", "cases", "bar"], cells, "Share of cases in which a gap is told.")
+    return Section("False alarms", words, [*parts, table])
+
+
+def _plan_of(row: Row) -> str:
+    """Of a row of false alarms."""
+    return row.name.partition("plan ")[2] or "all"
+
+
+def _detection(figures: Figures, *, drawn: bool) -> Section:
+    curves, power = figures.curves, figures.power
+    if not curves:
+        return Section("Detection", "No cases of a single mechanism.")
+    parts: Parts = []
+    if drawn:
+        whole = ", ".join(f"{limits:g} limits {share(found.value)}" for limits, found in curves[0].points)
+        caption = "Share of cases in which a gap is told, against severity; grey: the bars at 2 and 5 limits."
+        parts.append(SmallFigure(drawings.detection_figure(curves), caption, f"{caption} All plans: {whole}."))
+    rows = [
+        [name, *(f"{hits} of {cases}" if cases else "–" for hits, cases in counts)]
+        for name, counts in zip(power.mechanisms, power.counts, strict=True)
+    ]
+    caption = f"Detected cases on the plan {figures.full!r}, by mechanism and severity."
+    if rows:
+        parts.append(Table(["mechanism", *power.severities], rows, caption))
+    words = "Severity is in units of the detection limit; some mechanisms have none, they are there or not."
+    return Section("Detection", words, [*parts, _curve_table(figures)])
+
+
+def _curve_table(figures: Figures) -> Table:
+    limits = sorted({limits for curve in figures.curves for limits, _ in curve.points})
+    rows = []
+    for curve in figures.curves:
+        found = dict(curve.points)
+        cells = [found.get(one) for one in limits]
+        rows.append([curve.plan, *(f"{decimal(one.value)} ({one.cases})" if one else "–" for one in cells)])
+    return Table(["plan", *(f"{one:g}x" for one in limits)], rows, "Share detected, in brackets the cases.")
+
+
+def _causes(figures: Figures, *, drawn: bool) -> Section:
+    confusion = figures.confusion
+    if not confusion.truths:
+        return Section("Causes", f"No cases on the plan {figures.full!r}.")
+    parts: Parts = []
+    wrong = _taken_for(figures)
+    if drawn:
+        caption = (
+            "What was at work (rows) against the first cause said (columns), all severities; numbers are cases, colour "
+            "is the share of the row, red frames are what is right: for what has no name, that none is said."
+        )
+        told = "; ".join(f"{truth} taken for {said}: {count}" for truth, said, count in wrong[:5])
+        parts.append(Figure(drawings.confusion_figure(confusion), caption, f"{caption} Most often wrong: {told}."))
+    if wrong:
+        caption = f"The most frequent confusions of {len(wrong)}; cases in which no gap is told are not among them."
+        parts.append(Table(["at work", "first cause said", "cases"], wrong[:20], caption, (1,)))
+    words = "The most probable cause of each case of one mechanism or none. A mechanism can have several right names."
+    return Section("Causes", words, parts)
+
+
+def _taken_for(figures: Figures) -> list[tuple[str, str, str]]:
+    """Truth, what was said instead, how often; the most frequent first."""
+    confusion = figures.confusion
+    found = [
+        (count, truth, said)
+        for truth, counts, right in zip(confusion.truths, confusion.counts, confusion.right, strict=True)
+        for said, count, is_right in zip(confusion.said, counts, right, strict=True)
+        if count and not is_right and said != NO_GAP
+    ]
+    return [(truth, said, str(count)) for count, truth, said in sorted(found, key=lambda one: -one[0])]
+
+
+def _probabilities(figures: Figures, *, drawn: bool) -> Section:
+    filled = [one for one in figures.reliability if one.cases]
+    if not filled:
+        return Section("Probabilities", "No cause was told.")
+    caption = "Causes told, by their probability: as many should be right as it says. Numbers are causes."
+    told = "; ".join(f"{_bin_name(one)}: {decimal(one.right)} of {one.cases}" for one in filled)
+    parts: Parts = [SmallFigure(drawings.reliability_figure(filled), caption, f"{caption} {told}.")] if drawn else []
+    rows = [[_bin_name(one), decimal(one.mean), decimal(one.right), str(one.cases)] for one in filled]
+    table = Table(["probability", "mean", "right", "causes"], rows, "Probabilities said, and what came true.")
+    words = "Every cause that was told, in cases of one mechanism, two or none."
+    return Section("Probabilities", words, [*parts, table])
+
+
+def _bin_name(one: Bin) -> str:
+    return f"{one.low:g} to {one.high:g}"
+
+
+def _closure(figures: Figures, *, drawn: bool) -> Section:
+    known = [one for one in figures.closures if isfinite(one.claimed)]
+    silent = len(figures.closures) - len(known)
+    words = "The share of the gap that goes with the causes said, against that of an oracle who is told the effects."
+    words += f" In {silent} cases nothing was said, though the oracle could." if silent else ""
+    if not known:
+        return Section("Closure", f"{words} No cases.")
+    caption = "A point a case; grey: near enough."
+    told = f"{caption} {sum(one.is_right for one in known)} with the right cause first, {len(known)} in all."
+    parts: Parts = [SmallFigure(drawings.closure_figure(known), caption, told)] if drawn else []
+    rows = [[row.name, *texts(row)] for row in figures.rows if "closure" in row.name]
+    return Section("Closure", words, [*parts, Table(["figure", "value", "95 %", "cases", "bar"], rows, "Closure.")])
+
+
+def _run(figures: Figures, command: str) -> Section:
+    plan = {key: value for key, value in figures.plan.items() if key != "frozen"}
+    rows = [["command", command]] if command else []
+    rows += [[key, plain_text(value)] for key, value in plan.items()]
+    rows += [[f"frozen: {key}", plain_text(value)] for key, value in figures.frozen.items()]
+    rows += [["cases", str(figures.cases)], ["lost", str(len(figures.lost))]]
+    rows += [[f"lost: {name}", str(count)] for name, count in lost_by(figures.lost).items()]
+    caption = "With the same command and software this page comes out the same."
+    return Section("How it was made", frozen_text(figures), [Table(["", "value"], rows, caption, (1,))])

@@ -1,0 +1,79 @@
+"""What a validation run shows, in words: for the top of its page, and in Markdown for a page that is committed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from imuarray.validation.scoring import MOST_CELLS, Figures, lost_by, texts
+
+
+def markdown(figures: Figures, date: str, command: str = "") -> str:
+    """A section of results for a committed page: when, by what command, what was frozen, every figure, what misses."""
+    lines = [f"## Results of {_cell(date)}, {_cell(figures.half or 'unnamed')} half", ""]
+    lines += [f"- {_cell(line)}" for line in (*summary_lines(figures), frozen_text(figures))]
+    lines += ["", "```sh", command.replace("```", ""), "```"] if command else []
+    lines += ["", "| | figure | value | 95 % | cases | bar |", "|---|---|---|---|---|---|"]
+    for row in figures.rows:
+        mark = "**FAIL**" if row.mark == "FAIL" else row.mark
+        lines.append("| " + " | ".join([mark, *map(_cell, (row.name, *texts(row)))]) + " |")
+    missed = list(failing_rows(figures))
+    if missed:
+        lines += ["", "Where a bar is missed:", "", "| figure | cell | value | 95 % | cases |", "|---|---|---|---|---|"]
+        lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in missed]
+    return "\n".join(lines) + "\n"
+
+
+def summary_lines(figures: Figures) -> Iterator[str]:
+    """How many figures reach their bar and which don't, what there were no cases for, what is lost."""
+    judged = [row for row in figures.rows if row.passes is not None]
+    sure = [row.name for row in figures.failed if row.is_refuted]
+    maybe = [row.name for row in figures.failed if not row.is_refuted]
+    bare = [row.name for row in figures.rows if row.mark == "n.a."]
+    yield f"{sum(row.passes is True for row in judged)} of {len(judged)} figures reach their bar."
+    if sure:
+        yield f"Missed by more than chance (the whole interval is outside the bar): {'; '.join(sure)}."
+    if maybe:
+        yield f"Missed, but the interval reaches the bar: {'; '.join(maybe)}."
+    if bare:
+        yield f"No cases for: {'; '.join(bare)}."
+    by_reason = "; ".join(f"{name}: {count}" for name, count in lost_by(figures.lost).items())
+    yield f"{figures.cases} cases, {len(figures.lost)} of them lost{f' ({by_reason})' if by_reason else ''}."
+    yield f"Bars are judged on the plan {figures.full!r} unless a figure says otherwise; intervals hold 95 %."
+    yield from figures.notes
+
+
+def failing_rows(figures: Figures) -> Iterator[list[str]]:
+    """Figure, cell, value, interval and cases of every figure that misses its bar, and of `MOST_CELLS` of its cells
+    that do, the surest first.
+    """
+    for row in figures.failed:
+        failing = row.failing()
+        yield [row.name, "all", *texts(row)[:3]]
+        for cell in failing[:MOST_CELLS]:
+            yield [row.name, f"{cell.group} {cell.name}", *texts(cell)[:3]]
+        if len(failing) > MOST_CELLS:
+            yield [row.name, f"and {len(failing) - MOST_CELLS} more", "", "", ""]
+
+
+def frozen_text(figures: Figures) -> str:
+    """What was settled before the truth was opened."""
+    if not figures.frozen:
+        return "Nothing was frozen before the truth was opened."
+    return (
+        "Frozen before the truth was opened: "
+        + "; ".join(f"{key} {plain_text(value)}" for key, value in figures.frozen.items())
+        + "."
+    )
+
+
+def plain_text(value: Any) -> str:
+    """A value of plan.json in one line."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _cell(text: str) -> str:
+    """One line of Markdown: no markup, no end of a table's cell."""
+    one_line = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;")
+    return "".join(f"\\{sign}" if sign in "\\`*_[]|$" else sign for sign in one_line)

@@ -1,0 +1,154 @@
+"""The detection limit of a mechanism: the severity at which the full plan just shows that something is wrong.
+
+    python -m imuarray.validation.detection --seed 1 -o limits.json
+
+A case without a mechanism says what chance makes of the same units; from the largest score at one severity the next is
+told, until it is about what chance reaches. Seeds are of the development half.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import as_completed
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import click
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.compare import Compared, compared_with_base, prepared
+from imuarray.gap.likeness import likeness_of
+from imuarray.gap.pairs import spread_of
+from imuarray.gap.recordings import recordings_of
+from imuarray.gap.workers import processes, runner
+from imuarray.log import open_log
+from imuarray.validation.case import Put, write_json
+from imuarray.validation.generator import mechanisms, record
+
+Floats = npt.NDArray[np.float64]
+
+REPLICATES = 60
+PLAN = "full"
+FURTHEST = 64.0
+"""How far severities go either way."""
+
+_TRIES, _NEAR = 4, 1.3
+_NEXT_TO_NOTHING, _APART, _LEAST = 1e-6, 1.0, 0.03
+_POWERS = (0.5, 3.0)
+
+_PROBES: Mapping[str, str] = {"bma180": "BMA1", "l3g4200d": "Gyro1"}
+"""The sensors on which limits are measured: accelerometers, gyroscopes."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One mechanism on one sensor (or, "", wherever it goes)."""
+
+    mechanism: str
+    sensor: str
+    seed: int
+
+
+def limit_of(asked: Asked) -> float:
+    """The severity, to within some tenths of itself; nan if the greatest doesn't show, the least that was tried if that
+    shows.
+    """
+    severity, tried = 1.0, list[tuple[float, float]]()
+    for _ in range(_TRIES):
+        reached = beyond(asked, severity)
+        tried.append((severity, reached))
+        if 1 / _NEAR < reached < _NEAR:
+            break
+        power = _power(tried)
+        severity = float(np.clip(severity * reached ** (-1 / power), 1 / FURTHEST, FURTHEST))
+        if severity == tried[-1][0]:
+            break
+    severity, reached = tried[-1]
+    if severity == FURTHEST and reached < 1:
+        return float("nan")
+    return float(np.clip(severity * reached ** (-1 / _power(tried)), 1 / FURTHEST, FURTHEST))
+
+
+def _power(tried: Sequence[tuple[float, float]]) -> float:
+    """How scores go with severity, by the last two: 1 as bias does, 2 as noise added to noise, 1 if nobody knows."""
+    if len(tried) < 2 or tried[-1][1] == tried[-2][1]:
+        return 1.0
+    (first, low), (second, high) = tried[-2:]
+    return float(np.clip(np.log(high / low) / np.log(second / first), *_POWERS))
+
+
+def beyond(asked: Asked, severity: float) -> float:
+    """The largest score of a case of that severity over what chance reaches, of those that are another with next to
+    nothing of it, whose noise is the same; at least 0.03.
+    """
+    scores, nothing = _scores(asked, severity), _scores(asked, _NEXT_TO_NOTHING)
+    moved = np.where(np.abs(scores - nothing) > _APART, np.abs(scores), np.abs(scores - nothing))
+    return float(max(moved.max() / _null(asked.seed).located.limit, _LEAST))
+
+
+@lru_cache(maxsize=8)
+def _scores(asked: Asked, severity: float) -> Floats:
+    """(m,) of a case by the replicates of one without; what is there on one side only counts as `STRANGE`."""
+    null = _null(asked.seed)
+    sensors = (asked.sensor,) if asked.sensor else ()
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        logs, _ = record(Path(name), PLAN, (Put(asked.mechanism, severity, 1.0, sensors),), asked.seed)
+        recordings = recordings_of([stack.enter_context(open_log(path)) for path in logs])
+        bench, campaign = prepared(recordings, None, 0)
+        values = dict(zip(_parts(bench), bench.observed(campaign, bench.base.fitted).values.tolist(), strict=True))
+    known = np.array([values.get(key, np.nan) for key in _parts(null.bench)])
+    likeness = likeness_of(null.chance[1::2], null.bench.resolutions)
+    norm = spread_of(null.pairs.sums(likeness.scores(null.chance[1::2])))
+    return np.nan_to_num(null.pairs.sums(likeness.scores(known)) / norm)
+
+
+def _parts(bench: Any) -> Iterator[tuple[Any, bool]]:
+    return zip(bench.keys, bench.held_out.tolist(), strict=True)
+
+
+@lru_cache(maxsize=2)
+def _null(seed: int) -> Compared:
+    with TemporaryDirectory() as name:
+        logs, _ = record(Path(name), PLAN, (), seed)
+        opened = [open_log(path) for path in logs]
+        bench, campaign = prepared(recordings_of(opened), None, 0)
+        return compared_with_base(bench, campaign, runner(bench), REPLICATES)
+
+
+@click.command()
+@click.option("--seed", type=int, default=1, show_default=True)
+@click.option("--workers", type=int, default=2, show_default=True)
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True)
+def program(seed: int, workers: int, output: Path) -> None:
+    """Measure the limits of all mechanisms."""
+    found: dict[str, dict[str, float]] = json.loads(output.read_text()) if output.exists() else {}
+    asked = [
+        one for one in sorted(_all(seed), key=lambda one: (not one.sensor, one.sensor)) if one.sensor not in found.get(one.mechanism, {})
+    ]
+    with processes(workers) as executor:
+        futures = {executor.submit(limit_of, one): one for one in asked}
+        for number, future in enumerate(as_completed(futures), start=1):
+            one = futures[future]
+            found.setdefault(one.mechanism, {})[one.sensor] = future.result()
+            click.echo(f"{number}/{len(asked)} {one.mechanism} {one.sensor or 'anywhere'}: {future.result():.3g}")
+            write_json(output, found)
+
+
+def _all(seed: int) -> Iterator[Asked]:
+    for name, facts in mechanisms().items():
+        if not facts["graded"] or facts["place"] == "pair":
+            continue
+        if facts["place"] in ("host", "design"):
+            yield Asked(name, "", seed)
+        else:
+            yield from (Asked(name, sensor, seed) for chip, sensor in _PROBES.items() if chip in facts["touches"])
+
+
+if __name__ == "__main__":
+    program()

@@ -1,0 +1,62 @@
+"""The generator of cases, a program that shares no code with the diagnosis: it is called, never imported."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from imuarray.errors import ConfigError
+from imuarray.validation.case import Put
+
+PROGRAM = (sys.executable, "-m", "firmware_emulator.cases")
+
+ARRAY = "martin2013"
+CHIPS: Mapping[str, str] = MappingProxyType(
+    {"ADXL1": "adxl345", "BMA1": "bma180", "BMA2": "bma180", "Gyro1": "l3g4200d", "Gyro2": "l3g4200d"}
+)
+"""The array that is emulated, and those of its sensors that are read: two of a kind, and another accelerometer."""
+
+PLANS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "static": ("static",),
+        "tumble": ("static", "tumble"),
+        "heating": ("static", "heating"),
+        "turn-on": ("static", "turn-on"),
+        "full": ("static", "tumble", "heating", "turn-on", "motion"),
+    }
+)
+"""What is recorded: experiments of the emulator's bench."""
+
+
+@cache
+def mechanisms() -> dict[str, dict[str, Any]]:
+    """What the generator can put to work, as it tells of them: chips that a mechanism `touches`, its `place` ("sensor",
+    "pair", "design" or "host"), the effects that it `resembles`, whether it is `graded`.
+    """
+    found: dict[str, dict[str, Any]] = json.loads(_called("--mechanisms"))
+    return found
+
+
+def record(folder: Path, plan: str, puts: Sequence[Put], seed: int) -> tuple[list[Path], dict[str, Any]]:
+    """The logs of a case, in a folder of their own below `folder`, and the truth, which lies in another."""
+    truth = folder / "sealed" / "truth.json"
+    words = [ARRAY, "-o", str(folder / "logs"), "--truth", str(truth), "--seed", str(seed)]
+    words += ["--experiments", ",".join(PLANS[plan]), "--only", ",".join(CHIPS)]
+    for put in puts:
+        words += ["--mechanism", put.mechanism, "--severity", repr(put.severity), "--sensor", ",".join(put.sensors)]
+    logs = [Path(line) for line in _called(*words).splitlines()]
+    return logs, json.loads(truth.read_text())
+
+
+def _called(*words: str) -> str:
+    """What it prints; ConfigError with its last line if it fails."""
+    done = subprocess.run([*PROGRAM, *words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ConfigError(f"the generator of cases: {(done.stderr.strip().splitlines() or ['failed'])[-1]}")
+    return done.stdout

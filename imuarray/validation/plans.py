@@ -1,0 +1,175 @@
+"""Which cases there are: what is at work, how much of it, recorded how, by half, size and seed.
+
+Severities are in units of the detection limit, the severity at which the full plan just shows something; those were
+measured on development seeds (`imuarray.validation.detection`). No seed of one half is one of the other.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import count
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from imuarray.validation.case import Case, Half, Kind, Put
+from imuarray.validation.generator import CHIPS, PLANS, mechanisms
+from imuarray.validation.limits import limit
+
+FULL = "full"
+"""The plan of all cases but controls, and of those that show what a shorter one can't."""
+
+SEVERITIES = (0.5, 1.0, 2.0, 5.0, 20.0)
+"""In detection limits."""
+
+STRONG = 5.0
+"""Of what is not told by severity: unnamed and withheld mechanisms, pairs."""
+
+_AT_ONE_TEMPERATURE = ("thermal_bias", "thermal_scale", "thermal_lag", "thermometer")
+_ON_ONE_FACE = ("scale", "misalignment", "nonlinearity", "g_sensitivity")
+_AT_REST = ("skew", "jitter", "clock_error", "size_effect", "saturation")
+_IN_ONE_BOOT = ("turn_on_bias", "bistable_bias")
+
+HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
+    {
+        "static": frozenset((*_AT_ONE_TEMPERATURE, *_ON_ONE_FACE, *_AT_REST, *_IN_ONE_BOOT)),
+        "tumble": frozenset((*_AT_ONE_TEMPERATURE, *_AT_REST)),
+        "heating": frozenset((*_ON_ONE_FACE, *_AT_REST)),
+        "turn-on": frozenset((*_AT_ONE_TEMPERATURE, *_ON_ONE_FACE, *_AT_REST)),
+    }
+)
+"""Effects that a plan can't show, by what they need: another temperature, face or boot, or motion."""
+
+EXTRAS: tuple[Mapping[str, Any], ...] = (
+    {"sensor": "Gyro1", "effect": "tone", "parameters": {"amplitude_dps": [0.0, 0.3, 0.0], "frequency_hz": 17.0}},
+    {"sensor": "BMA1", "effect": "random_walk", "parameters": {"density_g_per_sqrt_s": [0.002, 0.002, 0.002]}},
+    {"sensor": "Gyro2", "effect": "bandwidth", "parameters": {"cutoff_hz": 8.0}},
+    {"sensor": "BMA2", "effect": "glitches", "parameters": {"probability": 0.01, "amplitude_g": 0.3}},
+    {"sensor": "ADXL1", "effect": "stale_samples", "parameters": {"probability": 0.3}},
+    {
+        "sensor": "Gyro1",
+        "effect": "bias_instability",
+        "parameters": {"rms_dps": [0.3, 0.3, 0.3], "time_constant_s": 20.0},
+    },
+    {"sensor": "BMA1", "effect": "turn_on_bias", "parameters": {"rms_g": [0.05, 0.05, 0.05]}},
+    {"sensor": "ADXL1", "effect": "quantisation", "parameters": {"step_lsb": 4.0}},
+)
+"""Effects that a model is given and the sensors have not."""
+
+_SEEDS: Mapping[Half, int] = MappingProxyType({"development": 1_000_000, "sealed": 2_000_000})
+"""The first seed of each half; a million cases keep them apart."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How many cases: `controls` of each plan; `singles` of each named mechanism at each of `severities` on the full
+    plan, `others` of it on each other plan at the highest; `withheld` of each named and `unnamed` of each other one;
+    `pairs` on different sensors and on one; `removals` of each extra effect. Only `mechanisms`, if any are named, and
+    only `plans`.
+    """
+
+    controls: int = 0
+    singles: int = 0
+    others: int = 0
+    withheld: int = 0
+    unnamed: int = 0
+    pairs: int = 0
+    removals: int = 0
+    severities: tuple[float, ...] = SEVERITIES
+    mechanisms: tuple[str, ...] = ()
+    plans: tuple[str, ...] = tuple(PLANS)
+
+
+SIZES: Mapping[str, Size] = MappingProxyType(
+    {
+        "glance": Size(others=1, severities=(20.0,), mechanisms=("mains_ripple",), plans=("static",)),
+        "reduced": Size(
+            controls=1,
+            singles=1,
+            unnamed=1,
+            severities=(20.0,),
+            mechanisms=("mains_ripple", "power_on_stress", "stuck_bit", "interleaved_converters"),
+        ),
+        "short": Size(controls=4, singles=1, withheld=1, unnamed=1, pairs=6, removals=1, severities=(2.0, 20.0)),
+        "medium": Size(controls=20, singles=1, others=1, withheld=1, unnamed=2, pairs=20, removals=2),
+        "full": Size(controls=200, singles=20, others=4, withheld=4, unnamed=20, pairs=100, removals=12),
+    }
+)
+"""By the names that the command takes; the full one has 8600 cases."""
+
+
+class _Drawn(NamedTuple):
+    """A case as yet without a number."""
+
+    kind: Kind
+    plan: str
+    names: tuple[str, ...] = ()
+    limits: float = 0.0
+    extra: Mapping[str, Any] = MappingProxyType({})
+    together: bool = False
+
+
+def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
+    """All of them, numbered; `seed` makes another set of the same half (0 to 99)."""
+    if not 0 <= seed < 100:
+        raise ValueError(f"seed {seed}; allowed is 0 to 99")
+    first = _SEEDS[half] + 10_000 * seed
+    drawn = sorted(_all(size), key=lambda one: random.Random(repr(one)).random())  # all kinds from the start
+    return [_case(one, half, number, first + number) for number, one in zip(count(), drawn, strict=False)]
+
+
+def _all(size: Size) -> Iterator[_Drawn]:
+    facts = {name: one for name, one in mechanisms().items() if not size.mechanisms or name in size.mechanisms}
+    named = [name for name, one in facts.items() if one["resembles"]]
+    for plan in size.plans:
+        yield from [_Drawn("none", plan)] * size.controls
+    for name in named:
+        severities = size.severities if facts[name]["graded"] else size.severities[-1:]
+        for limits in severities:
+            yield from [_Drawn("single", FULL, (name,), limits)] * size.singles
+        for plan in size.plans:
+            if plan != FULL:
+                yield from [_Drawn("single", plan, (name,), size.severities[-1])] * size.others
+        yield from [_Drawn("withheld", FULL, (name,), STRONG)] * size.withheld
+    for name in facts:
+        if name not in named:
+            yield from [_Drawn("unnamed", FULL, (name,), STRONG)] * size.unnamed
+    choose = random.Random(0)
+    apart = [name for name in named if facts[name]["place"] == "sensor"]
+    for together in (False, True):
+        for _ in range(size.pairs):
+            first, second = choose.sample(apart, 2)
+            yield _Drawn("pair", FULL, (first, second), STRONG, together=together)
+    for extra in EXTRAS:
+        yield from [_Drawn("removal", FULL, extra=extra)] * size.removals
+
+
+def _case(one: _Drawn, half: Half, number: int, seed: int) -> Case:
+    """With sensors, by its seed: those that both of a pair can be put on, or two, one for each."""
+    choose = random.Random(seed)
+    facts = [mechanisms()[name] for name in one.names]
+    free = [[sensor for sensor, chip in CHIPS.items() if chip in fact["touches"]] for fact in facts]
+    if one.together:
+        free = [[choose.choice(sorted(set.intersection(*map(set, free))) or free[0])]] * len(free)
+    taken: set[str] = set()
+    puts = []
+    for name, fact, sensors in zip(one.names, facts, free, strict=True):
+        chosen = _sensors(fact["place"], [sensor for sensor in sensors if sensor not in taken] or sensors, choose)
+        taken |= set() if one.together else set(chosen)
+        severity, limits = limit(name, chosen) * one.limits, one.limits
+        puts.append(Put(name, severity if fact["graded"] else 1.0, limits if fact["graded"] else math.nan, chosen))
+    resembles = tuple(tuple(fact["resembles"]) for fact in facts)
+    case = Case(number, half, one.kind, one.plan, tuple(puts), seed, extra=dict(one.extra), resembles=resembles)
+    return replace(case, without=resembles[0]) if one.kind == "withheld" else case
+
+
+def _sensors(place: str, sensors: list[str], choose: random.Random) -> tuple[str, ...]:
+    """One, two of a chip, or none where the mechanism itself says where it goes."""
+    if place == "sensor":
+        return (choose.choice(sensors),)
+    if place == "pair":
+        chip = choose.choice([chip for chip in set(CHIPS.values()) if list(CHIPS.values()).count(chip) > 1])
+        return tuple(sensor for sensor in CHIPS if CHIPS[sensor] == chip)[:2]
+    return ()

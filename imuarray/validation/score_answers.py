@@ -1,0 +1,249 @@
+"""What a run left behind: the diagnosis of every case beside its sealed truth, and the cases that were lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from math import isfinite, nan
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from imuarray.errors import ConfigError
+from imuarray.validation.case import Case, Outcome
+
+LIKELY = 0.5
+"""Probability from which on a cause counts as named."""
+
+NO_GAP, NOTHING_NAMED = "no gap", "nothing named"
+Said = Mapping[str, Any]
+"""A cause, as the JSON of a diagnosis has it."""
+
+
+@dataclass(frozen=True)
+class AtWork:
+    """A mechanism that was at work: its size in detection limits (nan: it is there or not), on which sensors and axes
+    (none: all, or it isn't told), and what effects it may rightly be called.
+    """
+
+    mechanism: str
+    limits: float
+    sensors: frozenset[str]
+    axes: frozenset[str]
+    resembles: frozenset[str]
+
+    def is_called(self, cause: Said) -> bool:
+        """Whether the cause has one of its names; what is taken out of the model isn't at work."""
+        return cause["effect"] in self.resembles and cause.get("action") != "remove"
+
+    def is_met(self, cause: Said) -> bool:
+        """Whether it has one of its names, and concerns at least one of its sensors."""
+        return self.is_called(cause) and meets(self.sensors, cause.get("sensors", ()))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A case that was diagnosed: what was `at_work`, and what came of it."""
+
+    case: Case
+    at_work: tuple[AtWork, ...]
+    outcome: Outcome
+
+    @property
+    def verdict(self) -> str:
+        """In the diagnosis' words."""
+        return str(self.outcome.diagnosis["verdict"])
+
+    @property
+    def is_detected(self) -> bool:
+        """Whether a gap is told."""
+        return self.verdict != NO_GAP
+
+    @property
+    def causes(self) -> tuple[Said, ...]:
+        """Most probable first."""
+        return tuple(self.outcome.diagnosis.get("causes") or ())
+
+    @property
+    def named(self) -> tuple[Said, ...]:
+        """The causes that are likely."""
+        return tuple(cause for cause in self.causes if probability(cause) >= LIKELY)
+
+    @property
+    def first(self) -> Said | None:
+        """The most probable cause."""
+        return self.causes[0] if self.causes else None
+
+    @property
+    def said(self) -> str:
+        """The first cause's effect, or that there's none, or no gap."""
+        if not self.is_detected:
+            return NO_GAP
+        return str(self.first["effect"]) if self.first else NOTHING_NAMED
+
+    @property
+    def limits(self) -> float:
+        """Size of the smallest mechanism at work, in detection limits; nan if it is there or not."""
+        return min((one.limits for one in self.at_work if isfinite(one.limits)), default=nan)
+
+    @property
+    def mechanisms(self) -> str:
+        """Their names."""
+        return " + ".join(one.mechanism for one in self.at_work)
+
+    @property
+    def unknown(self) -> float:
+        """How probable it is, by the diagnosis, that something outside the library is present."""
+        return number(self.outcome.diagnosis.get("unknown"), 0.0)
+
+    @property
+    def closed(self) -> float:
+        """Share of the gap that is said to be closed; nan if none is said."""
+        return number((self.outcome.diagnosis.get("gap") or {}).get("closed"))
+
+    @property
+    def closed_ci95(self) -> tuple[float, float]:
+        """Its interval; nan if none is said."""
+        return interval((self.outcome.diagnosis.get("gap") or {}).get("closed_ci95"))
+
+    @property
+    def oracle(self) -> float:
+        """Share of the gap closed by somebody who is told the effects; nan if there is none."""
+        return number(self.outcome.oracle.get("closed"))
+
+    @property
+    def untold(self) -> tuple[Said, ...]:
+        """What the diagnosis says it can't tell."""
+        diagnosis = self.outcome.diagnosis
+        return tuple(diagnosis.get("unshown") or diagnosis.get("cannot_tell") or ())
+
+    def is_first_right(self) -> bool:
+        """Whether the first cause has a name of what is at work."""
+        first = self.first
+        return first is not None and any(one.is_called(first) for one in self.at_work)
+
+
+@dataclass(frozen=True)
+class Lost:
+    """A case of which nothing came, and `why`."""
+
+    name: str
+    kind: str
+    plan: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """A validation run: its plan (`plan.json`), answers in the order of their numbers, lost cases, and what was
+    noticed.
+    """
+
+    plan: Mapping[str, Any]
+    answers: tuple[Answer, ...]
+    lost: tuple[Lost, ...]
+    notes: tuple[str, ...] = ()
+
+
+def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
+    """Open the sealed truth of a run's folder. Cases without outcome are lost, as are outcomes without truth; so are
+    those of `planned` that have nothing at all. ConfigError if it isn't a run's folder.
+    """
+    place = Path(folder)
+    try:
+        plan = json.loads((place / "plan.json").read_text())
+    except (OSError, ValueError):
+        raise ConfigError(f"{place}: no plan.json; allowed is the folder of a validation run") from None
+    sealed, came = _tables(place / "sealed"), _tables(place / "outcomes")
+    answers, lost, differing = [], [], 0
+    for name, table in sealed.items():
+        case, outcome = Case.of_table(table["case"]), Outcome(**came[name]) if name in came else None
+        if outcome is None or outcome.error or not outcome.diagnosis:
+            lost.append(Lost(name, case.kind, case.plan, _why(outcome)))
+            continue
+        answers.append(Answer(case, at_work_of(case, table.get("truth") or {}), outcome))
+        differing += _differs(case, table.get("truth") or {})
+    lost += _unsealed(planned, sealed, came)
+    answers.sort(key=lambda one: (one.case.half, one.case.number))
+    notes = [f"In {differing} cases what is at work has other names in the plan than by its generator."]
+    return Run(plan, tuple(answers), tuple(lost), tuple(notes if differing else ()))
+
+
+def at_work_of(case: Case, truth: Mapping[str, Any]) -> tuple[AtWork, ...]:
+    """What was at work in a case, with the sensors of its truth."""
+    told = _told(truth) or [{} for _ in case.puts]
+    same = len(case.resembles) == len(case.puts)
+    names = case.resembles if same else tuple(tuple(one.get("resembles", ())) for one in told)
+    return tuple(
+        AtWork(
+            put.mechanism,
+            put.limits,
+            frozenset(one.get("sensors") or put.sensors),
+            frozenset(_axes(one.get("parameters", {}))),
+            frozenset(effects),
+        )
+        for put, one, effects in zip(case.puts, told, names, strict=True)
+    )
+
+
+def probability(cause: Said) -> float:
+    """Of a cause; 0 if it has none."""
+    return number(cause.get("probability"), 0.0)
+
+
+def meets(sensors: Iterable[str], others: Iterable[str]) -> bool:
+    """Whether two sets of sensors have one in common; none named is all."""
+    one, other = set(sensors), set(others)
+    return not one or not other or bool(one & other)
+
+
+def number(value: Any, otherwise: float = nan) -> float:
+    """A number of JSON, which has null for what isn't finite."""
+    return otherwise if value is None else float(value)
+
+
+def interval(value: Sequence[Any] | None) -> tuple[float, float]:
+    """An interval of JSON."""
+    low, high = value or (None, None)
+    return number(low), number(high)
+
+
+def _axes(parameters: Mapping[str, Any]) -> Iterable[str]:
+    """ "x", "y", "z", if the parameters of a mechanism name any."""
+    named = parameters.get("axes", parameters.get("axis", ()))
+    return {sign for sign in named if sign in "xyz"} if isinstance(named, str | list) else ()
+
+
+def _told(truth: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return list(truth.get("mechanisms") or ())
+
+
+def _differs(case: Case, truth: Mapping[str, Any]) -> bool:
+    """Whether the plan would call what is at work otherwise than who made it."""
+    told = [set(one.get("resembles", ())) for one in _told(truth)]
+    return bool(case.resembles and told) and [set(names) for names in case.resembles] != told
+
+
+def _tables(folder: Path) -> dict[str, Any]:
+    """By name; a file that can't be read is none."""
+    found = {}
+    for path in sorted(folder.glob("*.json")):
+        with suppress(ValueError):
+            found[path.stem] = json.loads(path.read_text())
+    return found
+
+
+def _unsealed(planned: Iterable[Case], sealed: Mapping[str, Any], came: Mapping[str, Any]) -> Iterable[Lost]:
+    """Cases that have no truth: never begun, or their worker died before it was written."""
+    known = {case.name: case for case in planned}
+    for name in sorted({*known, *came} - set(sealed)):
+        kind, plan = (known[name].kind, known[name].plan) if name in known else ("unknown", "unknown")
+        yield Lost(name, kind, plan, _why(Outcome(**came[name])) if name in came else "never begun")
+
+
+def _why(outcome: Outcome | None) -> str:
+    if outcome is None:
+        return "no outcome"
+    return (outcome.error.strip().splitlines() or ["no truth" if outcome.diagnosis else "no diagnosis"])[-1]

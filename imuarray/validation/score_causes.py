@@ -1,0 +1,235 @@
+"""Is the cause right? First, within its class, at the right sensor; two at once; what has to go; what has no name."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import permutations
+from math import isclose, isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from imuarray.validation.rates import Estimate, auroc, bootstrapped, limit_of, permuted, rate
+from imuarray.validation.score_answers import NO_GAP, NOTHING_NAMED, Answer, AtWork, meets
+from imuarray.validation.score_detection import Hidden, shown_singles
+from imuarray.validation.score_rows import NO_BAR, Bar, Row, rate_row, row_of, severity_name
+
+FIRST: Bar = (0.90, None)
+FIRST_LARGE, IN_CLASS, PLACE = (0.97, None), (0.97, None), (0.98, None)
+UNKNOWN, FALSE_UNKNOWN = (0.90, None), (None, 0.10)
+APART, TOGETHER, REMOVED = (0.75, None), (0.55, None), (0.90, None)
+LARGE = 5.0
+"""Detection limits from which on a mechanism is easy, and at which a known one must not be called unknown."""
+
+_OPEN = ("unexplained", "partly explained")
+_SURE = 3.0
+"""Standard deviations beyond chance."""
+
+
+class Confusion(NamedTuple):
+    """What was at work (rows) against the first cause said (columns), `counts` (rows, columns) of cases; `right` says
+    which columns are names of a row's mechanism.
+    """
+
+    truths: tuple[str, ...]
+    said: tuple[str, ...]
+    counts: tuple[tuple[int, ...], ...]
+    right: tuple[tuple[bool, ...], ...]
+
+
+def cause_rows(
+    answers: Sequence[Answer], hidden: Hidden, full: str, sensors: Collection[str], seed: int
+) -> Iterator[Row]:
+    """Of single mechanisms that were detected, pairs and removals, unknown ones, and the control."""
+    singles = [one for one in shown_singles(answers, hidden) if one.is_detected]
+    yield from _first_rows(singles, full)
+    right = [one for one in singles if one.is_first_right()]
+    placed = sensors or {sensor for one in answers for work in one.at_work for sensor in work.sensors}
+    about = "of right first causes: sensors (those of all likely causes of that name) and axes are the truth's"
+    yield rate_row("right sensor and axis", right, lambda one: is_place_right(one, placed), PLACE, about, full)
+    yield from _unknown_rows(answers, singles, full, seed)
+    yield from _pair_rows([one for one in answers if one.case.kind == "pair"], full)
+    removals = [one for one in answers if one.case.kind == "removal"]
+    about = "the model has an effect that the sensors have not: a likely cause takes it out or replaces it"
+    yield rate_row("removed base effect named", removals, is_removed, REMOVED, about, full)
+    yield _control([one for one in singles if one.case.plan == full], seed)
+
+
+def is_in_class(answer: Answer) -> bool:
+    """Whether the first cause, or one that is said to be confusable with it, has a right name."""
+    first = answer.first
+    if first is None or _takes_out(answer):
+        return False
+    names = {first["effect"], *first.get("confusable_with", ())}
+    return any(names & one.resembles for one in answer.at_work)
+
+
+def is_place_right(answer: Answer, sensors: Collection[str]) -> bool:
+    """Whether likely causes of the right name, the first one among them, concern the sensors of the truth and no other
+    one of `sensors`; and its axes, where the truth names any.
+    """
+    first, (work, *_) = answer.first, answer.at_work
+    if first is None:
+        return False
+    causes = [first, *(cause for cause in answer.named if cause is not first and work.is_called(cause))]
+    told = {sensor for cause in causes for sensor in cause.get("sensors") or sensors}
+    axes = {axis for cause in causes for axis in cause.get("axes") or "xyz"}
+    return told & set(sensors) == work.sensors & set(sensors) and (not work.axes or axes == work.axes)
+
+
+def are_both_named(answer: Answer) -> bool:
+    """Whether every mechanism has a likely cause of its name that concerns its sensors; one cause can be that of two
+    mechanisms only if they have a name in common.
+    """
+    works, causes = answer.at_work, answer.named
+    if _share_a_name(works):
+        return all(any(work.is_met(cause) for cause in causes) for work in works)
+    return any(
+        all(work.is_met(cause) for work, cause in zip(works, chosen, strict=True))
+        for chosen in permutations(causes, len(works))
+    )
+
+
+def is_removed(answer: Answer) -> bool:
+    """Whether a likely cause takes the model's extra effect out, or replaces it, where it is."""
+    effects, sensors = extra_of(answer.case.extra, answer.case.resembles)
+    return any(
+        cause["effect"] in effects and cause.get("action") != "add" and meets(sensors, cause.get("sensors", ()))
+        for cause in answer.named
+    )
+
+
+def extra_of(extra: Mapping[str, Any], resembles: Sequence[Sequence[str]] = ()) -> tuple[set[str], set[str]]:
+    """Names and sensors of a model's extra effect: of its "effect", else of tables in it, else what it resembles."""
+    named = (
+        {str(extra["effect"])}
+        if "effect" in extra
+        else {key for key, value in extra.items() if isinstance(value, Mapping)}
+    )
+    sensors = extra.get("sensors", extra.get("sensor", extra.get("name", ())))
+    named = named or {name for names in resembles for name in names}
+    return named, {sensors} if isinstance(sensors, str) else set(sensors)
+
+
+def confusion_of(answers: Sequence[Answer], full: str) -> Confusion:
+    """Cases of one mechanism or none on the full plan; names in the order in which mechanisms have them, so that what
+    is right lies near the diagonal.
+    """
+    counted = [one for one in answers if one.case.plan == full and len(one.at_work) < 2 and one.case.kind != "removal"]
+    rows: dict[str, list[Answer]] = {}
+    for one in sorted(counted, key=_row_order):
+        rows.setdefault(_row_name(one), []).append(one)
+    names = {
+        name: sorted({effect for one in own for work in one.at_work for effect in work.resembles})
+        for name, own in rows.items()
+    }
+    said = {one.said for one in counted} - {NO_GAP, NOTHING_NAMED}
+    ordered = dict.fromkeys(effect for effects in names.values() for effect in effects if effect in said)
+    columns = (*ordered, *sorted(said - set(ordered)), NOTHING_NAMED, NO_GAP)
+    counts = tuple(tuple(sum(one.said == column for one in own) for column in columns) for own in rows.values())
+    right = tuple(tuple(_is_right_column(own, column) for column in columns) for own in rows.values())
+    return Confusion(tuple(rows), columns, counts, right)
+
+
+def _first_rows(singles: Sequence[Answer], full: str) -> Iterator[Row]:
+    about = "single mechanisms that were detected: the most probable cause has a right name"
+    yield rate_row("right cause first", singles, Answer.is_first_right, FIRST, about, full)
+    large = [one for one in singles if one.limits >= LARGE]
+    yield rate_row("right cause first, 5x and above", large, Answer.is_first_right, FIRST_LARGE, about, full)
+    about = "as above, or one of those that it is said to be confusable with"
+    yield rate_row("right within the reported class", singles, is_in_class, IN_CLASS, about, full)
+
+
+def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
+    strangers = [one for one in answers if one.case.kind in ("unnamed", "withheld") and one.is_detected]
+    groups = ("kind", "severity", "mechanism")
+    about = "detected mechanisms that no name of the library fits: the verdict"
+    yield rate_row("unknown called unexplained or partly", strangers, _is_open, UNKNOWN, about, full, groups)
+    known = [one for one in singles if isclose(one.limits, LARGE)]
+    about = f"detected single mechanisms at {severity_name(LARGE)} that the library names: the verdict"
+    yield rate_row("known at 5x called unexplained", known, _is_unexplained, FALSE_UNKNOWN, about, full)
+    yield rate_row("known at 5x called unexplained or partly", known, _is_open, NO_BAR, about, full)
+    yield from _unknown_scores([one for one in strangers if one.case.plan == full], known, singles, full, seed)
+
+
+def _unknown_scores(
+    strangers: Sequence[Answer], known: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int
+) -> Iterator[Row]:
+    """By the diagnosis' own probability that something unknown is present."""
+    above = [one.unknown for one in strangers]
+    at_large = [one.unknown for one in known if one.case.plan == full]
+    found = sum(value > limit_of(at_large, 0.1) for value in above) if at_large else 0
+    about = (
+        "detected unknown ones whose probability of being unknown is above the limit that 10 % of the known at 5x pass"
+    )
+    yield row_of("unknown told at 10 % false ones at 5x", rate(found, len(above) if at_large else 0), UNKNOWN, about)
+    every = [one.unknown for one in singles if one.case.plan == full]
+    about = "the chance that an unknown one has the greater probability of being unknown than a known one at 5x"
+    area = bootstrapped(auroc, above, at_large, seed=seed)
+    cell = row_of(
+        "against known ones of every size", bootstrapped(auroc, above, every, seed=seed), NO_BAR, "", group="severity"
+    )
+    yield row_of("unknown against known at 5x, AUROC", area, UNKNOWN, about, [cell])
+
+
+def _pair_rows(pairs: Sequence[Answer], full: str) -> Iterator[Row]:
+    for name, is_apart, bar in (("on different units", True, APART), ("on one sensor", False, TOGETHER)):
+        own = [one for one in pairs if _are_apart(one.at_work) == is_apart]
+        about = "every mechanism has a likely cause (probability 0.5) of a right name at one of its sensors"
+        yield rate_row(f"two {name}, both named", own, are_both_named, bar, about, full)
+
+
+def _control(singles: Sequence[Answer], seed: int) -> Row:
+    """With the labels of cases permuted, no more than chance may be right."""
+    labels = [frozenset(effect for work in one.at_work for effect in work.resembles) for one in singles]
+    effects = {label: np.array([one.said in label and not _takes_out(one) for one in singles]) for label in set(labels)}
+    hits = np.stack([effects[label] for label in labels], axis=1) if labels else np.zeros((0, 0), bool)
+    chance = permuted(hits, seed)
+    found: Estimate = rate(chance.hits, len(singles))
+    bar = (None, chance.mean + _SURE * chance.deviation) if isfinite(chance.mean) else (None, 0.5)
+    about = f"a control of the scoring: labels of cases permuted once, which gives {chance.mean:.3f} on average"
+    return row_of("right cause first, labels shuffled", found, bar, about)
+
+
+def _takes_out(answer: Answer) -> bool:
+    return answer.first is not None and answer.first.get("action") == "remove"
+
+
+def _is_open(answer: Answer) -> bool:
+    return answer.verdict in _OPEN
+
+
+def _is_unexplained(answer: Answer) -> bool:
+    return answer.verdict == "unexplained"
+
+
+def _are_apart(works: Sequence[AtWork]) -> bool:
+    """Whether no sensor has two of them."""
+    every = [sensor for work in works for sensor in work.sensors]
+    return len(every) == len(set(every))
+
+
+def _share_a_name(works: Sequence[AtWork]) -> bool:
+    every = [effect for work in works for effect in work.resembles]
+    return len(every) > len(set(every))
+
+
+def _row_order(answer: Answer) -> tuple[int, list[str], str]:
+    rank = {"none": 3, "unnamed": 2, "withheld": 1}.get(answer.case.kind, 0)
+    return rank, sorted(effect for work in answer.at_work for effect in work.resembles), answer.mechanisms
+
+
+def _row_name(answer: Answer) -> str:
+    if not answer.at_work:
+        return "nothing wrong"
+    return f"{answer.mechanisms} (withheld)" if answer.case.kind == "withheld" else answer.mechanisms
+
+
+def _is_right_column(answers: Sequence[Answer], column: str) -> bool:
+    """Whether a diagnosis that says so is right: a name, or that there is nothing, or that there's no name."""
+    one = answers[0]
+    if not one.at_work:
+        return column == NO_GAP
+    if one.case.kind != "single":
+        return column == NOTHING_NAMED
+    return any(column in work.resembles for answer in answers for work in answer.at_work)

@@ -1,0 +1,213 @@
+"""The score of a validation run: its outcomes against the sealed truth, every figure with its interval and its bar.
+
+::
+
+    figures = score_folder("run", hidden={"static": {"scale", "misalignment"}})
+    print(text_of(figures))
+
+Bars are judged on the full plan; the other plans are told beside it. Nothing is left out but lost cases, which are
+told, and from detection and causes what a plan can't show, which has a row of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from os import PathLike
+from textwrap import wrap
+from types import MappingProxyType
+from typing import Any
+
+from imuarray.validation.case import Case
+from imuarray.validation.rates import Bin, rate
+from imuarray.validation.score_answers import Lost, Run, read_run
+from imuarray.validation.score_causes import Confusion, cause_rows, confusion_of
+from imuarray.validation.score_closure import (
+    Closure,
+    closure_rows,
+    closures_of,
+    probability_rows,
+    reliability_of,
+    time_rows,
+)
+from imuarray.validation.score_detection import Curve, Hidden, Power, curves_of, detection_rows, power_of
+from imuarray.validation.score_rows import FULL, NO_BAR, Row, finite, row_of
+
+WIDTH = 120
+NOTHING: Hidden = MappingProxyType({})
+
+MOST_CELLS = 8
+"""Failing cells of a row that are named."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """All that a run shows. `plan` is its plan.json, `cases` all of them, those `lost` among them; `full` names the
+    plan on which bars are judged.
+    """
+
+    plan: Mapping[str, Any]
+    full: str
+    cases: int
+    lost: tuple[Lost, ...]
+    notes: tuple[str, ...]
+    rows: tuple[Row, ...]
+    curves: tuple[Curve, ...]
+    power: Power
+    confusion: Confusion
+    reliability: tuple[Bin, ...]
+    closures: tuple[Closure, ...]
+
+    @property
+    def half(self) -> str:
+        """ "development" or "sealed"."""
+        return str(self.plan.get("half", ""))
+
+    @property
+    def frozen(self) -> Mapping[str, Any]:
+        """What was settled before the run: thresholds, version."""
+        return dict(self.plan.get("frozen") or {})
+
+    @property
+    def failed(self) -> tuple[Row, ...]:
+        """The rows that miss their bar."""
+        return tuple(row for row in self.rows if row.passes is False)
+
+    def row(self, name: str) -> Row:
+        """By its name; KeyError if there is none."""
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise KeyError(name)
+
+
+def score_folder(
+    folder: str | PathLike[str],
+    *,
+    hidden: Hidden = NOTHING,
+    planned: Iterable[Case] = (),
+    full: str = FULL,
+    sensors: Collection[str] = (),
+    seed: int = 0,
+) -> Figures:
+    """Read a run's folder and score it. ConfigError if it isn't one."""
+    return score(read_run(folder, planned), hidden=hidden, full=full, sensors=sensors, seed=seed)
+
+
+def score(
+    run: Run, *, hidden: Hidden = NOTHING, full: str = FULL, sensors: Collection[str] = (), seed: int = 0
+) -> Figures:
+    """The figures of a run. `hidden`: by plan, the effects that it can't show; `sensors`: those on which mechanisms can
+    be put (all that any truth names), as a cause's others don't count; `seed` draws intervals and shuffles labels.
+    """
+    answers = run.answers
+    rows = (
+        *detection_rows(answers, hidden, full),
+        *cause_rows(answers, hidden, full, sensors, seed),
+        *closure_rows(answers, full, seed),
+        *probability_rows(answers, full, seed),
+        *time_rows(answers, full, seed),
+        _lost(run),
+    )
+    return Figures(
+        run.plan,
+        full,
+        len(answers) + len(run.lost),
+        run.lost,
+        run.notes,
+        rows,
+        curves_of(answers, hidden),
+        power_of(answers, full),
+        confusion_of(answers, full),
+        reliability_of(answers, full),
+        closures_of(answers, full),
+    )
+
+
+def as_json(figures: Figures) -> dict[str, Any]:
+    """As one JSON object; numbers that aren't finite are null."""
+    power, confusion = figures.power, figures.confusion
+    return {
+        "half": figures.half,
+        "plan": dict(figures.plan),
+        "full": figures.full,
+        "cases": figures.cases,
+        "lost": [vars(one) for one in figures.lost],
+        "notes": list(figures.notes),
+        "figures": [row.as_json() for row in figures.rows],
+        "curves": [
+            {"plan": one.plan, "points": [{"limits": limits, **_plain(found)} for limits, found in one.points]}
+            for one in figures.curves
+        ],
+        "power": {**power._asdict(), "about": "detected and all cases, by mechanism and severity"},
+        "confusion": {**confusion._asdict(), "about": "first cause said, by what was at work"},
+        "reliability": [_plain(one) for one in figures.reliability],
+        "closures": [_plain(one) for one in figures.closures],
+    }
+
+
+def text_of(figures: Figures) -> str:
+    """For the terminal, at most 120 columns: every row with its mark, then the cells that miss a bar, then what is
+    lost.
+    """
+    heading = f"{figures.half or 'validation'} half: {figures.cases} cases, {len(figures.lost)} lost"
+    lines = [heading, "", _line("", "figure", "value", "95 %", "cases", "bar")]
+    lines += [_line(row.mark, row.name, *texts(row)) for row in figures.rows]
+    for row in figures.failed:
+        lines += ["", *wrap(f"{row.name}: {row.about}", WIDTH), *_failing(row)]
+    lines += (
+        ["", *(f"lost: {count} of {name}" for name, count in lost_by(figures.lost).items())] if figures.lost else []
+    )
+    lines += ["", *(line for note in figures.notes for line in wrap(note, WIDTH))] if figures.notes else []
+    return "\n".join(line.rstrip()[:WIDTH] for line in lines) + "\n"
+
+
+def texts(row: Row) -> tuple[str, str, str, str]:
+    """Value, interval, cases and bar as a person reads them."""
+    low, high = row.bar
+    if row.bar == NO_BAR:
+        bar = ""
+    elif low is None or high is None:
+        bar = f"at most {high:.3g}" if low is None else f"at least {low:.3g}"
+    else:
+        bar = f"{low:.3g} to {high:.3g}"
+    interval = f"{decimal(row.low)} to {decimal(row.high)}" if isfinite(row.low) else "–"
+    return decimal(row.value), interval, str(row.cases), bar
+
+
+def decimal(value: float) -> str:
+    """Three digits after the point, one from 10 on; "–" for what isn't finite."""
+    return "–" if not isfinite(value) else f"{value:.3f}" if abs(value) < 10 else f"{value:.1f}"
+
+
+def lost_by(lost: Iterable[Lost]) -> Mapping[str, int]:
+    """How many, by kind, plan and why."""
+    found: dict[str, int] = {}
+    for one in lost:
+        name = f"{one.kind}, plan {one.plan}, {one.why}"
+        found[name] = found.get(name, 0) + 1
+    return found
+
+
+def _failing(row: Row) -> Iterator[str]:
+    failed = row.failing()
+    for cell in failed[:MOST_CELLS]:
+        value, interval, cases, _ = texts(cell)
+        yield f"      {cell.group} {cell.name}: {value} ({interval}) of {cases}"
+    if len(failed) > MOST_CELLS:
+        yield f"      and {len(failed) - MOST_CELLS} more"
+
+
+def _line(mark: str, name: str, value: str, interval: str, cases: str, bar: str) -> str:
+    return f"{mark:<5}{name:<48.48}{value:>8}  {interval:>16}{cases:>8}  {bar}"
+
+
+def _lost(run: Run) -> Row:
+    found = rate(len(run.lost), len(run.answers) + len(run.lost))
+    return row_of("cases lost", found, NO_BAR, "no outcome, or one with an error: in no other figure")
+
+
+def _plain(found: Any) -> dict[str, Any]:
+    """Of a named tuple."""
+    return {key: finite(value) if isinstance(value, float) else value for key, value in found._asdict().items()}

@@ -1,0 +1,73 @@
+"""One case from its recording to its outcome: made by the generator, diagnosed blindly, then once more by an oracle.
+
+The diagnosis is given the paths of the logs, the effects that are withheld from its library and the model; what is at
+work in the logs is told to nobody but the oracle, whose library holds nothing else.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from imuarray.gap.base_model import data_sheets
+from imuarray.gap.candidates import CANDIDATES
+from imuarray.gap.diagnose import Begun, begun, explained, library
+from imuarray.gap.recordings import recordings_of
+from imuarray.gap.workers import runner
+from imuarray.log import open_log
+from imuarray.simulate.model import Model, Part
+from imuarray.simulate.population import figure_of
+from imuarray.validation.case import Case, Outcome, write_json
+from imuarray.validation.generator import CHIPS, record
+
+REPLICATES = 40
+"""Of the base model in a case: the smallest number with which 5 % can be told; how often there's a false alarm is
+measured.
+"""
+
+_KEPT = ("verdict", "sentence", "p", "gap", "causes", "unknown", "cannot_tell", "notes")
+_WORST = 20
+
+
+def tried(case: Case, folder: Path) -> None:
+    """Writes the truth into `folder`/sealed and the outcome into `folder`/outcomes, in this order."""
+    begin = time.perf_counter()
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        logs, truth = record(Path(name), case.plan, case.puts, case.seed)
+        for part in ("sealed", "outcomes"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+        write_json(folder / "sealed" / f"{case.name}.json", {"case": case.table(), "truth": truth})
+        opened = [stack.enter_context(open_log(path)) for path in logs]
+        compared = begun(recordings_of(opened), runner, model=model_with(case.extra), replicates=REPLICATES)
+        found = explained(compared, library(case.without)).as_json()
+        oracle = _oracle(compared, case, found) if case.kind in ("single", "pair") else {}
+    kept = {key: found[key] for key in _KEPT}
+    lists = {key: found[key][:_WORST] for key in ("where", "unexplained")}
+    outcome = Outcome(case.name, {**kept, **lists}, oracle, time.perf_counter() - begin)
+    write_json(folder / "outcomes" / f"{case.name}.json", asdict(outcome))
+
+
+def model_with(extra: Mapping[str, Any]) -> Model | None:
+    """The data sheets' model with one effect more in one sensor; None without: the diagnosis' own."""
+    if not extra:
+        return None
+    recipe = {key: figure_of(value, extra["effect"]) for key, value in extra["parameters"].items()}
+    part = Part(CHIPS[extra["sensor"]], name=extra["sensor"], effects={extra["effect"]: (recipe,)})
+    return replace(data_sheets(), name="data sheets and more", sensors=(part,))
+
+
+def _oracle(compared: Begun, case: Case, blind: Mapping[str, Any]) -> dict[str, Any]:
+    """The share closed by who knows the effects, with its interval; that of the blind diagnosis if it named these and
+    no others.
+    """
+    known = {name for names in case.resembles for name in names}
+    gap = blind["gap"]
+    if {cause["effect"] for cause in blind["causes"]} - known:
+        told = explained(compared, {name: one for name, one in CANDIDATES.items() if name in known}).as_json()
+        gap = told["gap"]
+    return {"closed": gap["closed"], "closed_ci95": gap["closed_ci95"]}

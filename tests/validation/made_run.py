@@ -1,0 +1,127 @@
+"""Runs made by hand: cases, what was at work in them, and what a diagnosis said, as the files of a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import nan
+from pathlib import Path
+from typing import Any
+
+from imuarray.validation.case import Case, Kind, Outcome, Put, write_json
+
+FROZEN = {"level": 0.05, "version": "1.2.3"}
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "mains_ripple": ("tone",),
+    "single_trap": ("popcorn_noise",),
+    "slow_oscillator": ("stale_samples", "odr_error"),
+    "reference_voltage": ("scale",),
+    "torn_reads": ("glitches",),
+    "cable_bit_errors": ("glitches",),
+    "crossed_wiring": ("channel_swap",),
+}
+
+
+def cause(effect: str, probability: float = 0.9, *sensors: str, **more: Any) -> dict[str, Any]:
+    """As the JSON of a diagnosis has it; on Gyro1 unless said."""
+    return {
+        "effect": effect,
+        "action": "add",
+        "sensors": list(sensors or ("Gyro1",)),
+        "axes": [],
+        "probability": probability,
+        "closed": 0.9,
+        "closed_ci95": [0.8, 1.0],
+        "confusable_with": [],
+        **more,
+    }
+
+
+def said(
+    *causes: Mapping[str, Any],
+    verdict: str = "explained",
+    closed: float | None = 0.9,
+    ci95: tuple[float, float] | None = (0.8, 1.0),
+    unknown: float = 0.1,
+    unshown: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
+    """A diagnosis in which a gap is told."""
+    gap = {"before": 9.0, "after": 2.0, "floor": 1.0, "closed": closed, "closed_ci95": ci95 and list(ci95)}
+    return {
+        "verdict": verdict,
+        "p": 0.01,
+        "gap": gap,
+        "causes": list(causes),
+        "unknown": unknown,
+        "unshown": list(unshown),
+    }
+
+
+NO_GAP = said(verdict="no gap", closed=None, ci95=None, unknown=0.0)
+
+
+@dataclass
+class Made:
+    """A run's folder that grows."""
+
+    folder: Path
+    count: int = 0
+    plan: Mapping[str, Any] = field(default_factory=lambda: {"seed": 7, "half": "sealed", "frozen": FROZEN})
+
+    def __post_init__(self) -> None:
+        for name in ("sealed", "outcomes"):
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        write_json(self.folder / "plan.json", self.plan)
+
+    def case(
+        self,
+        kind: Kind,
+        *puts: Put,
+        plan: str = "full",
+        resembles: Sequence[Sequence[str]] | None = None,
+        extra: Mapping[str, Any] | None = None,
+    ) -> Case:
+        """The next one, of those that are sealed."""
+        self.count += 1
+        names = (
+            tuple(tuple(one) for one in resembles)
+            if resembles is not None
+            else tuple(NAMES[put.mechanism] for put in puts)
+        )
+        case = Case(self.count, "sealed", kind, plan, puts, self.count, (), extra or {}, names)
+        mechanisms = [
+            {
+                "mechanism": put.mechanism,
+                "severity": put.severity,
+                "sensors": list(put.sensors or ("Gyro1",)),
+                "parameters": {},
+                "resembles": list(effects),
+            }
+            for put, effects in zip(puts, names, strict=kind != "removal")
+        ]
+        table = {"case": case.table(), "truth": {"array": "martin2013", "mechanisms": mechanisms, "logs": []}}
+        write_json(self.folder / "sealed" / f"{case.name}.json", table)
+        return case
+
+    def answer(self, case: Case, diagnosis: Mapping[str, Any], **more: Any) -> None:
+        """What came of it."""
+        outcome = Outcome(case.name, diagnosis, **{"oracle": {}, "seconds": 10.0, **more})
+        write_json(self.folder / "outcomes" / f"{case.name}.json", asdict(outcome))
+
+    def both(
+        self, kind: Kind, diagnosis: Mapping[str, Any], *puts: Put, oracle: float | None = None, **more: Any
+    ) -> Case:
+        """A case and its answer."""
+        case = self.case(kind, *puts, **more)
+        self.answer(
+            case, diagnosis, oracle={} if oracle is None else {"closed": oracle, "closed_ci95": [oracle, oracle]}
+        )
+        return case
+
+
+def put(mechanism: str, limits: float = 5.0, *sensors: str) -> Put:
+    """On Gyro1 unless said; nan: it is there or not."""
+    return Put(mechanism, 1.0 if limits != limits else limits / 2, limits, sensors)
+
+
+THERE_OR_NOT = nan

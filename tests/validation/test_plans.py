@@ -1,0 +1,85 @@
+"""Which cases there are, and that nothing of a half is in the other."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.parameters import from_table
+from imuarray.validation.case import Case
+from imuarray.validation.generator import CHIPS, PLANS, mechanisms
+from imuarray.validation.limits import LIMITS, limit
+from imuarray.validation.plans import EXTRAS, HIDDEN, SIZES, Size, cases
+
+UNITS = {"adxl345": "g", "bma180": "g", "l3g4200d": "dps"}
+
+
+def test_everything_is_withheld_put_to_work_and_recorded_in_every_plan() -> None:
+    """In the full size: each mechanism that has a name at five severities, each other one, each extra effect."""
+    planned = cases("sealed", SIZES["full"])
+    kinds = Counter(case.kind for case in planned)
+    assert kinds["none"] == 200 * len(PLANS)
+    assert kinds["pair"] == 200
+    assert kinds["removal"] == 12 * len(EXTRAS)
+    named = {name for name, facts in mechanisms().items() if facts["resembles"]}
+    for kind, expected in (("single", named), ("withheld", named), ("unnamed", set(mechanisms()) - named)):
+        assert {put.mechanism for case in planned if case.kind == kind for put in case.puts} == expected
+    assert {case.plan for case in planned if case.kind == "none"} == set(PLANS)
+    limits = {case.puts[0].limits for case in planned if case.kind == "single"}
+    assert {one for one in limits if not math.isnan(one)} == {0.5, 1.0, 2.0, 5.0, 20.0}
+
+
+def test_halves_and_sets_share_no_seed() -> None:
+    size = Size(controls=4, singles=1, severities=(5.0,))
+    halves = [cases(half, size, seed) for half in ("development", "sealed") for seed in (0, 1, 99)]
+    seeds = [case.seed for half in halves for case in half]
+    assert len(set(seeds)) == len(seeds)
+    assert cases("sealed", size) == cases("sealed", size)
+    with pytest.raises(ValueError, match="seed 100; allowed is 0 to 99"):
+        cases("sealed", size, 100)
+
+
+def test_a_case_tells_nothing_by_its_name_and_survives_json() -> None:
+    for case in cases("development", replace(SIZES["short"], controls=1)):
+        assert case.name == f"development-{case.number:05d}"
+        again = Case.of_table(case.table())
+        assert repr(again) == repr(case)  # nan is not equal to itself
+
+
+def test_where_mechanisms_are_put() -> None:
+    """On sensors that they touch; two at once on different ones, or on one."""
+    planned = cases("development", SIZES["full"])
+    for case in planned:
+        for put in case.puts:
+            facts = mechanisms()[put.mechanism]
+            assert {CHIPS[name] for name in put.sensors} <= set(facts["touches"])
+            assert len(put.sensors) == {"sensor": 1, "pair": 2}.get(facts["place"], 0)
+    pairs = Counter(case.puts[0].sensors == case.puts[1].sensors for case in planned if case.kind == "pair")
+    assert pairs[True] > 80
+    assert pairs[False] > 80
+    withheld = [case for case in planned if case.kind == "withheld"]
+    assert all(case.without == case.resembles[0] for case in withheld)
+
+
+def test_severity_is_in_detection_limits() -> None:
+    (case,) = cases("development", Size(singles=1, severities=(5.0,), mechanisms=("mains_ripple",)))
+    assert case.puts[0].severity == pytest.approx(5 * limit("mains_ripple", case.puts[0].sensors))
+
+
+def test_limits_are_of_mechanisms_that_are_graded() -> None:
+    graded = {name for name, facts in mechanisms().items() if facts["graded"]}
+    assert set(LIMITS) <= graded
+    assert all(value > 0 for found in LIMITS.values() for value in found.values() if not math.isnan(value))
+
+
+def test_extra_effects_are_effects() -> None:
+    """With parameters that they have, in the unit of their sensor."""
+    for extra in EXTRAS:
+        effect = from_table(EFFECTS[extra["effect"]], extra["parameters"], UNITS[CHIPS[extra["sensor"]]], "extra")
+        assert effect != EFFECTS[extra["effect"]]()
+    assert set(HIDDEN) == set(PLANS) - {"full"}
+    assert all(names <= set(EFFECTS) for names in HIDDEN.values())

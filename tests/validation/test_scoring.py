@@ -1,0 +1,423 @@
+"""Scores of runs that were made by hand, worked out on paper."""
+
+from __future__ import annotations
+
+import json
+from math import inf, isnan, nan
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imuarray.errors import ConfigError
+from imuarray.validation.case import Case
+from imuarray.validation.score_answers import read_run
+from imuarray.validation.score_causes import extra_of, is_place_right
+from imuarray.validation.score_rows import Row
+from imuarray.validation.scoring import Figures, as_json, score_folder, text_of
+from tests.validation.made_run import FROZEN, NO_GAP, THERE_OR_NOT, Made, cause, put, said
+
+RIPPLE = said(cause("tone"))
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Made:
+    return Made(tmp_path / "run")
+
+
+def figures(made: Made, **more: Any) -> Figures:
+    return score_folder(made.folder, **more)
+
+
+def shares(row: Row) -> Any:
+    return row.value, row.cases
+
+
+def cells(row: Row, group: str) -> Any:
+    return {cell.name: shares(cell) for cell in row.cells if cell.group == group}
+
+
+def test_false_alarms_have_their_bar_on_each_plan(made: Made) -> None:
+    """1 of 20, 2 of 10, 30 of 30: within the bar, outside by chance (Wilson: 0.057 on), outside for sure."""
+    for plan, alarms, cases in (("full", 1, 20), ("static", 2, 10), ("heat", 30, 30)):
+        for number in range(cases):
+            made.both("none", RIPPLE if number < alarms else NO_GAP, plan=plan)
+    found = figures(made)
+    rows = [found.row(f"false alarms, plan {plan}") for plan in ("full", "static", "heat")]
+    assert [shares(row) for row in rows] == [(0.05, 20), (0.2, 10), (1.0, 30)]
+    assert [row.mark for row in rows] == ["ok", "FAIL", "FAIL"]
+    assert [row.is_refuted for row in rows] == [False, False, True]
+    assert set(found.failed) >= {*rows[1:]} and rows[0] not in found.failed
+
+
+def test_detection_by_severity_plan_and_mechanism(made: Made) -> None:
+    for detected, limits in ((False, 0.5), (True, 2.0), (True, 2.0), (False, 2.0), (True, 5.0)):
+        made.both("single", RIPPLE if detected else NO_GAP, put("mains_ripple", limits))
+    made.both("single", RIPPLE, put("single_trap", 2.0))
+    made.both("single", NO_GAP, put("mains_ripple", 2.0), plan="static")
+    made.both("single", RIPPLE, put("crossed_wiring", THERE_OR_NOT))
+    found = figures(made)
+    twice = found.row("detection at 2x the limit")
+    assert shares(twice) == (0.75, 4) and twice.mark == "FAIL"
+    assert cells(twice, "plan") == {"full": (0.75, 4), "static": (0.0, 1)}
+    assert cells(twice, "mechanism") == {"mains_ripple": (pytest.approx(2 / 3), 3), "single_trap": (1.0, 1)}
+    assert [cell.name for cell in twice.failing()] == ["mains_ripple"]
+    assert shares(found.row("detection at 5x the limit")) == (1.0, 1)
+    curves = {
+        curve.plan: [(limits, *shares_of) for limits, (*shares_of, _, _, _) in curve.points] for curve in found.curves
+    }
+    assert list(curves) == ["all", "full", "static"]
+    assert curves["all"] == [(0.5, 0.0), (2.0, 0.6), (5.0, 1.0)]
+    assert curves["static"] == [(2.0, 0.0)]
+    assert found.power.severities == ("0.5x the limit", "2x the limit", "5x the limit", "there or not")
+    assert dict(zip(found.power.mechanisms, found.power.counts, strict=True)) == {
+        "mains_ripple": ((0, 1), (2, 3), (1, 1), (0, 0)),
+        "single_trap": ((0, 0), (1, 1), (0, 0), (0, 0)),
+        "crossed_wiring": ((0, 0), (0, 0), (0, 0), (1, 1)),
+    }
+
+
+def test_the_first_cause_and_its_class(made: Made) -> None:
+    """Of seven that are detected three are right; two more have the right name in their class. 5x and above: 2 of 3."""
+    large, small = put("mains_ripple", 5.0), put("mains_ripple", 2.0)
+    made.both("single", said(cause("tone"), cause("scale", 0.8)), large)
+    made.both("single", said(cause("odr_error")), put("slow_oscillator", 20.0))
+    made.both("single", said(cause("scale", confusable_with=["tone"]), cause("tone", 0.3)), large)
+    made.both("single", RIPPLE, small)
+    made.both("single", said(cause("scale", confusable_with=["tone"])), small)
+    made.both("single", said(cause("tone", action="remove")), small)
+    made.both("single", said(verdict="unexplained"), small)
+    made.both("single", NO_GAP, small)
+    made.both("single", said(cause("scale")), large, plan="static")
+    found = figures(made)
+    first = found.row("right cause first")
+    assert shares(first) == (pytest.approx(3 / 7), 7)
+    assert cells(first, "severity") == {"2x the limit": (0.25, 4), "5x the limit": (0.5, 2), "20x the limit": (1.0, 1)}
+    assert cells(first, "plan")["static"] == (0.0, 1)
+    assert shares(found.row("right cause first, 5x and above")) == (pytest.approx(2 / 3), 3)
+    assert shares(found.row("right within the reported class")) == (pytest.approx(5 / 7), 7)
+    confusion = found.confusion
+    assert confusion.said == ("odr_error", "tone", "scale", "nothing named", "no gap")
+    assert dict(zip(confusion.truths, confusion.counts, strict=True)) == {
+        "slow_oscillator": (1, 0, 0, 0, 0),
+        "mains_ripple": (0, 3, 2, 1, 1),
+    }
+    assert confusion.right == ((True, False, False, False, False), (False, True, False, False, False))
+
+
+@pytest.mark.parametrize(
+    ("truth", "causes", "axes", "right"),
+    [
+        (["Gyro1"], [cause("tone")], (), True),
+        (["Gyro1"], [cause("tone", 0.9, "Gyro2")], (), False),
+        (["Gyro1"], [cause("tone", 0.9, "Gyro1", "Gyro2")], (), False),
+        (["Gyro1"], [cause("tone", 0.9, "Gyro1", "Baro")], (), True),
+        (["Gyro1", "BMA1"], [cause("tone")], (), False),
+        (["Gyro1", "BMA1"], [cause("tone"), cause("scale", 0.9, "Gyro2"), cause("tone", 0.6, "BMA1")], (), True),
+        (["Gyro1", "BMA1"], [cause("tone"), cause("tone", 0.4, "BMA1")], (), False),
+        (["BMA1", "Gyro1", "Gyro2"], [cause("tone", sensors=[])], (), True),
+        (["Gyro1"], [cause("tone", axes=["x"])], (), True),
+        (["Gyro1"], [cause("tone", axes=["x"])], ("x",), True),
+        (["Gyro1"], [cause("tone", axes=["y"])], ("x",), False),
+        (["Gyro1"], [cause("tone")], ("x",), False),
+    ],
+)
+def test_the_place_of_a_right_cause(
+    made: Made, truth: list[str], causes: list[dict[str, Any]], axes: tuple[str, ...], right: bool
+) -> None:
+    """Sensors on which no mechanism can be put don't count; an axis does where the truth names one."""
+    case = made.both("single", said(*causes), put("mains_ripple", 5.0, *truth))
+    if axes:
+        path = made.folder / "sealed" / f"{case.name}.json"
+        table = json.loads(path.read_text())
+        table["truth"]["mechanisms"][0]["parameters"] = {"axes": list(axes)}
+        path.write_text(json.dumps(table))
+    (answer,) = read_run(made.folder).answers
+    assert is_place_right(answer, ("Gyro1", "Gyro2", "BMA1")) is right
+
+
+def test_the_place_is_scored_of_right_causes_alone(made: Made) -> None:
+    """Gyro2 counts, as another case's truth names it."""
+    made.both("single", RIPPLE, put("mains_ripple", 5.0, "Gyro1"))
+    made.both("single", said(cause("tone", 0.9, "Gyro1", "Gyro2")), put("mains_ripple", 5.0, "Gyro1"))
+    made.both("single", said(cause("scale", 0.9, "Gyro1")), put("mains_ripple", 5.0, "Gyro2"))
+    assert shares(figures(made).row("right sensor and axis")) == (0.5, 2)
+    assert shares(figures(made, sensors=("Gyro1",)).row("right sensor and axis")) == (1.0, 2)
+
+
+def test_what_has_no_name(made: Made) -> None:
+    """Known at 5x: 0.0, 0.1 ... 0.9, so that the limit is 0.8; of 4 unknown ones 0.95 and 0.85 are above. Of 40 pairs
+    10 + 9 + 8 + 0 are in order, one is even.
+    """
+    for number in range(10):
+        verdict = "unexplained" if number == 9 else "partly explained" if number == 8 else "explained"
+        made.both("single", said(cause("tone"), verdict=verdict, unknown=number / 10), put("mains_ripple", 5.0))
+    made.both("single", said(cause("tone"), unknown=1.0), put("mains_ripple", 20.0))
+    for kind, verdict, unknown in (
+        ("unnamed", "unexplained", 0.95),
+        ("unnamed", "partly explained", 0.85),
+        ("withheld", "explained", 0.75),
+        ("withheld", "explained", 0.0),
+    ):
+        made.both(kind, said(cause("scale"), verdict=verdict, unknown=unknown), put("single_trap"))  # type: ignore[arg-type]
+    made.both("unnamed", NO_GAP, put("single_trap"))
+    found = figures(made)
+    called = found.row("unknown called unexplained or partly")
+    assert shares(called) == (0.5, 4) and cells(called, "kind") == {"unnamed": (1.0, 2), "withheld": (0.0, 2)}
+    assert shares(found.row("known at 5x called unexplained")) == (0.1, 10)
+    assert found.row("known at 5x called unexplained").mark == "ok"
+    assert shares(found.row("known at 5x called unexplained or partly")) == (0.2, 10)
+    assert shares(found.row("unknown told at 10 % false ones at 5x")) == (0.5, 4)
+    area = found.row("unknown against known at 5x, AUROC")
+    assert shares(area) == (pytest.approx((10 + 9 + 8 + 0.5) / 40), 4)
+    assert area.low < area.value < area.high
+    assert shares(area.cells[0]) == (pytest.approx((10 + 9 + 8 + 0.5) / 44), 4)
+
+
+@pytest.mark.parametrize(
+    ("causes", "named"),
+    [
+        ([cause("tone", 0.5), cause("scale", 0.9, "BMA1")], True),
+        ([cause("tone", 0.49), cause("scale", 0.9, "BMA1")], False),
+        ([cause("tone"), cause("scale", 0.9, "Gyro1")], False),
+        ([cause("tone"), cause("scale", 0.9, "BMA1", action="remove")], False),
+        ([cause("tone")], False),
+        ([], False),
+    ],
+)
+def test_two_at_once(made: Made, causes: list[dict[str, Any]], named: bool) -> None:
+    made.both("pair", said(*causes), put("mains_ripple", 5.0, "Gyro1"), put("reference_voltage", 5.0, "BMA1"))
+    found = figures(made)
+    assert shares(found.row("two on different units, both named")) == (float(named), 1)
+    assert found.row("two on one sensor, both named").mark == "n.a."
+
+
+def test_two_on_one_sensor_and_two_of_one_name(made: Made) -> None:
+    """Two mechanisms that have the same name on two sensors of a chip may be told as one cause."""
+    made.both("pair", said(cause("tone"), cause("scale")), put("mains_ripple"), put("reference_voltage"))
+    made.both("pair", said(cause("tone")), put("mains_ripple"), put("reference_voltage"))
+    both = put("torn_reads", 5.0, "Gyro1"), put("cable_bit_errors", 5.0, "Gyro2")
+    made.both("pair", said(cause("glitches", 0.9, "Gyro1", "Gyro2")), *both)
+    made.both("pair", said(cause("glitches", 0.9, "Gyro1")), *both)
+    found = figures(made)
+    assert shares(found.row("two on one sensor, both named")) == (0.5, 2)
+    assert shares(found.row("two on different units, both named")) == (0.5, 2)
+
+
+@pytest.mark.parametrize(
+    ("extra", "said_cause", "right"),
+    [
+        ({"effect": "tone", "sensors": ["Gyro1"]}, cause("tone", action="remove"), True),
+        ({"effect": "tone", "sensors": ["Gyro1"]}, cause("tone", action="replace"), True),
+        ({"effect": "tone", "sensors": ["Gyro1"]}, cause("tone", action="add"), False),
+        ({"effect": "tone", "sensors": ["Gyro1"]}, cause("tone", 0.4, action="remove"), False),
+        ({"effect": "tone", "sensors": ["Gyro1"]}, cause("tone", 0.9, "Gyro2", action="remove"), False),
+        ({"sensor": "Gyro1", "tone": {"frequency_hz": 7.0}}, cause("tone", action="remove"), True),
+        ({"sensor": "Gyro1", "tone": {"frequency_hz": 7.0}}, cause("scale", action="remove"), False),
+    ],
+)
+def test_what_has_to_go(made: Made, extra: dict[str, Any], said_cause: dict[str, Any], right: bool) -> None:
+    made.both("removal", said(said_cause), extra=extra, resembles=[])
+    assert shares(figures(made).row("removed base effect named")) == (float(right), 1)
+
+
+def test_a_table_without_a_name_is_what_it_resembles() -> None:
+    assert extra_of({"frequency_hz": 7.0}, [["tone"]]) == ({"tone"}, set())
+
+
+def test_closure_against_the_oracle(made: Made) -> None:
+    """Off by 0.05, by 0.06 (and outside its interval), nothing said, and a pair; without oracle and gap none counts."""
+    for claimed, interval, oracle in (
+        (0.85, (0.8, 1.0), 0.9),
+        (0.64, (0.6, 0.68), 0.7),
+        (None, None, 0.9),
+        (0.9, (0.8, 0.95), None),
+    ):
+        made.both("single", said(cause("tone"), closed=claimed, ci95=interval), put("mains_ripple"), oracle=oracle)
+    made.both("single", NO_GAP, put("mains_ripple"), oracle=0.9)
+    made.both(
+        "pair", said(cause("tone"), closed=0.7, ci95=(0.65, 0.75)), put("mains_ripple"), put("single_trap"), oracle=0.7
+    )
+    found = figures(made)
+    near, covers = found.row("closure near the oracle's"), found.row("closure's interval covers the oracle's")
+    assert shares(near) == (0.5, 4) and shares(covers) == (0.5, 4)
+    assert cells(near, "kind") == {"single": (pytest.approx(1 / 3), 3), "pair": (1.0, 1)}
+    assert [(one.claimed, one.oracle, one.is_right) for one in found.closures[:2]] == [
+        (0.85, 0.9, True),
+        (0.64, 0.7, True),
+    ]
+    assert isnan(found.closures[2].claimed)
+
+
+def test_closure_that_is_claimed_wrongly(made: Made) -> None:
+    """0.1 and 0.6 for wrong causes; a right one, and one that claims nothing, don't count."""
+    for effect, closed in (("scale", 0.1), ("scale", 0.6), ("tone", 0.9), ("scale", None)):
+        made.both("single", said(cause(effect, closed=closed)), put("mains_ripple"))
+    made.both("none", NO_GAP)
+    made.both("none", said(cause("tone"), closed=0.2, ci95=(-0.1, 0.4)))
+    made.both("none", said(cause("tone"), closed=0.3, ci95=(0.1, 0.4)))
+    made.both("none", said(verdict="unexplained", closed=None, ci95=None))
+    found = figures(made)
+    wrong = found.row("closure claimed for a wrong cause")
+    assert shares(wrong) == (pytest.approx(0.35), 2) and wrong.mark == "FAIL"
+    assert [wrong.low, wrong.high] == pytest.approx([0.1, 0.6])
+    assert shares(found.row("without a gap, closure may be 0")) == (0.75, 4)
+
+
+def test_probabilities_of_all_causes_told(made: Made) -> None:
+    """0.9 right, 0.9 at another sensor and so wrong, 0.2 wrong: ECE (2 * 0.4 + 0.2) / 3, Brier 0.86 / 3.
+    Unknown mechanisms and removals have no right name, and do not count.
+    """
+    made.both("single", said(cause("tone"), cause("scale", 0.2)), put("mains_ripple"))
+    made.both("single", said(cause("tone", 0.9, "BMA1")), put("mains_ripple"))
+    made.both("none", NO_GAP)
+    made.both("unnamed", said(cause("tone", 0.7)), put("single_trap"), resembles=[()])
+    found = figures(made)
+    assert shares(found.row("calibration error (ECE)")) == (pytest.approx(1 / 3), 3)
+    assert shares(found.row("Brier score of causes")) == (pytest.approx(0.86 / 3), 3)
+    assert [(one.cases, one.right) for one in found.reliability if one.cases] == [(1, 0.0), (2, 0.5)]
+
+
+def test_what_a_plan_cannot_show(made: Made) -> None:
+    """It doesn't count as undetected; it has to be told, with what to record, at that sensor."""
+    told = {"effect": "scale", "sensors": ["Gyro1"], "record": "motion: turns"}
+    for unshown in (
+        [told],
+        [{**told, "record": ""}],
+        [{**told, "sensors": ["BMA1"]}],
+        [{**told, "effect": "tone"}],
+        [],
+    ):
+        diagnosis = {**NO_GAP, "unshown": unshown}
+        made.both("single", diagnosis, put("reference_voltage", 2.0), plan="static")
+    made.both("single", {**NO_GAP, "cannot_tell": [told], "unshown": None}, put("reference_voltage"), plan="static")
+    made.both("single", RIPPLE, put("mains_ripple", 2.0), plan="static")
+    found = figures(made, hidden={"static": {"scale", "misalignment"}})
+    row = found.row("what a plan can't show is told")
+    assert shares(row) == (pytest.approx(2 / 6), 6) and row.mark == "FAIL"
+    assert cells(row, "plan") == {"static": (pytest.approx(2 / 6), 6)}
+    assert [(curve.plan, curve.points[0][1].cases) for curve in found.curves] == [("all", 1), ("static", 1)]
+    assert figures(made).row("what a plan can't show is told").mark == "n.a."
+
+
+def test_lost_cases_are_told(made: Made) -> None:
+    """Without an outcome, with an error, with an outcome that can't be read, without truth, and never begun."""
+    made.both("none", NO_GAP)
+    made.case("none")
+    made.answer(made.case("none"), {}, error="Traceback\nMemoryError: too large", seconds=0.0)
+    half = made.case("pair", put("mains_ripple"), put("single_trap"))
+    (made.folder / "outcomes" / f"{half.name}.json").write_text('{"name": ')
+    dead = Case(90, "sealed", "single", "heat", (), 1)
+    made.answer(dead, {}, error="its worker died twice")
+    stranger = Case(91, "sealed", "single", "heat", (), 1)
+    made.answer(stranger, NO_GAP)
+    never = Case(92, "sealed", "none", "static", (), 1)
+    found = figures(made, planned=[dead, never])
+    assert [(one.kind, one.plan, one.why) for one in found.lost] == [
+        ("none", "full", "no outcome"),
+        ("none", "full", "MemoryError: too large"),
+        ("pair", "full", "no outcome"),
+        ("single", "heat", "its worker died twice"),
+        ("unknown", "unknown", "no truth"),
+        ("none", "static", "never begun"),
+    ]
+    assert found.cases == 7 and shares(found.row("cases lost")) == (pytest.approx(6 / 7), 7)
+    assert shares(found.row("false alarms, plan full")) == (0.0, 1)
+    assert "lost: 1 of none, plan full, MemoryError: too large" in text_of(found)
+
+
+def test_shuffled_labels_are_right_by_chance_alone(made: Made) -> None:
+    """40 cases of 4 effects, every one right: 0.25 on average once shuffled, with a deviation of sqrt(0.25 * 0.75 / 39)
+    = 0.069, of which three are allowed.
+    """
+    names = {
+        "mains_ripple": "tone",
+        "single_trap": "popcorn_noise",
+        "reference_voltage": "scale",
+        "torn_reads": "glitches",
+    }
+    for mechanism, effect in 10 * list(names.items()):
+        made.both("single", said(cause(effect)), put(mechanism))
+    found = figures(made)
+    control = found.row("right cause first, labels shuffled")
+    assert found.row("right cause first").value == 1.0
+    assert control.bar[1] == pytest.approx(0.25 + 3 * (0.25 * 0.75 / 39) ** 0.5)
+    assert control.mark == "ok" and control.cases == 40
+    assert figures(made, seed=3).row("right cause first, labels shuffled").value != control.value
+
+
+def test_seconds_are_those_of_the_full_plan(made: Made) -> None:
+    for seconds in range(1, 12):
+        made.answer(made.case("none"), NO_GAP, seconds=float(seconds))
+    made.answer(made.case("none", plan="static"), NO_GAP, seconds=1000.0)
+    found = figures(made)
+    assert shares(found.row("seconds a case, median")) == (6.0, 11)
+    assert shares(found.row("seconds a case, 90 % quantile")) == (10.0, 11)
+    assert found.row("seconds a case, median").mark == ""
+
+
+def test_names_that_differ_from_the_generators_are_noted(made: Made) -> None:
+    case = made.both("single", RIPPLE, put("mains_ripple"))
+    assert figures(made).notes == ()
+    path = made.folder / "sealed" / f"{case.name}.json"
+    table = json.loads(path.read_text())
+    table["truth"]["mechanisms"][0]["resembles"] = ["scale"]
+    path.write_text(json.dumps(table))
+    assert len(figures(made).notes) == 1
+
+
+def test_an_empty_run_has_no_cases_for_anything(made: Made) -> None:
+    found = figures(made)
+    assert {row.mark for row in found.rows} == {"n.a.", ""}
+    assert found.failed == () and found.half == "sealed" and found.frozen == FROZEN
+    with pytest.raises(KeyError):
+        found.row("anything else")
+    json.dumps(as_json(found), allow_nan=False)
+
+
+def test_a_folder_that_is_no_run(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"plan\.json"):
+        score_folder(tmp_path)
+
+
+def test_json_and_text(made: Made) -> None:
+    """No number that JSON has no word for; no line over 120 columns; the same twice."""
+    for number in range(12):
+        effect = "tone" if number else "scale" * 40
+        made.both("single", said(cause(effect)), put("mains_ripple", 5.0), oracle=0.9)
+    made.both("none", NO_GAP)
+    made.both("single", RIPPLE, put("crossed_wiring", THERE_OR_NOT))
+    found = figures(made)
+    table = json.loads(json.dumps(as_json(found), allow_nan=False))
+    assert table["half"] == "sealed" and table["plan"]["frozen"] == FROZEN
+    first = next(row for row in table["figures"] if row["name"] == "right cause first")
+    assert (first["cases"], first["bar"], first["passes"]) == (13, [0.9, None], False)
+    assert first["value"] == pytest.approx(11 / 13)
+    lines = text_of(found).splitlines()
+    assert max(map(len, lines)) <= 120
+    assert lines[0] == "sealed half: 14 cases, 0 lost"
+    (line,) = (line for line in lines if line[5:].startswith("right cause first "))
+    assert line.split() == [
+        "FAIL",
+        "right",
+        "cause",
+        "first",
+        "0.846",
+        "0.578",
+        "to",
+        "0.957",
+        "13",
+        "at",
+        "least",
+        "0.9",
+    ]
+    assert as_json(figures(made)) == as_json(found)
+
+
+def test_bars_include_their_ends() -> None:
+    inside, outside = Row("a", 0.3, 0.1, 0.5, 9, (0.1 + 0.2, None)), Row("b", 0.29, 0.2, 0.31, 9, (0.3, None))
+    assert inside.passes is True and outside.passes is False and not outside.is_refuted
+    assert Row("c", 0.29, 0.2, 0.295, 9, (0.3, None)).is_refuted
+    assert Row("d", 0.7, 0.65, 0.8, 9, (None, 0.6)).is_refuted
+    assert not Row("one case", 0.1, nan, nan, 1, (0.3, None)).is_refuted
+    assert Row("e", inf, 0, 0, 0, (0.3, None)).passes is None
