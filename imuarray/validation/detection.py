@@ -129,7 +129,9 @@ def program(seed: int, workers: int, output: Path) -> None:
     """Measure the limits of all mechanisms."""
     found: dict[str, dict[str, float]] = json.loads(output.read_text()) if output.exists() else {}
     asked = [
-        one for one in sorted(_all(seed), key=lambda one: (not one.sensor, one.sensor)) if one.sensor not in found.get(one.mechanism, {})
+        one
+        for one in sorted(_all(seed), key=lambda one: (not one.sensor, one.sensor))
+        if one.sensor not in found.get(one.mechanism, {})
     ]
     with processes(workers) as executor:
         futures = {executor.submit(limit_of, one): one for one in asked}
