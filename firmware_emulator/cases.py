@@ -199,8 +199,8 @@ def asked(
 
 
 def described() -> dict[str, dict[str, Any]]:
-    """Every mechanism: the chips that it `touches`, how many sensors it takes (`place`), what it `resembles`, whether it
-    is `graded`: there more or less, not merely there or not.
+    """Every mechanism: the chips that it `touches`, how many sensors it takes (`place`), what it `resembles`, whether
+    it is `graded`: there more or less, not merely there or not.
     """
     return {
         name: {
