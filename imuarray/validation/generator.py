@@ -18,9 +18,10 @@ PROGRAM = (sys.executable, "-m", "firmware_emulator.cases")
 
 ARRAY = "martin2013"
 CHIPS: Mapping[str, str] = MappingProxyType(
-    {"ADXL1": "adxl345", "BMA1": "bma180", "BMA2": "bma180", "Gyro1": "l3g4200d", "Gyro2": "l3g4200d"}
+    {"ADXL1": "adxl345", "BMA1": "bma180", "BMA3": "bma180", "Gyro1": "l3g4200d", "Gyro3": "l3g4200d"}
 )
-"""The array that is emulated, and those of its sensors that are read: two of a kind, and another accelerometer."""
+"""The array that is emulated, and those of its sensors that are read: twins at one address of two segments, and
+another accelerometer."""
 
 PLANS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from imuarray.validation.case import Case, Half, Kind, Put
 from imuarray.validation.generator import CHIPS, PLANS, mechanisms
-from imuarray.validation.limits import limit
+from imuarray.validation.limits import FURTHEST, limit
 
 FULL = "full"
 """The plan of all cases but controls, and of those that show what a shorter one can't."""
@@ -45,8 +45,8 @@ HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
 EXTRAS: tuple[Mapping[str, Any], ...] = (
     {"sensor": "Gyro1", "effect": "tone", "parameters": {"amplitude_dps": [0.0, 0.3, 0.0], "frequency_hz": 17.0}},
     {"sensor": "BMA1", "effect": "random_walk", "parameters": {"density_g_per_sqrt_s": [0.002, 0.002, 0.002]}},
-    {"sensor": "Gyro2", "effect": "bandwidth", "parameters": {"cutoff_hz": 8.0}},
-    {"sensor": "BMA2", "effect": "glitches", "parameters": {"probability": 0.01, "amplitude_g": 0.3}},
+    {"sensor": "Gyro3", "effect": "bandwidth", "parameters": {"cutoff_hz": 8.0}},
+    {"sensor": "BMA3", "effect": "glitches", "parameters": {"probability": 0.01, "amplitude_g": 0.3}},
     {"sensor": "ADXL1", "effect": "stale_samples", "parameters": {"probability": 0.3}},
     {
         "sensor": "Gyro1",
@@ -121,7 +121,7 @@ def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
 
 
 def _all(size: Size) -> Iterator[_Drawn]:
-    facts = {name: one for name, one in mechanisms().items() if not size.mechanisms or name in size.mechanisms}
+    facts = {name: one for name, one in mechanisms().items() if (not size.mechanisms or name in size.mechanisms)}
     named = [name for name, one in facts.items() if one["resembles"]]
     for plan in size.plans:
         yield from [_Drawn("none", plan)] * size.controls
@@ -158,7 +158,7 @@ def _case(one: _Drawn, half: Half, number: int, seed: int) -> Case:
     for name, fact, sensors in zip(one.names, facts, free, strict=True):
         chosen = _sensors(fact["place"], [sensor for sensor in sensors if sensor not in taken] or sensors, choose)
         taken |= set() if one.together else set(chosen)
-        severity, limits = limit(name, chosen) * one.limits, one.limits
+        severity, limits = min(limit(name, chosen) * one.limits, FURTHEST), one.limits
         puts.append(Put(name, severity if fact["graded"] else 1.0, limits if fact["graded"] else math.nan, chosen))
     resembles = tuple(tuple(fact["resembles"]) for fact in facts)
     case = Case(number, half, one.kind, one.plan, tuple(puts), seed, extra=dict(one.extra), resembles=resembles)
