@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,9 @@ _LEAST_DEGC = 1.0
 
 _ADDED, _LARGEST = 0.3, 64.0
 """Share of a variance that has to be left if something was added to it; largest change of one that was scaled."""
+
+_TOLD = 0.02
+"""Two variances so far apart, as a share of the larger one, tell what a simulation makes of a third."""
 
 _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_field": "field_box"}
 
@@ -70,6 +73,19 @@ class Fitted:
             _triple(np.add(self.offset, offset)),
             _triple(np.add(self.slope, slope)),
         )
+
+    def between(self, wanted: Fitted, came: Sequence[Fitted], before: Fitted, came_before: Sequence[Fitted]) -> Fitted:
+        """`moved` once more, the noise by a straight line through both simulations, of these parameters and of those
+        `before`: whatever the simulation adds to the noise's variance and scales it by.
+        """
+        own, last = np.square(self.rms), np.square(before.rms)
+        mean, mean_before = (np.mean([np.square(one.rms) for one in some], axis=0) for some in (came, came_before))
+        told = np.abs(own - last) > _TOLD * np.maximum(own, last)
+        gain = np.divide(mean - mean_before, own - last, out=np.ones(3), where=told)
+        gain = np.clip(gain, 1 / _LARGEST, _LARGEST)
+        squares = np.maximum(own + (np.square(wanted.rms) - mean) / gain, own / _LARGEST**2)
+        found = self.moved(wanted, came)
+        return replace(found, rms=_triple(np.sqrt(np.where(told, squares, np.square(found.rms)))))
 
     def noise(self, header: SensorHeader) -> Floats:
         """(3,) standard deviation of readings, rounding included."""

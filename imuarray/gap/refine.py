@@ -18,7 +18,7 @@ import numpy.typing as npt
 from imuarray.gap.bench import Bench, Models
 from imuarray.gap.candidates import Trial
 from imuarray.gap.likeness import FREEDOM, Likeness
-from imuarray.gap.standing import LOOKS, NUMBERS, Standing, compared, gains_of
+from imuarray.gap.standing import LOOKS, NUMBERS, Came, Standing, compared, gains_of
 from imuarray.gap.statistics import AXES
 from imuarray.simulate.effect import Effect
 
@@ -38,6 +38,8 @@ _AXIS_GAIN = 1.5
 """An axis that gains fewer nats does without the effect."""
 
 _DONE = 0.03
+_ADAPTED, _FITS = 2, 0.5
+"""So often at most the noise is adapted, until that of the fit is missed by fewer nats."""
 
 
 class Factor(NamedTuple):
@@ -64,19 +66,19 @@ class Tried:
 
 
 def look(bench: Bench, standing: Standing, trial: Trial) -> Tried:
-    """The gain of a trial as it was guessed."""
-    found = _simulated(bench, standing, trial, standing.changed(trial))
-    return Tried(trial) if found is None else found.tried
+    """The gain of a trial as it was guessed, whatever becomes of the noise: that isn't adapted yet."""
+    seen = _seen(bench, standing, standing.changed(trial), trial.needs_both)
+    return Tried(trial) if seen is None else Tried(trial, standing.changed(trial), _gain(standing, seen, trial))
 
 
 def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
-    """The trial with its free parameters fitted, and the ordinary ones as they came out or once more re-adapted; the
-    best of all steps, each as it was simulated.
+    """The trial with its free parameters fitted and the ordinary ones re-adapted; the best of all steps, each as it was
+    simulated.
     """
     now = _simulated(bench, standing, trial, standing.changed(trial))
     if now is None:
         return Tried(trial)
-    best = now
+    now = best = _adapted(bench, standing, now)
     for _ in range(STEPS):
         factors = factors_of(now.tried.trial)
         if not factors:
@@ -89,9 +91,24 @@ def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
         now, best = after, max(best, after, key=_gained)
         if np.abs(steps).max() < _DONE:
             break
-    settled = _with_fitted(standing.changed(best.tried.trial), best.seen.settled)
-    again = _simulated(bench, standing, best.tried.trial, settled)
-    return _pruned(bench, standing, best if again is None else max(best, again, key=_gained)).tried
+    return _pruned(bench, standing, _adapted(bench, standing, best)).tried
+
+
+def _adapted(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
+    """The trial with the noise that goes with it, so that lines are not made larger where noise is to be smaller; as it
+    was if that is no better.
+    """
+    trial, best, now, before = found.tried.trial, found, found, None
+    for _ in range(_ADAPTED):
+        if now.seen.misfit < standing.misfit + _FITS or now.tried.models is None:
+            break
+        settled = standing.settled(now.tried.models, now.seen.came, before)
+        before = now.tried.models, now.seen.came
+        after = _simulated(bench, standing, trial, _with_fitted(standing.changed(trial), settled))
+        if after is None:
+            break
+        now, best = after, max(best, after, key=_gained)
+    return best
 
 
 def factors_of(trial: Trial) -> list[Factor]:
@@ -113,12 +130,16 @@ def factors_of(trial: Trial) -> list[Factor]:
 
 
 class _Seen(NamedTuple):
-    """What models make: replicates (r, n), their likeness and shift, and the models with ordinary parameters moved."""
+    """What models make: replicates (r, n), their likeness and shift, their fits, the models with ordinary parameters
+    moved by these, and the nats that they lack.
+    """
 
     values: Floats
     likeness: Likeness
     moved: Floats
+    came: Came
     settled: Models
+    misfit: float
 
 
 class _Simulated(NamedTuple):
@@ -135,7 +156,9 @@ def _gained(one: _Simulated) -> float:
 def _simulated(bench: Bench, standing: Standing, trial: Trial, models: Models) -> _Simulated | None:
     """A trial as it is with these models; None for parameters that an effect refuses."""
     seen = _seen(bench, standing, models, trial.needs_both)
-    return None if seen is None else _Simulated(Tried(trial, models, _gain(standing, seen, trial)), seen)
+    if seen is None:
+        return None
+    return _Simulated(Tried(trial, models, _gain(standing, seen, trial) - seen.misfit + standing.misfit), seen)
 
 
 def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _Seen | None:
@@ -152,7 +175,9 @@ def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _See
         out = bench.held_out[bench.own(standing.unit)]
         values[:, out] = standing.values[:LOOKS, out]
     likeness, moved = compared(standing, values)
-    return _Seen(values, likeness, moved, standing.settled(models, [one.fitted for one in found]))
+    came = [one.fitted for one in found]
+    settled, misfit = standing.settled(models, came), standing.misfit_of(bench.base.headers, came)
+    return _Seen(values, likeness, moved, came, settled, misfit)
 
 
 def _gain(standing: Standing, seen: _Seen, trial: Trial) -> float:

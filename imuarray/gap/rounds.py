@@ -9,16 +9,16 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.bench import Modelled
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.compare import Compared
 from imuarray.gap.evidence import Evidence, Scored, evidence_of
 from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.pairs import spread_of
-from imuarray.gap.search import Round, guesses_of, placebo_of, replicate_of, searched
+from imuarray.gap.search import Round, guesses_of, placebo_of, replicated, searched
 from imuarray.gap.split import Side
-from imuarray.gap.standing import NUMBERS, Standing, Unit, compared
+from imuarray.gap.standing import Standing, Unit, compared
 from imuarray.gap.workers import Run
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -104,8 +104,8 @@ def _in_company(
     ]
     changed = [one for one in asked if one.company != standings[one.unit].company]
     again = {
-        one.unit: replace(one, likeness=compared(one, values)[0], values=values)
-        for one, values in zip(changed, run(_values, changed), strict=True)
+        one.unit: replace(made, likeness=compared(one, made.values)[0])
+        for one, made in zip(changed, run(replicated, changed), strict=True)
     }
     return {**units, **again}
 
@@ -151,8 +151,8 @@ def _families(
 
 
 def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Unit, list[Trial]]:
-    """What shows only between sensors, by the sensors concerned: those of a chip of which two or more differ and whose
-    common statistics do, or one and the other whose data it has.
+    """What sensors share, by the sensors concerned: those of a chip of which two or more differ and whose common
+    statistics do, or whose levels change from one part to the other; or one and the other whose data it has.
     """
     odd = {
         key.sensor
@@ -165,7 +165,7 @@ def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Un
         family = tuple(other for (other,) in guessed if _is_alike(headers[other], headers[name]))
         for trial in one.shared:
             unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
-            if len(unit) > 1 and odd & set(unit):
+            if len(unit) > 1 and (trial.whole or odd & set(unit)):
                 units.setdefault(unit, []).append(trial)
     return {unit: unlike(trials) for unit, trials in units.items()}
 
@@ -177,8 +177,7 @@ def _is_alike(one: SensorHeader, other: SensorHeader) -> bool:
 def _standing(found: Compared, units: Sequence[Unit], run: Run) -> dict[Unit, Standing]:
     """Where units stand under the base model."""
     bare = [_bare(found, unit) for unit in units]
-    values = run(_values, bare)
-    return {one.unit: replace(one, values=made) for one, made in zip(bare, values, strict=True)}
+    return {one.unit: one for one in run(replicated, bare)}
 
 
 def _bare(found: Compared, unit: Unit) -> Standing:
@@ -196,10 +195,6 @@ def _bare(found: Compared, unit: Unit) -> Standing:
         independent_share(likeness.scores(chance)),
         probes=np.unique([bench.keys[at].probe for at in columns], return_inverse=True)[1],
     )
-
-
-def _values(bench: Bench, standing: Standing) -> Floats:
-    return np.array([replicate_of(bench, standing, number) for number in NUMBERS])
 
 
 def _is_open(found: Compared, standing: Standing, rounds: Sequence[Round]) -> bool:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import Bench
+from imuarray.gap.bench import Bench, Values
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.evidence import Evidence
 from imuarray.gap.likeness import independent_share
@@ -137,28 +137,35 @@ def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
     return kept
 
 
-def replicate_of(bench: Bench, standing: Standing, number: int) -> Floats:
-    """(n,) the unit's statistics in one replicate of its models; what a lone sensor shares with others is left out."""
-    values = bench.replicate(standing.models, number, company=standing.company).values
-    return np.asarray(values[bench.among(standing.unit, standing.unit)])
+def replicate_of(bench: Bench, standing: Standing, number: int) -> Values:
+    """The unit's statistics in one replicate of its models; what a lone sensor shares with others is left out."""
+    found = bench.replicate(standing.models, number, company=standing.company)
+    return replace(found, values=found.values[bench.among(standing.unit, standing.unit)])
+
+
+def replicated(bench: Bench, standing: Standing) -> Standing:
+    """With what replicates of its models make, and how far their noise is from the recording's."""
+    came = [replicate_of(bench, standing, number) for number in NUMBERS]
+    misfit = standing.misfit_of(bench.base.headers, [one.fitted for one in came])
+    return replace(standing, values=np.array([one.values for one in came]), misfit=misfit)
 
 
 def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
     """The gains of a trial with its parameters, by replicates of both parts."""
     models = standing.models if tried.models is None else tried.models
-    changed = replace(standing, models=models)
-    values = np.array([replicate_of(bench, changed, number) for number in NUMBERS])
+    changed = replicated(bench, replace(standing, models=models))
+    values, lost = changed.values, changed.misfit - standing.misfit
     likeness, moved = compared(standing, values)
     columns, before = bench.own(standing.unit), standing.likeness
     out = bench.held_out[columns]
     gains = gains_of(standing, likeness, moved)
-    train_gain, gain = (float(gains[part].sum()) for part in (~out, out))
+    train_gain, gain = (float(gains[part].sum()) - lost for part in (~out, out))
     if tried.trial.needs_both:
         gain = (train_gain + gain) / 2 - _BRIEF
     share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
     touched = (np.abs(moved) > before.scale) | (np.abs(np.log(likeness.scale / before.scale)) > _WIDER)
     independent = independent_share(likeness.scores(values)[:, touched]) if touched.any() else standing.independent
-    stands = replace(changed, likeness=likeness, values=values)
+    stands = replace(changed, likeness=likeness)
     counted = np.ones_like(out) if tried.trial.needs_both else out
     closes = _squares(stands.scores[counted]) <= _squares(standing.scores[counted])
     return Confirmed(tried, stands, train_gain, gain, share, independent, closes)

@@ -11,13 +11,17 @@ import numpy.typing as npt
 from imuarray.gap.base_model import Fitted
 from imuarray.gap.bench import Modelled, Models
 from imuarray.gap.candidates import Trial
-from imuarray.gap.likeness import Likeness, likeness_of
+from imuarray.gap.likeness import FREEDOM, Likeness, likeness_of
+from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 
 Floats = npt.NDArray[np.float64]
 
 Unit = tuple[str, ...]
 """Names of sensors that are looked at together."""
+
+Came = Sequence[Mapping[str, Fitted]]
+"""What fits of replicates gave, sensor by sensor."""
 
 REPLICATES = 8
 """By which a refined trial is judged."""
@@ -35,7 +39,7 @@ class Standing:
     general (`likeness`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
     what the fit of the recording gave, `independent` the share of the statistics that is. `company` are the models of
     other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes: statistics of one scatter
-    alike (none: nothing is known of that).
+    alike (none: nothing is known of that), `misfit` the nats that the models' noise lacks.
     """
 
     unit: Unit
@@ -47,6 +51,7 @@ class Standing:
     independent: float
     company: Models = field(default_factory=dict)
     probes: npt.NDArray[np.intp] | None = field(default=None, repr=False)
+    misfit: float = 0.0
 
     @property
     def scores(self) -> Floats:
@@ -59,16 +64,33 @@ class Standing:
             name: _changed(model, trial) if trial.sensor in ("", name) else model for name, model in self.models.items()
         }
 
-    def settled(self, models: Models, came: Sequence[Mapping[str, Fitted]]) -> Models:
-        """`models` with ordinary parameters moved by what the fits of their replicates, which `came`, lack; those of a
-        sensor that reads another's data do nothing, and stay.
+    def settled(self, models: Models, came: Came, before: tuple[Models, Came] | None = None) -> Models:
+        """`models` with ordinary parameters moved by what the fits of their replicates, which `came`, lack; by these
+        and what came of the models `before`, if there are any. Those of a sensor that reads another's data do nothing,
+        and stay.
         """
-        return {
-            name: model
-            if any(effect.name == ChannelSwap.name for effect in model.added)
-            else replace(model, fitted=model.fitted.moved(self.wanted[name], [fitted[name] for fitted in came]))
-            for name, model in models.items()
-        }
+        return {name: self._settled(name, model, came, before) for name, model in models.items()}
+
+    def _settled(self, name: str, model: Modelled, came: Came, before: tuple[Models, Came] | None) -> Modelled:
+        if any(effect.name == ChannelSwap.name for effect in model.added):
+            return model
+        own = [fitted[name] for fitted in came]
+        if before is None:
+            return replace(model, fitted=model.fitted.moved(self.wanted[name], own))
+        models, gone = before
+        last = models[name].fitted, [fitted[name] for fitted in gone]
+        return replace(model, fitted=model.fitted.between(self.wanted[name], own, *last))
+
+    def misfit_of(self, headers: Mapping[str, SensorHeader], came: Came) -> float:
+        """Nats that models lose whose replicates' fits, which `came`, have another noise than the recording's: of
+        statistics over that noise, nothing is left that tells a line of one amplitude from one of twice that.
+        """
+        lost = 0.0
+        for name, wanted in self.wanted.items():
+            square = np.mean([np.square(fitted[name].noise(headers[name])) for fitted in came], axis=0)
+            apart = np.log(square / np.square(wanted.noise(headers[name]))) / 2 / _NOISE_SURE
+            lost += float((FREEDOM + 1) / 2 * np.log1p(np.square(apart) / FREEDOM).sum())
+        return lost
 
 
 def _changed(model: Modelled, trial: Trial) -> Modelled:
@@ -160,6 +182,9 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
     ratio[usable] = np.exp(log_ratio * log_ratio**2 / (log_ratio**2 + 2 * variance + _TINY))
     return ratio
 
+
+_NOISE_SURE = 0.05
+"""Relative error of a noise, as a fit tells it and as a form may have it."""
 
 _PAIRS = 6
 _INDEPENDENT = 2.0

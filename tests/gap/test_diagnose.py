@@ -283,3 +283,31 @@ def test_a_sensor_that_only_the_held_out_log_has(tmp_path: Path) -> None:
     write_log(simulated(SHORT, ["G1"], {"G1": (LINE,)}), paths[0])
     write_log(simulated(SHORT, ["G1", "G2"], {"G1": (LINE,)}, boot=1), paths[1])
     assert diagnosed(recordings_of([open_log(path) for path in paths])).causes[0].effect == "tone"
+
+
+@pytest.mark.slow
+def test_a_line_that_drifts_is_closed_on_another_log(tmp_path: Path) -> None:
+    """Of two tumbles the first one trains: its line rises by 4 Hz, that of the other begins elsewhere."""
+    line = Tone((0.0, 0.06, 0.0), 13.0, frequency_spread_hz=2.0, drift_hz_per_h=360.0)
+    found = diagnosed(recorded(tmp_path, {"G1": (line,)}, motions=(Tumble(5.0, 0.5),) * 2))
+    cause = found.causes[0]
+    assert (cause.effect, cause.sensors, cause.axes) == ("tone", ("G1",), ("y",))
+    assert cause.parameters["drift_hz_per_h"] == pytest.approx(360.0, rel=0.25)
+    assert cause.parameters["frequency_spread_hz"] > 0
+    assert found.gap.closed is not None
+    assert found.gap.closed > 0.7
+
+
+@pytest.mark.slow
+def test_a_bias_that_units_share_changes_between_two_logs(tmp_path: Path) -> None:
+    """Two accelerometers of a chip, by 10 mg rms alike from boot to boot, one of which has a line of its own: that
+    stays beside the shared cause, which both logs are needed to see.
+    """
+    shared = CommonMode((0.01, 0.01, 0.01), 1e6)
+    names = ("A1", "A2")
+    more = dict.fromkeys(names, (shared,)) | {"A1": (shared, Tone((0.0, 0.0, 0.02), 9.0))}
+    found = diagnosed(recorded(tmp_path, more, names, (Still(seconds=30),) * 2))
+    told = {cause.effect: cause for cause in found.causes}
+    assert set(told["common_mode"].sensors) == set(names)
+    assert told["common_mode"].needs_both
+    assert told["tone"].sensors == ("A1",)

@@ -13,8 +13,8 @@ from imuarray.gap.candidates import Trial
 from imuarray.gap.compare import Compared, compared_with_base
 from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.refine import Factor, factors_of, look, refine
-from imuarray.gap.search import replicate_of
-from imuarray.gap.standing import NUMBERS, Standing
+from imuarray.gap.search import replicated
+from imuarray.gap.standing import Standing
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -46,8 +46,7 @@ def standing_of(found: Compared, unit: tuple[str, ...] = ("G1",)) -> Standing:
     wanted = {name: found.real.fitted[name] for name in unit}
     share = independent_share(likeness.scores(chance))
     first = Standing(unit, models, found.real.values[columns], likeness, np.zeros((0, 0)), wanted, share)
-    values = np.array([replicate_of(bench, first, number) for number in NUMBERS])
-    return Standing(unit, models, first.real, likeness, values, wanted, share)
+    return replicated(bench, first)
 
 
 @pytest.fixture(scope="module")

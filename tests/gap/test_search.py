@@ -139,7 +139,7 @@ def test_a_lone_sensor_is_without_what_it_shares() -> None:
         own = {name: models[name] for name in unit}
         standing = replace(by_hand([], drawn(0)), unit=unit, models=own, real=nothing)
         columns = bench.columns(unit, cross=len(unit) > 1)
-        values = replicate_of(bench, standing, 2)
+        values = replicate_of(bench, standing, 2).values
         assert values.shape == columns.shape
         assert np.isfinite(values).mean() > 0.5  # the rest says nothing of one log
 

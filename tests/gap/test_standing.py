@@ -18,6 +18,7 @@ from imuarray.gap.bench import Modelled
 from imuarray.gap.candidates import Trial
 from imuarray.gap.likeness import FORM, FREEDOM, Likeness
 from imuarray.gap.standing import LOOKS, NUMBERS, REPLICATES, Standing, compared, gains_of
+from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.scale import Scale
@@ -218,3 +219,13 @@ def test_where_an_earlier_effect_takes_a_statistic_it_still_does(count: int) -> 
     np.testing.assert_allclose(gains_of(after, likeness, moved), 0.0, atol=1e-6)
     later, moved = compared(after, states[:count] + 1.0)
     assert gains_of(replace(after, real=np.array([11.0])), later, moved) > 0.1
+
+
+def test_what_another_noise_costs() -> None:
+    """By a t distribution of 5 % of the noise, axis by axis; rounding is nothing beside it."""
+    unit = standing([0.0], drawn(1))
+    header = SensorHeader("G1", "l3g4200d", "angular_rate", "dps", 250.0, 1e6)
+    assert unit.misfit_of({"G1": header}, [{"G1": FITTED}] * 3) == pytest.approx(0.0, abs=1e-9)
+    came = [{"G1": replace(FITTED, rms=(0.1, 0.1 * math.exp(factor), 0.1))} for factor in (0.2, 0.2)]
+    expected = stats.t.logpdf(0, FREEDOM) - stats.t.logpdf(4.0, FREEDOM)
+    assert unit.misfit_of({"G1": header}, came) == pytest.approx(expected, rel=1e-3)
