@@ -181,9 +181,11 @@ def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _See
 
 
 def _gain(standing: Standing, seen: _Seen, trial: Trial) -> float:
-    """Of the training part, the rest stands as it was; of a trial that needs both the mean of what they gain."""
+    """Of the training part, the rest stands as it was; of a trial that needs both parts the mean of what they gain,
+    unless it is brief, and seen in one.
+    """
     gain = float(gains_of(standing, seen.likeness, seen.moved).sum())
-    return gain / 2 if trial.needs_both else gain
+    return gain / 2 if trial.needs_both and not trial.is_brief else gain
 
 
 def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Factor], seen: _Seen) -> Floats:

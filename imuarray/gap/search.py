@@ -126,12 +126,12 @@ def searched(
 
 
 def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
-    """The best trials that are worth it and not left far behind, of each effect and action at most two."""
+    """The best trials that are worth it and not left far behind, of each form at most two."""
     ranked = sorted((one for one in tried if one.models is not None), key=lambda one: -one.gain)
     least = max(WORTH, ranked[0].gain - max(_BEHIND, ranked[0].gain / 2)) if ranked else WORTH
     kept: list[Tried] = []
     for one in ranked:
-        alike = sum((other.trial.name, other.trial.action) == (one.trial.name, one.trial.action) for other in kept)
+        alike = sum(other.trial.form == one.trial.form for other in kept)
         if one.gain > least and alike < 2 and len(kept) < count:
             kept.append(one)
     return kept

@@ -287,12 +287,12 @@ def test_a_sensor_that_only_the_held_out_log_has(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_line_that_drifts_is_closed_on_another_log(tmp_path: Path) -> None:
-    """Of two tumbles the first one trains: its line rises by 4 Hz, that of the other begins elsewhere."""
-    line = Tone((0.0, 0.06, 0.0), 13.0, frequency_spread_hz=2.0, drift_hz_per_h=360.0)
-    found = diagnosed(recorded(tmp_path, {"G1": (line,)}, motions=(Tumble(5.0, 0.5),) * 2))
+    """Of two tumbles the first one trains: its line rises by 12 Hz, that of the other begins elsewhere."""
+    line = Tone((0.0, 0.06, 0.0), 18.0, frequency_spread_hz=5.0, drift_hz_per_h=700.0)
+    found = diagnosed(recorded(tmp_path, {"G1": (line,)}, motions=(Tumble(8.0, 0.5),) * 2))
     cause = found.causes[0]
     assert (cause.effect, cause.sensors, cause.axes) == ("tone", ("G1",), ("y",))
-    assert cause.parameters["drift_hz_per_h"] == pytest.approx(360.0, rel=0.25)
+    assert cause.parameters["drift_hz_per_h"] == pytest.approx(700.0, rel=0.25)
     assert cause.parameters["frequency_spread_hz"] > 0
     assert found.gap.closed is not None
     assert found.gap.closed > 0.7

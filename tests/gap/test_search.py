@@ -254,3 +254,12 @@ def test_a_round_on_simulations(tone: tuple[Bench, Standing]) -> None:
     assert found.taken.trial.name == "tone"
     assert found.before is standing
     assert found.placebo_gain < ACCEPTED
+
+
+def test_lines_that_drift_are_of_another_form_than_those_that_stay() -> None:
+    """So that two that stay leave room for one that drifts, however large its amplitude is."""
+    stays, drifts = Trial((Tone(1.0, 9.0),)), Trial((Tone(1.0, 9.0, drift_hz_per_h=3.0),))
+    assert stays.form == Trial((Tone((2.0, 0.0, 0.0), 30.0),), ("amplitude",)).form
+    assert len({stays.form, drifts.form, replace(stays, removed="tone").form, Trial((), removed="tone").form}) == 4
+    tried = [Tried(one, {}, gain) for one, gain in ((stays, 30.0), (stays, 29.0), (stays, 28.0), (drifts, 27.0))]
+    assert [one.gain for one in likeliest(tried, 4)] == [30.0, 29.0, 27.0]

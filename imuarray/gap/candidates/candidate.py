@@ -8,7 +8,7 @@ nothing of the effect can be seen.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import isfinite
 from typing import Literal
 
@@ -49,12 +49,28 @@ class Trial:
         return self.effects[0].name if self.effects else self.removed
 
     @property
-    def needs_both(self) -> bool:
-        """Whether both parts are needed to see it: neither shows it without the other (`whole`), or it begins at some
-        time within a log, or lies between two logs.
-        """
+    def is_brief(self) -> bool:
+        """Whether it begins at some time within a log, or lies between two logs."""
         onsets = [getattr(effect, "onset_s", 0.0) for effect in self.effects]
-        return self.whole or any(isfinite(onset) and onset > 0 for onset in onsets)
+        return any(isfinite(onset) and onset > 0 for onset in onsets)
+
+    @property
+    def needs_both(self) -> bool:
+        """Whether both parts are needed to see it: neither shows it without the other (`whole`), or it is brief."""
+        return self.whole or self.is_brief
+
+    @property
+    def form(self) -> tuple[str, ...]:
+        """What is done with which effects, and which of their parameters do something: a line that drifts is another
+        form than one that stays.
+        """
+        used = [
+            f"{effect.name}.{item.name}"
+            for effect in self.effects
+            for item in fields(effect)
+            if repr(getattr(effect, item.name)) != repr(getattr(type(effect)(), item.name))
+        ]
+        return (self.name, self.action, *used)
 
     @property
     def action(self) -> Action:
