@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
@@ -18,6 +17,7 @@ from imuarray.commands.options import (
     prepare_folder,
     print_json,
     progress,
+    workers_option,
 )
 
 if TYPE_CHECKING:
@@ -60,13 +60,7 @@ command.add_command(validate)
     show_default=True,
     help="simulations by which chance is told from a gap",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 256),
-    default=lambda: os.cpu_count() or 1,
-    show_default="the machine's processors",
-    help="processes; the result is the same",
-)
+@workers_option
 @click.option(
     "-o",
     "--output",

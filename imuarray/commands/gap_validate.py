@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from imuarray.commands.options import json_option, print_json, progress
+from imuarray.commands.options import json_option, print_json, progress, workers_option
 
 if TYPE_CHECKING:
     from imuarray.validation.case import Half
@@ -45,13 +44,7 @@ _SIZES = ("glance", "reduced", "short", "medium", "full")
     metavar="processes|tcp://HOST:PORT",
     help="who works: processes of this machine, or the Dask cluster of that scheduler",
 )
-@click.option(
-    "--workers",
-    type=click.IntRange(1, 256),
-    default=lambda: os.cpu_count() or 1,
-    show_default="the machine's processors",
-    help="processes; results are the same",
-)
+@workers_option
 @click.option("--again", is_flag=True, help="try cases that failed once more")
 @click.option("--score-only", is_flag=True, help="open the truth of what is there; run nothing")
 @json_option

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import threading
@@ -26,6 +27,13 @@ bus_option = click.option(
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object instead of text")
 force_option = click.option("--force", is_flag=True, help="overwrite the output if it exists")
+workers_option = click.option(
+    "--workers",
+    type=click.IntRange(1, 256),
+    default=lambda: os.cpu_count() or 1,
+    show_default="the machine's processors",
+    help="processes; the result is the same",
+)
 
 
 _USUAL = (signal.default_int_handler,)

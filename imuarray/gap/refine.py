@@ -8,19 +8,19 @@ replicates misses that of the recording (indirect inference, Gourieroux, Monfort
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.bench import Bench, Models
 from imuarray.gap.candidates import Trial
+from imuarray.gap.factors import Factor, active_axes, factors_of, moved, without
 from imuarray.gap.likeness import FREEDOM, Likeness
 from imuarray.gap.standing import LOOKS, NUMBERS, Came, Standing, compared, gains_of
 from imuarray.gap.statistics import AXES
-from imuarray.simulate.effect import Effect
 
 Floats = npt.NDArray[np.float64]
 
@@ -40,18 +40,6 @@ _AXIS_GAIN = 1.5
 _DONE = 0.03
 _ADAPTED, _FITS = 2, 0.5
 """So often at most the noise is adapted, until that of the fit is missed by fewer nats."""
-
-
-class Factor(NamedTuple):
-    """A free parameter of a trial's effect, or one number of it: `place` in its list, which belongs to an `axis` 0, 1,
-    2 and is its number `turn` there (a 3x3 response has three for each axis); None: it has no axes.
-    """
-
-    effect: int
-    name: str
-    place: int | None = None
-    axis: int | None = None
-    turn: int = 0
 
 
 @dataclass(frozen=True)
@@ -84,8 +72,8 @@ def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
         if not factors:
             break
         steps = _step(standing, now.seen, _slopes(bench, standing, now.tried.trial, factors, now.seen))
-        moved = _moved(now.tried.trial, factors, steps)
-        after = _simulated(bench, standing, moved, _with_fitted(standing.changed(moved), now.seen.settled))
+        stepped = moved(now.tried.trial, factors, steps)
+        after = _simulated(bench, standing, stepped, _with_fitted(standing.changed(stepped), now.seen.settled))
         if after is None:
             break
         now, best = after, max(best, after, key=_gained)
@@ -109,24 +97,6 @@ def _adapted(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
             break
         now, best = after, max(best, after, key=_gained)
     return best
-
-
-def factors_of(trial: Trial) -> list[Factor]:
-    """The free parameters that are not 0, axis by axis."""
-    found = []
-    for name in trial.free:
-        at = next(number for number, effect in enumerate(trial.effects) if hasattr(effect, name))
-        value = getattr(trial.effects[at], name)
-        if isinstance(value, tuple):
-            each = len(value) // 3
-            found += [
-                Factor(at, name, place, place // each, place % each)
-                for place, one in enumerate(value)
-                if one and np.isfinite(one)
-            ]
-        elif value and np.isfinite(value):
-            found.append(Factor(at, name))
-    return found
 
 
 class _Seen(NamedTuple):
@@ -205,7 +175,7 @@ def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Fa
         for nudge in (_NUDGE, -_NUDGE):
             steps = np.zeros(len(factors))
             steps[members] = nudge
-            models = _with_fitted(standing.changed(_moved(trial, factors, steps)), seen.settled)
+            models = _with_fitted(standing.changed(moved(trial, factors, steps)), seen.settled)
             nudged = _seen(bench, standing, models, trial.needs_both)
             if nudged is not None:
                 break
@@ -233,27 +203,6 @@ def _step(standing: Standing, seen: _Seen, slopes: Floats) -> Floats:
     return np.clip(steps, -_FURTHEST, _FURTHEST)
 
 
-def _moved(trial: Trial, factors: Sequence[Factor], steps: Floats) -> Trial:
-    """The trial with its factors times exp(steps); shares and probabilities stay below 1."""
-    effects = list(trial.effects)
-    for factor, step in zip(factors, steps.tolist(), strict=True):
-        effects[factor.effect] = _scaled(effects[factor.effect], factor, float(np.exp(step)), trial.limits)
-    return replace(trial, effects=tuple(effects))
-
-
-def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tuple[float, float]]) -> Effect:
-    value: Any = getattr(effect, factor.name)
-    if factor.place is not None:
-        changed: Any = tuple(one * by if place == factor.place else one for place, one in enumerate(value))
-    else:
-        low, high = limits.get(factor.name, (0.0, 1.0 if factor.name == "probability" else np.inf))
-        changed = min(max(value * by, low), high)
-    try:
-        return replace(effect, **{factor.name: changed})
-    except ValueError:
-        return effect
-
-
 def _with_fitted(models: Models, settled: Models) -> Models:
     """`models` with the ordinary parameters of `settled`."""
     return {name: replace(model, fitted=settled[name].fitted) for name, model in models.items()}
@@ -261,7 +210,7 @@ def _with_fitted(models: Models, settled: Models) -> Models:
 
 def _pruned(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
     """Without the axes that gain too little, where an axis of 0 is without the effect."""
-    active = _active_axes(found.tried.trial)
+    active = active_axes(found.tried.trial)
     if len(active) < 2:
         return found
     gains = gains_of(standing, found.seen.likeness, found.seen.moved)
@@ -269,7 +218,7 @@ def _pruned(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
     if not idle or len(idle) == len(active):
         return found
     trial = found.tried.trial
-    fewer = replace(trial, effects=tuple(_without(effect, idle) for effect in trial.effects))
+    fewer = replace(trial, effects=tuple(without(effect, idle) for effect in trial.effects))
     models = _with_fitted(standing.changed(fewer), found.seen.settled)
     return _simulated(bench, standing, fewer, models) or found
 
@@ -278,22 +227,3 @@ def _of_axis(bench: Bench, standing: Standing, axis: int) -> npt.NDArray[np.bool
     """Which of the unit's statistics are of one axis."""
     columns = bench.own(standing.unit)
     return np.array([bench.keys[at].axis == AXES[axis] for at in columns], bool)
-
-
-def _active_axes(trial: Trial) -> list[int]:
-    """The axes on which the trial's first effect does something, if it has amplitudes by axis."""
-    amplitudes = [getattr(trial.effects[0], name) for name in _amplitudes(trial.effects[0])] if trial.effects else []
-    return [axis for axis in range(3) if any(value[axis] for value in amplitudes)]
-
-
-def _amplitudes(effect: Effect) -> Iterator[str]:
-    """Parameters by axis that do nothing where they are 0."""
-    return (item.name for item in fields(effect) if item.metadata.get("per_axis") and item.default == (0.0, 0.0, 0.0))
-
-
-def _without(effect: Effect, axes: set[int]) -> Effect:
-    changes = {
-        name: tuple(0.0 if axis in axes else one for axis, one in enumerate(getattr(effect, name)))
-        for name in _amplitudes(effect)
-    }
-    return replace(effect, **changes)

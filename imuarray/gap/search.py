@@ -19,8 +19,9 @@ import numpy.typing as npt
 from imuarray.gap.bench import Bench, Values
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.evidence import Evidence
+from imuarray.gap.factors import factors_of
 from imuarray.gap.likeness import independent_share
-from imuarray.gap.refine import Tried, factors_of, look, refine
+from imuarray.gap.refine import Tried, look, refine
 from imuarray.gap.standing import NUMBERS, Standing, Unit, compared, gains_of
 from imuarray.gap.workers import Run
 from imuarray.simulate.effects.tone import Tone

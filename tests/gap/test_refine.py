@@ -11,8 +11,9 @@ import pytest
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.compare import Compared, compared_with_base
+from imuarray.gap.factors import Factor, factors_of
 from imuarray.gap.likeness import independent_share, likeness_of
-from imuarray.gap.refine import Factor, factors_of, look, refine
+from imuarray.gap.refine import look, refine
 from imuarray.gap.search import replicated
 from imuarray.gap.standing import Standing
 from imuarray.simulate.effect import Effect
