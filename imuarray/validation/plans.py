@@ -10,7 +10,6 @@ import math
 import random
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import count
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -116,8 +115,9 @@ def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
     if not 0 <= seed < 100:
         raise ValueError(f"seed {seed}; allowed is 0 to 99")
     first = _SEEDS[half] + 10_000 * seed
-    drawn = sorted(_all(size), key=lambda one: random.Random(repr(one)).random())  # all kinds from the start
-    return [_case(one, half, number, first + number) for number, one in zip(count(), drawn, strict=False)]
+    drawn = list(_all(size))
+    random.Random(first).shuffle(drawn)  # a run that is stopped early has something of everything
+    return [_case(one, half, number, first + number) for number, one in enumerate(drawn)]
 
 
 def _all(size: Size) -> Iterator[_Drawn]:
