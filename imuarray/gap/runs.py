@@ -19,6 +19,7 @@ PARTS = 16
 """A run's profile has so many points."""
 
 _ROBUST = 1.4826
+_LEAST_SPREAD = 0.2
 """Standard deviation over median absolute deviation of Gaussian numbers: 1 / 0.6745."""
 
 
@@ -36,9 +37,16 @@ class Runs:
     @property
     def deviations(self) -> Floats:
         """(r, 3) distance of each run from the median of all, in robust standard deviations; 0 where all are equal."""
-        apart = self.means - np.median(self.means, axis=0)
-        spread = robust_std(self.means)
+        apart, spread = self.means - np.median(self.means, axis=0), self.spread
         return np.asarray(np.divide(apart, spread, out=np.zeros_like(apart), where=spread > 0))
+
+    @property
+    def spread(self) -> Floats:
+        """(3,) robust standard deviation of the means, at least a fifth of what independent readings make it: means of
+        the same few hundred integers are often equal.
+        """
+        least = _LEAST_SPREAD * np.sqrt((self.errors**2).mean(axis=0))
+        return np.asarray(np.maximum(robust_std(self.means), least))
 
     @property
     def joint_distance(self) -> Floats:

@@ -55,6 +55,13 @@ def test_spread_scatter_and_outlier() -> None:
     np.testing.assert_allclose(value("run_outlier", found), np.log(np.sqrt(3) * (40 - 2.5) / robust))
 
 
+def test_runs_whose_means_are_mostly_equal() -> None:
+    """Three of five are: their spread is a fifth of what readings that know nothing of each other make, 0.5."""
+    found = runs(np.array([2.0, 2.0, 2.0, 1.9, 2.1]))
+    np.testing.assert_allclose(value("run_spread", found), np.log(0.1))
+    np.testing.assert_allclose(value("run_outlier", found), np.log(np.sqrt(3)))
+
+
 def test_creep_and_profile() -> None:
     """A common course 0.3 ln t; single ones are 0.1 off it at every point, up or down."""
     course = np.log((np.arange(PARTS) + 0.5) / PARTS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imuarray.gap.probes.probe import NOTHING, Floats, RunsProbe, log
-from imuarray.gap.runs import PARTS, Runs, robust_std
+from imuarray.gap.runs import PARTS, Runs
 
 _LEAST = 4
 """Fewer runs say nothing."""
@@ -15,7 +15,7 @@ _TIMES = np.log((np.arange(PARTS) + 0.5) / PARTS)
 
 def spread(runs: Runs) -> Floats:
     """Log of the robust standard deviation of the runs' means."""
-    return log(robust_std(runs.means)) if len(runs.means) >= _LEAST else NOTHING
+    return log(runs.spread) if len(runs.means) >= _LEAST else NOTHING
 
 
 def scatter(runs: Runs) -> Floats:
