@@ -26,7 +26,7 @@ _SHARES = ("probability", "error")
 """Parameters that are shares of 1."""
 
 _UNITS: Mapping[str, str] = MappingProxyType(
-    {name: name for name in ("g", "dps", "gauss", "s", "ppm", "mm")}
+    {name: name for name in ("g", "dps", "gauss", "s", "h", "ppm", "mm")}
     | {"degc": "°C", "degc2": "°C²", "hz": "Hz", "deg": "°", "lsb": "LSB", "sqrt_s": "√s"}
     | {"g2": "g²", "dps2": "dps²", "gauss2": "gauss²"}
 )

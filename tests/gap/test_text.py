@@ -144,6 +144,7 @@ def test_closed_and_chance() -> None:
         ({"response_dps_per_g": [0.1, 0.2, 0.3]}, "response 0.1, 0.2, 0.3 dps/g"),
         ({"error": 0.012, "probability": 0.5}, "error 1.2 %; probability 50 %"),
         ({"error_ppm": 40.0}, "error 40 ppm"),
+        ({"drift_hz_per_h": -11.5, "frequency_spread_hz": 2.0}, "drift -11.5 Hz/h; frequency spread 2 Hz"),
         ({"switches_per_s": 0.2, "step_lsb": 2, "phase_deg": 12.0}, "switches 0.2 /s; step 2 LSB; phase 12°"),
         ({"time_constant_s": 12.0, "burst_rows": 3.0}, "time constant 12 s; burst rows 3"),
         ({"axes": "+Y+X+Z", "kind": "torn"}, "axes +Y+X+Z; kind torn"),
