@@ -127,24 +127,24 @@ def _families(
     placebos = {family: next(one.placebo for (name,), one in guessed.items() if name in family) for family in trials}
     came = searched(families, trials, placebos, run)
     taken = {name: own[-1].taken for (name, *more), own in rounds.items() if not more}
-    members = {family: tuple(one for name in family if (one := taken.get(name)) is not None) for family in trials}
+    members = {family: [one for name in family if (one := taken.get(name)) is not None] for family in trials}
     staying = {family: staying_beside(came[family], members[family]) for family in trials}
-    several = [family for family in trials if staying[family]]
-    for family, one in zip(several, run(together, [(families[one], staying[one]) for one in several]), strict=True):
-        families[family] = one.standing
-    came.update(searched({one: families[one] for one in several}, {one: trials[one] for one in several}, placebos, run))
-    asked = [
-        (families[family], tuple(one for one in members[family] if one not in staying[family])) for family in trials
+    several = {family: trials[family] for family in trials if staying[family]}
+    asked = [(families[family], staying[family]) for family in several]
+    families.update({one.standing.unit: one.standing for one in run(together, asked)})
+    came.update(searched({family: families[family] for family in several}, several, placebos, run))
+    kept = {family: {name for one in staying[family] for name in one.standing.unit} for family in trials}
+    others = [
+        (families[one], tuple(own for own in members[one] if not kept[one] & set(own.standing.unit))) for one in trials
     ]
-    alone = dict(zip(trials, run(together, asked), strict=True))
+    alone = dict(zip(trials, run(together, others), strict=True))
     won = {family: best for family in trials if (best := shared_wins(came[family], alone[family])) is not None}
     served: set[str] = set()
     for family in sorted(won, key=lambda one: -won[one].gain):
         if served & set(family):
             continue
         served |= set(family)
-        kept = {name for one in staying[family] for name in one.standing.unit}
-        for name in set(family) - kept:
+        for name in set(family) - kept[family]:
             rounds.pop((name,), None)
         rounds[family] = [came[family]]
         standings.update(members_of(found.bench, won[family].standing, standings))
