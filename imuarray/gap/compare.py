@@ -14,7 +14,7 @@ from imuarray.gap.bench import Bench, Models, Values, bench_of
 from imuarray.gap.campaign import Campaign, summarise_log
 from imuarray.gap.judgement import Judged, judged
 from imuarray.gap.likeness import likeness_of
-from imuarray.gap.pairs import Pairs, spread_of
+from imuarray.gap.pairs import Pairs, scorer_of
 from imuarray.gap.recordings import Recording, sources_of, temperature_of
 from imuarray.gap.significance import Located, located
 from imuarray.gap.split import Split, split_of
@@ -89,12 +89,10 @@ def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: i
     real = bench.observed(campaign, bench.base.fitted)
     came = tuple(run(replicate, [(bench.models(), number) for number in range(replicates)]))
     chance = np.array([one.values for one in came])
-    first, second = likeness_of(chance[1::2], bench.resolutions), chance[::2]
+    first, second = chance[1::2], chance[::2]
     pairs = bench.pairs()
-    norm = spread_of(pairs.sums(first.scores(chance[1::2])))
-    scores = pairs.sums(first.scores(real.values)) / norm
-    by_chance = pairs.sums(first.scores(second)) / norm
-    where = located(pairs.keys, bench.base.headers, scores, by_chance)
+    scored = scorer_of(pairs, likeness_of(first, bench.resolutions), first)
+    where = located(pairs.keys, bench.base.headers, scored(real.values), scored(second))
     whole = replace(judged(pairs, real.values, chance, bench.resolutions), p=where.p, limit=where.limit)
     return Compared(bench, campaign, real, came, pairs, whole, where)
 

@@ -15,7 +15,7 @@ from imuarray.gap.closure import Deviating
 from imuarray.gap.diagnosis import Cause, Gap, Map, Verdict, Where
 from imuarray.gap.likeness import Likeness, likeness_of
 from imuarray.gap.margins import margin, sized
-from imuarray.gap.pairs import Pairs, spread_of
+from imuarray.gap.pairs import Pairs, scorer_of
 from imuarray.gap.probes import PROBES
 from imuarray.gap.significance import p_value
 from imuarray.gap.statistics import Key, statistics
@@ -51,9 +51,7 @@ class Judged:
 def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats) -> Judged:
     """By replicates (b, n) of the model; each quarter of them says how far chance goes, scored by the others."""
     likeness = likeness_of(replicates, floor)
-    norm = spread_of(pairs.sums(likeness.scores(replicates)))
-    parts = likeness.scores(real)
-    scores = pairs.sums(parts) / norm
+    scores, parts = scorer_of(pairs, likeness, replicates)(real), likeness.scores(real)
     largest = np.concatenate([_largest(fold) for fold in _folded(pairs, replicates, floor)])
     return Judged(
         scores, parts, real - likeness.location, likeness, p_value(float(_largest(scores)), largest), _high(largest)
@@ -207,8 +205,7 @@ def _folded(pairs: Pairs, replicates: Floats, floor: Floats) -> Iterator[Floats]
     for fold in range(_FOLDS):
         own = np.arange(len(replicates)) % _FOLDS == fold
         likeness = likeness_of(replicates[~own], floor)
-        norm = spread_of(pairs.sums(likeness.scores(replicates[~own])))
-        yield pairs.sums(likeness.scores(replicates[own])) / norm
+        yield scorer_of(pairs, likeness, replicates[~own])(replicates[own])
 
 
 def _largest(scores: Floats) -> Floats:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.gap.likeness import Likeness
 from imuarray.gap.statistics import Key
 
 Floats = npt.NDArray[np.float64]
@@ -52,6 +53,14 @@ def pairs_of(keys: Sequence[Key], held_out: Sequence[bool], logs: Sequence[int] 
         found.setdefault(same, [NOWHERE, NOWHERE])[out] = at
     places = np.array(list(found.values()), np.intp).reshape(-1, 2)
     return Pairs(tuple(found), places[:, 0], places[:, 1])
+
+
+def scorer_of(pairs: Pairs, likeness: Likeness, replicates: Floats) -> Callable[[Floats], Floats]:
+    """What scores values (..., n) of both parts in pairs (..., m), in standard deviations of the same `replicates`
+    (b, n).
+    """
+    norm = spread_of(pairs.sums(likeness.scores(replicates)))
+    return lambda values: np.asarray(pairs.sums(likeness.scores(values)) / norm)
 
 
 def spread_of(sums: Floats) -> Floats:

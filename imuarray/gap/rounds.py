@@ -15,7 +15,7 @@ from imuarray.gap.compare import Compared
 from imuarray.gap.evidence import Evidence, Scored, evidence_of
 from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.likeness import independent_share, likeness_of
-from imuarray.gap.pairs import spread_of
+from imuarray.gap.pairs import scorer_of
 from imuarray.gap.search import Round, guesses_of, placebo_of, replicated, searched
 from imuarray.gap.split import Side
 from imuarray.gap.standing import Standing, Unit, compared
@@ -206,8 +206,8 @@ def _is_open(found: Compared, standing: Standing, rounds: Sequence[Round]) -> bo
     if rounds[-1].taken is None:
         return False
     pairs = found.bench.pairs(found.bench.own(standing.unit))
-    norm = spread_of(pairs.sums(standing.likeness.scores(standing.values)))
-    return bool(np.nanmax(np.abs(pairs.sums(standing.scores) / norm)) > _MORE * found.located.limit)
+    scores = scorer_of(pairs, standing.likeness, standing.values)(standing.real)
+    return bool(np.nanmax(np.abs(scores)) > _MORE * found.located.limit)
 
 
 class _Guessed(NamedTuple):

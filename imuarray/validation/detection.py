@@ -9,23 +9,25 @@ told, until it is about what chance reaches. Seeds are of the development half.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import click
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.gap.bench import Bench
+from imuarray.gap.campaign import Campaign
 from imuarray.gap.compare import Compared, compared_with_base, prepared
 from imuarray.gap.likeness import likeness_of
-from imuarray.gap.pairs import spread_of
+from imuarray.gap.pairs import scorer_of
 from imuarray.gap.recordings import recordings_of
+from imuarray.gap.statistics import Key
 from imuarray.gap.workers import processes, runner
 from imuarray.log import open_log
 from imuarray.validation.case import Put, write_json
@@ -97,28 +99,36 @@ def _scores(asked: Asked, severity: float) -> Floats:
     """(m,) of a case by the replicates of one without; what is there on one side only counts as `STRANGE`."""
     null = _null(asked.seed)
     sensors = (asked.sensor,) if asked.sensor else ()
-    with TemporaryDirectory() as name, ExitStack() as stack:
-        logs, _ = record(Path(name), PLAN, (Put(asked.mechanism, severity, 1.0, sensors),), asked.seed)
-        recordings = recordings_of([stack.enter_context(open_log(path)) for path in logs])
-        bench, campaign = prepared(recordings, None, 0)
+    with _recorded(asked.seed, Put(asked.mechanism, severity, 1.0, sensors)) as (bench, campaign):
         values = dict(zip(_parts(bench), bench.observed(campaign, bench.base.fitted).values.tolist(), strict=True))
     known = np.array([values.get(key, np.nan) for key in _parts(null.bench)])
-    likeness = likeness_of(null.chance[1::2], null.bench.resolutions)
-    norm = spread_of(null.pairs.sums(likeness.scores(null.chance[1::2])))
-    return np.nan_to_num(null.pairs.sums(likeness.scores(known)) / norm)
+    return np.nan_to_num(_scorer(asked.seed)(known))
 
 
-def _parts(bench: Any) -> Iterator[tuple[Any, bool]]:
+def _parts(bench: Bench) -> Iterator[tuple[Key, bool]]:
     return zip(bench.keys, bench.held_out.tolist(), strict=True)
 
 
 @lru_cache(maxsize=2)
 def _null(seed: int) -> Compared:
-    with TemporaryDirectory() as name:
-        logs, _ = record(Path(name), PLAN, (), seed)
-        opened = [open_log(path) for path in logs]
-        bench, campaign = prepared(recordings_of(opened), None, 0)
+    with _recorded(seed) as (bench, campaign):
         return compared_with_base(bench, campaign, runner(bench), REPLICATES)
+
+
+@lru_cache(maxsize=2)
+def _scorer(seed: int) -> Callable[[Floats], Floats]:
+    """By the half of the replicates that doesn't say how far chance goes."""
+    null = _null(seed)
+    first = null.chance[1::2]
+    return scorer_of(null.pairs, likeness_of(first, null.bench.resolutions), first)
+
+
+@contextmanager
+def _recorded(seed: int, *puts: Put) -> Iterator[tuple[Bench, Campaign]]:
+    """A case of the full plan with these at work, as a diagnosis begins with it; its logs are gone at the end."""
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        logs, _ = record(Path(name), PLAN, puts, seed)
+        yield prepared(recordings_of([stack.enter_context(open_log(path)) for path in logs]), None, 0)
 
 
 @click.command()
