@@ -60,6 +60,20 @@ def histogram(values: npt.NDArray[np.integer]) -> Histogram:
     return Histogram(codes + low, counts[codes])
 
 
+def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
+    """Of each row of (k, n), all counted at once where the rows are about as wide as they are long."""
+    if values.shape[1] == 0:
+        return [NOTHING] * len(values)
+    low = values.min(axis=1)
+    width = int((values.max(axis=1) - low).max()) + 1
+    if width > 4 * values.shape[1] + 1024:
+        return [histogram(row) for row in values]
+    places = values + (width * np.arange(len(values)) - low)[:, np.newaxis]
+    counts = np.bincount(places.ravel(), minlength=len(values) * width).reshape(-1, width)
+    seen = [row.nonzero()[0] for row in counts]
+    return [Histogram(codes + first, row[codes]) for codes, first, row in zip(seen, low, counts, strict=True)]
+
+
 @dataclass(frozen=True)
 class MissingCodes:
     """Codes `first` to `last` on the usual grid never came, though the ones before and after did.

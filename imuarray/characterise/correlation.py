@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 Vector = npt.NDArray[np.float64]
 Values = npt.NDArray[np.floating] | npt.NDArray[np.integer]
@@ -76,29 +76,35 @@ class Autocovariance:
 
     def result(self) -> Autocorrelation:
         """The autocorrelation of all rows so far; ends the run."""
-        self.end_run()
+        correlation = self.correlation()
         lag = np.arange(len(self._pairs))
         with np.errstate(invalid="ignore", divide="ignore"):
-            variance = self._products[0] / (self._rows - self._segments)
-            variance = np.where(variance > 0, variance, np.nan)
-            correlation = (self._products + np.outer(self._lost, variance)) / self._pairs[:, np.newaxis] / variance
             squares = correlation[1:] ** 2
             before = np.concatenate([np.zeros((1, squares.shape[1])), np.cumsum(squares[:-1], axis=0)])
             error = np.sqrt((1 + 2 * before) / self._pairs[1:, np.newaxis])
             statistic = (1 + 2 / np.float64(self._rows)) * (self._pairs[1:] @ squares)
         error = np.concatenate([np.zeros((1, error.shape[1])), error])
-        p_value = np.asarray(chi2.sf(statistic, len(lag) - 1))
+        p_value = np.asarray(chdtrc(len(lag) - 1, statistic))
         counts = (self._rows, self._seen - self._rows, self._segments)
         return Autocorrelation(lag, correlation, error, statistic, p_value, *counts)
+
+    def correlation(self) -> Vector:
+        """(l, k) the correlation alone, as `result` has it; ends the run."""
+        self.end_run()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            variance = self._products[0] / (self._rows - self._segments)
+            variance = np.where(variance > 0, variance, np.nan)
+            products = self._products + self._lost[:, np.newaxis] * variance
+            return np.asarray(products / self._pairs[:, np.newaxis] / variance)
 
     def _add(self) -> None:
         """One segment: products of what is left of each column without its mean."""
         rows = self._filled
-        for column, line in enumerate(self._line[:, :rows]):
-            line -= line.mean()
-            for lag in range(len(self._pairs)):
-                self._products[lag, column] += line[: rows - lag] @ line[lag:]
-        pairs = rows - np.arange(len(self._pairs))
+        line = self._line[:, :rows]
+        line -= line.mean(axis=1, keepdims=True)
+        lags = range(len(self._pairs))
+        self._products += [np.einsum("kn,kn->k", line[:, : rows - lag], line[:, lag:]) for lag in lags]
+        pairs = rows - np.arange(len(lags))
         self._pairs += pairs
         self._lost += pairs / rows
         self._rows += rows

@@ -87,7 +87,7 @@ class RepeatTally:
         """Runs of equal rows that end where others start."""
         if len(starts) == 0:
             return
-        lengths = np.diff(starts, prepend=self._begun)
+        lengths = starts - np.concatenate([[self._begun], starts[:-1]])
         at = int(lengths.argmax())
         if lengths[at] > self._longest[0]:
             self._longest = (int(lengths[at]), int(starts[at] - lengths[at]))

@@ -12,6 +12,7 @@ The mean is taken off after the transform: of the periodic Hann window only the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -36,7 +37,7 @@ _WEIGHTED = 3 / 8
 """Mean square of the Hann window."""
 
 _ROWS_AT_ONCE = 1 << 18
-"""Rows of a column in work: with their windowed segments and transforms 5 MB in single precision."""
+"""Rows of all columns in work: with their windowed segments and transforms 5 MB in single precision."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,10 @@ class Welch:
             raise ValueError(f"{segment_rows} rows, {columns} columns: an even number from 16, and at least 1, wanted")
         self._rate_hz, self._segment_rows = rate_hz, segment_rows
         kind = np.float32 if precision == "single" else np.float64
-        self._window = (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(segment_rows) / segment_rows)).astype(kind)
-        hops = max(2, _ROWS_AT_ONCE // (segment_rows // 2))
+        self._window = _hann(segment_rows).astype(kind)
+        hops = max(2, _ROWS_AT_ONCE // (columns * (segment_rows // 2)))
         self._line = np.empty((columns, hops * segment_rows // 2), kind)
-        self._windowed = np.empty((hops - 1, segment_rows), kind)
+        self._windowed = np.empty((columns, hops - 1, segment_rows), kind)
         self._squares = np.zeros((columns, segment_rows // 2 + 1))
         self._origin = np.zeros(columns)
         self._filled = self._segments = self._runs = self._rows = self._in_segments = 0
@@ -123,12 +124,10 @@ class Welch:
         """The spectrum of all rows so far; ends the run."""
         self.end_run()
         bins = len(self._squares[0])
-        scale = np.full(bins, 2 / (self._rate_hz * self._segment_rows * _WEIGHTED))
-        scale[[0, -1]] /= 2
+        scale = _sides(bins) / (self._rate_hz * self._segment_rows * _WEIGHTED)
         with np.errstate(invalid="ignore"):
             density = (self._squares * scale / np.float64(self._segments)).T
-        freedom = np.full(bins, degrees_of_freedom(self._segments, self._runs))
-        freedom[[0, -1]] /= 2  # real, not complex: one square instead of two
+        freedom = _sides(bins) * (degrees_of_freedom(self._segments, self._runs) / 2)
         frequency_hz = np.asarray(np.arange(bins) * (self._rate_hz / self._segment_rows), np.float64)
         left_over = self._rows - self._in_segments
         counts = (self._segment_rows, self._segments, self._runs, self._rows, left_over)
@@ -142,8 +141,9 @@ class Welch:
         if self._filled == 0:
             self._origin = means
         filled = slice(self._filled, self._filled + len(part))
-        for line, column, origin in zip(self._line, part.T, self._origin, strict=True):
-            np.subtract(column, origin, out=line[filled], dtype=np.float64, casting="same_kind")
+        np.subtract(
+            part.T, self._origin[:, np.newaxis], out=self._line[:, filled], dtype=np.float64, casting="same_kind"
+        )
         self._filled += len(part)
         self._rows += len(part)
 
@@ -153,27 +153,39 @@ class Welch:
         segments = self._filled // hop - 1
         if segments < 1:
             return
-        for line, squares in zip(self._line, self._squares, strict=True):
-            squares += self._periodograms(line, segments)
+        self._squares += self._periodograms(segments)
         kept = slice(segments * hop, self._filled)
         self._filled -= segments * hop
         self._line[:, : self._filled] = self._line[:, kept].copy()
         self._segments += segments
         self._run_segments += segments
 
-    def _periodograms(self, line: npt.NDArray[np.floating], segments: int) -> Vector:
-        """Sum (m,) over the segments of the squared magnitudes of their transforms."""
-        hop, windowed = self._segment_rows // 2, self._windowed[:segments]
-        overlapping = np.lib.stride_tricks.sliding_window_view(line[: (segments + 1) * hop], 2 * hop)[::hop]
-        np.multiply(overlapping, self._window, out=windowed)
-        sums = line[: (segments + 1) * hop].reshape(-1, hop).sum(axis=1)
-        means = (sums[1:] + sums[:-1]) / (2 * hop)
-        transforms = fft.rfft(windowed, axis=1)
-        transforms[:, 0] -= means * hop
-        transforms[:, 1] += means * (hop / 2)
+    def _periodograms(self, segments: int) -> Vector:
+        """Sums (k, m) over the segments of the squared magnitudes of their transforms."""
+        hop, windowed = self._segment_rows // 2, self._windowed[:, :segments]
+        halves = self._line[:, : (segments + 1) * hop].reshape(len(self._line), -1, hop)
+        np.multiply(halves[:, :-1], self._window[:hop], out=windowed[:, :, :hop])
+        np.multiply(halves[:, 1:], self._window[hop:], out=windowed[:, :, hop:])
+        sums = halves.sum(axis=2)
+        means = (sums[:, 1:] + sums[:, :-1]) / (2 * hop)
+        transforms = fft.rfft(windowed, axis=2)
+        transforms[:, :, 0] -= means * hop
+        transforms[:, :, 1] += means * (hop / 2)
         parts = transforms.view(windowed.dtype)
-        squares = np.einsum("ij,ij->j", parts, parts)
-        return np.asarray(squares.reshape(-1, 2).sum(axis=1), np.float64)
+        squares = np.einsum("kij,kij->kj", parts, parts)
+        return np.asarray(squares.reshape(len(squares), -1, 2).sum(axis=2), np.float64)
+
+
+@lru_cache(maxsize=16)
+def _hann(rows: int) -> Vector:
+    """The periodic one; kept, since phases of the same length have the same."""
+    return np.asarray(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(rows) / rows))
+
+
+@lru_cache(maxsize=16)
+def _sides(bins: int) -> Vector:
+    """2, but 1 at 0 and at half the rate: these have no twin, and are real: one square instead of two."""
+    return np.array([1.0, *[2.0] * (bins - 2), 1.0])
 
 
 def degrees_of_freedom(segments: int, runs: int) -> float:

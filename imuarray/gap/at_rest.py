@@ -125,7 +125,8 @@ def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Floats:
     if force_box is not None and header.quantity == "specific_force":
         vectors = np.broadcast_to(force_box, (len(summary.segments.rows), 3))
     else:
-        at_ns = np.rint(np.nan_to_num(summary.segments.time_s) * 1e9).astype(np.int64)
+        part = summary.segments
+        at_ns = np.rint(np.where(part.rows > 0, part.time_s, 0.0) * 1e9).astype(np.int64)
         vectors = np.asarray(getattr(motion.felt(at_ns), _COLUMN[header.quantity]), float)
     unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
     return np.asarray(vectors @ np.array(header.orientation) * unit)

@@ -22,6 +22,7 @@ from imuarray.log.writer import Block
 from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 
 KINEMATIC = 9
 """Columns after those of the sensors: six products of angular rates, three angular accelerations; zeros without a
@@ -69,9 +70,7 @@ class Cross:
 
     def others(self, sensor: str, *, family: bool) -> tuple[str, ...]:
         """The sensors of the same chip, or else all others that measure the same."""
-        own = self.header(sensor)
-        same = [item for item in self.sensors if item.quantity == own.quantity and item.name != sensor]
-        return tuple(item.name for item in same if not family or item.chip == own.chip)
+        return self._others[sensor, family]
 
     @cached_property
     def slow_covariance(self) -> Floats:
@@ -79,6 +78,15 @@ class Cross:
         known = self.slow[np.isfinite(self.slow).all(axis=1)]
         columns = self.slow.shape[1]
         return np.cov(known.T) if len(known) > 2 else np.full((columns, columns), np.nan)
+
+    @cached_property
+    def _others(self) -> dict[tuple[str, bool], tuple[str, ...]]:
+        found: dict[tuple[str, bool], tuple[str, ...]] = {}
+        for own in self.sensors:
+            same = [item for item in self.sensors if item.quantity == own.quantity and item.name != own.name]
+            found[own.name, False] = tuple(item.name for item in same)
+            found[own.name, True] = tuple(item.name for item in same if item.chip == own.chip)
+        return found
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -122,7 +130,7 @@ class CrossTally:
         place, since_ns = self._places[sensor], block.time - self._phase.start_ns
         first, last = int(since_ns[0]) // self._window_ns, int(since_ns[-1]) // self._window_ns
         starts = np.searchsorted(since_ns, np.arange(first, last + 1) * self._window_ns)
-        rows = np.diff(starts, append=len(since_ns))
+        rows = np.concatenate([starts[1:], [len(since_ns)]]) - starts
         filled = rows > 0
         self._make_room(last)
         at = first - self._base + np.flatnonzero(filled)
@@ -142,7 +150,7 @@ class CrossTally:
         with np.errstate(invalid="ignore"):
             fast = self._fast / np.float64(self._windows)
             turning, changes = np.array([self._turning, self._changes]) / np.float64(self._inner_windows)
-        slow = np.array(self._slow).reshape(-1, len(self._fast))
+        slow = np.concatenate([np.zeros((0, len(self._fast))), *self._slow])
         return Cross(self._sensors, self._phase, self._window_ns * 1e-9, self._windows, slow, fast, turning, changes)
 
     def _make_room(self, window: int) -> None:
@@ -159,49 +167,60 @@ class CrossTally:
             return
         done = count * self._length
         self._make_room(self._base + done - 1)
-        for start in range(0, done, self._length):
-            self._add(self._sums[start : start + self._length], self._rows[start : start + self._length])
+        sums, rows = (held[:done].reshape(count, self._length, *held.shape[1:]) for held in (self._sums, self._rows))
+        self._add(sums, rows)
         for held in (self._sums, self._rows):
             held[:-done] = held[done:].copy()
             held[-done:] = 0
         self._base += done
 
     def _add(self, sums: Floats, rows: Floats) -> None:
-        """One segment, of the windows in which all sensors read."""
-        full = np.asarray((rows > 0).all(axis=1))
-        columns = self._fast.shape[0]
-        if np.count_nonzero(full) < _SEGMENT_WINDOWS // 2:
-            self._slow.append(np.full(columns, np.nan))
+        """Segments: sums (s, w, m, 3), rows (s, w, m). Windows in which not all sensors read count for nothing."""
+        full = np.asarray((rows > 0).all(axis=2))
+        told = np.count_nonzero(full, axis=1) >= _SEGMENT_WINDOWS // 2
+        slow = np.full((len(full), len(self._fast)), np.nan)
+        self._slow.append(slow)
+        if not told.any():
             return
+        full = full[told]
         with np.errstate(invalid="ignore"):
-            readings = sums / rows[:, :, None] * self._scale[:, None]
-        whole = bool(full.all())
-        if not whole:
-            readings[~full] = readings[full].mean(axis=0)
-        line = np.concatenate([readings.reshape(len(rows), -1), self._kinematic(readings)], axis=1)
-        mean = (line if whole else line[full]).mean(axis=0)
-        line -= mean
-        if not whole:
-            line[~full] = 0.0
-        self._slow.append(mean)
-        self._fast += line.T @ line
-        self._windows += int(np.count_nonzero(full))
-        inner = full[:-2] & full[1:-1] & full[2:]
-        if not inner.any():
-            return
-        changes, between = (line[2:] - line[:-2]) / 2, line[1:-1]
-        if not whole:
-            changes, between = changes[inner], between[inner]
-        changes -= changes.mean(axis=0)
+            readings = sums[told] / rows[told, :, :, None] * self._scale[:, None]
+        readings = _filled(readings, full)
+        line = np.concatenate([readings.reshape(*full.shape, -1), self._kinematic(readings)], axis=2)
+        line, slow[told] = _centred(line, full)
+        inner = full[:, :-2] & full[:, 1:-1] & full[:, 2:]
+        changes, _ = _centred((line[:, 2:] - line[:, :-2]) / 2, inner)
+        flat, between, changes = (part.reshape(-1, len(self._fast)) for part in (line, line[:, 1:-1], changes))
+        self._fast += flat.T @ flat
         self._turning += between.T @ changes
         self._changes += changes.T @ changes
+        self._windows += int(np.count_nonzero(full))
         self._inner_windows += int(np.count_nonzero(inner))
 
     def _kinematic(self, readings: Floats) -> Floats:
-        """(w, 9) products xx, xy, xz, yy, yz, zz of the mean rate in the box, and its change per second."""
+        """(s, w, 9) products xx, xy, xz, yy, yz, zz of the mean rate in the box, and its change per second."""
         if not self._gyroscopes:
-            return np.zeros((len(readings), KINEMATIC))
-        rate = np.mean([unit * readings[:, place] @ turn for place, unit, turn in self._gyroscopes], axis=0)
+            return np.zeros((*readings.shape[:2], KINEMATIC))
+        rate = np.mean([unit * readings[:, :, place] @ turn for place, unit, turn in self._gyroscopes], axis=0)
         first, second = _PRODUCTS
-        acceleration = np.gradient(rate, self._window_ns * 1e-9, axis=0)
-        return np.concatenate([rate[:, first] * rate[:, second], acceleration], axis=1)
+        acceleration = np.gradient(rate, self._window_ns * 1e-9, axis=1)
+        return np.concatenate([rate[:, :, first] * rate[:, :, second], acceleration], axis=2)
+
+
+def _filled(readings: Floats, full: Bools) -> Floats:
+    """Readings (s, w, m, 3) with the segment's mean in windows that aren't full (s, w)."""
+    if full.all():
+        return readings
+    held = full[:, :, None, None]
+    mean = np.mean(readings, axis=1, where=held, keepdims=True)
+    return np.where(held, readings, mean)
+
+
+def _centred(line: Floats, held: Bools) -> tuple[Floats, Floats]:
+    """Columns (s, w, p) less their means (s, p) over the windows that are held (s, w), and these; 0 in the others."""
+    if held.all():
+        mean = line.mean(axis=1)
+        return line - mean[:, None], mean
+    count = np.maximum(np.count_nonzero(held, axis=1), 1)
+    mean = (line * held[:, :, None]).sum(axis=1) / count[:, None]
+    return (line - mean[:, None]) * held[:, :, None], mean

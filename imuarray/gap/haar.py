@@ -6,6 +6,7 @@ thousands of times, and a curve's identification of noise types would cost more 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -30,55 +31,56 @@ class HaarTally:
     """Adds up squared second differences of the running sums of `columns` series, at the first `octaves` octaves."""
 
     def __init__(self, octaves: int, columns: int = 3) -> None:
-        self._levels = [_Level(columns) for _ in range(max(1, octaves - 2))]
-        self._squares = np.zeros((octaves, columns))
-        self._terms = np.zeros(octaves, np.int64)
+        self._levels = [_Level(columns, _DISTANCES)]
+        self._levels += [_Level(columns, _DISTANCES[-1:]) for _ in range(octaves - 3)]
+        self._squares, self._terms = np.zeros((octaves, columns)), [0] * octaves
         self._total = np.zeros((columns, 1))
-        self._feed(np.zeros((columns, 1)))
+        self._is_begun = False
 
     def update(self, values: Floats) -> None:
         """The next values (k, n), best about an origin near them."""
-        phase = np.cumsum(values, axis=1)
-        phase += self._total
+        phase = np.concatenate([self._total, values], axis=1)
+        np.cumsum(phase, axis=1, out=phase)
         self._total = phase[:, -1:].copy()
-        self._feed(phase)
+        self._feed(phase[:, 1:] if self._is_begun else phase)
+        self._is_begun = True
 
     def result(self) -> Haar:
         """The variances of all values so far."""
-        factors = 2.0 ** np.arange(len(self._terms))
-        with np.errstate(invalid="ignore"):
-            mean = self._squares / self._terms[:, None].astype(np.float64)
-        return Haar(np.where(self._terms[:, None] > 0, mean / (2 * factors[:, None] ** 2), np.nan), self._terms.copy())
+        terms = np.array(self._terms, np.int64)
+        factors = 2.0 ** np.arange(len(terms))
+        scale = np.where(terms > 0, 2 * factors * factors * terms, np.nan)
+        return Haar(self._squares / scale[:, None], terms)
 
     def _feed(self, phase: Floats) -> None:
         for number, level in enumerate(self._levels):
-            for distance in _DISTANCES if number == 0 else _DISTANCES[-1:]:
-                self._add(number + distance.bit_length() - 1, level.second_differences(phase, distance))
+            for distance, differences in level.second_differences(phase):
+                octave = number + distance.bit_length() - 1
+                if octave < len(self._terms):
+                    self._squares[octave] += np.einsum("kn,kn->k", differences, differences)
+                    self._terms[octave] += differences.shape[1]
             phase = level.coarser(phase)
             if phase.shape[1] == 0:
                 return
-
-    def _add(self, octave: int, differences: Floats) -> None:
-        if octave < len(self._terms):
-            self._squares[octave] += np.einsum("kn,kn->k", differences, differences)
-            self._terms[octave] += differences.shape[1]
 
 
 class _Level:
     """A running sum at one stride: what its second differences reach back to, and where its next even value is."""
 
-    def __init__(self, columns: int) -> None:
-        self._kept = {distance: np.zeros((columns, 0)) for distance in _DISTANCES}
-        self._odd = 0
+    def __init__(self, columns: int, distances: tuple[int, ...]) -> None:
+        self._distances, self._odd = distances, 0
+        self._kept: Floats = np.zeros((columns, 0))
 
-    def second_differences(self, phase: Floats, distance: int) -> Floats:
-        """(k, m) those that end in `phase` (k, n)."""
-        line = np.concatenate([self._kept[distance], phase], axis=1)
-        self._kept[distance] = line[:, max(line.shape[1] - 2 * distance, 0) :].copy()
-        if line.shape[1] <= 2 * distance:
-            return line[:, :0]
-        first: Floats = line[:, distance:] - line[:, :-distance]
-        return np.asarray(first[:, distance:] - first[:, :-distance])
+    def second_differences(self, phase: Floats) -> Iterator[tuple[int, Floats]]:
+        """Of each distance (k, m) those that end in `phase` (k, n)."""
+        known, reach = self._kept.shape[1], 2 * self._distances[-1]
+        line = np.concatenate([self._kept, phase], axis=1) if known else phase
+        self._kept = line[:, -reach:].copy()
+        for distance in self._distances:
+            reached = line[:, max(known - 2 * distance, 0) :]
+            if reached.shape[1] > 2 * distance:
+                first = reached[:, distance:] - reached[:, :-distance]
+                yield distance, first[:, distance:] - first[:, :-distance]
 
     def coarser(self, phase: Floats) -> Floats:
         """Every second value, over all blocks."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -34,13 +35,13 @@ class Runs:
     errors: Floats
     profiles: Floats
 
-    @property
+    @cached_property
     def deviations(self) -> Floats:
         """(r, 3) distance of each run from the median of all, in robust standard deviations; 0 where all are equal."""
         apart, spread = self.means - np.median(self.means, axis=0), self.spread
         return np.asarray(np.divide(apart, spread, out=np.zeros_like(apart), where=spread > 0))
 
-    @property
+    @cached_property
     def spread(self) -> Floats:
         """(3,) robust standard deviation of the means, at least a fifth of what independent readings make it: means of
         the same few hundred integers are often equal.
@@ -58,7 +59,7 @@ class Runs:
         """(r - 1, 3) distances of neighbours among the sorted means."""
         return np.diff(np.sort(self.means, axis=0), axis=0)
 
-    @property
+    @cached_property
     def mean_profile(self) -> Floats:
         """(16, 3) what the runs have in common from beginning to end: the mean of their profiles."""
         return np.asarray(self.profiles.mean(axis=0))
@@ -85,25 +86,20 @@ def robust_std(values: Floats) -> Floats:
 def _of_run(summary: Summary) -> tuple[Floats, Floats, Floats]:
     """Mean, its error and profile, in counts."""
     part = summary.segments
-    rows = part.rows[:, None]
-    held = part.rows > 0
-    mean = (rows * part.mean)[held].sum(axis=0) / rows.sum()
-    error = np.sqrt((rows * part.variance)[held].sum(axis=0)) / rows.sum()
-    edges = np.linspace(0, len(part.rows), PARTS + 1)
-    at = np.floor((edges[:-1] + edges[1:]) / 2).astype(int)
-    whole = np.array([_mean_of(part.mean[a:b], part.rows[a:b]) for a, b in _spans(edges, at)])
-    return mean, error, np.where(np.isnan(whole), 0.0, whole - mean)
+    held, total = part.rows > 0, part.rows.sum()
+    sums = np.where(held[:, None], part.rows[:, None] * part.mean, 0.0)
+    mean = sums.sum(axis=0) / total
+    error = np.sqrt(part.rows[held] @ part.variance[held]) / total
+    profile = [(sums[a:b].sum(axis=0), part.rows[a:b].sum()) for a, b in _spans(len(part.rows))]
+    return mean, error, np.array([whole / rows - mean if rows else np.zeros(3) for whole, rows in profile])
 
 
-def _spans(edges: Floats, at: npt.NDArray[np.int_]) -> list[tuple[int, int]]:
+@cache
+def _spans(segments: int) -> list[tuple[int, int]]:
     """(first, stop) of the segments in each of the parts; at least one, the nearest."""
-    bounds = np.rint(edges).astype(int)
+    edges = np.linspace(0, segments, PARTS + 1)
+    middles = np.floor((edges[:-1] + edges[1:]) / 2).astype(int).tolist()
+    bounds = np.rint(edges).astype(int).tolist()
     return [
-        (int(a), int(b)) if b > a else (int(middle), int(middle) + 1)
-        for a, b, middle in zip(bounds[:-1], bounds[1:], at, strict=True)
+        (a, b) if b > a else (middle, middle + 1) for a, b, middle in zip(bounds[:-1], bounds[1:], middles, strict=True)
     ]
-
-
-def _mean_of(mean: Floats, rows: npt.NDArray[np.int64]) -> Floats:
-    held = rows > 0
-    return np.average(mean[held], axis=0, weights=rows[held]) if held.any() else np.full(3, np.nan)

@@ -45,8 +45,12 @@ class Segments:
         beside it say: a change by c in equal steps has a variance of c^2 / 12. Rounding, 1/12,
         is left.
         """
-        change = np.nan_to_num(np.gradient(self.mean, axis=0)) if len(self.rows) > 1 else np.zeros_like(self.mean)
-        return np.asarray(np.minimum(self.variance, np.maximum(self.variance - change**2 / 12, 1 / 12)))
+        change = np.zeros_like(self.mean)
+        if len(change) > 1:
+            change[1:-1] = (self.mean[2:] - self.mean[:-2]) / 2
+            change[0], change[-1] = self.mean[1] - self.mean[0], self.mean[-1] - self.mean[-2]
+        # of a part beside one without readings the change is nan, and the variance stays
+        return np.asarray(np.fmin(self.variance, np.maximum(self.variance - change * change / 12, 1 / 12)))
 
 
 class SegmentTally:
@@ -65,9 +69,11 @@ class SegmentTally:
         part, starts, rows = self._parts(time_ns)
         self._rows[part] += rows
         self._since_ns[part] += np.add.reduceat(np.asarray(time_ns - self._edges[0], float), starts)
-        squares = apart * apart
-        for power, values in enumerate((apart, squares, squares * apart, squares * squares)):
-            self._powers[power, part] += np.add.reduceat(values, starts, axis=1).T
+        powers = np.empty((POWERS, *apart.shape))
+        powers[0] = apart
+        for power in range(1, POWERS):
+            np.multiply(powers[power - 1], apart, out=powers[power])
+        self._powers[:, part] += np.add.reduceat(powers, starts, axis=2).transpose(0, 2, 1)
         if thermometer is not None:
             self._has_thermometer = True
             values = thermometer.astype(float)
@@ -78,9 +84,11 @@ class SegmentTally:
         """The parts; `origin` (3,) counts is what all distances were taken from."""
         rows = np.where(self._rows, self._rows, np.nan)
         first, second, third, fourth = self._powers / rows[:, None]
+        square = first * first
         mean_ns = self._since_ns / rows
-        widths_s = np.diff(self._edges) * 1e-9
-        at_ns = self._edges[0] + np.rint(np.where(self._rows, mean_ns, np.diff(self._edges) / 2)).astype(np.int64)
+        widths_ns = self._edges[1:] - self._edges[:-1]
+        widths_s = widths_ns * 1e-9
+        at_ns = self._edges[0] + np.rint(np.where(self._rows, mean_ns, widths_ns / 2)).astype(np.int64)
         ends_degc = np.asarray(temperature(self._edges), float)
         degc = self._thermometer / rows if self._has_thermometer else np.full((2, len(rows)), np.nan)
         return Segments(
@@ -88,11 +96,11 @@ class SegmentTally:
             self._rows.copy(),
             (self._edges[0] + mean_ns) * 1e-9,
             np.asarray(temperature(at_ns), float),
-            np.diff(ends_degc) / widths_s,
+            (ends_degc[1:] - ends_degc[:-1]) / widths_s,
             first + origin,
-            np.maximum(second - first**2, 0.0),
-            third - 3 * first * second + 2 * first**3,
-            fourth - 4 * first * third + 6 * first**2 * second - 3 * first**4,
+            np.maximum(second - square, 0.0),
+            third - (3 * second - 2 * square) * first,
+            fourth - (4 * third - (6 * second - 3 * square) * first) * first,
             degc[0],
             np.maximum(degc[1] - degc[0] ** 2, 0.0),
         )
@@ -103,5 +111,5 @@ class SegmentTally:
         part = np.arange(ends[0], ends[1] + 1)
         starts = np.searchsorted(time_ns, self._edges[part])
         starts[0] = 0
-        rows = np.diff(starts, append=len(time_ns))
+        rows = np.concatenate([starts[1:], [len(time_ns)]]) - starts
         return part[rows > 0], starts[rows > 0], rows[rows > 0]

@@ -6,8 +6,10 @@ counts, flags as they are, nothing resampled, never a whole log at once.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -66,6 +68,7 @@ class SimulatedSource:
     def __init__(self, sensor: SimulatedSensor) -> None:
         self.header = sensor.header
         self._sensor = sensor
+        self._row_at = lru_cache(maxsize=64)(self._find_row)
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         """Rows that are read there, whether or not they arrive."""
@@ -78,16 +81,10 @@ class SimulatedSource:
             if len(block.time):
                 yield block
 
-    def _row_at(self, at_ns: int) -> int:
+    def _find_row(self, at_ns: int) -> int:
         """The first row stamped `at_ns` or later."""
-        low, high = 0, self._sensor.rows
-        while low < high:
-            middle = (low + high) // 2
-            if int(self._sensor.timeline.stamps(middle, middle + 1)[0]) < at_ns:
-                low = middle + 1
-            else:
-                high = middle
-        return low
+        stamps = self._sensor.timeline.stamps
+        return bisect_left(range(self._sensor.rows), at_ns, key=lambda row: int(stamps(row, row + 1)[0]))
 
 
 def simulated_sources(simulation: Simulation) -> dict[str, Source]:

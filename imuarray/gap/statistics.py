@@ -31,6 +31,13 @@ _NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
 """Statistics in logs of the sensor's unit to a power: as many logs of the fitted noise are taken from them."""
 
 
+_OF_PHASES = {name: probe for name, probe in PROBES.items() if isinstance(probe, PhaseProbe | CrossProbe)}
+_IN_MOTION = {name: probe for name, probe in _OF_PHASES.items() if probe.in_motion}
+_AT_REST = {name: probe for name, probe in _OF_PHASES.items() if isinstance(probe, PhaseProbe) or not probe.in_motion}
+_OF_LOGS = {name: probe for name, probe in PROBES.items() if isinstance(probe, LogProbe | ArrayProbe)}
+_OF_RUNS = {name: probe for name, probe in PROBES.items() if isinstance(probe, RunsProbe)}
+
+
 class Key(NamedTuple):
     """Where a statistic is from; `axis` is "" for the whole sensor."""
 
@@ -62,31 +69,34 @@ class Statistics:
         return {key: place for place, key in enumerate(self.keys)}
 
 
-class _Found(NamedTuple):
-    """What one probe says at one place."""
+class _Place(NamedTuple):
+    """Where statistics are from, but for their axes."""
 
     log: int
     sensor: str
     phase: str
     phase_number: int
-    probe: str
-    value: Floats
-    resolution: float
+
+
+_Said = tuple[str, Floats, float]
+"""What one probe says at one place: its name, the value, its resolution."""
 
 
 def statistics(campaign: Campaign) -> Statistics:
     """Every probe wherever it applies: phase by phase, log by log, then the logs of one kind together."""
     keys: list[Key] = []
-    values: list[Floats] = []
-    resolutions: list[float] = []
-    for found in _all(campaign):
-        value = np.atleast_1d(found.value)
-        here = _keys(found.log, found.sensor, found.phase, found.phase_number, found.probe, len(value) == len(AXES))
-        keys += here
-        values.append(value)
-        resolutions += [found.resolution] * len(here)
-    joined = np.concatenate(values) if values else np.zeros(0)
-    return Statistics(tuple(keys), joined, np.array(resolutions))
+    values: list[Floats] = [np.zeros(0)]
+    resolutions: list[Floats] = [np.zeros(0)]
+    for place, said in _all(campaign):
+        if not said:
+            continue
+        probes, found, least = zip(*said, strict=True)
+        flat = [value.reshape(-1) for value in found]
+        sizes = tuple([len(value) for value in flat])
+        keys += _keys(place, probes, sizes)
+        values += flat
+        resolutions.append(np.repeat(least, sizes))
+    return Statistics(tuple(keys), np.concatenate(values), np.concatenate(resolutions))
 
 
 def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Statistics:
@@ -101,59 +111,60 @@ def _predictions(keys: Sequence[Key], base: Base) -> Floats:
     """(n,) what the noise that was fitted makes of statistics in logs, 0 of others."""
     noises = {name: fitted.noise(base.headers[name]).tolist() for name, fitted in base.fitted.items()}
     predicted = np.zeros(len(keys))
-    for place, key in enumerate(keys):
-        if power := _NOISE_POWERS.get(key.probe, 0):
-            predicted[place] = power * math.log(noises[key.sensor][AXES.index(key.axis)])
+    for place in [place for place, key in enumerate(keys) if key.probe in _NOISE_POWERS]:
+        key = keys[place]
+        predicted[place] = _NOISE_POWERS[key.probe] * math.log(noises[key.sensor][AXES.index(key.axis)])
     return predicted
 
 
-@lru_cache(maxsize=1 << 15)
-def _keys(log: int, sensor: str, phase: str, phase_number: int, probe: str, by_axis: bool) -> tuple[Key, ...]:
-    """Of one probe at one place; every replicate has the same."""
-    axes = AXES if by_axis else ("",)
-    return tuple(Key(log, sensor, axis, phase, phase_number, PROBES[probe].domain, probe) for axis in axes)
+@lru_cache(maxsize=1 << 12)
+def _keys(place: _Place, probes: tuple[str, ...], sizes: tuple[int, ...]) -> tuple[Key, ...]:
+    """Of these probes at one place; every replicate has the same."""
+    log, sensor, phase, number = place
+    return tuple(
+        Key(log, sensor, axis, phase, number, PROBES[probe].domain, probe)
+        for probe, size in zip(probes, sizes, strict=True)
+        for axis in (AXES if size == len(AXES) else ("",))
+    )
 
 
-def _all(campaign: Campaign) -> Iterator[_Found]:
+def _all(campaign: Campaign) -> Iterator[tuple[_Place, list[_Said]]]:
     for number, log in enumerate(campaign.logs):
         for phase in log.phases:
-            yield from _of_phase(number, phase)
-        yield from _of_log(number, log)
+            for sensor, said in _of_phase(phase).items():
+                yield _Place(number, sensor, phase.phase.name, phase.number), said
+        for sensor in dict.fromkeys(sensor for phase in log.phases for sensor in phase.sensors):
+            yield _Place(number, sensor, "", WHOLE_LOG), _of_log(log, sensor)
     for kind, logs in campaign.series().items():
-        yield from _of_runs(kind, logs)
+        for sensor in dict.fromkeys(sensor for phase in logs[0].phases for sensor in phase.sensors):
+            yield _Place(ALL_LOGS, sensor, kind, WHOLE_LOG), _of_runs(logs, sensor)
 
 
-def _of_phase(log: int, phase: PhaseSummary) -> Iterator[_Found]:
-    still, name, number = phase.is_still, phase.phase.name, phase.number
-    for sensor, summary in phase.sensors.items():
-        crossed = phase.cross if _takes_part(phase, sensor) else None
-        for probe_name, probe in PROBES.items():
-            if isinstance(probe, PhaseProbe) and (still or probe.in_motion):
-                value = probe.statistic(summary)
-                yield _Found(log, sensor, name, number, probe_name, value, probe.resolution(summary))
-            elif isinstance(probe, CrossProbe) and still != probe.in_motion and crossed is not None:
-                yield _Found(log, sensor, name, number, probe_name, probe.statistic(crossed, sensor), 0.0)
+def _of_phase(phase: PhaseSummary) -> dict[str, list[_Said]]:
+    """By sensor; one probe after the other of all sensors is faster than one sensor after the other."""
+    said: dict[str, list[_Said]] = {sensor: [] for sensor in phase.sensors}
+    crossed = [item.name for item in phase.cross.sensors if item.name in said] if phase.cross is not None else []
+    for name, probe in (_AT_REST if phase.is_still else _IN_MOTION).items():
+        if isinstance(probe, PhaseProbe):
+            for sensor, summary in phase.sensors.items():
+                said[sensor].append((name, probe.statistic(summary), probe.resolution(summary)))
+        elif phase.cross is not None:
+            for sensor in crossed:
+                said[sensor].append((name, probe.statistic(phase.cross, sensor), 0.0))
+    return said
 
 
-def _takes_part(phase: PhaseSummary, sensor: str) -> bool:
-    return phase.cross is not None and any(item.name == sensor for item in phase.cross.sensors)
+def _of_log(log: LogSummary, sensor: str) -> list[_Said]:
+    still = log.still(sensor)
+    said: list[_Said] = []
+    for name, probe in _OF_LOGS.items() if still else ():
+        if isinstance(probe, LogProbe):
+            said.append((name, probe.statistic(still), probe.resolution))
+        else:
+            said.append((name, probe.statistic(log, sensor), 0.0))
+    return said
 
 
-def _of_log(log: int, summary: LogSummary) -> Iterator[_Found]:
-    sensors = dict.fromkeys(sensor for phase in summary.phases for sensor in phase.sensors)
-    for sensor in sensors:
-        still = summary.still(sensor)
-        for name, probe in PROBES.items():
-            if isinstance(probe, LogProbe) and still:
-                yield _Found(log, sensor, "", WHOLE_LOG, name, probe.statistic(still), probe.resolution)
-            elif isinstance(probe, ArrayProbe) and still:
-                yield _Found(log, sensor, "", WHOLE_LOG, name, probe.statistic(summary, sensor), 0.0)
-
-
-def _of_runs(kind: str, logs: tuple[LogSummary, ...]) -> Iterator[_Found]:
-    sensors = dict.fromkeys(sensor for phase in logs[0].phases for sensor in phase.sensors)
-    for sensor in sensors:
-        runs = runs_in(logs, sensor)
-        for name, probe in PROBES.items():
-            if isinstance(probe, RunsProbe) and runs is not None:
-                yield _Found(ALL_LOGS, sensor, kind, WHOLE_LOG, name, probe.statistic(runs), 0.0)
+def _of_runs(logs: tuple[LogSummary, ...], sensor: str) -> list[_Said]:
+    runs = runs_in(logs, sensor)
+    return [(name, probe.statistic(runs), 0.0) for name, probe in _OF_RUNS.items()] if runs is not None else []

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.characterise.codes import NOTHING, Histogram, histogram
+from imuarray.characterise.codes import NOTHING, Histogram, histograms
 from imuarray.characterise.correlation import Autocovariance
 from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
@@ -94,12 +94,13 @@ class Tally:
 
     def update(self, block: Block) -> None:
         """The next rows, at least one."""
-        if self._rows == 0:
-            self._origin = np.rint(block.counts.mean(axis=0))
-        self._rows += len(block.time)
         apart = block.counts.T.astype(np.float64, order="C")
+        if self._rows == 0:
+            self._origin = np.rint(apart.mean(axis=1))
+        self._rows += len(block.time)
         apart -= self._origin[:, None]
-        steps = np.diff(apart, axis=1, prepend=self._last)
+        line = np.concatenate([self._last, apart], axis=1)
+        steps = line[:, 1:] - line[:, :-1]
         self._last = apart[:, -1:].copy()
         self._segments.update(block.time, apart, block.temperature_counts)
         self._count(block, steps)
@@ -122,8 +123,8 @@ class Tally:
             tuple(self._codes),
             tuple(self._steps),
             self._welch.result(),
-            self._covariance.result().correlation,
-            self._arch.result().correlation,
+            self._covariance.correlation(),
+            self._arch.correlation(),
             self._haar.result(),
             self._intervals.result(),
             self._repeats.result(),
@@ -132,6 +133,7 @@ class Tally:
         )
 
     def _count(self, block: Block, steps: Floats) -> None:
-        for axis in range(3):
-            self._codes[axis] = self._codes[axis].merge(histogram(block.counts[:, axis]))
-            self._steps[axis] = self._steps[axis].merge(histogram(np.abs(steps[axis]).astype(np.int64)))
+        codes = histograms(block.counts.T.astype(np.int64, order="C"))
+        sizes = histograms(np.abs(steps).astype(np.int64))
+        self._codes = [seen.merge(more) for seen, more in zip(self._codes, codes, strict=True)]
+        self._steps = [seen.merge(more) for seen, more in zip(self._steps, sizes, strict=True)]

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ CHUNK = 1 << 14
 """Rows per chunk: two float64 triads of it fit a second-level cache."""
 
 _KEPT = 3
+_LEAST = 128
 
 
 class Stream:
@@ -40,8 +41,6 @@ class Stream:
         self._scale = scale
         self._width = width
         self._dtype: Any = np.dtype(dtype).type
-        self._normal_chunk = lru_cache(maxsize=_KEPT)(self._draw_normal)
-        self._uniform_chunk = lru_cache(maxsize=_KEPT)(self._draw_uniform)
 
     def normal(self, start: int, stop: int) -> Floats:
         """(stop - start, width) independent normal numbers; read-only."""
@@ -57,27 +56,37 @@ class Stream:
         """A generator of its own for each `chunk`: for draws whose number isn't known beforehand."""
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence((*self._entropy, chunk))))
 
-    def _draw_normal(self, chunk: int) -> Floats:
-        rows: Floats = self.generator(chunk).standard_normal((self._chunk_rows, self._width), dtype=self._dtype)
+    @cached_property
+    def _normal_chunk(self) -> Callable[[int, int], Floats]:
+        return lru_cache(maxsize=_KEPT)(self._draw_normal)
+
+    @cached_property
+    def _uniform_chunk(self) -> Callable[[int, int], Floats]:
+        return lru_cache(maxsize=_KEPT)(self._draw_uniform)
+
+    def _draw_normal(self, chunk: int, count: int) -> Floats:
+        rows: Floats = self.generator(chunk).standard_normal((count, self._width), dtype=self._dtype)
         if self._scale is not None:
-            wide = math.gcd(self._chunk_rows, 128)  # as few long rows: four times faster than many of three
+            wide = math.gcd(count, 128)  # as few long rows: four times faster than many of three
             longer = rows.reshape(-1, wide * self._width)
             longer *= np.tile(np.asarray(self._scale, self._dtype), wide)
         rows.flags.writeable = False
         return rows
 
-    def _draw_uniform(self, chunk: int) -> Floats:
-        rows: Floats = self.generator(chunk).random((self._chunk_rows, self._width), dtype=self._dtype)
+    def _draw_uniform(self, chunk: int, count: int) -> Floats:
+        rows: Floats = self.generator(chunk).random((count, self._width), dtype=self._dtype)
         rows.flags.writeable = False
         return rows
 
-    def _rows(self, chunk_of: Any, start: int, stop: int) -> Floats:
+    def _rows(self, chunk_of: Callable[[int, int], Floats], start: int, stop: int) -> Floats:
         size = self._chunk_rows
         first, last = start // size, max(stop - 1, start) // size
+        reached = max(stop - last * size, _LEAST)
+        count = min(size, 1 << (reached - 1).bit_length())  # more are drawn only when they are asked for
         if first == last:
-            rows: Floats = chunk_of(first)[start - first * size : stop - first * size]
+            rows: Floats = chunk_of(first, count)[start - first * size : stop - first * size]
             return rows
-        parts = [chunk_of(chunk) for chunk in range(first, last + 1)]
+        parts = [*(chunk_of(chunk, size) for chunk in range(first, last)), chunk_of(last, count)]
         parts[0], parts[-1] = parts[0][start - first * size :], parts[-1][: stop - last * size]
         return np.concatenate(parts)
 

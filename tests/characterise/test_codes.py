@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.stats import binom, kurtosis, skew
 
-from imuarray.characterise.codes import NOTHING, CodeDensity, Histogram, code_density, histogram
+from imuarray.characterise.codes import NOTHING, CodeDensity, Histogram, code_density, histogram, histograms
 
 CODES = hnp.arrays(np.int16, st.integers(1, 60), elements=st.integers(-(2**15), 2**15 - 1))
 
@@ -31,6 +31,15 @@ def test_merged_blocks(blocks: list[np.ndarray]) -> None:
     codes, counts = np.unique(np.concatenate([*blocks, np.zeros(0, np.int16)]), return_counts=True)
     np.testing.assert_array_equal(merged.codes, codes)
     np.testing.assert_array_equal(merged.counts, counts)
+
+
+@settings(deadline=None)
+@given(hnp.arrays(np.int64, st.tuples(st.integers(1, 4), st.integers(0, 40)), elements=st.integers(-3000, 3000)))
+def test_rows_at_once(values: np.ndarray) -> None:
+    for seen, row in zip(histograms(values), values, strict=True):
+        codes, counts = np.unique(row, return_counts=True)
+        np.testing.assert_array_equal(seen.codes, codes)
+        np.testing.assert_array_equal(seen.counts, counts)
 
 
 def test_wide_codes_take_no_memory() -> None:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from imuarray.gap.probes.probe import NOTHING, Floats, PhaseProbe, log
+from imuarray.gap.probes.probe import NOTHING, Floats, PhaseProbe, log, once
 from imuarray.gap.summary import Summary
 
 _TERMS = 12
@@ -15,15 +15,21 @@ _TERMS = 12
 
 def at(octave: int, summary: Summary) -> Floats:
     """Log of the Allan variance at 2^octave rows over that of white noise with the variance at one row."""
-    variance, terms = summary.allan
-    known = terms[octave] >= _TERMS
-    return np.asarray(log(variance[octave] * 2.0**octave) - log(variance[0])) if known else NOTHING
+    return np.asarray(_logs(summary)[octave])
 
 
 def longest(summary: Summary) -> Floats:
     """The same at the longest averaging time that the phase has enough rows for."""
     known = np.flatnonzero(summary.allan.terms >= _TERMS)
     return at(int(known[-1]), summary) if len(known) else NOTHING
+
+
+@once
+def _logs(summary: Summary) -> Floats:
+    """(o, 3) at all octaves; nan of those that have too few terms."""
+    variance, terms = summary.allan
+    factors = np.where(terms >= _TERMS, 2.0 ** np.arange(len(terms)), np.nan)
+    return np.asarray(log(variance * factors[:, None]) - log(variance[0]))
 
 
 _MOVED = ("bias_instability", "random_walk", "popcorn_noise", "common_mode", "bandwidth", "tone")

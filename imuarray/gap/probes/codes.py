@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imuarray.characterise.codes import Histogram
 from imuarray.gap.probes.probe import Floats, PhaseProbe, arcsine, once, one_row
 from imuarray.gap.summary import Summary
-from imuarray.simulate.converters import code_span
+from imuarray.simulate.converters import CodeSpan, code_span
 
-_MIDDLE = (0.05, 0.95)
+_MIDDLE = np.array([0.05, 0.95])
 """Codes that never come are looked for between these quantiles."""
 
 
@@ -32,9 +34,7 @@ def absent(summary: Summary) -> Floats:
 def at_ends(summary: Summary) -> Floats:
     """arcsine of the share of readings at or beyond an end of the code span."""
     span = code_span(summary.header)
-    beyond = [(seen.codes <= span.lowest) | (seen.codes >= span.highest) for seen in summary.codes]
-    ends = [int(seen.counts[out].sum()) for seen, out in zip(summary.codes, beyond, strict=True)]
-    return arcsine(ends, summary.rows)
+    return arcsine([_beyond(seen, span) for seen in summary.codes], summary.rows)
 
 
 def pile(summary: Summary) -> Floats:
@@ -45,8 +45,14 @@ def pile(summary: Summary) -> Floats:
     return np.array([_pile(seen.counts) for seen in summary.codes])
 
 
+def _beyond(seen: Histogram, span: CodeSpan) -> int:
+    if len(seen.codes) == 0 or (span.lowest < seen.codes[0] and seen.codes[-1] < span.highest):
+        return 0
+    return int(seen.counts[(seen.codes <= span.lowest) | (seen.codes >= span.highest)].sum())
+
+
 def _having(summary: Summary, bit: int) -> list[int]:
-    return [int(seen.counts[(seen.codes & bit) != 0].sum()) for seen in summary.codes]
+    return [int(seen.counts @ (seen.codes & bit)) // bit for seen in summary.codes]
 
 
 @once
@@ -58,23 +64,23 @@ def _absent(seen: Histogram) -> tuple[int, int]:
     """Codes that are missing, and how many there are in all, between the quantiles."""
     if len(seen.codes) == 0:
         return 0, 0
-    upto = np.cumsum(seen.counts)
-    low, high = np.searchsorted(upto, np.array(_MIDDLE) * upto[-1])
+    upto = seen.counts.cumsum()
+    low, high = upto.searchsorted(_MIDDLE * upto[-1])
     span = int(seen.codes[high] - seen.codes[low]) + 1
     return span - int(high - low) - 1, span
 
 
 def _pile(counts: np.ndarray) -> float:
     if len(counts) < 2:
-        return float("nan")
-    roots = np.sqrt(counts[[0, 1, -2, -1]] + 3 / 8)
-    return float(np.sqrt(2) * max(roots[0] - roots[1], roots[3] - roots[2]))
+        return math.nan
+    first, inner, beside, last = (math.sqrt(count + 3 / 8) for count in counts[[0, 1, -2, -1]].tolist())
+    return math.sqrt(2) * max(first - inner, last - beside)
 
 
 def _one_code(summary: Summary) -> float:
     """What one missing code of the narrowest axis makes, which chance can."""
     spans = [codes for _, codes in _middles(summary)]
-    return float(0.5 / np.sqrt(max(min(spans, default=1), 1)))
+    return 0.5 / math.sqrt(max(min(spans, default=1), 1))
 
 
 _STEPS = ("quantisation", "odr_error")

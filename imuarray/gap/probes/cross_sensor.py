@@ -5,9 +5,12 @@ motion.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
+from imuarray.axes import Matrix
 from imuarray.gap.campaign import LogSummary
 from imuarray.gap.cross import Cross
 from imuarray.gap.probes.level import level
@@ -21,24 +24,24 @@ Moments = Callable[[Cross], Floats]
 
 @once
 def _slow(cross: Cross) -> Floats:
-    """(p, p) correlations of the segments' means, along the sensors' axes."""
-    return _normalised(cross.slow_covariance)
+    """(p, p) Fisher's z of correlations of the segments' means, along the sensors' axes."""
+    return _correlations(cross.slow_covariance)
 
 
 @once
 def _fast(cross: Cross) -> Floats:
-    """(p, p) correlations within segments, along the sensors' axes."""
-    return _normalised(cross.fast)
+    """(p, p) the same within segments."""
+    return _correlations(cross.fast)
 
 
 @once
 def _slow_in_box(cross: Cross) -> Floats:
-    return _normalised(_in_box(cross, cross.slow_covariance))
+    return _correlations(_in_box(cross, cross.slow_covariance))
 
 
 @once
 def _fast_in_box(cross: Cross) -> Floats:
-    return _normalised(_in_box(cross, cross.fast))
+    return _correlations(_in_box(cross, cross.fast))
 
 
 def own_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
@@ -62,8 +65,8 @@ def others(correlations: Moments, cross: Cross, sensor: str) -> Floats:
 
 def between_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
     """Fisher's z of each axis with the next one of the same sensor."""
-    own = cross.columns(sensor).start + AXES
-    return fisher_z(correlations(cross)[own, np.roll(own, -1)])
+    begin = cross.columns(sensor).start
+    return np.asarray(correlations(cross)[begin + AXES, begin + (AXES + 1) % 3])
 
 
 def level_apart(log: LogSummary, sensor: str) -> Floats:
@@ -90,13 +93,19 @@ def _mean_z(correlation: Floats, cross: Cross, sensor: str, partners: Sequence[s
     """(3,) axis by axis, mean over the partners."""
     if not partners:
         return NOTHING
-    beside = np.array([cross.columns(partner).start for partner in partners])[:, None] + AXES
-    return np.asarray(np.mean(fisher_z(correlation[cross.columns(sensor).start + AXES, beside]), axis=0))
+    beside = np.array([[cross.columns(partner).start] for partner in partners]) + AXES
+    return np.asarray(correlation[cross.columns(sensor).start + AXES, beside].sum(axis=0) / len(partners))
 
 
 def _as_own(cross: Cross, sensor: str, box: Floats) -> Floats:
     """(3,) values of box axes in the order of the sensor's axes that lie along them."""
-    return np.asarray(box[np.abs(np.array(cross.header(sensor).orientation)).argmax(axis=0)])
+    return np.asarray(box[_nearest(cross.header(sensor).orientation)])
+
+
+@lru_cache(maxsize=64)
+def _nearest(orientation: Matrix) -> npt.NDArray[np.intp]:
+    """(3,) the box's axis along which each of the sensor's lies."""
+    return np.asarray(np.abs(np.array(orientation)).argmax(axis=0))
 
 
 def _in_box(cross: Cross, moments: Floats) -> Floats:
@@ -107,11 +116,11 @@ def _in_box(cross: Cross, moments: Floats) -> Floats:
     return np.asarray(turn @ moments @ turn.T)
 
 
-def _normalised(moments: Floats) -> Floats:
-    """Correlations; nan of what never changes."""
+def _correlations(moments: Floats) -> Floats:
+    """Fisher's z of correlations; nan of what never changes."""
     size = np.sqrt(np.diag(moments))
     size = np.where(size > 0, size, np.nan)
-    return np.asarray(moments / size[:, None] / size)
+    return fisher_z(moments / size[:, None] / size)
 
 
 def _probe(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imuarray.gap.probes.probe import (
@@ -37,8 +39,8 @@ def tail(summary: Summary) -> Floats:
     """arcsine of the share of differences of neighbours beyond `TAIL` times the noise's; a code is as wide as one."""
     limit = TAIL * np.sqrt(2) * noise_lsb(summary)
     beyond = [
-        float(steps.counts @ np.clip(steps.codes + 0.5 - end, 0.0, 1.0)) if np.isfinite(end) else np.nan
-        for steps, end in zip(summary.steps, limit, strict=True)
+        float(steps.counts @ (steps.codes + (0.5 - end)).clip(0.0, 1.0)) if math.isfinite(end) else math.nan
+        for steps, end in zip(summary.steps, limit.tolist(), strict=True)
     ]
     return arcsine(beyond, summary.rows - 1)
 
@@ -53,13 +55,11 @@ def extreme(summary: Summary) -> Floats:
 def _central(summary: Summary) -> tuple[Floats, Floats, Floats]:
     """(3,) second, third and fourth moment about the segments' means."""
     part = summary.segments
-    held = part.rows > 0
-    if not held.any():
+    held = (part.rows > 0).nonzero()[0]
+    if len(held) == 0:
         return NOTHING, NOTHING, NOTHING
-    rows = part.rows[held]
-    second, third, fourth = (
-        np.average(power[held], axis=0, weights=rows) for power in (part.variance, part.third, part.fourth)
-    )
+    share = part.rows[held] / part.rows.sum()
+    second, third, fourth = (share @ power.take(held, axis=0) for power in (part.variance, part.third, part.fourth))
     return second, third, fourth
 
 

@@ -18,6 +18,8 @@ from imuarray.gap.summary import Summary
 
 AXES = np.arange(3)
 
+_FACES = frozenset(UP_AXES)
+
 
 def own(phases: Sequence[Summary]) -> Floats:
     """What one g along the axis itself adds to its reading."""
@@ -56,15 +58,13 @@ def _parts(phases: Sequence[Summary]) -> tuple[Floats, Floats]:
     all six faces are there.
     """
     nothing = np.full((3, 3), np.nan)
-    if len({phase.phase.up for phase in phases} & set(UP_AXES)) < len(UP_AXES):
+    if not {phase.phase.up for phase in phases} >= _FACES:
         return nothing, nothing
     felt, means = felt_g(phases), np.array([mean(phase) for phase in phases])
     known = np.isfinite(felt).all(axis=1) & np.isfinite(means).all(axis=1)
     design = np.concatenate([felt, felt**2], axis=1)[known]
-    if np.linalg.matrix_rank(design) < design.shape[1]:
-        return nothing, nothing
-    found = np.linalg.lstsq(design, means[known], rcond=None)[0].T
-    return found[:, :3], found[:, 3:]
+    found, _, rank, _ = np.linalg.lstsq(design, means[known], rcond=None)
+    return (found.T[:, :3], found.T[:, 3:]) if rank == design.shape[1] else (nothing, nothing)
 
 
 _CROSS = ("misalignment", "axis_error", "g_sensitivity", "channel_swap")

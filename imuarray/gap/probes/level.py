@@ -14,28 +14,30 @@ from imuarray.gap.summary import Summary
 def mean(summary: Summary) -> Floats:
     """Mean reading by the nominal sensitivity."""
     part = summary.segments
-    held = part.rows > 0
-    total = (part.rows[held, None] * part.mean[held]).sum(axis=0)
+    held = (part.rows > 0).nonzero()[0]
+    total = part.rows[held] @ part.mean.take(held, axis=0)
     return np.asarray(total / (summary.rows * summary.header.sensitivity)) if summary.rows else NOTHING
 
 
 def halves(summary: Summary) -> Floats:
     """Mean of the second half's segments less that of the first half's."""
     part = summary.segments.mean / summary.header.sensitivity
-    first, second = (half[np.isfinite(half[:, 0])] for half in np.array_split(part, 2))
+    middle = (len(part) + 1) // 2
+    first, second = (half[np.isfinite(half[:, 0])] for half in (part[:middle], part[middle:]))
     return np.asarray(second.mean(axis=0) - first.mean(axis=0)) if len(first) and len(second) else NOTHING
 
 
 def wander(summary: Summary) -> Floats:
     """Log of the variance of the segments' means about a straight line, over what independent readings would give."""
     part = summary.segments
-    held = part.rows > 1
-    if np.count_nonzero(held) < 4:
+    held = (part.rows > 1).nonzero()[0]
+    if len(held) < 4:
         return NOTHING
-    expected = (part.steady_variance[held] / (part.rows[held, None] - 1)).mean(axis=0)
-    design = np.stack([np.ones(int(held.sum())), part.time_s[held] - part.time_s[held].mean()], axis=1)
-    left = part.mean[held] - design @ np.linalg.lstsq(design, part.mean[held], rcond=None)[0]
-    return np.asarray(log((left**2).sum(axis=0) / (len(design) - 2)) - log(expected))
+    expected = 1 / (part.rows[held] - 1) @ part.steady_variance.take(held, axis=0) / len(held)
+    times, means = part.time_s[held], part.mean.take(held, axis=0)
+    times, means = times - times.sum() / len(held), means - means.sum(axis=0) / len(held)
+    left = means - times[:, None] * (times @ means / (times @ times))
+    return np.asarray(log((left * left).sum(axis=0) / (len(held) - 2)) - log(expected))
 
 
 def returned(phases: Sequence[Summary]) -> Floats:
@@ -58,7 +60,7 @@ def level(phases: Sequence[Summary]) -> Floats:
     for phase in phases:
         if phase.rows:
             faces.setdefault(phase.phase.up or phase.phase.name, []).append(mean(phase))
-    return np.mean([np.mean(means, axis=0) for means in faces.values()], axis=0) if faces else NOTHING
+    return np.mean([np.add.reduce(means) / len(means) for means in faces.values()], axis=0) if faces else NOTHING
 
 
 _SLOW = ("bias_instability", "random_walk", "popcorn_noise", "common_mode")

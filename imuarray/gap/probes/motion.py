@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.gap.cross import Cross
-from imuarray.gap.probes.probe import NOTHING, CrossProbe, Floats, log
+from imuarray.gap.probes.probe import NOTHING, CrossProbe, Floats, log, once
 
 AXES = np.arange(3)
 
@@ -80,6 +80,15 @@ class _Beside(NamedTuple):
 
 def _beside(cross: Cross, sensor: str) -> _Beside | None:
     """None for the only sensor of its kind, or without windows."""
+    return _all_beside(cross)[sensor]
+
+
+@once
+def _all_beside(cross: Cross) -> dict[str, _Beside | None]:
+    return {item.name: _put_beside(cross, item.name) for item in cross.sensors}
+
+
+def _put_beside(cross: Cross, sensor: str) -> _Beside | None:
     others = cross.others(sensor, family=False)
     if not others or not cross.windows:
         return None
@@ -107,10 +116,16 @@ def _mean_box(cross: Cross, sensors: tuple[str, ...] | list[str]) -> Floats:
 
 def _gains(cross: Cross, sensor: str) -> Floats:
     """(3, 3) response of the sensor's axes (rows) to the reference's (columns)."""
-    found = _beside(cross, sensor)
-    if found is None:
-        return np.full((3, 3), np.nan)
-    return np.asarray(_coefficients(found.moments, AXES, AXES + 3).T)
+    return _all_gains(cross)[sensor]
+
+
+@once
+def _all_gains(cross: Cross) -> dict[str, Floats]:
+    nothing = np.full((3, 3), np.nan)
+    return {
+        name: nothing if found is None else _coefficients(found.moments, AXES, AXES + 3).T
+        for name, found in _all_beside(cross).items()
+    }
 
 
 def _coefficients(moments: Floats, of: np.ndarray, by: np.ndarray) -> Floats:

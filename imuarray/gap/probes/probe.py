@@ -6,6 +6,7 @@ Fisher's z of correlations, arcsines of the roots of shares. It is nan where it 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -112,36 +113,40 @@ def once(work: Callable[[Subject], Found]) -> Callable[[Subject], Found]:
     return kept
 
 
-def log(values: npt.ArrayLike) -> Floats:
+def log(values: float | npt.ArrayLike) -> Floats:
     """Natural logarithm, nan of what is not positive."""
+    if isinstance(values, float):
+        return np.array(math.log(values) if values > 0 else math.nan)
     given = np.asarray(values, float)
-    return np.asarray(np.log(given, out=np.full_like(given, np.nan), where=given > 0))
+    return np.asarray(np.log(np.where(given > 0, given, np.nan)))
 
 
 def fisher_z(correlation: npt.ArrayLike) -> Floats:
     """artanh, which makes the scatter of a correlation the same everywhere; perfect ones end at 7.25."""
-    return np.asarray(np.arctanh(np.clip(correlation, -1 + 1e-6, 1 - 1e-6)))
+    return np.asarray(np.arctanh(np.asarray(correlation).clip(-1 + 1e-6, 1 - 1e-6)))
 
 
-def arcsine(count: npt.ArrayLike, of: npt.ArrayLike) -> Floats:
+def arcsine(count: float | npt.ArrayLike, of: int | npt.ArrayLike) -> Floats:
     """arcsin of the root of a share: its standard error is 1 / (2 sqrt(of)) whatever the share; nan of nothing."""
+    if isinstance(count, int | float) and isinstance(of, int):
+        return np.array(math.asin(math.sqrt(min(max(count / of, 0.0), 1.0))) if of > 0 else math.nan)
     total = np.asarray(of, float)
-    share = np.divide(count, total, out=np.full(np.broadcast(count, total).shape, np.nan), where=total > 0)
-    return np.asarray(np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
+    share = np.asarray(count, float) / np.where(total > 0, total, np.nan)
+    return np.asarray(np.arcsin(np.sqrt(share.clip(0.0, 1.0))))
 
 
 def score_of_largest(score: npt.ArrayLike, count: float) -> Floats:
     """The normal score of the largest of `count` independent normal numbers, from that number itself: where nothing is
     wrong it is normal too, while the largest alone has a long tail.
     """
-    log_expected = np.log(max(count, 1)) + log_ndtr(-np.asarray(score, float))
-    expected = np.exp(np.clip(log_expected, _RARE, _COMMON))
+    log_expected = math.log(max(count, 1)) + log_ndtr(-np.asarray(score, float))
+    expected = np.exp(np.asarray(log_expected).clip(_RARE, _COMMON))
     return np.asarray(-ndtri_exp(np.where(log_expected > _RARE, np.log(-np.expm1(-expected)), log_expected)))
 
 
 def one_row(summary: Summary) -> float:
     """Standard error of `arcsine` of a share of the rows."""
-    return float(0.5 / np.sqrt(max(summary.rows, 1)))
+    return 0.5 / math.sqrt(max(summary.rows, 1))
 
 
 @once
@@ -163,8 +168,8 @@ _TRIMMED = 0.71683
 
 def _trimmed_mean(sizes: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> float:
     """Mean of the smallest 95 % of `sizes` that came `counts` times."""
-    total = float(counts.sum()) * _KEPT
-    if total == 0:
-        return float("nan")
-    upto = np.minimum(np.cumsum(counts), total)
-    return float(np.diff(upto, prepend=0.0) @ sizes / total)
+    if len(sizes) == 0:
+        return math.nan
+    upto = counts.cumsum()
+    total = float(upto[-1]) * _KEPT
+    return float(sizes[-1] - np.minimum(upto[:-1], total) @ (sizes[1:] - sizes[:-1]) / total)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
+import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from imuarray.gap.probes.probe import NOTHING, Floats, PhaseProbe, log, once, score_of_largest
@@ -16,6 +17,9 @@ BANDS = 6
 
 _FIRST = 4
 _BESIDE = 33
+_SIDE = _BESIDE // 2
+
+Places = npt.NDArray[np.int_]
 
 
 def band(number: int, summary: Summary) -> Floats:
@@ -31,9 +35,9 @@ def line(summary: Summary) -> Floats:
     density = summary.spectrum.density
     if summary.spectrum.segments == 0:
         return NOTHING
-    columns = [median_filter(column, size=_BESIDE, mode="mirror") for column in density.T]  # faster than all at once
-    floor = np.stack(columns, axis=1)
-    ratio = np.divide(density, floor, out=np.full_like(density, np.nan), where=floor > 0)
+    mirrored = density.T[:, _mirrored(len(density))]  # one line after the other: faster than three, or two dimensions
+    floor = median_filter(mirrored.ravel(), size=_BESIDE).reshape(mirrored.shape)[:, _SIDE:-_SIDE].T
+    ratio = density / np.where(floor > 0, floor, np.nan)
     scatter = 2 / (9 * summary.spectrum.freedom[_FIRST])
     score = (np.cbrt(ratio[_FIRST:-1].max(axis=0)) - 1) / np.sqrt(scatter)
     return score_of_largest(score, len(ratio))
@@ -49,10 +53,22 @@ def alternation(summary: Summary) -> Floats:
 def _bands(summary: Summary) -> Floats:
     """(b, 3) log of the mean density in each band, over the geometric mean."""
     density = summary.spectrum.density
-    edges = np.rint(np.geomspace(2, len(density), BANDS + 1)).astype(int)
+    edges = _edges(len(density))
     sums = np.add.reduceat(density, edges[:-1], axis=0)
-    logs = log(sums / np.diff(edges)[:, None])
+    logs = log(sums / (edges[1:] - edges[:-1])[:, None])
     return np.asarray(logs - logs.mean(axis=0))
+
+
+@cache
+def _edges(bins: int) -> Places:
+    """Where the bands begin, and the last one ends."""
+    return np.rint(np.geomspace(2, bins, BANDS + 1)).astype(int)
+
+
+@cache
+def _mirrored(bins: int) -> Places:
+    """The bins, and at either end those that a median of `_BESIDE` reaches for beyond it."""
+    return np.asarray(np.abs((bins - 1) - np.abs((bins - 1) - np.arange(-_SIDE, bins + _SIDE))))
 
 
 def _band_probe(number: int) -> PhaseProbe:

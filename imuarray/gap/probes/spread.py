@@ -26,24 +26,27 @@ def excess(summary: Summary) -> Floats:
 
 def halves(summary: Summary) -> Floats:
     """Log of the variance within the segments of the second half over that of the first half."""
-    part = summary.segments
-    halves = zip(np.array_split(part.steady_variance, 2), np.array_split(part.rows, 2), strict=True)
-    first, second = (_mean_variance(variance, rows) for variance, rows in halves)
-    return np.asarray(log(second) - log(first))
+    variance, rows = summary.segments.steady_variance, summary.segments.rows
+    middle = (len(rows) + 1) // 2
+    return log(_mean_variance(variance[middle:], rows[middle:])) - log(_mean_variance(variance[:middle], rows[:middle]))
 
 
 def uneven(summary: Summary) -> Floats:
     """Log of the variance of the segments' log variances, over 2 / (rows - 1) as of Gaussian noise."""
     part = summary.segments
-    held = part.rows >= _LEAST
-    if np.count_nonzero(held) < _LEAST:
+    held = (part.rows >= _LEAST).nonzero()[0]
+    if len(held) < _LEAST:
         return NOTHING
-    values = log(part.steady_variance[held])
-    return np.asarray(log(values.var(axis=0, ddof=1) / (2 / (part.rows[held] - 1.0)).mean()))
+    values = log(part.steady_variance.take(held, axis=0))
+    values = values - values.sum(axis=0) / len(held)
+    expected = (2 / (part.rows[held] - 1.0)).sum() / len(held)
+    return log((values * values).sum(axis=0) / (len(held) - 1) / expected)
 
 
 def with_force(phases: Sequence[Summary]) -> Floats:
     """Log variance on faces where the axis feels gravity, less that on the others."""
+    if len({phase.phase.up for phase in phases}) < 2:
+        return NOTHING
     felt = felt_g(phases)
     values = np.array([log(_pooled(phase)) for phase in phases])
     loaded = np.abs(felt) > 0.5
@@ -61,9 +64,10 @@ def _pooled(summary: Summary) -> Floats:
 
 def _mean_variance(variance: Floats, rows: np.ndarray) -> Floats:
     """(3,) over the segments, weighted with their rows."""
-    held = rows > 1
-    freedom = (rows[held] - 1).sum()
-    return np.asarray((rows[held, None] * variance[held]).sum(axis=0) / freedom) if freedom else NOTHING
+    held = (rows > 1).nonzero()[0]
+    taken = rows[held]
+    freedom = int(taken.sum()) - len(taken)
+    return np.asarray(taken @ variance.take(held, axis=0) / freedom) if freedom else NOTHING
 
 
 _SIZES = ("white_noise", "odr_error", "range_reset", "scale", "channel_swap")

@@ -40,9 +40,9 @@ def residual(phases: Sequence[Summary]) -> Floats:
 def noise_slope(phases: Sequence[Summary]) -> Floats:
     """Slope of the segments' log variance over temperature."""
     part = _Joined(phases)
-    held = part.rows > 3
-    if np.count_nonzero(held) < 4 or np.ptp(part.degc[held]) < _LEAST_DEGC:
+    if not part.is_warmed:
         return NOTHING
+    held = part.rows > 3
     held &= (part.variance > 0).all(axis=1)
     if np.count_nonzero(held) < 4 or np.ptp(part.degc[held]) < _LEAST_DEGC:
         return NOTHING
@@ -57,16 +57,16 @@ def thermometer_offset(phases: Sequence[Summary]) -> Floats:
     held = np.isfinite(part.thermometer)
     if converter is None or not held.any():
         return np.array(np.nan)
-    shown = part.thermometer[held] / converter.lsb_per_degc + converter.zero_degc
-    return np.asarray(np.average(shown - part.degc[held], weights=part.rows[held]))
+    shown, rows = part.thermometer[held] / converter.lsb_per_degc + converter.zero_degc, part.rows[held]
+    return np.asarray(rows @ (shown - part.degc[held]) / rows.sum())
 
 
 def thermometer_noise(phases: Sequence[Summary]) -> Floats:
     """Log of the variance of the thermometer's counts within segments and a twelfth of a count; one number."""
     part = _Joined(phases)
     held = np.isfinite(part.thermometer)
-    variance = part.thermometer_variance[held]
-    return log(np.average(variance, weights=part.rows[held]) + 1 / 12) if held.any() else np.array(np.nan)
+    rows = part.rows[held]
+    return log(rows @ part.thermometer_variance[held] / rows.sum() + 1 / 12) if held.any() else np.array(np.nan)
 
 
 class _Joined:
@@ -74,6 +74,11 @@ class _Joined:
 
     def __init__(self, phases: Sequence[Summary]) -> None:
         self._parts = [phase.segments for phase in phases]
+
+    @property
+    def is_warmed(self) -> bool:
+        """Whether the temperatures span enough for a slope: the usual case, told first, is that they don't."""
+        return bool(np.fmax.reduce(self.degc) - np.fmin.reduce(self.degc) >= _LEAST_DEGC)
 
     @cached_property
     def rows(self) -> npt.NDArray[np.int64]:
@@ -108,8 +113,10 @@ def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
     """Columns 1, T, T^2, dT/dt (s, 4), means (s, 3) in the sensor's unit, expected variance (3,); None if the phases
     are on different faces or always as warm.
     """
-    part = _Joined(phases)
     if len({phase.phase.up for phase in phases}) > 1:
+        return None
+    part = _Joined(phases)
+    if not part.is_warmed:
         return None
     held = (part.rows > 1) & np.isfinite(part.degc)
     if np.count_nonzero(held) < 8 or np.ptp(part.degc[held]) < _LEAST_DEGC:

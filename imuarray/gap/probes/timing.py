@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from imuarray.gap.probes.probe import Floats, PhaseProbe, arcsine, log, one_row
@@ -16,7 +18,7 @@ def interval(summary: Summary) -> Floats:
 def irregularity(summary: Summary) -> Floats:
     """Log of the standard deviation of intervals over their mean, 1e-6 of it at least."""
     times = summary.intervals
-    return np.asarray(log(np.hypot(times.std_s, 1e-6 * times.mean_s)) - log(times.mean_s))
+    return np.asarray(log(math.hypot(times.std_s, 1e-6 * times.mean_s)) - log(times.mean_s))
 
 
 def gaps(summary: Summary) -> Floats:
