@@ -13,8 +13,7 @@ from imuarray.gap.base_model import fit, headers_in
 from imuarray.gap.bench import Bench, Models, Values, bench_of
 from imuarray.gap.campaign import Campaign, summarise_log
 from imuarray.gap.judgement import Judged, judged
-from imuarray.gap.likeness import likeness_of
-from imuarray.gap.pairs import Pairs, scorer_of
+from imuarray.gap.pairs import Pairs, scores_by_others
 from imuarray.gap.recordings import Recording, sources_of, temperature_of
 from imuarray.gap.significance import Located, located
 from imuarray.gap.split import Split, split_of
@@ -89,11 +88,10 @@ def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: i
     real = bench.observed(campaign, bench.base.fitted)
     came = tuple(run(replicate, [(bench.models(), number) for number in range(replicates)]))
     chance = np.array([one.values for one in came])
-    first, second = chance[1::2], chance[::2]
     pairs = bench.pairs()
-    scored = scorer_of(pairs, likeness_of(first, bench.resolutions), first)
-    where = located(pairs.keys, bench.base.headers, scored(real.values), scored(second))
-    whole = replace(judged(pairs, real.values, chance, bench.resolutions), p=where.p, limit=where.limit)
+    scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
+    where = located(pairs.keys, bench.base.headers, scores[0], scores[1:])
+    whole = replace(judged(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
     return Compared(bench, campaign, real, came, pairs, whole, where)
 
 

@@ -36,7 +36,7 @@ from imuarray.simulate.model import Model
 Floats = npt.NDArray[np.float64]
 
 REPLICATES = 100
-"""Of the base model; a half says how statistics scatter, the other how far chance goes."""
+"""Of the base model: they say how statistics scatter, and how far chance goes."""
 
 REPAIRED = 32
 """Replicates of the model with its causes in."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from imuarray.gap.closure import Deviating
 from imuarray.gap.diagnosis import Cause, Gap, Map, Verdict, Where
 from imuarray.gap.likeness import Likeness, likeness_of
 from imuarray.gap.margins import margin, sized
-from imuarray.gap.pairs import Pairs, scorer_of
+from imuarray.gap.pairs import Pairs, scorer_of, scores_by_others
 from imuarray.gap.probes import PROBES
 from imuarray.gap.significance import p_value
 from imuarray.gap.statistics import Key, statistics
@@ -28,7 +28,6 @@ EXPLAINED, PARTLY = 0.8, 0.3
 DOUBT = 0.05
 """The p of what is left below which something is left."""
 
-_FOLDS = 4
 _HALF, _STEEP = 0.65, 6.0
 """Share closed at which something unknown is as probable as not, and how fast that changes."""
 
@@ -48,11 +47,13 @@ class Judged:
     limit: float
 
 
-def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats) -> Judged:
-    """By replicates (b, n) of the model; each quarter of them says how far chance goes, scored by the others."""
+def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance: Floats | None = None) -> Judged:
+    """By replicates (b, n) of the model; how far chance goes is said by `chance` (b, m), scores of theirs, each by the
+    others if there are none yet.
+    """
     likeness = likeness_of(replicates, floor)
     scores, parts = scorer_of(pairs, likeness, replicates)(real), likeness.scores(real)
-    largest = np.concatenate([_largest(fold) for fold in _folded(pairs, replicates, floor)])
+    largest = _largest(scores_by_others(pairs, replicates, floor) if chance is None else chance)
     return Judged(
         scores, parts, real - likeness.location, likeness, p_value(float(_largest(scores)), largest), _high(largest)
     )
@@ -198,14 +199,6 @@ class Told:
         seconds = sum((phase.phase.end_ns - phase.phase.start_ns) * 1e-9 for phase in phases)
         rates = [1 / one.intervals.mean_s for one in own if one.intervals.count]
         return (float(np.median(rates)) if rates else 1.0), seconds
-
-
-def _folded(pairs: Pairs, replicates: Floats, floor: Floats) -> Iterator[Floats]:
-    """Scores (k, m) of each quarter of the replicates by what the others say."""
-    for fold in range(_FOLDS):
-        own = np.arange(len(replicates)) % _FOLDS == fold
-        likeness = likeness_of(replicates[~own], floor)
-        yield scorer_of(pairs, likeness, replicates[~own])(replicates[own])
 
 
 def _largest(scores: Floats) -> Floats:

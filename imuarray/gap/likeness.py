@@ -99,7 +99,7 @@ def likeness_of(replicates: Floats, floor: Floats) -> Likeness:
     known = count > len(replicates) // 2
     location, scale = np.full((2, replicates.shape[1]), np.nan)
     if known.any():
-        location[known] = np.nanmedian(replicates[:, known], axis=0)
+        location[known] = _median(replicates[:, known])
         scale[known] = _scatter(replicates[:, known], location[known])
     least = np.maximum(floor, _ROUNDING * (1 + np.abs(location)))
     return Likeness(location, np.fmax(scale, least), np.asarray(spoken.all(axis=0)), np.asarray(~spoken.any(axis=0)))
@@ -125,10 +125,19 @@ def independent_share(scores: Floats) -> float:
 def _scatter(values: Floats, middle: Floats) -> Floats:
     """(n,) standard deviation about the middle, of values not further from it than five of their median distances."""
     apart = np.abs(values - middle)
-    limit = 5 * 1.4826 * np.nanmedian(apart, axis=0)
+    limit = 5 * 1.4826 * _median(apart)
     near = np.where(limit > 0, np.minimum(apart, np.where(limit > 0, limit, 1.0)), apart)
     count = np.count_nonzero(np.isfinite(values), axis=0)
     return np.asarray(np.sqrt(np.nansum(near**2, axis=0) / np.maximum(count - 1, 1)))
+
+
+def _median(values: Floats) -> Floats:
+    """(n,) of what is known of (b, n); numpy's for numbers that may be missing takes five times as long."""
+    whole = np.isfinite(values).all(axis=0)
+    found = np.empty(values.shape[1])
+    found[whole] = np.median(values[:, whole], axis=0)
+    found[~whole] = np.nanmedian(values[:, ~whole], axis=0)
+    return found
 
 
 _ROUNDING = 1e-9

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.likeness import Likeness
+from imuarray.gap.likeness import Likeness, likeness_of
 from imuarray.gap.statistics import Key
 
 Floats = npt.NDArray[np.float64]
@@ -19,6 +19,7 @@ NOWHERE = -1
 
 LEAST = 0.5**0.5
 _WILD = 5.0
+_FOLDS = 20
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,19 @@ def scorer_of(pairs: Pairs, likeness: Likeness, replicates: Floats) -> Callable[
     """
     norm = spread_of(pairs.sums(likeness.scores(replicates)))
     return lambda values: np.asarray(pairs.sums(likeness.scores(values)) / norm)
+
+
+def scores_by_others(pairs: Pairs, values: Floats, floor: Floats) -> Floats:
+    """(b, m) of campaigns with values (b, n), each scored by what the others say (but a twentieth, with it): where all
+    are of one kind, any of them is as likely as any other to be the strangest.
+    """
+    scores = np.empty((len(values), len(pairs.keys)))
+    folds = min(_FOLDS, len(values))
+    for fold in range(folds):
+        own = np.arange(len(values)) % folds == fold
+        others = values[~own]
+        scores[own] = scorer_of(pairs, likeness_of(others, floor), others)(values[own])
+    return scores
 
 
 def spread_of(sums: Floats) -> Floats:

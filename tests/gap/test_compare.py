@@ -119,7 +119,7 @@ def test_a_tone_is_found_where_it_is() -> None:
     found = compared({**units(1), "G2": (*units(1)["G2"], Tone((0.0, 0.04, 0.0), 17.0))}, 1)
     root = found.located.root
     assert found.located.is_gap
-    assert found.located.p == pytest.approx(1 / 21)
+    assert found.located.p == pytest.approx(1 / 41)
     assert [node.path for node in root.found("chip")][:1] == [("l3g4200d",)]
     assert [node.path for node in root.found("axis")] == [("l3g4200d", "G2", "y")]
     assert root.found("domain")[0].path[-1] == "spectrum"
