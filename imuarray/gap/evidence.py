@@ -25,9 +25,9 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Seen:
-    """One phase of one log: the summary as recorded (`raw`) and with what the model's bias, slope and nominal axes
-    predict taken from the means of its segments (`left`, at rest only; else the same). `cross` is what
-    the array's sensors have in common in it.
+    """One phase of log number `log` of the campaign: the summary as recorded (`raw`) and with what the model's bias,
+    slope and nominal axes predict taken from the means of its segments (`left`, at rest only; else the same). `cross`
+    is what the array's sensors have in common in it.
     """
 
     log: int
@@ -115,8 +115,8 @@ def evidence_of(
     base = replace(bench.base, fitted={**bench.base.fitted, sensor: modelled.fitted})
     left = residual(train.campaign, [motion for _, motion in logs], base)
     seen = tuple(
-        Seen(number, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross)
-        for number, (log, bare) in enumerate(zip(train.campaign.logs, left.logs, strict=True))
+        Seen(boot, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross)
+        for boot, log, bare in zip(train.logs, train.campaign.logs, left.logs, strict=True)
         for raw, without in zip(log.phases, bare.phases, strict=True)
         if sensor in raw.sensors
     )

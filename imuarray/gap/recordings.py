@@ -76,12 +76,15 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
 
 
 def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Recording, ...]:
-    """Several logs of one array; a sensor that one of them lacks is left out there, with a note.
+    """Several logs of one array, in the order in which they were recorded if all of them say when; a sensor that one
+    lacks is left out there, with a note.
 
     LogError for one that none has, or that was set otherwise in another log.
     """
     found: list[Recording] = []
     first: dict[str, SensorLog] = {}
+    if all(log.epoch for log in logs):
+        logs = sorted(logs, key=lambda log: log.epoch)
     names = dict.fromkeys(
         only or (name for log in logs for name, sensor in log.sensors.items() if _is_inertial(sensor))
     )

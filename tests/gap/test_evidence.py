@@ -106,7 +106,7 @@ def test_levels_are_told_from_the_present_model() -> None:
     nothing = Scored((), (), np.zeros(0), np.zeros(0), np.zeros(0))
     one, other = (evidence_of(bench, train, "G1", nothing, each, ()) for each in (model, shifted))
     assert [item.name for item in one.others] == ["G2"]
-    assert [seen.log for seen in one.seen] == [0, 1]
+    assert [seen.log for seen in one.seen] == [0, 2]  # boots of the campaign
     assert one.runs is not None
     assert one.runs.means.shape == (2, 3)
     for before, after in zip(one.seen, other.seen, strict=True):

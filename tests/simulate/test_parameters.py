@@ -33,8 +33,8 @@ class TestSpelled:
     def test_units_stand_in_the_keys(self) -> None:
         assert list(spelled(Nonlinearity, "g")) == ["quadratic_per_g", "cubic_per_g2"]
         assert list(spelled(GSensitivity, "dps")) == ["response_dps_per_g"]
-        assert list(spelled(Bias, "gauss")) == ["offset_gauss"]
-        assert list(spelled(Stuck, "g")) == ["onset_s", "duration_s"]
+        assert list(spelled(Bias, "gauss")) == ["offset_gauss", "from_boot"]
+        assert list(spelled(Stuck, "g")) == ["onset_s", "duration_s", "every_s"]
 
     @pytest.mark.parametrize("name", EFFECTS)
     @pytest.mark.parametrize("unit", UNITS)

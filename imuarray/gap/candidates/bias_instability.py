@@ -47,7 +47,7 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
 
 def _over_logs(evidence: Evidence) -> Iterator[Trial]:
     """Logs' levels say how large it is, what goes on within them 2 rms^2 / time constant, how fast."""
-    means, errors = log_levels(levels(evidence))
+    _, means, errors = log_levels(levels(evidence))
     if len(means) < 3 or not evidence.is_odd("run_scatter", "run_spread", "mean", beyond=BEYOND):
         return
     square = (means.var(axis=0, ddof=1) - errors.mean(axis=0)).clip(0.0)

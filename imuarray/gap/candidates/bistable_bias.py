@@ -28,7 +28,7 @@ def guesses(evidence: Evidence) -> Iterator[Trial]:
 def _found(evidence: Evidence) -> Iterator[Trial]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
-    means, errors = log_levels(levels(evidence))
+    _, means, errors = log_levels(levels(evidence))
     if len(means) < 2 or (rare := rarer(means, errors)) is None:
         return
     x, y, z = (means[rare].mean(axis=0) - means[~rare].mean(axis=0)).tolist()

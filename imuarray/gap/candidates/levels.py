@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -71,10 +72,18 @@ def centred(values: Floats, group: Integers) -> Floats:
     return found
 
 
-def log_levels(found: Levels) -> tuple[Floats, Floats]:
-    """(l, 3) levels of the logs against each other, on the faces that they share, and the square errors of these if
-    readings are independent; empty without two such logs.
+class LogLevels(NamedTuple):
+    """Of l logs, by their numbers `log` (l,): levels `mean` (l, 3) against each other, on the faces that they share,
+    and their square errors (l, 3) if readings are independent.
     """
+
+    log: Integers
+    mean: Floats
+    square_error: Floats
+
+
+def log_levels(found: Levels) -> LogLevels:
+    """In the order of the logs' numbers; empty without two logs that share a face."""
     members = list(found.groups())
     groups = [(int(found.log[at[0]]), tuple(np.nan_to_num(found.felt_g[at[0]], nan=9.0).round(3))) for at in members]
     means = np.array([found.mean[at].mean(axis=0) for at in members]).reshape(-1, 3)
@@ -86,12 +95,12 @@ def log_levels(found: Levels) -> tuple[Floats, Floats]:
         for place in places:
             level = means[place] - np.median(means[places], axis=0)
             apart.setdefault(groups[place][0], []).append((level, errors[place]))
-    if len(apart) < 2:
-        return np.zeros((0, 3)), np.zeros((0, 3))
-    known = [apart[log] for log in sorted(apart)]
-    return (
-        np.array([np.mean([level for level, _ in one], axis=0) for one in known]),
-        np.array([np.mean([error for _, error in one], axis=0) / len(one) for one in known]),
+    logs = sorted(apart) if len(apart) > 1 else []
+    known = [apart[log] for log in logs]
+    return LogLevels(
+        np.array(logs, int),
+        np.array([np.mean([level for level, _ in one], axis=0) for one in known]).reshape(-1, 3),
+        np.array([np.mean([error for _, error in one], axis=0) / len(one) for one in known]).reshape(-1, 3),
     )
 
 

@@ -1,13 +1,14 @@
-"""`quantisation` is recognised by codes that are all multiples of a number."""
+"""`quantisation` is recognised by codes that are all multiples of a number, or that never have one of their bits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import reduce
 from typing import get_args
 
 import numpy as np
 
-from imuarray.characterise.codes import NOTHING
+from imuarray.characterise.codes import NOTHING, Histogram
 from imuarray.gap.candidates.candidate import Candidate, Kind, Trial
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
@@ -15,42 +16,64 @@ from imuarray.simulate.converters import code_span
 from imuarray.simulate.effects.quantisation import Quantisation
 
 _PROBES = ("odd_codes", "second_bit", "absent_codes", "repeats")
+_LEAPS = ("kurtosis", "extreme", "noise_excess", "force_square", "nonlinearity")
+"""Probes that move where readings leap from one stretch of codes to another."""
+
 _STEPS = tuple(2**bits for bits in range(1, 13))
 _ODD_ONES = 0.01
 """Share of codes that are anything: glitches."""
 
+_HIGHEST_BIT = 12
 _FEWEST = 3
 """Fewer different codes have a common divisor by chance."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
-    """The greatest step of which (nearly) all codes are multiples, and the power of two in it."""
+    """The greatest step of which (nearly) all codes are multiples, and the power of two in it; bits that are never set,
+    though codes leap over where they would be.
+    """
     yield from with_removal(evidence, Quantisation.name, _found(evidence))
 
 
 def _found(evidence: Evidence) -> Iterator[Trial]:
     usual = code_span(evidence.header).step
-    if not evidence.is_odd(*_PROBES):
+    if not evidence.is_odd(*_PROBES, *_LEAPS):
         return
-    divisor = _divisor(evidence)
+    codes = [codes for seen in evidence.seen for codes in seen.raw.codes if len(codes.codes)]
+    merged = reduce(Histogram.merge, codes, NOTHING)
+    divisor = _divisor(merged)
     powers = [step for step in _STEPS if divisor and divisor % step == 0]
     for step in dict.fromkeys((divisor, *powers[-1:])):
         if step > usual:
             yield Trial((Quantisation(float(step)),))
+    still = [codes for seen in evidence.still for codes in seen.raw.codes if len(codes.codes)]
+    for bit in range(_HIGHEST_BIT) if divisor in (0, usual) else ():
+        if _is_dead(bit, merged, still):
+            yield Trial((Quantisation(dead_bits=float(1 << bit)),))
 
 
-def _divisor(evidence: Evidence) -> int:
+def _divisor(merged: Histogram) -> int:
     """Of all codes but a hundredth of the readings, over all axes and phases; 0 without one."""
-    merged = NOTHING
-    for seen in evidence.seen:
-        for codes in seen.raw.codes:
-            merged = merged.merge(codes)
     least = (1 - _ODD_ONES) * merged.counts.sum()
     for step in range(_STEPS[-1], 1, -1):
         on = merged.codes % step == 0
         if np.count_nonzero(on) >= _FEWEST and merged.counts[on].sum() >= least:
             return step
     return 0
+
+
+def _is_dead(bit: int, merged: Histogram, still: Sequence[Histogram]) -> bool:
+    """Whether a bit is clear in all codes but a hundredth of the readings, though those of an axis at rest leap over a
+    stretch in which it would be set.
+    """
+    clear = merged.counts[merged.codes >> bit & 1 == 0].sum()
+    return bool(clear >= (1 - _ODD_ONES) * merged.counts.sum()) and any(_leaps(bit, codes) for codes in still)
+
+
+def _leaps(bit: int, codes: Histogram) -> bool:
+    upto = np.cumsum(codes.counts)
+    low, high = codes.codes[np.searchsorted(upto, np.array([_ODD_ONES, 1 - _ODD_ONES]) * upto[-1])]
+    return bool(low >> (bit + 1) != high >> (bit + 1))
 
 
 QUANTISATION = Candidate(

@@ -50,7 +50,7 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     if evidence.is_odd(*_WHOLE, beyond=_BEYOND):
         yield from _always(evidence)
     if evidence.is_odd(*_LOGS, beyond=_BEYOND):
-        means, errors = log_levels(levels(evidence))
+        _, means, errors = log_levels(levels(evidence))
         rare = rarer(means, errors) if len(means) > 1 else None
         if rare is not None and (states := states_of_logs(evidence, rare)) is not None:
             yield from _reset(evidence, states, 0.0, float(rare.mean()))

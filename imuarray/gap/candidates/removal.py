@@ -8,7 +8,7 @@ from dataclasses import replace
 from imuarray.gap.candidates.candidate import Trial
 from imuarray.gap.evidence import Evidence
 
-ORDINARY = frozenset({"white_noise", "bias", "thermal_bias", "scale", "misalignment", "own_clock"})
+ORDINARY = frozenset({"white_noise", "bias", "thermal_bias", "scale", "misalignment", "g_sensitivity", "own_clock"})
 """What every sensor has: fitted, or drawn from a population."""
 
 

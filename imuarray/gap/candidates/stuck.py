@@ -1,4 +1,4 @@
-"""`stuck` is recognised by one run of equal rows that is longer than any other."""
+"""`stuck` is recognised by runs of equal rows that are longer than holding and chance make them."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ _HOLDS = 4.0
 """So many times longer than readings are held on average."""
 
 _MOST = 2
+_AGAIN = 3
+"""Phases with such a run; fewer are single events."""
 
 
 class _Run(NamedTuple):
@@ -31,7 +33,9 @@ class _Run(NamedTuple):
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
-    """The longest runs, runs over several phases in one piece; one that lasts to the log's end lasts for ever."""
+    """The longest runs, runs over several phases in one piece; one that lasts to the log's end lasts for ever. Where
+    many phases have one: again and again, as much time in all as rows are held.
+    """
     yield from with_removal(evidence, Stuck.name, _found(evidence))
 
 
@@ -39,6 +43,13 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     if not evidence.is_odd(*_PROBES):
         return
     runs = sorted(_runs(evidence), key=lambda run: run.onset_s - run.end_s)
+    if len(runs) >= _AGAIN:
+        length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
+        held = sum(max(seen.raw.repeats.repeat_share, 0.0) * seen.raw.rows for seen in evidence.seen)
+        seconds = sum(seen.raw.rows for seen in evidence.seen) / evidence.rows_per_s
+        every_s = seconds * length_s / max(held / evidence.rows_per_s, length_s) - length_s
+        if every_s > 0:
+            yield Trial((Stuck(duration_s=length_s, every_s=every_s),), ("duration_s", "every_s"))
     for run in runs[:_MOST]:
         for_ever = run.open and run.end_s >= _end_s(evidence, run.log)
         duration_s = math.inf if for_ever else run.end_s - run.onset_s

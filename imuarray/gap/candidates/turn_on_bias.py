@@ -31,7 +31,7 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
         yield Trial((TurnOnBias((x, y, z)),), whole=True)
     if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
-    means, errors = log_levels(levels(evidence))
+    _, means, errors = log_levels(levels(evidence))
     if len(means) < 2:
         return
     rms = np.sqrt(np.maximum(means.var(axis=0, ddof=1) - errors.mean(axis=0), 0.0))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from imuarray.simulate.effect import Effect, per_axis
+from imuarray.simulate.effect import Effect, per_axis, require, scalar
 from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
 
 @dataclass(frozen=True)
 class Bias(Effect):
-    """y = x + offset, the same in every run.
+    """y = x + offset, the same in every run, or in every run but the first `from_boot` ones: after a fall, say.
 
     `offset` in the sensor's unit: zero-g and zero-rate levels of BMA-112, BMA-113, ADX-60, ADX-61 and L3G-70; the
     paper's Tables 3 and 4 for its own 27 axes. What changes from boot to boot is `turn_on_bias`, what changes with
@@ -20,9 +20,15 @@ class Bias(Effect):
 
     name: ClassVar[str] = "bias"
     offset: Triple = per_axis(suffix="_{u}")
+    from_boot: float = scalar(0.0)
+
+    def __post_init__(self) -> None:
+        """ValueError for a negative number of runs."""
+        super().__post_init__()
+        require("from_boot", self.from_boot, 0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Shifts the signal."""
-        if not any(self.offset):
+        if at.streams.boot < self.from_boot or not any(self.offset):
             return analog
         return replace(analog, value=analog.value + per_row(self.offset, analog.value))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imuarray.gap.candidates.bias import BIAS
 from imuarray.gap.candidates.bistable_bias import BISTABLE_BIAS
 from imuarray.gap.candidates.range_reset import RANGE_RESET
 from imuarray.gap.candidates.turn_on_bias import TURN_ON_BIAS
+from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.bistable_bias import BistableBias
 from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
@@ -68,5 +70,15 @@ def test_another_range_always(kind: str, sensor: str, range_: float) -> None:
 
 def test_boots_are_alike() -> None:
     evidence = evidence_of("turn-on", "A1", seed=5)
-    for candidate in (TURN_ON_BIAS, BISTABLE_BIAS, RANGE_RESET):
+    for candidate in (TURN_ON_BIAS, BISTABLE_BIAS, RANGE_RESET, BIAS):
         assert list(candidate.guesses(evidence)) == []
+
+
+def test_a_step_that_stays() -> None:
+    """From the fifth of eight boots on; single boots scatter by less than a hundredth of that."""
+    evidence = evidence_of("turn-on", "A1", {"A1": (Bias((0.05, 0.0, -0.02), 4),)}, seed=7)
+    (trial,) = BIAS.guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, Bias)
+    assert effect.from_boot == 4
+    assert effect.offset == pytest.approx((0.05, 0.0, -0.02), abs=0.002)

@@ -179,3 +179,22 @@ def test_noise_of_twice_the_size_is_four_times_the_bandwidth() -> None:
 def test_what_the_model_has_and_the_sensor_has_not_goes(module: object, effect: Effect) -> None:
     evidence = evidence_of("static", "A1", modelled=(effect,))
     assert list(module.guesses(evidence)) == [Trial((), removed=effect.name)]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("bit", [2, 3])
+def test_a_bit_that_is_never_set(bit: int) -> None:
+    """An accelerometer's noise of some counts leaps over the stretch that would have it set."""
+    (trial,) = quantisation.guesses(shown("static", "A1", Quantisation(dead_bits=float(1 << bit))))
+    assert trial == Trial((Quantisation(dead_bits=float(1 << bit)),))
+
+
+def test_held_again_and_again() -> None:
+    """Half a second in every five or so: 10 holds, give or take 3, in the minute or two that are looked at."""
+    found = [
+        effect
+        for trial in stuck.guesses(shown("tumble", "G1", Stuck(duration_s=0.5, every_s=4.0)))
+        for effect in trial.effects
+    ]
+    again = [effect for effect in found if isinstance(effect, Stuck) and math.isfinite(effect.every_s)]
+    assert again[0].duration_s == pytest.approx(0.5, rel=0.2)
+    assert 1.5 < again[0].every_s < 10

@@ -1,4 +1,4 @@
-"""`turn_on_bias`, `bistable_bias`: once a boot, and for all of it."""
+"""`turn_on_bias`, `bistable_bias`: once a boot, and for all of it; `bias` that begins with a boot."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.bistable_bias import BistableBias
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from imuarray.simulate.signal import Analog
@@ -23,6 +24,11 @@ def test_turn_on_bias_is_normal_from_boot_to_boot(place: MakePlace, analog: Make
     effect = TurnOnBias((0.1, 0.2, 0.5))
     runs = np.stack([effect.analog(analog(0, 1, value=3.0), place(boot=boot)).value[0] - 3 for boot in range(1000)])
     assert furthest(runs, np.diag([0.01, 0.04, 0.25])) < 5  # 9 numbers: 5e-6
+
+
+def test_bias_from_a_boot_on(place: MakePlace, analog: MakeAnalog) -> None:
+    runs = [Bias(0.5, from_boot=2).analog(analog(0, 1), place(boot=boot)).value[0, 0] for boot in range(4)]
+    assert runs == [0.0, 0.0, 0.5, 0.5]
 
 
 def test_bistable_bias_comes_with_its_probability_and_on_all_axes(place: MakePlace, analog: MakeAnalog) -> None:

@@ -32,6 +32,12 @@ class TestQuantisation:
     def test_multiples_of_both_steps(self, place, analog, already: int, asked: int, becomes: int) -> None:
         assert Quantisation(asked).analog(analog(0, 1, step=already), place()).step == becomes
 
+    def test_a_bit_that_is_dead(self, place, codes) -> None:
+        """Of -9 ... 9, two's complement, without the bit that counts four: what has it reads four lower."""
+        before = codes(0, 19, np.arange(-9, 10)[:, None])
+        after = Quantisation(dead_bits=4).codes(before, place()).counts[:, 0]
+        assert after.tolist() == [-13, -8, -7, -6, -5, -8, -7, -6, -5, 0, 1, 2, 3, 0, 1, 2, 3, 8, 9]
+
     def test_code_ends_that_change_within_a_run(self, place, analog) -> None:
         ends = np.array([[-512.0], [-4096.0]]), np.array([[511.0], [4095.0]])
         after = Quantisation(10).analog(analog(0, 2, lowest=ends[0], highest=ends[1]), place())

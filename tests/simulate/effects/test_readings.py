@@ -189,6 +189,19 @@ class TestStuck:
         before = codes(first, stop)
         assert Stuck(0.07, 0.03).codes(before, place()) is before  # this place refuses to be asked for a row
 
+    def test_again_and_again(self, place, codes) -> None:
+        """Free for 2 s on average, then held for 0.5 s: a fifth of the time. Holds of 4000 s are 1600, give or take 5
+        standard errors (of the Poisson process between them: 6e-7).
+        """
+        at = place(reaching=lambda _, row: codes(row, row + 1), rows_per_s=20.0)
+        after = Stuck(duration_s=0.5, every_s=2.0).codes(codes(0, 80_000), at)
+        begins = np.flatnonzero(after.fresh[:-1] & ~after.fresh[1:])
+        assert abs(len(begins) - 1600) < 5 * math.sqrt(1600)
+        runs = np.diff(np.flatnonzero(after.fresh)) - 1
+        assert set(runs[runs > 0].tolist()) <= {9, 10, 11, 19, 20, 21}  # two holds may meet
+        part = Stuck(duration_s=0.5, every_s=2.0).codes(codes(70_000, 70_100), at)
+        assert np.array_equal(part.counts, after.counts[70_000:70_100])
+
 
 class TestChannelSwap:
     @pytest.fixture
