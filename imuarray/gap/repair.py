@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
-from imuarray.gap.base_model import PRINTED, USUAL, data_sheets
+from imuarray.gap.base_model import PRINTED, data_sheets, usual
 from imuarray.gap.bench import ORDINARY, Bench, Modelled, Models
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
@@ -87,7 +87,7 @@ def _designs(headers: Collection[SensorHeader]) -> Model:
             if kept := {kind: recipes for kind, recipes in part.effects.items() if kind in PRINTED}:
                 parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=kept)
         known = Model("", "", tuple(parts.values()), ()).parts(header)
-        if missing := {kind: (recipe,) for kind, recipe in USUAL.items() if kind not in known}:
+        if missing := {kind: (recipe,) for kind, recipe in usual(header).items() if kind not in known}:
             unit = _unit(header)
             before = parts.get((header.chip, unit, None), Part(header.chip, unit=unit))
             parts[header.chip, unit, None] = replace(before, effects={**before.effects, **missing})

@@ -212,7 +212,11 @@ def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool) ->
     ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
     least = ACCEPTED + max(bar, 0.0)
     good = [
-        one for one in ranked if one.closes and one.gain > least and (one.train_gain > WORTH or one.trial.needs_both)
+        one
+        for one in ranked
+        if one.closes
+        and _tempered(standing, one) * one.gain > least
+        and (one.train_gain > WORTH or one.trial.needs_both)
     ]
     return Round(standing, ranked, bar, good[0] if good else None)
 
@@ -222,9 +226,15 @@ def _squares(scores: Floats) -> float:
     return float((np.nan_to_num(scores) ** 2).sum())
 
 
+def _tempered(standing: Standing, one: Confirmed) -> float:
+    """How much a gain counts: a misalignment within what the chip's population has moves many statistics by about a
+    standard deviation, all of them for one and the same reason.
+    """
+    return min(1.0, one.independent / standing.independent)
+
+
 def _log_odds(standing: Standing, found: Sequence[Confirmed]) -> tuple[float, ...]:
     if not found:
         return ()
-    best = max(found, key=lambda one: one.gain)
-    temper = min(1.0, best.independent / standing.independent)
+    temper = _tempered(standing, max(found, key=lambda one: one.gain))
     return tuple(temper * one.gain - COST * one.factors - one.trial.rarity for one in found)

@@ -92,7 +92,16 @@ def test_found_effects_are_in_the_file() -> None:
         "2 sensors as diagnosed from 1 static and 2 turn-on logs: the data sheets, fitted, with G1 tone."
     )
     effects = {one.name: one for one in model.effects(gyroscope(), Streams(1))}
-    assert list(effects) == ["own_clock", "misalignment", "scale", "bias", "thermal_bias", "tone", "white_noise"]
+    assert list(effects) == [
+        "own_clock",
+        "misalignment",
+        "scale",
+        "g_sensitivity",
+        "bias",
+        "thermal_bias",
+        "tone",
+        "white_noise",
+    ]
     assert effects["bias"] == Bias((0.5, -0.25, 1.0))
     assert effects["thermal_bias"] == ThermalBias((0.05, 0.0, 0.0))
     assert effects["white_noise"] == WhiteNoise(0.05)
@@ -148,7 +157,8 @@ def test_a_chip_that_nobody_knows_says_its_unit() -> None:
     assert [(part.name, part.unit, part.range) for part in model.sensors] == [("A", "g", 1234.0), ("G", "dps", 1234.0)]
     for one in (accelerometer, gyro):
         kinds = [effect.name for effect in model.effects(one, Streams(2))]
-        assert kinds == ["own_clock", "misalignment", "scale", "bias", "thermal_bias", "white_noise"]
+        felt = ["g_sensitivity"] if one is gyro else []
+        assert kinds == ["own_clock", "misalignment", "scale", *felt, "bias", "thermal_bias", "white_noise"]
 
 
 def test_texts_and_figures_without_number_survive() -> None:
