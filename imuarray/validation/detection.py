@@ -2,8 +2,9 @@
 
     python -m imuarray.validation.detection --seed 1 -o limits.json
 
-A case without a mechanism says what chance makes of the same units; from the largest score at one severity the next is
-told, until it is about what chance reaches. Seeds are of the development half.
+A case without a mechanism says what chance makes of the same units; what is scored is the distance from the model that
+was fitted to the case itself, so that what a fit absorbs doesn't show. From the largest score at one severity the next
+is told, until it is about what chance reaches. Seeds are of the development half.
 """
 
 from __future__ import annotations
@@ -44,8 +45,11 @@ _TRIES, _NEAR = 4, 1.3
 _NEXT_TO_NOTHING, _APART, _LEAST = 1e-6, 1.0, 0.03
 _POWERS = (0.5, 3.0)
 
-_PROBES: Mapping[str, str] = {"bma180": "BMA1", "l3g4200d": "Gyro1"}
-"""The sensors on which limits are measured: accelerometers, gyroscopes."""
+_FITTED = 8
+"""Replicates that say what a case's own model makes."""
+
+_PROBES: Mapping[str, str] = {"adxl345": "ADXL1", "bma180": "BMA1", "l3g4200d": "Gyro1"}
+"""The sensors on which limits are measured: one of each chip."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +100,21 @@ def beyond(asked: Asked, severity: float) -> float:
 
 @lru_cache(maxsize=8)
 def _scores(asked: Asked, severity: float) -> Floats:
-    """(m,) of a case by the replicates of one without; what is there on one side only counts as `STRANGE`."""
+    """(m,) by how much a case is off what its own model makes, by the scatter of the replicates of one without."""
     null = _null(asked.seed)
     sensors = (asked.sensor,) if asked.sensor else ()
     with _recorded(asked.seed, Put(asked.mechanism, severity, 1.0, sensors)) as (bench, campaign):
-        values = dict(zip(_parts(bench), bench.observed(campaign, bench.base.fitted).values.tolist(), strict=True))
-    known = np.array([values.get(key, np.nan) for key in _parts(null.bench)])
-    return np.nan_to_num(_scorer(asked.seed)(known))
+        models = bench.models()
+        own = np.array([bench.replicate(models, number).values for number in range(_FITTED)])
+        off = bench.observed(campaign, models).values - _mean(own)
+        found = dict(zip(_parts(bench), off.tolist(), strict=True))
+    known = np.array([found.get(key, np.nan) for key in _parts(null.bench)])
+    return np.nan_to_num(_scorer(asked.seed)(known + _mean(null.chance)))
+
+
+def _mean(replicates: Floats) -> Floats:
+    """(n,) of what is known of (b, n)."""
+    return np.asarray(np.nansum(replicates, axis=0) / np.maximum(np.isfinite(replicates).sum(axis=0), 1))
 
 
 def _parts(bench: Bench) -> Iterator[tuple[Key, bool]]:

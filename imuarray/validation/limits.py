@@ -56,17 +56,17 @@ LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "scheduler_latency": {"": 0.016},
     }
 )
-"""On an accelerometer ("BMA1"), on a gyroscope ("Gyro1"; taken to be the same where it is missing), or wherever it goes
-(""). 0.016 is the least and nan stands for more than the greatest that was tried, 1/64 and 64; what isn't here is there
-or not, or was not measured.
+"""On one sensor of each chip that it can be put on, or wherever it goes (""). 0.016 is the least and nan stands for
+more than the greatest that was tried, 1/64 and 64; what isn't here is there or not.
 """
 
 FURTHEST = 64.0
 
 
 def limit(mechanism: str, sensors: Sequence[str]) -> float:
-    """Of a mechanism on these sensors (none: wherever it goes); 1.0 for one that is not in the table."""
+    """Of a mechanism on these sensors (none: wherever it goes), nan if it never shows; 1.0 for one that is not in the
+    table.
+    """
     found = LIMITS.get(mechanism, {})
-    family = "" if not sensors else "Gyro1" if CHIPS[sensors[0]] == "l3g4200d" else "BMA1"
-    value = found.get(family, next(iter(found.values()), 1.0))
-    return FURTHEST if math.isnan(value) else value
+    twin = next((name for name in found if name and sensors and CHIPS[name] == CHIPS[sensors[0]]), "")
+    return found.get(twin, next(iter(found.values()), 1.0))

@@ -139,9 +139,14 @@ def _all(size: Size) -> Iterator[_Drawn]:
     choose = random.Random(0)
     apart = [name for name in named if facts[name]["place"] == "sensor"]
     for together in (False, True):
+        possible = [
+            (first, second)
+            for first in apart
+            for second in apart
+            if first != second and (not together or set(facts[first]["touches"]) & set(facts[second]["touches"]))
+        ]
         for _ in range(size.pairs):
-            first, second = choose.sample(apart, 2)
-            yield _Drawn("pair", FULL, (first, second), STRONG, together=together)
+            yield _Drawn("pair", FULL, choose.choice(possible), STRONG, together=together)
     for extra in EXTRAS:
         yield from [_Drawn("removal", FULL, extra=extra)] * size.removals
 
@@ -152,17 +157,25 @@ def _case(one: _Drawn, half: Half, number: int, seed: int) -> Case:
     facts = [mechanisms()[name] for name in one.names]
     free = [[sensor for sensor, chip in CHIPS.items() if chip in fact["touches"]] for fact in facts]
     if one.together:
-        free = [[choose.choice(sorted(set.intersection(*map(set, free))) or free[0])]] * len(free)
+        free = [[choose.choice(sorted(set.intersection(*map(set, free))))]] * len(free)
     taken: set[str] = set()
     puts = []
     for name, fact, sensors in zip(one.names, facts, free, strict=True):
         chosen = _sensors(fact["place"], [sensor for sensor in sensors if sensor not in taken] or sensors, choose)
         taken |= set() if one.together else set(chosen)
-        severity, limits = min(limit(name, chosen) * one.limits, FURTHEST), one.limits
-        puts.append(Put(name, severity if fact["graded"] else 1.0, limits if fact["graded"] else math.nan, chosen))
+        puts.append(_put(name, fact["graded"], one.limits, chosen))
     resembles = tuple(tuple(fact["resembles"]) for fact in facts)
     case = Case(number, half, one.kind, one.plan, tuple(puts), seed, extra=dict(one.extra), resembles=resembles)
     return replace(case, without=resembles[0]) if one.kind == "withheld" else case
+
+
+def _put(mechanism: str, is_graded: bool, limits: float, sensors: tuple[str, ...]) -> Put:
+    """So many limits of it; what a fit hides whatever its severity, or nearly, is there at its greatest."""
+    if not is_graded:
+        return Put(mechanism, 1.0, math.nan, sensors)
+    severity = limit(mechanism, sensors) * limits
+    is_possible = severity <= FURTHEST
+    return Put(mechanism, severity if is_possible else FURTHEST, limits if is_possible else math.nan, sensors)
 
 
 def _sensors(place: str, sensors: list[str], choose: random.Random) -> tuple[str, ...]:
