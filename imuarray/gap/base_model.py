@@ -173,15 +173,15 @@ def _unfitted(effects: Iterable[Effect]) -> Iterator[Effect]:
 def _typical(header: SensorHeader, units: Streams) -> Iterator[Effect]:
     """A draw from the population of the chip, or where its data sheet names none, from the usual one."""
     sheets = data_sheets()
-    for kind in usual(header):
+    for kind in usual(header.unit):
         is_printed = kind in PRINTED and kind in sheets.parts(header, population=True)
         model = sheets if is_printed else _usual(header)
         yield from model.effects(header, units, population=True, without=EFFECTS.keys() - {kind})
 
 
-def usual(header: SensorHeader) -> dict[str, Recipe]:
-    """What such a sensor has beside the fitted, where there is no model."""
-    return {**USUAL, **(_USUAL_AT_DPS if header.unit == "dps" else {})}
+def usual(unit: str) -> dict[str, Recipe]:
+    """What a sensor of that unit has beside the fitted, where there is no model."""
+    return {**USUAL, **(_USUAL_AT_DPS if unit == "dps" else {})}
 
 
 @cache
@@ -191,5 +191,5 @@ def data_sheets() -> Model:
 
 
 def _usual(header: SensorHeader) -> Model:
-    effects = {kind: (recipe,) for kind, recipe in usual(header).items()}
+    effects = {kind: (recipe,) for kind, recipe in usual(header.unit).items()}
     return Model("usual", "A chip of which nothing is known.", (Part(header.chip, effects=effects),), ())

@@ -87,7 +87,7 @@ def _designs(headers: Collection[SensorHeader]) -> Model:
             if kept := {kind: recipes for kind, recipes in part.effects.items() if kind in PRINTED}:
                 parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=kept)
         known = Model("", "", tuple(parts.values()), ()).parts(header)
-        if missing := {kind: (recipe,) for kind, recipe in usual(header).items() if kind not in known}:
+        if missing := {kind: (recipe,) for kind, recipe in usual(header.unit).items() if kind not in known}:
             unit = _unit(header)
             before = parts.get((header.chip, unit, None), Part(header.chip, unit=unit))
             parts[header.chip, unit, None] = replace(before, effects={**before.effects, **missing})

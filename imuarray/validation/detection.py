@@ -3,8 +3,9 @@
     python -m imuarray.validation.detection --seed 1 -o limits.json
 
 A case without a mechanism says what chance makes of the same units; what is scored is the distance from the model that
-was fitted to the case itself, so that what a fit absorbs doesn't show. From the largest score at one severity the next
-is told, until it is about what chance reaches. Seeds are of the development half.
+was fitted to the case itself, so that what a fit absorbs doesn't show. From the largest score at one severity, at first
+the limit as it was known before, the next is told, until it is about what chance reaches. Seeds are of the development
+half.
 """
 
 from __future__ import annotations
@@ -33,19 +34,17 @@ from imuarray.gap.workers import processes, runner
 from imuarray.log import open_log
 from imuarray.validation.case import Put, write_json
 from imuarray.validation.generator import mechanisms, record
+from imuarray.validation.limits import FURTHEST, limit
 
 Floats = npt.NDArray[np.float64]
 
 REPLICATES = 60
 PLAN = "full"
-FURTHEST = 64.0
-"""How far severities go either way."""
-
-_TRIES, _NEAR = 4, 1.3
+_TRIES, _NEAR = 4, 1.4
 _NEXT_TO_NOTHING, _APART, _LEAST = 1e-6, 1.0, 0.03
 _POWERS = (0.5, 3.0)
 
-_FITTED = 8
+_FITTED = 4
 """Replicates that say what a case's own model makes."""
 
 _PROBES: Mapping[str, str] = {"adxl345": "ADXL1", "bma180": "BMA1", "l3g4200d": "Gyro1"}
@@ -65,7 +64,8 @@ def limit_of(asked: Asked) -> float:
     """The severity, to within some tenths of itself; nan if the greatest doesn't show, the least that was tried if that
     shows.
     """
-    severity, tried = 1.0, list[tuple[float, float]]()
+    known = limit(asked.mechanism, (asked.sensor,) if asked.sensor else ())
+    severity, tried = 1.0 if np.isnan(known) else known, list[tuple[float, float]]()
     for _ in range(_TRIES):
         reached = beyond(asked, severity)
         tried.append((severity, reached))

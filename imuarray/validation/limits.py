@@ -61,6 +61,7 @@ more than the greatest that was tried, 1/64 and 64; what isn't here is there or 
 """
 
 FURTHEST = 64.0
+"""How far severities go either way, in reference sizes."""
 
 
 def limit(mechanism: str, sensors: Sequence[str]) -> float:

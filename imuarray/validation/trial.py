@@ -14,14 +14,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from imuarray.gap.base_model import data_sheets
+from imuarray.chips import CHIPS as ARRAY_CHIPS
+from imuarray.gap.base_model import data_sheets, usual
 from imuarray.gap.candidates import CANDIDATES
 from imuarray.gap.diagnose import Begun, begun, explained, library
 from imuarray.gap.recordings import recordings_of
 from imuarray.gap.workers import runner
 from imuarray.log import open_log
 from imuarray.simulate.model import Model, Part
-from imuarray.simulate.population import figure_of
+from imuarray.simulate.population import Recipe, figure_of
 from imuarray.validation.case import Case, Outcome, write_json
 from imuarray.validation.generator import CHIPS, record
 
@@ -53,12 +54,19 @@ def tried(case: Case, folder: Path) -> None:
 
 
 def model_with(extra: Mapping[str, Any]) -> Model | None:
-    """The data sheets' model with one effect more in one sensor; None without: the diagnosis' own."""
+    """The data sheets' model with one effect more in one sensor, and with what they don't say of any, as the diagnosis'
+    own model has it; None without: that one.
+    """
     if not extra:
         return None
     recipe = {key: figure_of(value, extra["effect"]) for key, value in extra["parameters"].items()}
     part = Part(CHIPS[extra["sensor"]], name=extra["sensor"], effects={extra["effect"]: (recipe,)})
-    return replace(data_sheets(), name="data sheets and more", sensors=(part,))
+    designs = tuple(replace(one, effects={**_unprinted(one.chip), **one.effects}) for one in data_sheets().designs)
+    return replace(data_sheets(), name="data sheets and more", designs=designs, sensors=(part,))
+
+
+def _unprinted(chip: str) -> dict[str, tuple[Recipe, ...]]:
+    return {kind: (recipe,) for kind, recipe in usual(ARRAY_CHIPS[chip].unit).items()}
 
 
 def _oracle(compared: Begun, case: Case, blind: Mapping[str, Any]) -> dict[str, Any]:
