@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import date
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -118,13 +119,18 @@ def _scored(folder: Path, planned: list[Any]) -> Figures:
 
 def _write(folder: Path, found: Figures, command: str) -> None:
     from imuarray.errors import MissingExtraError
+    from imuarray.report.validation_figures import plots_of
     from imuarray.report.validation_page import write_validation_page
     from imuarray.report.validation_words import markdown
     from imuarray.validation.case import write_json
     from imuarray.validation.scoring import as_json
 
     write_json(folder / "figures.json", as_json(found))
-    (folder / "results.md").write_text(markdown(found, date.today().isoformat(), command), encoding="utf-8")
+    plots = plots_of(found) if find_spec("matplotlib") else {}
+    for name, plot in plots.items():
+        plot.savefig(folder / f"{name}.svg", metadata={"Date": None})
+    files = {name.replace("-", " "): f"{name}.svg" for name in plots}
+    (folder / "results.md").write_text(markdown(found, date.today().isoformat(), command, files), encoding="utf-8")
     try:
         write_validation_page(folder / "results.html", found, command=command, force=True)
     except MissingExtraError as error:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from imuarray.validation.score_causes import Confusion
+    from imuarray.validation.scoring import Figures
 
 _GREY, _BLUE, _RED, *_ = PALETTE
 _BAND, _INK = "#d9e0e5", "#1d2327"
@@ -35,6 +36,21 @@ _DARK = 0.6
 """Share from which on numbers are white."""
 _LEAST_CLOSED = -0.25
 """Shares below it are drawn there: a gap that got larger."""
+
+
+def plots_of(figures: Figures) -> dict[str, Figure]:
+    """All that there is to draw of a run, by names for files."""
+    alarms = [row for row in figures.rows if row.name.startswith("false alarms") and row.cases]
+    filled = [one for one in figures.reliability if one.cases]
+    known = [one for one in figures.closures if isfinite(one.claimed)]
+    plots = {
+        "false-alarms": alarms_figure(alarms) if alarms else None,
+        "detection": detection_figure(figures.curves) if figures.curves else None,
+        "causes": confusion_figure(figures.confusion) if figures.confusion.truths else None,
+        "probabilities": reliability_figure(filled) if filled else None,
+        "closure": closure_figure(known) if known else None,
+    }
+    return {name: plot for name, plot in plots.items() if plot is not None}
 
 
 def alarms_figure(rows: Sequence[Row]) -> Figure:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from math import isfinite
 from os import PathLike
+from typing import Any
 
 from imuarray.gap.text import share
-from imuarray.report import validation_figures as drawings
 from imuarray.report.gap_sheet import SmallFigure
 from imuarray.report.gap_tables import marked
 from imuarray.report.page import Figure, Section, Table, write_page
+from imuarray.report.validation_figures import plots_of
 from imuarray.report.validation_words import failing_rows, frozen_text, plain_text, summary_lines
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP
@@ -20,6 +21,8 @@ from imuarray.validation.scoring import Figures, decimal, lost_by, texts
 
 NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
 Parts = list[Table | Figure]
+Plots = Mapping[str, Any]
+"""Drawings by their names."""
 
 
 def write_validation_page(
@@ -29,20 +32,20 @@ def write_validation_page(
 
     OutputExistsError if it is there and not `force`, MissingExtraError without jinja2.
     """
-    drawn = find_spec("matplotlib") is not None
+    plots = plots_of(figures) if find_spec("matplotlib") else {}
     summary = list(summary_lines(figures))
     sections = (
         _figures(figures),
         _missed(figures),
-        _alarms(figures, drawn=drawn),
-        _detection(figures, drawn=drawn),
-        _causes(figures, drawn=drawn),
-        _probabilities(figures, drawn=drawn),
-        _closure(figures, drawn=drawn),
+        _alarms(figures, plots),
+        _detection(figures, plots),
+        _causes(figures, plots),
+        _probabilities(figures, plots),
+        _closure(figures, plots),
         _run(figures, command),
     )
     title = f"Diagnosis checked on data whose effect is withheld: {figures.half or 'unnamed'} half"
-    write_page(path, title, summary if drawn else [*summary, NO_FIGURES], sections, force=force)
+    write_page(path, title, summary if find_spec("matplotlib") else [*summary, NO_FIGURES], sections, force=force)
 
 
 def _figures(figures: Figures) -> Section:
@@ -89,14 +92,14 @@ def _missed(figures: Figures) -> Section:
     return Section(title, words, [Table(heading, rows, "Figures that miss their bar, and cells of them.", (1,))])
 
 
-def _alarms(figures: Figures, *, drawn: bool) -> Section:
+def _alarms(figures: Figures, plots: Plots) -> Section:
     rows = [row for row in figures.rows if row.name.startswith("false alarms")]
     known = [row for row in rows if row.cases]
     parts: Parts = []
-    if drawn and known:
+    if "false-alarms" in plots:
         told = ", ".join(f"{_plan_of(row)} {share(row.value)}" for row in known)
         caption = "Cases without anything wrong in which a gap is told; in brackets how many cases there are."
-        parts.append(SmallFigure(drawings.alarms_figure(known), caption, f"{caption} {told}."))
+        parts.append(SmallFigure(plots["false-alarms"], caption, f"{caption} {told}."))
     words = "Nothing is wrong with these cases, and one in twenty may be told to have a gap."
     cells = [[_plan_of(row), *texts(row)] for row in rows]
     table = Table(["plan", "value", "95 %", "cases", "bar"], cells, "Share of cases in which a gap is told.")
@@ -108,15 +111,15 @@ def _plan_of(row: Row) -> str:
     return row.name.partition("plan ")[2] or "all"
 
 
-def _detection(figures: Figures, *, drawn: bool) -> Section:
+def _detection(figures: Figures, plots: Plots) -> Section:
     curves, power = figures.curves, figures.power
     if not curves:
         return Section("Detection", "No cases of a single mechanism.")
     parts: Parts = []
-    if drawn:
+    if "detection" in plots:
         whole = ", ".join(f"{limits:g} limits {share(found.value)}" for limits, found in curves[0].points)
         caption = "Share of cases in which a gap is told, against severity; grey: the bars at 2 and 5 limits."
-        parts.append(SmallFigure(drawings.detection_figure(curves), caption, f"{caption} All plans: {whole}."))
+        parts.append(SmallFigure(plots["detection"], caption, f"{caption} All plans: {whole}."))
     rows = [
         [name, *(f"{hits} of {cases}" if cases else "–" for hits, cases in counts)]
         for name, counts in zip(power.mechanisms, power.counts, strict=True)
@@ -138,19 +141,19 @@ def _curve_table(figures: Figures) -> Table:
     return Table(["plan", *(f"{one:g}x" for one in limits)], rows, "Share detected, in brackets the cases.")
 
 
-def _causes(figures: Figures, *, drawn: bool) -> Section:
+def _causes(figures: Figures, plots: Plots) -> Section:
     confusion = figures.confusion
     if not confusion.truths:
         return Section("Causes", f"No cases on the plan {figures.full!r}.")
     parts: Parts = []
     wrong = _taken_for(figures)
-    if drawn:
+    if "causes" in plots:
         caption = (
             "What was at work (rows) against the first cause said (columns), all severities; numbers are cases, colour "
             "is the share of the row, red frames are what is right: for what has no name, that none is said."
         )
         told = "; ".join(f"{truth} taken for {said}: {count}" for truth, said, count in wrong[:5])
-        parts.append(Figure(drawings.confusion_figure(confusion), caption, f"{caption} Most often wrong: {told}."))
+        parts.append(Figure(plots["causes"], caption, f"{caption} Most often wrong: {told}."))
     if wrong:
         caption = f"The most frequent confusions of {len(wrong)}; cases in which no gap is told are not among them."
         parts.append(Table(["at work", "first cause said", "cases"], wrong[:20], caption, (1,)))
@@ -170,13 +173,13 @@ def _taken_for(figures: Figures) -> list[tuple[str, str, str]]:
     return [(truth, said, str(count)) for count, truth, said in sorted(found, key=lambda one: -one[0])]
 
 
-def _probabilities(figures: Figures, *, drawn: bool) -> Section:
+def _probabilities(figures: Figures, plots: Plots) -> Section:
     filled = [one for one in figures.reliability if one.cases]
     if not filled:
         return Section("Probabilities", "No cause was told.")
     caption = "Causes told, by their probability: as many should be right as it says. Numbers are causes."
     told = "; ".join(f"{_bin_name(one)}: {decimal(one.right)} of {one.cases}" for one in filled)
-    parts: Parts = [SmallFigure(drawings.reliability_figure(filled), caption, f"{caption} {told}.")] if drawn else []
+    parts: Parts = [SmallFigure(plots["probabilities"], caption, f"{caption} {told}.")] if plots else []
     rows = [[_bin_name(one), decimal(one.mean), decimal(one.right), str(one.cases)] for one in filled]
     table = Table(["probability", "mean", "right", "causes"], rows, "Probabilities said, and what came true.")
     words = "Every cause that was told, in cases of one mechanism, two or none."
@@ -187,7 +190,7 @@ def _bin_name(one: Bin) -> str:
     return f"{one.low:g} to {one.high:g}"
 
 
-def _closure(figures: Figures, *, drawn: bool) -> Section:
+def _closure(figures: Figures, plots: Plots) -> Section:
     known = [one for one in figures.closures if isfinite(one.claimed)]
     silent = len(figures.closures) - len(known)
     words = "The share of the gap that goes with the causes said, against that of an oracle who is told the effects."
@@ -196,7 +199,7 @@ def _closure(figures: Figures, *, drawn: bool) -> Section:
         return Section("Closure", f"{words} No cases.")
     caption = "A point a case; grey: near enough."
     told = f"{caption} {sum(one.is_right for one in known)} with the right cause first, {len(known)} in all."
-    parts: Parts = [SmallFigure(drawings.closure_figure(known), caption, told)] if drawn else []
+    parts: Parts = [SmallFigure(plots["closure"], caption, told)] if plots else []
     rows = [[row.name, *texts(row)] for row in figures.rows if "closure" in row.name]
     return Section("Closure", words, [*parts, Table(["figure", "value", "95 %", "cases", "bar"], rows, "Closure.")])
 

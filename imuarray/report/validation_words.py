@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from imuarray.validation.scoring import MOST_CELLS, Figures, lost_by, texts
 
 
-def markdown(figures: Figures, date: str, command: str = "") -> str:
-    """A section of results for a committed page: when, by what command, what was frozen, every figure, what misses."""
+def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
+    """A section of results for a committed page: when, by what command, what was frozen, every figure, what misses, and
+    plots by what they show, each a file.
+    """
     lines = [f"## Results of {_cell(date)}, {_cell(figures.half or 'unnamed')} half", ""]
     lines += [f"- {_cell(line)}" for line in (*summary_lines(figures), frozen_text(figures))]
     lines += ["", "```sh", command.replace("```", ""), "```"] if command else []
@@ -22,6 +25,7 @@ def markdown(figures: Figures, date: str, command: str = "") -> str:
     if missed:
         lines += ["", "Where a bar is missed:", "", "| figure | cell | value | 95 % | cases |", "|---|---|---|---|---|"]
         lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in missed]
+    lines += [line for about, file in plots.items() for line in ("", f"![{about}]({file})")]
     return "\n".join(lines) + "\n"
 
 
