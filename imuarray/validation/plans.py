@@ -29,7 +29,7 @@ STRONG = 5.0
 _AT_ONE_TEMPERATURE = ("thermal_bias", "thermal_scale", "thermal_lag", "thermometer")
 _ON_ONE_FACE = ("scale", "misalignment", "nonlinearity", "g_sensitivity")
 _AT_REST = ("skew", "jitter", "clock_error", "size_effect", "saturation")
-_IN_ONE_BOOT = ("turn_on_bias", "bistable_bias")
+_IN_ONE_BOOT = ("bias", "turn_on_bias", "bistable_bias")
 
 HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
     {

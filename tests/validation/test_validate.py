@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,11 @@ def test_a_reduced_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert code == (1 if refuted else 0)
     assert told["cases"] == found.cases == 9
     assert not found.lost
-    assert (tmp_path / "results.md").read_text().startswith("## Results of ")
+    results = (tmp_path / "results.md").read_text()
+    assert results.startswith("## Results of ")
+    plots = re.findall(r"\]\((.+\.svg)\)", results)
+    assert len(plots) == 5
+    assert all("</svg>" in (tmp_path / name).read_text() for name in plots)
     assert "<html" in (tmp_path / "results.html").read_text()
     outcomes = {path: path.stat().st_mtime_ns for path in (tmp_path / "outcomes").iterdir()}
     assert main(words) == code

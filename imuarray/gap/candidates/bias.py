@@ -49,4 +49,6 @@ def _gain(means: Floats, errors: Floats, at: int) -> float:
     return float(len(means) / 2 * np.log(whole / parts).sum())
 
 
-BIAS = Candidate(Bias.name, guesses)
+BIAS = Candidate(
+    Bias.name, guesses, {"turn-on": "a dozen boots of 1 minute before what may have happened, and as many after it"}
+)
