@@ -26,6 +26,9 @@ TEMPER = 0.3
 ALTERNATIVE = 0.1
 """An effect that is less probable than that is not told as a cause."""
 
+LEAST = 0.03
+"""What closes no more than that of what was left is no cause of the gap, though the sensor may have it."""
+
 CONFUSABLE = 0.05
 """Odds, against the cause that was taken, from which on an effect is confusable with it: 1 to 20."""
 
@@ -84,7 +87,9 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
             if name in beside:
                 continue
             if (trial is one.taken or chance > ALTERNATIVE) and not _undoes(trial, one.before):
-                yield _cause(bench, unit, first, one.before, trial, chance, tuple(sorted(likely - {name})), seed)
+                cause = _cause(bench, unit, first, one.before, trial, chance, tuple(sorted(likely - {name})), seed)
+                if cause.closed is None or cause.closed > LEAST:
+                    yield cause
 
 
 def _is_undone(taken: Confirmed, later: Sequence[Round]) -> bool:

@@ -47,6 +47,9 @@ _WIDER = 0.3
 _BRIEF = 4.0
 """Nats that the choice of a moment costs."""
 
+_OUTDONE, _FAR_LESS = 10.0, 0.5
+"""Nats that it costs to leave twice as much as another one that gains as much."""
+
 _FAINT, _NOWHERE = 0.05, (math.sqrt(5) - 1) / 4
 """Amplitude of the placebo over the noise, and its frequency over the rows' rate: no simple fraction."""
 
@@ -56,8 +59,8 @@ class Confirmed:
     """A refined trial judged: the unit as it stands with it, and the nats that it gains on the training and on the
     held-out part; a brief one, which a part may not show, gains the mean of both. `own_share` of the gain comes from
     what the unit shows alone, not from how it moves beside others. `independent` is the share of the statistics that
-    it moves which is independent with it in: a slow drift moves many of them together. `closes`: the squared scores of
-    the held-out part get smaller.
+    it moves which is independent with it in: a slow drift moves many of them together. `left` is the sum of the squared
+    scores of the held-out part with it in, `closes` whether that got smaller.
     """
 
     tried: Tried
@@ -67,6 +70,7 @@ class Confirmed:
     own_share: float = 1.0
     independent: float = 1.0
     closes: bool = True
+    left: float = 0.0
 
     @property
     def factors(self) -> int:
@@ -168,8 +172,9 @@ def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
     independent = independent_share(likeness.scores(values)[:, touched]) if touched.any() else standing.independent
     stands = replace(changed, likeness=likeness)
     counted = np.ones_like(out) if tried.trial.needs_both else out
-    closes = _squares(stands.scores[counted]) <= _squares(standing.scores[counted])
-    return Confirmed(tried, stands, train_gain, gain, share, independent, closes)
+    left = _squares(stands.scores[counted])
+    closes = left <= _squares(standing.scores[counted])
+    return Confirmed(tried, stands, train_gain, gain, share, independent, closes, left)
 
 
 class _Asked(NamedTuple):
@@ -237,4 +242,11 @@ def _log_odds(standing: Standing, found: Sequence[Confirmed]) -> tuple[float, ..
     if not found:
         return ()
     temper = _tempered(standing, max(found, key=lambda one: one.gain))
-    return tuple(temper * one.gain - COST * one.factors - one.trial.rarity for one in found)
+    return tuple(
+        temper * one.gain - COST * one.factors - one.trial.rarity - _OUTDONE * _is_outdone(one, found) for one in found
+    )
+
+
+def _is_outdone(one: Confirmed, found: Sequence[Confirmed]) -> bool:
+    """Whether another that gains as much leaves far less: a score of 100 costs little more nats than one of 30."""
+    return any(other.gain >= one.gain and other.left < _FAR_LESS * one.left for other in found)

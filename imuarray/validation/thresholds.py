@@ -20,6 +20,7 @@ def frozen() -> dict[str, Any]:
         "log odds tempered": causes.TEMPER,
         "probability to be told": causes.ALTERNATIVE,
         "odds to be confusable": causes.CONFUSABLE,
+        "closed to be a cause": causes.LEAST,
         "closed to be explained": judgement.EXPLAINED,
         "closed to be partly explained": judgement.PARTLY,
         "replicates of the base model": trial.REPLICATES,

@@ -1,5 +1,5 @@
-"""`odr_error` is recognised by rows that repeat at the poll's pace, by even codes of an ADXL345, by noise of another
-size.
+"""`odr_error` is recognised by rows that repeat at the poll's pace, by readings that are older than those of others, by
+even codes of an ADXL345, by noise of another size.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from imuarray.chips import CHIPS
 from imuarray.gap.candidates.candidate import Candidate, Kind, Trial
+from imuarray.gap.candidates.lag import odd_lags
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.candidates.repetition import repeated_share
 from imuarray.gap.evidence import Evidence
@@ -37,6 +38,8 @@ def guesses(evidence: Evidence) -> Iterator[Trial]:
 def _found(evidence: Evidence) -> Iterator[Trial]:
     if evidence.is_odd(*_REPEATS):
         yield from _by_repeats(evidence)
+    else:
+        yield from _by_age(evidence)
     if evidence.header.chip == "adxl345" and evidence.is_odd("odd_codes", "absent_codes"):
         yield from _by_even_codes(evidence)
     if evidence.is_odd("noise") and not evidence.is_odd(*_REPEATS):
@@ -60,6 +63,18 @@ def _by_repeats(evidence: Evidence) -> Iterator[Trial]:
     elif repeated < -_LEAST:
         for rate in [rate for rate in allowed if rate >= rows_hz][:2]:
             yield Trial((OdrError(rate),))
+
+
+def _by_age(evidence: Evidence) -> Iterator[Trial]:
+    """Faster than the poll, so that no row repeats, and slower than configured: readings are half a period old."""
+    found = odd_lags(evidence)
+    if not found:
+        return
+    lag_s = float(np.average([lag.lag_s for lag in found], weights=[lag.weight for lag in found]))
+    configured_hz = evidence.header.rate_hz
+    age_s = lag_s + (0.5 / configured_hz if configured_hz else 0.0)
+    if lag_s > 0 and age_s < 0.5 / evidence.rows_per_s:
+        yield Trial((OdrError(0.5 / age_s),), ("rate_hz",), rarity=_RARITY)
 
 
 def _by_even_codes(evidence: Evidence) -> Iterator[Trial]:
