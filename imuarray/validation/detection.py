@@ -41,6 +41,7 @@ Floats = npt.NDArray[np.float64]
 REPLICATES = 60
 PLAN = "full"
 _TRIES, _NEAR = 4, 1.4
+_MORE, _CLEAR = 5.0, 1.5
 _NEXT_TO_NOTHING, _APART, _LEAST = 1e-6, 1.0, 0.03
 _POWERS = (0.5, 3.0)
 
@@ -62,10 +63,24 @@ class Asked:
 
 def limit_of(asked: Asked) -> float:
     """The severity, to within some tenths of itself; nan if the greatest doesn't show, the least that was tried if that
-    shows.
+    shows. Chance alone comes near what chance reaches: several times the limit has to be well beyond it.
     """
     known = limit(asked.mechanism, (asked.sensor,) if asked.sensor else ())
-    severity, tried = 1.0 if np.isnan(known) else known, list[tuple[float, float]]()
+    severity = _just(asked, 1.0 if np.isnan(known) else known)
+    while not np.isnan(severity) and not is_clear(asked, severity):
+        further = _MORE * severity
+        severity = max(_just(asked, further), further) if further < FURTHEST else float("nan")
+    return severity
+
+
+def is_clear(asked: Asked, severity: float) -> bool:
+    """Whether several times that severity, or the greatest, is well beyond what chance reaches."""
+    return beyond(asked, min(_MORE * severity, FURTHEST)) > _CLEAR
+
+
+def _just(asked: Asked, severity: float) -> float:
+    """About the severity that reaches what chance does, from the first one that is tried; nan if none does."""
+    tried = list[tuple[float, float]]()
     for _ in range(_TRIES):
         reached = beyond(asked, severity)
         tried.append((severity, reached))
@@ -106,10 +121,24 @@ def _scores(asked: Asked, severity: float) -> Floats:
     with _recorded(asked.seed, Put(asked.mechanism, severity, 1.0, sensors)) as (bench, campaign):
         models = bench.models()
         own = np.array([bench.replicate(models, number).values for number in range(_FITTED)])
-        off = bench.observed(campaign, models).values - _mean(own)
-        found = dict(zip(_parts(bench), off.tolist(), strict=True))
-    known = np.array([found.get(key, np.nan) for key in _parts(null.bench)])
-    return np.nan_to_num(_scorer(asked.seed)(known + _mean(null.chance)))
+        found = np.vstack([bench.observed(campaign, models).values, own]) - _mean(own)
+        places = {key: place for place, key in enumerate(_parts(bench))}
+    known = [places.get(key, -1) for key in _parts(null.bench)]
+    off, *chance = np.where(np.array(known) < 0, np.nan, found[:, known])
+    return np.nan_to_num(_scorer(asked.seed)(off / _wider(null, np.array(chance)) + _mean(null.chance)))
+
+
+def _wider(null: Compared, chance: Floats) -> Floats:
+    """(n,) how much more than without the mechanism the statistics of a probe scatter about their mean in replicates
+    (r, n) of the case's own model, 1 where they scatter less: more noise moves everything further by chance.
+    """
+    usual = np.nanstd(null.chance, axis=0, ddof=1)
+    square = np.square(chance / np.where(usual > 0, usual, np.nan)) * len(chance) / (len(chance) - 1)
+    kinds = np.unique([f"{key.sensor} {key.probe}" for key in null.bench.keys], return_inverse=True)[1]
+    counted = np.isfinite(square)
+    total = np.bincount(kinds, np.where(counted, square, 0.0).sum(axis=0))
+    mean = total / np.maximum(np.bincount(kinds, counted.sum(axis=0)), 1)
+    return np.asarray(np.sqrt(np.maximum(mean, 1.0))[kinds])
 
 
 def _mean(replicates: Floats) -> Floats:
