@@ -220,7 +220,7 @@ def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool) ->
         one
         for one in ranked
         if one.closes
-        and _tempered(standing, one) * one.gain > least
+        and (1.0 if one.trial.needs_both else _tempered(standing, one)) * one.gain > least
         and (one.train_gain > WORTH or one.trial.needs_both)
     ]
     return Round(standing, ranked, bar, good[0] if good else None)
@@ -233,7 +233,7 @@ def _squares(scores: Floats) -> float:
 
 def _tempered(standing: Standing, one: Confirmed) -> float:
     """How much a gain counts: a misalignment within what the chip's population has moves many statistics by about a
-    standard deviation, all of them for one and the same reason.
+    standard deviation, all of them for one and the same reason. What happens once has no more than one to show.
     """
     return min(1.0, one.independent / standing.independent)
 

@@ -147,8 +147,9 @@ def test_a_lone_sensor_is_without_what_it_shares() -> None:
 class Told:
     """In the place of simulations: gains by effect, of the looks and refinements (`first`) and of what is confirmed."""
 
-    def __init__(self, first: dict[str, float], last: dict[str, tuple[float, float]]) -> None:
+    def __init__(self, first: dict[str, float], last: dict[str, tuple[float, float]], independent: float = 1.0) -> None:
         self._first, self._last, self.asked = first, last, list[int]()
+        self._independent = independent
 
     def __call__(self, job: Callable[[Bench, Any], Any], items: Sequence[Any]) -> list[Any]:
         self.asked.append(len(items))
@@ -157,7 +158,7 @@ class Told:
         return [replace(item.tried, models={}, gain=self._first[item.tried.trial.name]) for item in items]
 
     def _confirmed(self, standing: Standing, tried: Tried) -> Confirmed:
-        return Confirmed(tried, standing, *self._last[tried.trial.name])
+        return Confirmed(tried, standing, *self._last[tried.trial.name], independent=self._independent)
 
 
 def round_of(first: dict[str, float], last: dict[str, tuple[float, float]], *effects: Effect) -> tuple[Round, Told]:
@@ -229,6 +230,14 @@ def test_odds_count_what_is_independent_with_the_best() -> None:
 )
 def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_taken: bool) -> None:
     found, _ = round_of({"bias": 9.0, "tone": 0.0}, {"bias": (train, gain), "tone": (0.0, placebo)}, Bias(1.0))
+    assert (found.taken is not None) == is_taken
+
+
+@pytest.mark.parametrize(("effect", "is_taken"), [(Bias(1.0), False), (Stuck(3.0, 1.0), True)])
+def test_what_moves_for_one_reason_counts_once(effect: Effect, is_taken: bool) -> None:
+    """20 nats of statistics of which a tenth is independent are 2; what happens once has no more to show."""
+    told = Told({effect.name: 9.0}, {effect.name: (9.0, 20.0)}, independent=0.1)
+    found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Trial((effect,))]}, {}, told)[UNIT]
     assert (found.taken is not None) == is_taken
 
 
