@@ -132,7 +132,7 @@ def _write(folder: Path, found: Figures, command: str) -> None:
     files = {name.replace("-", " "): f"{name}.svg" for name in plots}
     (folder / "results.md").write_text(markdown(found, date.today().isoformat(), command, files), encoding="utf-8")
     try:
-        write_validation_page(folder / "results.html", found, command=command, force=True)
+        write_validation_page(folder / "results.html", found, command=command, plots=plots, force=True)
     except MissingExtraError as error:
         click.echo(f"{folder}: figures.json and results.md only; the page: {error}", err=True)
 

@@ -216,6 +216,7 @@ def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool) ->
     odds = _log_odds(standing, real)
     ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
     least = ACCEPTED + max(bar, 0.0)
+    # what happens once has no more than one reason to show: all of its gain counts
     good = [
         one
         for one in ranked
@@ -233,7 +234,7 @@ def _squares(scores: Floats) -> float:
 
 def _tempered(standing: Standing, one: Confirmed) -> float:
     """How much a gain counts: a misalignment within what the chip's population has moves many statistics by about a
-    standard deviation, all of them for one and the same reason. What happens once has no more than one to show.
+    standard deviation, all of them for one and the same reason.
     """
     return min(1.0, one.independent / standing.independent)
 

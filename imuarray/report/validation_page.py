@@ -26,13 +26,21 @@ Plots = Mapping[str, Any]
 
 
 def write_validation_page(
-    path: str | PathLike[str], figures: Figures, *, command: str = "", force: bool = False
+    path: str | PathLike[str],
+    figures: Figures,
+    *,
+    command: str = "",
+    plots: Plots | None = None,
+    force: bool = False,
 ) -> None:
-    """Write the page; `command` made the run. Without matplotlib it says so and has tables alone.
+    """Write the page; `command` made the run, `plots` are its drawings if there are any yet (`plots_of`). Without
+    matplotlib it says so and has tables alone.
 
     OutputExistsError if it is there and not `force`, MissingExtraError without jinja2.
     """
-    plots = plots_of(figures) if find_spec("matplotlib") else {}
+    can_draw = find_spec("matplotlib") is not None
+    if plots is None:
+        plots = plots_of(figures) if can_draw else {}
     summary = list(summary_lines(figures))
     sections = (
         _figures(figures),
@@ -45,7 +53,7 @@ def write_validation_page(
         _run(figures, command),
     )
     title = f"Diagnosis checked on data whose effect is withheld: {figures.half or 'unnamed'} half"
-    write_page(path, title, summary if find_spec("matplotlib") else [*summary, NO_FIGURES], sections, force=force)
+    write_page(path, title, summary if can_draw else [*summary, NO_FIGURES], sections, force=force)
 
 
 def _figures(figures: Figures) -> Section:

@@ -158,7 +158,7 @@ def _null(seed: int) -> Compared:
 
 @lru_cache(maxsize=2)
 def _scorer(seed: int) -> Callable[[Floats], Floats]:
-    """By the half of the replicates that doesn't say how far chance goes."""
+    """By one half of the replicates, as a diagnosis with fewer of them would have it."""
     null = _null(seed)
     first = null.chance[1::2]
     return scorer_of(null.pairs, likeness_of(first, null.bench.resolutions), first)

@@ -14,7 +14,7 @@ from imuarray.simulate.effects.bias import Bias
 
 Floats = npt.NDArray[np.float64]
 
-_TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier", "residual_force", "drift")
+_TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier")
 _CLEAR = 8.0
 """By so many nats two levels have to fit better than one."""
 

@@ -16,7 +16,7 @@ from imuarray.simulate.converters import code_span
 from imuarray.simulate.effects.quantisation import Quantisation
 
 _PROBES = ("odd_codes", "second_bit", "absent_codes", "repeats")
-_LEAPS = ("kurtosis", "extreme", "noise_excess", "force_square", "nonlinearity")
+_LEAPS = ("kurtosis", "extreme", "noise_excess", "force_square")
 """Probes that move where readings leap from one stretch of codes to another."""
 
 _STEPS = tuple(2**bits for bits in range(1, 13))

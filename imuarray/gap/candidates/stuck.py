@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -44,16 +44,21 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
         return
     runs = sorted(_runs(evidence), key=lambda run: run.onset_s - run.end_s)
     if len(runs) >= _AGAIN:
-        length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
-        held = sum(max(seen.raw.repeats.repeat_share, 0.0) * seen.raw.rows for seen in evidence.seen)
-        seconds = sum(seen.raw.rows for seen in evidence.seen) / evidence.rows_per_s
-        every_s = seconds * length_s / max(held / evidence.rows_per_s, length_s) - length_s
-        if every_s > 0:
-            yield Trial((Stuck(duration_s=length_s, every_s=every_s),), ("duration_s", "every_s"))
+        yield from _again(evidence, runs)
     for run in runs[:_MOST]:
         for_ever = run.open and run.end_s >= _end_s(evidence, run.log)
         duration_s = math.inf if for_ever else run.end_s - run.onset_s
         yield Trial((Stuck(run.onset_s, duration_s),))
+
+
+def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Trial]:
+    """As long as these are, and as often as it takes for all the rows that are held."""
+    length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
+    held = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.seen)
+    rows = sum(seen.raw.rows for seen in evidence.seen)
+    every_s = length_s * (rows / max(held, length_s * evidence.rows_per_s) - 1)
+    if every_s > 0:
+        yield Trial((Stuck(duration_s=length_s, every_s=every_s),), ("duration_s", "every_s"))
 
 
 def _runs(evidence: Evidence) -> list[_Run]:

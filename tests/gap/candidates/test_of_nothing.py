@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import ModuleType
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from imuarray.gap.base_model import Fitted
 from imuarray.gap.candidates import (
+    CANDIDATES,
     axis_error,
     bias,
     clock_error,
@@ -76,3 +78,19 @@ def test_hardly_a_row(module: ModuleType, rows: int) -> None:
     few = tally.result(lambda time_ns: np.full(len(time_ns), 25.0))
     found = list(module.guesses(evidence(50.0, Seen(0, "static", True, few, few, None))))
     assert not found or module in STATISTICS_ALONE
+
+
+class Asked(dict[str, np.ndarray]):
+    """Scores that are asked for by the names of probes alone."""
+
+    def __contains__(self, name: object) -> bool:
+        assert name in PROBES, name
+        return super().__contains__(name)
+
+
+@pytest.mark.parametrize("name", CANDIDATES)
+def test_what_is_looked_at_are_probes(name: str) -> None:
+    """A name that is none would be passed over in silence."""
+    rows = summary(block(gaussian(rows=500)))
+    told = evidence(0.0, Seen(0, "static", True, rows, rows, None))
+    list(CANDIDATES[name].guesses(replace(told, scores=Asked(told.scores))))
