@@ -70,8 +70,8 @@ def units(seed: int) -> dict[str, tuple[Effect, ...]]:
 
 
 def test_false_alarms(nothing: Compared) -> None:
-    """60 campaigns, each with its own fit, beside the replicates of another one, of which 40 are scored: p <= 0.05 has
-    a probability of 2/41 over both; at most 14 come with one of 0.998 (beta-binomial: 60, 2, 39).
+    """60 campaigns, each with its own fit, beside the 80 replicates of another one: p <= 0.05 has a probability of 4/81
+    over both; at most 14 come with one of 0.9998 (beta-binomial: 60, 4, 77).
     """
     bench = nothing.bench
 
@@ -87,8 +87,8 @@ def test_false_alarms(nothing: Compared) -> None:
 
 @pytest.mark.slow
 def test_false_alarms_are_as_rare_as_promised() -> None:
-    """60 campaigns, 20 scored replicates each: p <= 0.05 has a probability of 1/21 each; at most 8 of 60 come with
-    one of 0.998 (binomial).
+    """60 campaigns, 40 replicates each: p <= 0.05 has a probability of 2/41 each; at most 8 of 60 come with one of
+    0.998 (binomial).
     """
     assert sum(compared(units(seed), seed).located.is_gap for seed in range(60)) <= 8
 
