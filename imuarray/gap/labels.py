@@ -2,7 +2,8 @@
 
 All accelerometers feel the same direction up, whatever bias each has. Where most of them contradict the label, and all
 alike, the label is wrong and not the sensors; a single one that contradicts it has its own axes exchanged
-(`axis_error`). Every phase is told by itself, so two faces that were noted in each other's place are both found.
+(`axis_error`), and so have several that are turned in every phase beside one that is as noted. Every phase is told by
+itself, so two faces that were noted in each other's place are both found.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -101,18 +103,20 @@ def mislabelled(recordings: Sequence[Recording], campaign: Campaign) -> tuple[Mi
     What the accelerometers feel together, the median over them of their mean by nominal axes and sensitivity, lies
     along another face than the noted one, and more than half of at least two feel that face themselves. With fewer
     accelerometers nothing is found.
+
+    Sensors may lie otherwise than configured as well, two whose wires are crossed for one. Each is then turned alike in
+    every phase, while one that isn't feels what was noted: what needs fewer faults, of labels and sensors, is taken.
     """
-    found, labels = [], []
-    for number, (recording, log) in enumerate(zip(recordings, campaign.logs, strict=True)):
-        for phase in recording.phases:
-            readings = _readings_g(log, phase) if phase.up else {}
-            if not readings:
-                continue
-            up = face_of(np.median(list(readings.values()), axis=0))
-            labels.append((phase.up, up or phase.up))
-            agree = tuple(name for name, reading in readings.items() if up and face_of(reading) == up)
-            if up not in ("", phase.up) and len(readings) >= LEAST and 2 * len(agree) > len(readings):
-                found.append(Mislabelled(number, recording.name, phase, up, readings, agree))
+    noted = [
+        _Noted(number, recording.name, phase, readings)
+        for number, (recording, log) in enumerate(zip(recordings, campaign.logs, strict=True))
+        for phase in recording.phases
+        if phase.up and (readings := _readings_g(log, phase))
+    ]
+    plain, turned = _told(noted, {}), _told(noted, _turns_of(noted))
+    found = turned.wrong if turned.faults <= plain.faults else plain.wrong
+    ups = {(one.log, one.phase): one.up for one in found}
+    labels = [(one.phase.up, ups.get((one.log, one.phase), one.phase.up)) for one in noted]
     or_mounted = bool(found) and any(_explains(turn, labels) for turn in _turns())
     return tuple(replace(one, or_mounted=or_mounted) for one in found)
 
@@ -177,6 +181,59 @@ def _readings_g(log: LogSummary, phase: Phase) -> dict[str, Floats]:
                 sums[name] = sums.get(name, np.zeros(3)) + summary.rows * turned
                 rows[name] = rows.get(name, 0) + summary.rows
     return {name: total / rows[name] for name, total in sums.items()}
+
+
+class _Noted(NamedTuple):
+    """A phase whose face was noted, and the accelerometers' means in it, (3,) in the box frame."""
+
+    log: int
+    name: str
+    phase: Phase
+    readings_g: Mapping[str, Floats]
+
+
+class _Told(NamedTuple):
+    """Labels that are wrong, and how many faults of labels and sensors there are with them."""
+
+    wrong: tuple[Mislabelled, ...]
+    faults: int
+
+
+def _told(noted: Sequence[_Noted], turns: Mapping[str, Floats]) -> _Told:
+    """What is wrong if some sensors' axes are `turns` (3, 3) of what is configured. Those are at fault, and any that feels
+    another face than the one that is taken for true.
+    """
+    wrong, odd = [], set(turns)
+    for log, name, phase, readings_g in noted:
+        readings = {one: turns[one].T @ read if one in turns else read for one, read in readings_g.items()}
+        up = face_of(np.median(list(readings.values()), axis=0))
+        agree = tuple(one for one, read in readings.items() if up and face_of(read) == up)
+        is_wrong = up not in ("", phase.up) and len(readings) >= LEAST and 2 * len(agree) > len(readings)
+        if is_wrong:
+            wrong.append(Mislabelled(log, name, phase, up, readings, agree))
+        true = up if is_wrong else phase.up
+        odd |= {one for one, read in readings.items() if face_of(read) not in ("", true)}
+    return _Told(tuple(wrong), len(wrong) + len(odd))
+
+
+def _turns_of(noted: Sequence[_Noted]) -> dict[str, Floats]:
+    """The turn of each sensor by which it feels most of the faces as noted, where those are more than without one; none
+    if no sensor is left that isn't turned: nothing but the labels then tells which way is up.
+    """
+    names = dict.fromkeys(name for one in noted for name in one.readings_g)
+    turns = {name: turn for name in names if (turn := _turn_of(noted, name)) is not None}
+    return turns if len(turns) < len(names) else {}
+
+
+def _turn_of(noted: Sequence[_Noted], sensor: str) -> Floats | None:
+    pairs = [(one.phase.up, face_of(one.readings_g[sensor])) for one in noted if sensor in one.readings_g]
+    known = [(up, felt) for up, felt in pairs if felt]
+
+    def fits(turn: Floats) -> int:
+        return sum(_explains(turn, [pair]) for pair in known)
+
+    best = max((np.eye(3), *exchanges().values()), key=fits)
+    return None if np.array_equal(best, np.eye(3)) else best
 
 
 def _turns() -> Iterator[Floats]:

@@ -155,6 +155,26 @@ def test_a_turn_of_all_sensors_may_be_it_as_well(tmp_path: Path) -> None:
     assert {cause_of(one).confusable_with for one in found_in(mirrored)} == {()}
 
 
+CROSSED = {"B1": (AxisError("-X+Y-Z"),), "B2": (AxisError("-X+Y-Z"),)}
+"""As two have it whose plugs are crossed, half a turn about Y apart from each other: most of three feel it alike."""
+
+
+def test_several_that_are_turned_are_not_the_labels(tmp_path: Path) -> None:
+    """Two of three contradict five of seven labels: two sensors are turned, or five labels wrong and the third sensor
+    turned. A label that is wrong besides is found, by all three.
+    """
+    assert not found_in(tumbled(tmp_path / "crossed.h5", {}, sensors=3, more=CROSSED))
+    (found,) = found_in(tumbled(tmp_path / "wrong.h5", {"y_up": "-X"}, sensors=3, more=CROSSED))
+    assert (found.phase.name, found.up, found.agree) == ("y_up", "+Y", ("B1", "B2", "D1"))
+
+
+def test_a_turn_of_three_of_four_is_less_likely_than_one_label(tmp_path: Path) -> None:
+    """Of one label: it and one sensor are wrong, or three sensors."""
+    turned = {name: (AxisError("-X+Y-Z"),) for name in ("B1", "B2", "D1")}
+    (found,) = found_in(tumbled(tmp_path / "one.h5", {}, more=turned, only=("z_up",)))
+    assert (found.phase.name, found.up) == ("z_up", "-Z")
+
+
 def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
     """In every phase, also in another process; a log that was noted rightly is left alone."""
     wrong = tumbled(tmp_path / "wrong.h5", {"x_up": "-X", "z_down": "+Y"})
