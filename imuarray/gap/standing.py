@@ -120,10 +120,11 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     alone = likeness_of(values[:, fresh], np.zeros(int(fresh.sum())))
     location[fresh] = alone.location
     scale[fresh] = np.fmax(alone.scale, _UNSURE * (1 + np.abs(alone.location)))
-    never = ~came.any(axis=0)
+    untold = ~came.any(axis=0) & ~np.isfinite(without).any(axis=0)  # as what is shared with sensors beside the unit
+    never = ~came.any(axis=0) & ~untold
     location[never & before.always] = np.nan
-    always = (before.always & came.all(axis=0)) | fresh
-    silent = np.asarray(never & (before.never | before.always))
+    always = (before.always & (came.all(axis=0) | untold)) | fresh
+    silent = np.asarray((never & before.always) | (~came.any(axis=0) & before.never))
     return Likeness(location, scale, np.asarray(always), silent, *_branched(before, moved, shift)), shift
 
 

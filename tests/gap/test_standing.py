@@ -156,6 +156,21 @@ def test_what_no_longer_speaks_and_is_silent_here() -> None:
     assert gains_of(unit, likeness, moved).sum() == pytest.approx(22.8, abs=0.1)
 
 
+def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
+    """What a unit shares with sensors beside it is in the recording and in replicates of the whole array, not in those
+    of the unit alone, with or without the change: all stays as it was.
+    """
+    unit = standing([1.0, 1.0], drawn(2))
+    unit.values[:, 1] = NAN
+    after = unit.values + np.array([1.0, 0.0])
+    likeness, moved = compared(unit, after)
+    assert (likeness.location[1], likeness.scale[1], moved[1]) == (0.0, 1.0, 0.0)
+    assert (bool(likeness.always[1]), bool(likeness.never[1])) == (True, False)
+    gains = gains_of(unit, likeness, moved)
+    assert gains[0] > 0
+    assert gains[1] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_silence_is_no_excuse() -> None:
     """The recording says 5, the model 0: a change after which it never says anything is no better."""
     unit = standing([5.0], drawn(1))
