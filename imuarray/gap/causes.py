@@ -117,8 +117,10 @@ def _cause(
     with_it = _deviating(bench, first, taken.standing)
     shrunk = replace(counted, before=counted.after, after=with_it.after).shrunk(seed)
     effect = taken.trial.effects[0] if taken.trial.effects else None
-    sensors = (taken.trial.sensor,) if taken.trial.sensor else unit
-    each = {name: to_table(effect, bench.base.headers[name].unit) if effect else {} for name in sensors}
+    own, others = taken.trial.sensor, taken.trial.others if taken.trial.opposite else ()
+    sensors = (own, *others) if own else unit
+    effects = dict.fromkeys(sensors, effect) | dict.fromkeys(others, next(iter(taken.trial.opposite), None))
+    each = {name: to_table(one, bench.base.headers[name].unit) if one else {} for name, one in effects.items()}
     return Cause(
         taken.trial.name,
         taken.trial.action,

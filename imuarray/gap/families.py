@@ -13,7 +13,7 @@ from dataclasses import replace
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.refine import Tried
-from imuarray.gap.search import Confirmed, Round, confirmed
+from imuarray.gap.search import ACCEPTED, Confirmed, Round, confirmed
 from imuarray.gap.standing import Standing, Unit
 
 
@@ -27,10 +27,12 @@ def together(bench: Bench, asked: tuple[Standing, tuple[Confirmed, ...]]) -> Con
     return confirmed(bench, family, Tried(first, models, 0.0))
 
 
-def shared_wins(family: Round, members: Confirmed) -> Confirmed | None:
-    """The shared cause, if it is worth it and beats those of the members."""
+def shared_wins(family: Round, members: Confirmed, count: int = 1) -> Confirmed | None:
+    """The shared cause, if it is worth it and beats the `count` causes of the members, each of which has to be worth it
+    too.
+    """
     best = family.taken
-    return best if best is not None and best.gain > members.gain else None
+    return best if best is not None and best.gain + ACCEPTED * max(count - 1, 0) > members.gain else None
 
 
 def staying_beside(family: Round, members: Sequence[Confirmed]) -> tuple[Confirmed, ...]:
@@ -58,5 +60,13 @@ def members_of(bench: Bench, family: Standing, standings: Mapping[Unit, Standing
 
 
 def unlike(trials: Sequence[Trial]) -> list[Trial]:
-    """One of each: members guess the same shared cause more than once."""
-    return list({repr(trial): trial for trial in trials}.values())
+    """One of each: members guess the same shared cause more than once, and an exchange from either side."""
+    return list({min(repr(trial), repr(_mirrored(trial))): trial for trial in trials}.values())
+
+
+def _mirrored(trial: Trial) -> Trial:
+    """As the other one of two in each other's place guesses it."""
+    if not trial.opposite or len(trial.others) != 1:
+        return trial
+    (other,) = trial.others
+    return replace(trial, effects=trial.opposite, sensor=other, others=(trial.sensor,), opposite=trial.effects)

@@ -18,10 +18,9 @@ from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.pairs import scorer_of
 from imuarray.gap.search import Round, guesses_of, placebo_of, replicated, searched
 from imuarray.gap.split import Side
-from imuarray.gap.standing import Standing, Unit, compared
+from imuarray.gap.standing import Standing, Unit, compared, reads_another
 from imuarray.gap.workers import Run
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.effects.channel_swap import ChannelSwap
 
 Floats = npt.NDArray[np.float64]
 
@@ -138,7 +137,8 @@ def _families(
         (families[one], tuple(own for own in members[one] if not kept[one] & set(own.standing.unit))) for one in trials
     ]
     alone = dict(zip(trials, run(together, others), strict=True))
-    won = {family: best for family in trials if (best := shared_wins(came[family], alone[family])) is not None}
+    counts = {one: len(own) for one, (_, own) in zip(trials, others, strict=True)}
+    won = {one: best for one in trials if (best := shared_wins(came[one], alone[one], counts[one])) is not None}
     served: set[str] = set()
     for family in sorted(won, key=lambda one: -won[one].gain):
         if served & set(family):
@@ -165,7 +165,7 @@ def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Un
         family = tuple(other for (other,) in guessed if _is_alike(headers[other], headers[name]))
         for trial in one.shared:
             unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
-            if len(unit) > 1 and (trial.whole or odd & set(unit)):
+            if len(unit) > 1 and (trial.whole or trial.opposite or odd & set(unit)):
                 units.setdefault(unit, []).append(trial)
     return {unit: unlike(trials) for unit, trials in units.items()}
 
@@ -199,8 +199,8 @@ def _bare(found: Compared, unit: Unit) -> Standing:
 
 def _is_open(found: Compared, standing: Standing, rounds: Sequence[Round]) -> bool:
     """Whether something is left to explain, and the last round found something."""
-    if any(one.name == ChannelSwap.name for model in standing.models.values() for one in model.added):
-        return False  # it reads another's data
+    if any(map(reads_another, standing.models.values())):
+        return False
     if not rounds:
         return True
     if rounds[-1].taken is None:

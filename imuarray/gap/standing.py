@@ -59,9 +59,15 @@ class Standing:
         return self.likeness.scores(self.real)
 
     def changed(self, trial: Trial) -> Models:
-        """The models with the trial's change made to each sensor, or to its own."""
+        """The models with the trial's change made to each sensor, or to its own, and the opposite to the others."""
+        effects = dict.fromkeys(trial.others if trial.opposite else (), trial.opposite)
+        if trial.sensor:
+            effects[trial.sensor] = trial.effects
+        else:
+            effects.update(dict.fromkeys(self.models, trial.effects))
         return {
-            name: _changed(model, trial) if trial.sensor in ("", name) else model for name, model in self.models.items()
+            name: _changed(model, replace(trial, effects=effects[name])) if name in effects else model
+            for name, model in self.models.items()
         }
 
     def settled(self, models: Models, came: Came, before: tuple[Models, Came] | None = None) -> Models:
@@ -72,7 +78,7 @@ class Standing:
         return {name: self._settled(name, model, came, before) for name, model in models.items()}
 
     def _settled(self, name: str, model: Modelled, came: Came, before: tuple[Models, Came] | None) -> Modelled:
-        if any(effect.name == ChannelSwap.name for effect in model.added):
+        if reads_another(model):
             return model
         own = [fitted[name] for fitted in came]
         if before is None:
@@ -91,6 +97,11 @@ class Standing:
             apart = np.log(square / np.square(wanted.noise(headers[name]))) / 2 / _NOISE_SURE
             lost += float((FREEDOM + 1) / 2 * np.log1p(np.square(apart) / FREEDOM).sum())
         return lost
+
+
+def reads_another(model: Modelled) -> bool:
+    """Whether a sensor has another's data, so that nothing of its own shows."""
+    return any(isinstance(effect, ChannelSwap) and effect.kind == "data" for effect in model.added)
 
 
 def _changed(model: Modelled, trial: Trial) -> Modelled:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.axes import Matrix
 from imuarray.barometer import EXAMPLE_WORDS, compensate, uncompensated
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
 from imuarray.log.writer import Block
@@ -57,7 +58,9 @@ class SimulatedSensor:
         streams: Streams,
         neighbour: Callable[[str, int, int], Codes],
         dtype: npt.DTypeLike,
+        lies: Matrix | None = None,
     ) -> None:
+        """`lies` is its true orientation, if that isn't the one of its header."""
         self.header = header
         self.timeline = timeline
         self.effects = tuple(effects)
@@ -65,7 +68,7 @@ class SimulatedSensor:
         self._motion = motion
         self._place = Place(header, timeline.rows_per_s, motion, streams, neighbour, self._reaching, dtype)
         self._span = code_span(header)
-        self._orientation = np.array(header.orientation)
+        self._orientation = np.array(lies or header.orientation)
         self._acting = tuple(zip(self.effects, self._places(), strict=True))
         self._lookback = 1 + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
         self._chunk = lru_cache(maxsize=4)(self._evaluate)

@@ -19,6 +19,7 @@ from imuarray.log.headers import header_of, recorded_header
 from imuarray.log.writer import Stimulus
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.size_effect import SizeEffect
 from imuarray.simulate.model import Model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
@@ -92,8 +93,9 @@ class Simulation:
                 self.sensors[name] = SimulatedBarometer(header, timeline, motion, self.streams)
             else:
                 chain = in_physical_order(effects.get(name, ()))
+                lies = place_of(header, chain, plan).orientation
                 self.sensors[name] = SimulatedSensor(
-                    header, timeline, chain, motion, self.streams, self._codes_of, dtype
+                    header, timeline, chain, motion, self.streams, self._codes_of, dtype, lies
                 )
 
     @classmethod
@@ -148,11 +150,25 @@ def effects_of(
         if header.quantity == "pressure":
             continue
         effects = model.effects(header, units, population=population, without=frozenset(without))
-        placed = any(header.position_mm) and "size_effect" not in {effect.name for effect in effects}
+        position_mm = place_of(header, effects, plan).position_mm
+        placed = any(position_mm) and "size_effect" not in {effect.name for effect in effects}
         if placed and "size_effect" not in without:
-            effects = (SizeEffect(header.position_mm), *effects)
+            effects = (SizeEffect(position_mm), *effects)
         found[name] = in_physical_order(effects)
     return found
+
+
+def place_of(header: SensorHeader, effects: Sequence[Effect], plan: Plan) -> SensorHeader:
+    """Where a sensor with these effects sits, and how it lies: as its header says, or as that of another one in whose
+    place it is. ValueError if there is no such sensor.
+    """
+    for effect in effects:
+        if isinstance(effect, ChannelSwap) and effect.kind == "place" and effect.sensor:
+            if effect.sensor not in plan.sensors:
+                there = ", ".join(plan.sensors)
+                raise ValueError(f"channel_swap of {header.name}: {effect.sensor}: not in this array; it has {there}")
+            return plan.sensors[effect.sensor][0]
+    return header
 
 
 def in_physical_order(effects: Sequence[Effect]) -> tuple[Effect, ...]:

@@ -193,6 +193,19 @@ def test_a_cause_of_one_sensor_in_the_place_of_a_family(bench: Bench) -> None:
     assert found.each.keys() == {"G1"}
 
 
+def test_an_exchange_is_one_cause_of_two_sensors(bench: Bench) -> None:
+    """Each has its own parameters."""
+    one, other = ChannelSwap("G2", "place"), ChannelSwap("G1", "place")
+    trial = Trial((one,), shared=True, sensor="G1", others=("G2",), opposite=(other,))
+    count = len(bench.columns(["G1", "G2"], cross=True))
+    likeness = Likeness(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
+    both = Standing(("G1", "G2"), {}, np.full(count, 9.0), likeness, np.zeros((0, count)), {}, 1.0)
+    taken = Confirmed(Tried(trial), replace(both, real=np.zeros(count)), 9.0, 9.0)
+    (found,) = causes_of(bench, {("G1", "G2"): [Round(both, (taken,), 0.0, taken)]}, 1)
+    assert (found.effect, found.sensors, found.origin) == ("channel_swap", ("G1", "G2"), "metadata")
+    assert found.each == {"G1": {"sensor": "G2", "kind": "place"}, "G2": {"sensor": "G1", "kind": "place"}}
+
+
 def test_the_same_in_two_sensors_of_a_chip_is_one_cause(bench: Bench) -> None:
     """0.04 and 0.045 are within a quarter; odds are multiplied, gains added."""
     one, other = LINE, Tone((0.0, 0.045, 0.0), 17.1)

@@ -12,7 +12,7 @@ from imuarray.gap.candidates import Trial
 from imuarray.gap.compare import compared_with_base
 from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.refine import Tried
-from imuarray.gap.search import Confirmed, Round, confirmed
+from imuarray.gap.search import ACCEPTED, Confirmed, Round, confirmed
 from imuarray.gap.standing import Standing
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.tone import Tone
@@ -64,6 +64,21 @@ def test_trials_of_all_members_are_tried_once() -> None:
     trials = [Trial((Tone(1.0, 5.0),), shared=True), SWAP, Trial((Tone(1.0, 5.0),), shared=True), SWAP]
     assert unlike(trials) == trials[:2]
     assert unlike([]) == []
+
+
+def test_an_exchange_is_one_from_either_side() -> None:
+    one = replace(SWAP, opposite=(ChannelSwap("A1"),))
+    other = replace(one, effects=one.opposite, sensor="A2", others=("A1",), opposite=one.effects)
+    assert unlike([one, other]) == [other]
+    assert unlike([SWAP, one]) == [SWAP, one]
+
+
+def test_several_causes_have_to_be_worth_it_each() -> None:
+    """One cause of three sensors in the place of three, which gain up to twice as much more as one has to."""
+    one = found(10.0)
+    round_ = Round(by_hand([0.0], drawn(1)), (one,), 0.0, one)
+    assert shared_wins(round_, found(10.0 + 2 * ACCEPTED - 0.1), 3) is one
+    assert shared_wins(round_, found(10.0 + 2 * ACCEPTED + 0.1), 3) is None
 
 
 def test_the_same_readings_show_between_two_sensors(

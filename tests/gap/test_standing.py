@@ -65,6 +65,16 @@ def test_a_trial_changes_every_sensor_or_its_own() -> None:
     assert all(not model.removed for model in own.values())
 
 
+def test_others_get_the_opposite() -> None:
+    """Two of three are exchanged."""
+    models = {name: Modelled(FITTED) for name in ("G1", "G2", "G3")}
+    one, other = ChannelSwap("G3", "place"), ChannelSwap("G1", "place")
+    changed = standing([0.0], drawn(1), models=models).changed(
+        Trial((one,), sensor="G1", others=("G3",), opposite=(other,))
+    )
+    assert [model.added for model in changed.values()] == [(one,), (), (other,)]
+
+
 def test_what_is_removed_is_gone_from_both_places() -> None:
     """From what was added, and from what the base model draws; what takes its place comes after."""
     unit = standing([0.0], drawn(1), models={"G1": Modelled(FITTED, (LINE, Bias(0.5)), frozenset({"scale"}))})

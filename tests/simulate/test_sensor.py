@@ -14,9 +14,12 @@ from imuarray.array import parse_array
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.size_effect import SizeEffect
+from imuarray.simulate.model import parse_model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Instants, Place
-from imuarray.simulate.simulation import Simulation, plan_of
+from imuarray.simulate.simulation import Simulation, effects_of, plan_of
 from imuarray.simulate.streams import CHUNK
 
 CHIPS = {
@@ -209,3 +212,45 @@ class _Rest:
         rest = np.broadcast_to(np.array([0.0, 0.0, 9.80665]), (n, 3))
         zero = np.broadcast_to(np.zeros(3), (n, 3))
         return Felt(time_ns, rest, zero, zero, zero, np.full(n, 25.0), np.full(n, 101325.0))
+
+
+CROSSED = """
+[array]
+name = "a"
+[[sensor]]
+name = "A"
+chip = "adxl345"
+address = 0x53
+range = 16
+axes = "+X+Y+Z"
+position_mm = [10.0, 0.0, 0.0]
+[[sensor]]
+name = "B"
+chip = "adxl345"
+address = 0x1d
+range = 16
+axes = "-Y+X+Z"
+position_mm = [0.0, -30.0, 0.0]
+"""
+
+
+def test_a_sensor_in_the_place_of_another(constant: Any) -> None:
+    """What is read as A sits where B is said to sit: x along -Y, and 30 mm from the origin. Its header stays as the
+    configuration has it, and the other one where it was.
+    """
+    plan = plan_of(parse_array(CROSSED), 50.0, 1.0)
+    motion = constant(force_box=(1 * 9.80665, 2 * 9.80665, 3 * 9.80665))
+    found = Simulation(plan, motion, {"A": (ChannelSwap("B", "place"),)})
+    assert found.sensors["A"].block(0, 1).counts.tolist() == [[-512, 256, 768]]
+    assert found.sensors["A"].header.axes == "+X+Y+Z"
+    assert found.sensors["B"].block(0, 1).counts.tolist() == [[-512, 256, 768]]
+    model = parse_model(
+        '[model]\nname = "m"\n[[sensor]]\nname = "A"\nchip = "adxl345"\n'
+        'channel_swap = { sensor = "B", kind = "place" }',
+        "m",
+    )
+    effects = effects_of(plan, model, 0)
+    places = {name: one.position_mm for name, own in effects.items() for one in own if isinstance(one, SizeEffect)}
+    assert places == {"A": (0.0, -30.0, 0.0), "B": (0.0, -30.0, 0.0)}
+    with pytest.raises(ValueError, match=r"^channel_swap of A: C: not in this array; it has A, B$"):
+        Simulation(plan, motion, {"A": (ChannelSwap("C", "place"),)})

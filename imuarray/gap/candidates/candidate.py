@@ -29,8 +29,8 @@ class Trial:
     none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis axis by
     axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be told from
     another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or (`sensor`) this one
-    has it, and `others` show it. `whole`: neither part shows it without the other. `rarity`: nats by which it is rarer,
-    as it is meant, than others that look the same.
+    has it, and `others` show it; these have the effects `opposite` at the same time. `whole`: neither part shows it
+    without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same.
     """
 
     effects: tuple[Effect, ...]
@@ -39,6 +39,7 @@ class Trial:
     shared: bool = False
     sensor: str = ""
     others: tuple[str, ...] = ()
+    opposite: tuple[Effect, ...] = ()
     whole: bool = False
     rarity: float = 0.0
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -66,7 +67,7 @@ class Trial:
         """
         used = [
             f"{effect.name}.{item.name}"
-            for effect in self.effects
+            for effect in (*self.effects, *self.opposite)
             for item in fields(effect)
             if repr(getattr(effect, item.name)) != repr(getattr(type(effect)(), item.name))
         ]

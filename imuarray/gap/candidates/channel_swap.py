@@ -1,4 +1,4 @@
-"""`channel_swap`: readings that are another sensor's, by their noise or by their axes."""
+"""`channel_swap`: readings that are another sensor's, by their noise or by their axes; or two in each other's place."""
 
 from __future__ import annotations
 
@@ -34,10 +34,18 @@ def guesses(evidence: Evidence) -> Iterator[Trial]:
 def _found(evidence: Evidence) -> Iterator[Trial]:
     twins = _twins(evidence) if evidence.is_odd(*_NOISE, beyond=_BEYOND) else set()
     odd = evidence.is_odd(*(probe for pair in _AXES for probe in pair), beyond=_BEYOND)
-    alike = {other.name for other in evidence.others if _lies_along(evidence, other)} if odd else set()
     for other in evidence.others:
-        if other.name in twins or other.name in alike:
+        alike = odd and _lies_along(evidence, other, other.sensitivity / evidence.header.sensitivity)
+        if other.name in twins or alike:
             yield Trial((ChannelSwap(other.name),), shared=True, sensor=evidence.header.name, others=(other.name,))
+        if odd and other.name not in twins and other.chip == evidence.header.chip and _lies_along(evidence, other):
+            yield _crossed(evidence.header.name, other.name)
+
+
+def _crossed(sensor: str, other: str) -> Trial:
+    """Their plugs were crossed: each is set up and read in the other's place."""
+    one, its = ChannelSwap(other, "place"), ChannelSwap(sensor, "place")
+    return Trial((one,), shared=True, sensor=sensor, others=(other,), opposite=(its,))
 
 
 def _twins(evidence: Evidence) -> set[str]:
@@ -56,10 +64,9 @@ def _twins(evidence: Evidence) -> set[str]:
     return {other for other, correlation in largest.items() if correlation > _SAME}
 
 
-def _lies_along(evidence: Evidence, other: SensorHeader) -> bool:
-    """Whether the response is that of the other's axes and sensitivity rather than of the own ones."""
-    expected = np.array(other.orientation).T @ np.array(evidence.header.orientation)
-    expected = expected * other.sensitivity / evidence.header.sensitivity
+def _lies_along(evidence: Evidence, other: SensorHeader, scale: float = 1.0) -> bool:
+    """Whether the response is that of the other's axes, times `scale`, rather than of the own ones."""
+    expected = np.array(other.orientation).T @ np.array(evidence.header.orientation) * scale
     if np.allclose(expected, np.eye(3)):
         return False
     return any((np.abs(shown - expected) < _NEAR).all() for shown in _shown(evidence))

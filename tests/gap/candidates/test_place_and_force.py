@@ -61,11 +61,17 @@ def test_readings_of_another(kind: str, sensor: str) -> None:
     assert [trial.effects for trial in CHANNEL_SWAP.guesses(evidence)] == [(ChannelSwap(other),)]
 
 
-def test_an_exchange_shows_by_its_axes() -> None:
-    both = {"A1": (ChannelSwap("A2"),), "A2": (ChannelSwap("A1"),)}
+@pytest.mark.parametrize("kind", ["data", "place"])
+def test_an_exchange_shows_by_its_axes(kind: str) -> None:
+    """Either has the other's data, or both sit in each other's place."""
+    both = {"A1": (ChannelSwap("A2", kind),), "A2": (ChannelSwap("A1", kind),)}
     for sensor, other in (("A1", "A2"), ("A2", "A1")):
         evidence = evidence_of("tumble", sensor, both, seed=7)
-        assert [trial.effects for trial in CHANNEL_SWAP.guesses(evidence)] == [(ChannelSwap(other),)]
+        one, exchange = CHANNEL_SWAP.guesses(evidence)
+        assert (one.effects, one.opposite) == ((ChannelSwap(other),), ())
+        assert exchange.effects == (ChannelSwap(other, "place"),)
+        assert exchange.opposite == (ChannelSwap(sensor, "place"),)
+        assert (exchange.sensor, exchange.others) == (sensor, (other,))
 
 
 def test_nothing_is_shared_or_felt() -> None:

@@ -234,6 +234,10 @@ class TestChannelSwap:
         before = codes(0, 5)
         assert ChannelSwap(name).codes(before, between) is before
 
+    def test_a_place_leaves_readings_alone(self, between, codes) -> None:
+        before = codes(0, 5)
+        assert ChannelSwap("S2", "place").codes(before, between) is before
+
     def test_unknown_neighbour(self, between, codes) -> None:
         with pytest.raises(ValueError, match=r"^channel_swap of S1: S9: no triad of this array; it has S1, S2, S3$"):
             ChannelSwap("S9").codes(codes(0, 5), between)
@@ -244,6 +248,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: Glitches(1.5), "probability: 1.5; allowed is 0 to 1"),
     (lambda: Glitches(0.1, -1.0), "amplitude: -1.0"),
     (lambda: Glitches(0.1, kind="spikes"), "kind: 'spikes'; allowed are spike, torn, word"),
+    (lambda: ChannelSwap("S2", "wires"), "kind: 'wires'; allowed are data, place"),
     (lambda: Stuck(-1.0), "onset_s: -1.0"),
     (lambda: Stuck(1.0, math.nan), "duration_s: nan"),
 ]
