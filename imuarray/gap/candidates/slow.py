@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import nnls
 
-from imuarray.gap.evidence import Evidence
+from imuarray.gap.evidence import Evidence, Seen
 
 Floats = npt.NDArray[np.float64]
 
@@ -63,12 +63,15 @@ class Wander(NamedTuple):
 
 
 def allan_of(evidence: Evidence) -> Allan:
-    """Octaves with at least one independent term in all."""
+    """Octaves with at least one independent term in all; less what follows the temperature as the model lets it."""
     sums, terms = np.zeros((0, 3)), np.zeros(0)
     for one in evidence.still:
         variance, count = one.raw.allan
         if not len(sums):
             sums, terms = np.zeros_like(variance), np.zeros(len(count))
+        white = variance[:1] / 2.0 ** np.arange(len(count))[:, None]
+        warming = _of_warming(one, evidence.rows_per_s, len(count))
+        variance = np.maximum(variance - warming, np.minimum(variance, white / 2))
         sums += np.nan_to_num(variance) * count[:, None]
         terms += count
     held = terms >= _FACTORS
@@ -78,6 +81,19 @@ def allan_of(evidence: Evidence) -> Allan:
     known = free * _FACTORS >= 1
     variance = mean[known] / evidence.header.sensitivity**2
     return Allan(np.asarray(times[known]), variance, np.maximum(free, 0.5)[known], *_spread(evidence))
+
+
+def _of_warming(one: Seen, rows_per_s: float, octaves: int) -> Floats:
+    """(o, 3) what a level that the model lets follow the temperature adds, in counts squared: (rate tau)^2 / 2 of a
+    straight line (IEEE Std 952, Annex C).
+    """
+    time_s, level = one.raw.segments.time_s, one.raw.segments.mean - one.left.segments.mean
+    known = np.isfinite(level).all(axis=1) & np.isfinite(time_s)
+    if known.sum() < 2:
+        return np.zeros((octaves, 3))
+    rate = np.diff(level[known], axis=0) / np.diff(time_s[known])[:, None]
+    tau = 2.0 ** np.arange(octaves) / rows_per_s
+    return np.asarray(tau[:, None] ** 2 * (rate**2).mean(axis=0) / 2)
 
 
 def gauss_markov(time_s: Floats, time_constant_s: float) -> Floats:

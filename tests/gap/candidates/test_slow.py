@@ -13,7 +13,7 @@ from imuarray.gap.candidates.candidate import Trial
 from imuarray.gap.candidates.common_mode import COMMON_MODE
 from imuarray.gap.candidates.popcorn_noise import POPCORN_NOISE
 from imuarray.gap.candidates.random_walk import RANDOM_WALK
-from imuarray.gap.candidates.slow import gauss_markov, within
+from imuarray.gap.candidates.slow import allan_of, gauss_markov, within
 from imuarray.simulate.effects.bias_instability import BiasInstability
 from imuarray.simulate.effects.common_mode import CommonMode
 from imuarray.simulate.effects.popcorn_noise import PopcornNoise
@@ -74,6 +74,17 @@ def test_a_walk(seed: int) -> None:
     assert is_near(first.density[0], 0.02, 2.0)
     assert first.density[1] < 0.003
     assert is_near(first.density[2], 0.02, 2.0)
+
+
+def test_what_follows_the_temperature_is_no_wander() -> None:
+    """G1's bias has a slope, which the model has too: of a heat pulse the Allan variances are those of white noise,
+    rms^2 over the rows, within the scatter of a few terms.
+    """
+    allan = allan_of(evidence_of("heating", "G1", seed=3))
+    white = allan.variance[0] * allan.time_s[0] / allan.time_s[:, None]
+    warmed = allan.time_s > 0.5
+    assert warmed.any()
+    assert (allan.variance[warmed] < 2 * white[warmed]).all()
 
 
 def test_a_telegraph() -> None:
