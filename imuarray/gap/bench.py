@@ -117,6 +117,16 @@ class Bench:
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
         return [key.log if key.log < 0 else parts[out][key.log] for key, out in sides]
 
+    @cached_property
+    def alike(self) -> npt.NDArray[np.str_]:
+        """(n,) probe, axis and kind of log: keys that have these in common scatter alike."""
+        kinds = [
+            [kind for kind, own in zip(self.kinds, self.split.phases(held_out), strict=True) if own]
+            for held_out in (False, True)
+        ]
+        sides = zip(self.keys, self.held_out.tolist(), strict=True)
+        return np.array([f"{key.probe} {key.axis} {kinds[out][key.log] if key.log >= 0 else ''}" for key, out in sides])
+
     def models(self) -> dict[str, Modelled]:
         """Every sensor as the base model has it."""
         return {name: Modelled(fitted) for name, fitted in self.base.fitted.items()}

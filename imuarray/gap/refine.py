@@ -37,6 +37,9 @@ _PRIOR = 2.0
 _AXIS_GAIN = 1.5
 """An axis that gains fewer nats does without the effect."""
 
+_MORE_LOOKS, _WIDER, _MUCH = 4, 1.5, 0.02
+"""Of a change that makes more than that share of the statistics so many times wider, more replicates are looked at."""
+
 _DONE = 0.03
 _ADAPTED, _FITS = 2, 0.5
 """So often at most the noise is adapted, until that of the fit is missed by fewer nats."""
@@ -55,7 +58,7 @@ class Tried:
 
 def look(bench: Bench, standing: Standing, trial: Trial) -> Tried:
     """The gain of a trial as it was guessed, whatever becomes of the noise: that isn't adapted yet."""
-    seen = _seen(bench, standing, standing.changed(trial), trial.needs_both)
+    seen = _seen(bench, standing, standing.changed(trial), trial.needs_both, LOOKS)
     return Tried(trial) if seen is None else Tried(trial, standing.changed(trial), _gain(standing, seen, trial))
 
 
@@ -63,7 +66,9 @@ def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
     """The trial with its free parameters fitted and the ordinary ones re-adapted; the best of all steps, each as it was
     simulated.
     """
-    now = _simulated(bench, standing, trial, standing.changed(trial))
+    now = _simulated(bench, standing, trial, standing.changed(trial), LOOKS)
+    if now is not None and _widens(standing, now.seen):
+        now = _simulated(bench, standing, trial, standing.changed(trial), _MORE_LOOKS)
     if now is None:
         return Tried(trial)
     now = best = _adapted(bench, standing, now)
@@ -73,7 +78,8 @@ def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
             break
         steps = _step(standing, now.seen, _slopes(bench, standing, now.tried.trial, factors, now.seen))
         stepped = moved(now.tried.trial, factors, steps)
-        after = _simulated(bench, standing, stepped, _with_fitted(standing.changed(stepped), now.seen.settled))
+        changed = _with_fitted(standing.changed(stepped), now.seen.settled)
+        after = _simulated(bench, standing, stepped, changed, len(now.seen.values))
         if after is None:
             break
         now, best = after, max(best, after, key=_gained)
@@ -92,7 +98,8 @@ def _adapted(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
             break
         settled = standing.settled(now.tried.models, now.seen.came, before)
         before = now.tried.models, now.seen.came
-        after = _simulated(bench, standing, trial, _with_fitted(standing.changed(trial), settled))
+        changed = _with_fitted(standing.changed(trial), settled)
+        after = _simulated(bench, standing, trial, changed, len(now.seen.values))
         if after is None:
             break
         now, best = after, max(best, after, key=_gained)
@@ -123,19 +130,24 @@ def _gained(one: _Simulated) -> float:
     return one.tried.gain
 
 
-def _simulated(bench: Bench, standing: Standing, trial: Trial, models: Models) -> _Simulated | None:
-    """A trial as it is with these models; None for parameters that an effect refuses."""
-    seen = _seen(bench, standing, models, trial.needs_both)
+def _widens(standing: Standing, seen: _Seen) -> bool:
+    """Whether the change leaves much to chance: then two draws of it say little."""
+    return bool(np.mean(seen.likeness.scale > _WIDER * standing.likeness.scale) > _MUCH)
+
+
+def _simulated(bench: Bench, standing: Standing, trial: Trial, models: Models, looks: int) -> _Simulated | None:
+    """A trial as it is with these models, by so many replicates; None for parameters that an effect refuses."""
+    seen = _seen(bench, standing, models, trial.needs_both, looks)
     if seen is None:
         return None
     return _Simulated(Tried(trial, models, _gain(standing, seen, trial) - seen.misfit + standing.misfit), seen)
 
 
-def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _Seen | None:
+def _seen(bench: Bench, standing: Standing, models: Models, whole: bool, looks: int) -> _Seen | None:
     """Of the training part, or of both (`whole`); None for parameters that an effect refuses."""
     try:
         found = [
-            bench.replicate(models, number, held_out=whole, company=standing.company) for number in NUMBERS[:LOOKS]
+            bench.replicate(models, number, held_out=whole, company=standing.company) for number in NUMBERS[:looks]
         ]
     except ValueError:
         return None
@@ -143,7 +155,7 @@ def _seen(bench: Bench, standing: Standing, models: Models, whole: bool) -> _See
     values = np.array([one.values[kept] for one in found])
     if not whole:
         out = bench.held_out[bench.own(standing.unit)]
-        values[:, out] = standing.values[:LOOKS, out]
+        values[:, out] = standing.values[:looks, out]
     likeness, moved = compared(standing, values)
     came = [one.fitted for one in found]
     settled, misfit = standing.settled(models, came), standing.misfit_of(bench.base.headers, came)
@@ -176,7 +188,7 @@ def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Fa
             steps = np.zeros(len(factors))
             steps[members] = nudge
             models = _with_fitted(standing.changed(moved(trial, factors, steps)), seen.settled)
-            nudged = _seen(bench, standing, models, trial.needs_both)
+            nudged = _seen(bench, standing, models, trial.needs_both, len(seen.values))
             if nudged is not None:
                 break
         else:
@@ -220,7 +232,7 @@ def _pruned(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
     trial = found.tried.trial
     fewer = replace(trial, effects=tuple(without(effect, idle) for effect in trial.effects))
     models = _with_fitted(standing.changed(fewer), found.seen.settled)
-    return _simulated(bench, standing, fewer, models) or found
+    return _simulated(bench, standing, fewer, models, len(found.seen.values)) or found
 
 
 def _of_axis(bench: Bench, standing: Standing, axis: int) -> npt.NDArray[np.bool_]:

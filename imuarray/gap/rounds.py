@@ -194,6 +194,7 @@ def _bare(found: Compared, unit: Unit) -> Standing:
         {name: found.real.fitted[name] for name in unit},
         independent_share(likeness.scores(chance)),
         probes=np.unique([bench.keys[at].probe for at in columns], return_inverse=True)[1],
+        alike=np.unique(bench.alike[columns], return_inverse=True)[1],
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import f as f_distribution
 
 from imuarray.gap.base_model import Fitted
 from imuarray.gap.bench import Modelled, Models
@@ -38,8 +39,9 @@ class Standing:
     """A unit: its `models`, what n statistics are in the recording (`real`) and what the models make of them, in
     general (`likeness`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
     what the fit of the recording gave, `independent` the share of the statistics that is. `company` are the models of
-    other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes: statistics of one scatter
-    alike (none: nothing is known of that), `misfit` the nats that the models' noise lacks.
+    other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes, of which statistics move
+    alike, and `alike` (n,) those of each axis and kind of log, which scatter alike when they do (none: nothing is known
+    of that), `misfit` the nats that the models' noise lacks.
     """
 
     unit: Unit
@@ -51,6 +53,7 @@ class Standing:
     independent: float
     company: Models = field(default_factory=dict)
     probes: npt.NDArray[np.intp] | None = field(default=None, repr=False)
+    alike: npt.NDArray[np.intp] | None = field(default=None, repr=False)
     misfit: float = 0.0
 
     @property
@@ -122,7 +125,8 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     shift = np.zeros(moved.shape[1])
     shift[known] = np.nanmean(moved[:, known], axis=0)
     location, scale = before.location + shift, before.scale.copy()
-    scale[known] *= _spread_ratio(values[:, known], without[:, known], before.scale[known])
+    alike = None if standing.alike is None else standing.alike[known]
+    scale[known] *= _spread_ratio(values[:, known], without[:, known], before.scale[known], alike)
     if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
         same = came.all(axis=0) & (np.ptp(values, axis=0) < _SAME * (1 + np.abs(values).max(axis=0)))
         location[same] = values[:, same].mean(axis=0)
@@ -158,31 +162,30 @@ def gains_of(standing: Standing, likeness: Likeness, moved: Floats) -> Floats:
 def _kept(moved: Floats, probes: npt.NDArray[np.intp]) -> Floats:
     """(n,) how much of what each statistic moved by (r, n), in standard deviations, the change did.
 
-    Where a change makes noise fall otherwise, pairs differ by chance alone; what that adds to the mean of r of them is
-    told from their scatter, for all statistics of a probe together, and the rest by how far the means are apart
-    (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc. 68, 1973).
+    Where a change makes noise fall otherwise, or wanders by itself, pairs differ by chance alone; what that adds to the
+    mean of r of them is told from their scatter, for all statistics of a probe together, and the rest by how far the
+    means are apart (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc. 68, 1973).
     """
     known = np.isfinite(moved).all(axis=0)
     kept = np.ones(moved.shape[1])
     for probe in np.unique(probes[known]) if len(moved) > 1 else ():
         own = moved[:, known & (probes == probe)]
-        by_chance = min(float(own.var(axis=0, ddof=1).mean()), _INDEPENDENT) / len(own)
+        by_chance = float(own.var(axis=0, ddof=1).mean()) / len(own)
         square = float((own.mean(axis=0) ** 2).mean())
-        kept[probes == probe] = max(0.0, 1 - by_chance / square) if square > 0 else 0.0
+        clear = float(f_distribution.ppf(_CLEAR, own.shape[1], own.shape[1] * (len(own) - 1)))
+        kept[probes == probe] = max(0.0, 1 - clear * by_chance / square) if square > 0 else 0.0
     return kept
 
 
-def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
+def _spread_ratio(values: Floats, without: Floats, scale: Floats, alike: npt.NDArray[np.intp] | None = None) -> Floats:
     """(n,) by how much a change widens or narrows the scatter, from replicates with and without it.
 
     Where a pair agrees closely even a few replicates tell; the log of the ratio is shrunk by how uncertain it is, as
     the correlation of the pairs says. Few pairs tell only what their differences add to those of independent ones.
     """
     if len(values) < _PAIRS:
-        several = np.isfinite(values - without).sum(axis=0) > 1
-        added = np.zeros(values.shape[1])
-        added[several] = np.nanvar((values - without)[:, several], axis=0, ddof=1)
-        return np.asarray(np.sqrt(1.0 + np.maximum(added / scale**2 - _INDEPENDENT, 0.0)))
+        added = _added((values - without) / scale, alike)
+        return np.asarray(np.sqrt(1.0 + np.maximum(added - _INDEPENDENT, 0.0)))
     spreads = [np.nanstd(side, axis=0) for side in (values, without)]
     usable = (spreads[0] > 0) & (spreads[1] > 0) & np.isfinite(scale)
     ratio = np.ones(values.shape[1])
@@ -195,6 +198,23 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats) -> Floats:
     return ratio
 
 
+def _added(moved: Floats, alike: npt.NDArray[np.intp] | None) -> Floats:
+    """(n,) variance of what few replicates moved by (r, n), in standard deviations; 0 of a single one.
+
+    Two that happen to agree are no proof that a third would: each variance is taken together with the mean one of
+    those alike, as if that were known from `_LIKE_IT` more replicates (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004).
+    """
+    freedom = np.isfinite(moved).sum(axis=0) - 1
+    found = np.zeros(moved.shape[1])
+    several = freedom > 0
+    found[several] = np.nanvar(moved[:, several], axis=0, ddof=1)
+    touched = several & (found > 0)  # of the part that isn't simulated nothing moves
+    for group in np.unique(alike[touched]) if alike is not None else ():
+        own = touched & (alike == group)
+        found[own] = (freedom[own] * found[own] + _LIKE_IT * found[own].mean()) / (freedom[own] + _LIKE_IT)
+    return found
+
+
 _NOISE_SURE = 0.05
 """Relative error of a noise, as a fit tells it and as a form may have it."""
 
@@ -202,6 +222,7 @@ _PAIRS = 6
 _INDEPENDENT = 2.0
 """Variance of the difference of two independent readings of variance 1."""
 
+_LIKE_IT, _CLEAR = 4.0, 0.75
 _UNSURE = 0.1
 _TINY = 1e-12
 _SAME = 1e-9

@@ -232,6 +232,44 @@ def test_noise_that_falls_otherwise_is_no_shift() -> None:
     np.testing.assert_allclose(likeness.branches[0, 300:], 0.4, rtol=1e-9)
 
 
+def test_what_wanders_by_itself_is_no_shift() -> None:
+    """300 statistics of one probe, each moved by draws of five standard deviations: two of these agree in sign as often
+    as not, and none of their means is where the next one will be.
+    """
+    without = drawn(300, 3)
+    walked = without[:2] + 5 * drawn(300, 4, rows=2)
+    _, all_moved = compared(standing([0.0] * 300, without), walked)
+    assert all_moved.std() == pytest.approx(5 / math.sqrt(2), rel=0.15)
+    _, moved = compared(replace(standing([0.0] * 300, without), probes=np.zeros(300, int)), walked)
+    assert np.abs(moved).max() < 1e-9
+
+
+def test_a_scatter_is_told_by_all_that_are_alike() -> None:
+    """Moved by draws of ten standard deviations, of which two say next to nothing (the lower quartile of the root of
+    chi-squared with one degree of freedom is 0.32): 200 that are alike say it within a third, and of others that move
+    by 0.1 alike they say nothing.
+    """
+    without = drawn(400, 3)
+    walked = without[:2] + drawn(400, 4, rows=2) * np.repeat([10.0, 0.1], 200)
+    unit = standing([0.0] * 400, without)
+    alone, _ = compared(unit, walked)
+    assert np.quantile(alone.scale[:200], 0.25) == pytest.approx(3.2, abs=1.0)
+    together, _ = compared(replace(unit, alike=np.repeat([0, 1], 200)), walked)
+    assert np.quantile(together.scale[:200], 0.25) > 8
+    assert np.quantile(together.scale[:200], 0.75) < 13
+    np.testing.assert_allclose(together.scale[200:], 1.0, rtol=1e-6)
+
+
+def test_what_does_not_move_says_nothing_of_what_does() -> None:
+    """Of those that are alike half are of the part that isn't simulated."""
+    without = drawn(400, 3)
+    walked = without[:2].copy()
+    walked[:, :200] += 10 * drawn(200, 4, rows=2)
+    together, _ = compared(replace(standing([0.0] * 400, without), alike=np.zeros(400, int)), walked)
+    assert np.median(together.scale[:200]) > 8
+    np.testing.assert_allclose(together.scale[200:], 1.0)
+
+
 @pytest.mark.parametrize("count", [LOOKS, REPLICATES])
 def test_where_an_earlier_effect_takes_a_statistic_it_still_does(count: int) -> None:
     """To 0 or to 10, by the boot; a later change that does nothing to it makes no reading likelier or less likely."""
