@@ -11,7 +11,7 @@ from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.in_motion import takes_part
 from imuarray.gap.candidates.levels import change_between_logs
 from imuarray.gap.candidates.removal import with_removal
-from imuarray.gap.candidates.slow import longest_s, wander_of
+from imuarray.gap.candidates.slow import longest_s, wander_of, within
 from imuarray.gap.cross import Cross
 from imuarray.gap.evidence import Evidence, Seen
 from imuarray.simulate.effects.common_mode import CommonMode
@@ -43,15 +43,13 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     partners = pairs[0][1].others(evidence.header.name, family=True) if pairs else ()
     if not partners:
         return
-    shared = _covariance(pairs, evidence.header.name, partners)
-    rms = np.sqrt(np.maximum(shared, 0.0))
-    if not rms.any():
-        return
-    x, y, z = np.where(rms < rms.max() / 5, 0.0, rms).tolist()
     wander = wander_of(evidence)
     time_constant_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
     for time_s in (time_constant_s, min(_APART * time_constant_s, 3 * longest_s(evidence))):
-        yield Trial((CommonMode((x, y, z), time_s),), ("rms", "time_constant_s"), shared=True)
+        rms = np.sqrt(np.maximum(_variance(pairs, evidence.header.name, partners, time_s), 0.0))
+        if rms.any():
+            x, y, z = np.where(rms < rms.max() / 5, 0.0, rms).tolist()
+            yield Trial((CommonMode((x, y, z), time_s),), ("rms", "time_constant_s"), shared=True)
 
 
 def _between_logs(evidence: Evidence) -> Iterator[Trial]:
@@ -71,9 +69,13 @@ def _between_logs(evidence: Evidence) -> Iterator[Trial]:
         yield Trial((shared, TurnOnBias((x, y, z))), shared=True, whole=True)
 
 
-def _covariance(seen: Sequence[tuple[Seen, Cross]], sensor: str, partners: Sequence[str]) -> Floats:
-    """(3,) mean over phases and partners, axis by axis along the chips' own."""
-    found, weights = [], []
+def _variance(
+    seen: Sequence[tuple[Seen, Cross]], sensor: str, partners: Sequence[str], time_constant_s: float
+) -> Floats:
+    """(3,) mean covariance over phases and partners, axis by axis along the chips' own, over what phases, about their
+    means, show of a process of this time constant.
+    """
+    found, shown, weights = [], [], []
     for one, cross in seen:
         own = _slow(one, cross, sensor)
         known = np.isfinite(own).all(axis=1)
@@ -82,8 +84,11 @@ def _covariance(seen: Sequence[tuple[Seen, Cross]], sensor: str, partners: Seque
         slow = [np.mean((own * _slow(one, cross, partner))[known], axis=0) for partner in partners]
         fast = [np.diag(cross.fast[cross.columns(sensor), cross.columns(partner)]) for partner in partners]
         found.append(np.mean(slow, axis=0) + np.nan_to_num(np.mean(fast, axis=0)))
+        shown.append(within(1e-9 * (cross.phase.end_ns - cross.phase.start_ns), time_constant_s))
         weights.append(len(own))
-    return np.average(found, axis=0, weights=weights) if found else np.zeros(3)
+    if not found:
+        return np.zeros(3)
+    return np.asarray(np.average(found, axis=0, weights=weights) / np.average(shown, weights=weights))
 
 
 def _slow(one: Seen, cross: Cross, sensor: str) -> Floats:

@@ -116,7 +116,9 @@ def common(trials: list[Trial]) -> CommonMode:
     return effect
 
 
-@pytest.mark.parametrize(("kind", "rms", "time_constant_s"), [("static", 0.003, 2.0), ("heating", 0.003, 5.0)])
+@pytest.mark.parametrize(
+    ("kind", "rms", "time_constant_s"), [("static", 0.003, 2.0), ("static", 0.003, 40.0), ("heating", 0.003, 5.0)]
+)
 def test_a_wander_of_all_units(kind: str, rms: float, time_constant_s: float) -> None:
     """Slopes over temperature that the units have in common are not taken for it."""
     both = dict.fromkeys(("A1", "A2"), (CommonMode((rms,) * 3, time_constant_s),))
