@@ -53,6 +53,7 @@ _NEEDS: Mapping[str, Needs] = MappingProxyType(
         "misalignment": (("faces",), ("turns",)),
         "axis_error": (("faces",), ("turns",)),
         "nonlinearity": (("faces",), ("turns",)),
+        "saturation": (("faces",), ("turns",)),
         "g_sensitivity": (("faces",), ("turns",)),
         "size_effect": (("turns",),),
         "thermal_bias": (("warmth",),),
@@ -63,7 +64,8 @@ _NEEDS: Mapping[str, Needs] = MappingProxyType(
     }
 )
 """Any of these, the usual one first; without, an effect can't be told, whatever else was recorded: in one attitude it
-looks like a bias, and so does what never changes with warmth or from run to run."""
+looks like a bias (a clipped axis like one that is quiet besides), and so does what never changes with warmth or from
+run to run."""
 
 _GYROSCOPE_NEEDS: Mapping[str, Needs] = MappingProxyType(
     {
@@ -71,6 +73,7 @@ _GYROSCOPE_NEEDS: Mapping[str, Needs] = MappingProxyType(
         "misalignment": (("turns",),),
         "axis_error": (("turns",),),
         "nonlinearity": (("turns",),),
+        "saturation": (("turns",),),
         "thermal_scale": (("turns", "warmth"),),
     }
 )

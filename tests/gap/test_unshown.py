@@ -28,6 +28,7 @@ NEVER_TOLD = (
     "scale",
     "misalignment",
     "nonlinearity",
+    "saturation",
     "g_sensitivity",
     "thermal_bias",
     "thermal_scale",
@@ -65,14 +66,16 @@ def test_what_to_record() -> None:
 def test_faces_tell_of_accelerometers_turns_of_gyroscopes() -> None:
     tumble: dict[str, dict[Kind, str]] = {
         "scale": {"tumble": "six faces", "motion": "turn it"},
+        "saturation": {"tumble": "six faces", "motion": "turn it"},
         "g_sensitivity": {"tumble": "six faces"},
     }
     faces = Facts(6, 0.0, 0, False, 70.0)
-    assert found(("tumble",), faces, **tumble) == {"scale": Unshown("scale", ("G1",), "motion: turn it")}
-    assert found(("static",), faces, **tumble).keys() == {"scale"}  # logs at rest on six faces are a tumble
+    gyroscopes = {name: Unshown(name, ("G1",), "motion: turn it") for name in ("scale", "saturation")}
+    assert found(("tumble",), faces, **tumble) == gyroscopes
+    assert found(("static",), faces, **tumble).keys() == gyroscopes.keys()  # logs at rest on six faces are a tumble
     assert not found(("tumble", "motion"), faces, **tumble)
     assert not found(("tumble",), Facts(6, 0.0, 0, True, 70.0), **tumble)
-    assert found(("tumble",), Facts(1, 0.0, 0, False, 10.0), **tumble).keys() == {"scale", "g_sensitivity"}
+    assert found(("tumble",), Facts(1, 0.0, 0, False, 10.0), **tumble).keys() == set(tumble)
 
 
 def test_thermal_scale_needs_more_than_warmth() -> None:

@@ -54,7 +54,6 @@ SATURATION = Candidate(
     Saturation.name,
     guesses,
     {
-        "static": "at rest on the face in doubt, 1 minute",
         "tumble": "all six faces, 1 minute each",
         "motion": "strokes and turns up to the range, along every axis",
     },
