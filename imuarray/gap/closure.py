@@ -52,7 +52,9 @@ class Deviating:
     after: Floats
 
     def shrunk(self, seed: int) -> Shrunk:
-        """Of all of them; the interval from drawing blocks of one sensor, phase and domain anew (bootstrap)."""
+        """Of all of them; the interval from drawing blocks of one sensor, phase and domain anew (bootstrap), and in
+        each the chance of the recording once more.
+        """
         if len(self.keys) == 0:
             return Shrunk(1.0, 1.0, None, None)
         excess = np.stack([_squares(self.before) - 1, _squares(self.after) - 1])
@@ -60,7 +62,7 @@ class Deviating:
         roots = (float(np.sqrt(max(before + 1, 0.0))), float(np.sqrt(max(after + 1, 0.0))))
         if before < _LEAST_EXCESS:
             return Shrunk(*roots, None, None)
-        return Shrunk(*roots, min(1.0, 1 - after / before), self._interval(excess, seed))
+        return Shrunk(*roots, min(1.0, 1 - after / before), self._interval(seed))
 
     def of(self, chosen: Bools) -> Deviating:
         """Some of them, each domain with the same weight again."""
@@ -71,12 +73,23 @@ class Deviating:
         """Those that there are."""
         return tuple(dict.fromkeys(key.domain for key in self.keys))
 
-    def _interval(self, excess: Floats, seed: int) -> Interval:
+    def _interval(self, seed: int) -> Interval | None:
+        """Of draws that have a gap. Chance adds 1 to a squared score, each time that it is drawn; a few blocks alone
+        would say that they know, and one block that it is sure.
+        """
+        stream = np.random.default_rng(seed)
         blocks = list(_blocks(self.keys).values())
-        weighted = np.array([(excess[:, rows] * self.weights[rows]).sum(axis=1) for rows in blocks])
-        draws = np.random.default_rng(seed).integers(0, len(blocks), (_DRAWS, len(blocks)))
-        before, after = weighted[draws].sum(axis=1).T
-        closed = np.clip(1 - after / np.maximum(before, _LEAST_EXCESS * self.weights.sum()), -_FAR, 1.0)
+        chance = stream.standard_normal((_DRAWS, len(self.keys)))
+        excess = np.stack([_squares(scores + chance) - 2 for scores in (self.before, self.after)])
+        weighted = np.stack([(excess[:, :, rows] * self.weights[rows]).sum(axis=-1) for rows in blocks], axis=-1)
+        weights = np.array([self.weights[rows].sum() for rows in blocks])
+        drawn = stream.integers(0, len(blocks), (_DRAWS, len(blocks)))
+        total = np.take_along_axis(weighted, np.broadcast_to(drawn, weighted.shape), axis=-1).sum(axis=-1)
+        before, after = total / weights[drawn].sum(axis=-1)
+        has_gap = before >= _LEAST_EXCESS
+        if not has_gap.any():
+            return None
+        closed = np.clip(1 - after[has_gap] / before[has_gap], -_FAR, 1.0)
         low, high = np.quantile(closed, (0.025, 0.975)).tolist()
         return low, high
 

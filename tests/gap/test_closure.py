@@ -37,7 +37,9 @@ def test_the_share_of_the_excess() -> None:
     assert found.before == pytest.approx(5.0)
     assert found.after == pytest.approx(13**0.5)
     assert found.closed == pytest.approx(0.5)
-    assert found.interval == pytest.approx((0.5, 0.5))
+    assert found.interval is not None
+    low, high = found.interval
+    assert low < 0.5 < high  # of a single score as well
 
 
 @settings(max_examples=30, deadline=None)
@@ -57,12 +59,14 @@ def test_domains_weigh_alike(count: int, one: float, one_after: float, other: fl
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(4, 90), min_size=1, max_size=20), st.integers(0, 5))
-def test_nothing_done_closes_nothing_and_chance_is_all(scores: list[float], seed: int) -> None:
+def test_nothing_done_closes_nothing_and_chance_may_be_all(scores: list[float], seed: int) -> None:
     domains = ["level", "allan"] * len(scores)
     same = counted(domains[: len(scores)], scores, scores).shrunk(seed)
     assert (same.closed, same.interval) == (pytest.approx(0), pytest.approx((0, 0)))
     right = counted(domains[: len(scores)], scores, [1.0] * len(scores)).shrunk(seed)
-    assert (right.closed, right.interval) == (pytest.approx(1), pytest.approx((1, 1)))
+    assert right.closed == pytest.approx(1)
+    assert right.interval is not None
+    assert right.interval[1] == pytest.approx(1)
 
 
 def test_no_score_counts_for_more_than_the_largest() -> None:
@@ -125,6 +129,24 @@ def test_the_interval_covers() -> None:
         assert low <= high
         covered += low <= 0.9 <= high
     assert covered >= 115
+
+
+@pytest.mark.parametrize("blocks", [1, 2, 3, 6])
+def test_the_interval_of_a_few_blocks_covers(blocks: int) -> None:
+    """Three scores each, off by 10 or so before and, the same way, by a share of that after; chance adds one standard
+    deviation to both. At least 134 of 150 come in one of 0.96 campaigns of an interval that holds 0.925 of all.
+    """
+    random, covered = np.random.default_rng(blocks), 0
+    keys = tuple(key(number=block, probe=f"{part}") for block in range(blocks) for part in range(3))
+    for seed in range(150):
+        off = np.repeat(random.choice((-10.0, 10.0), blocks), 3) * random.uniform(0.5, 1.5, 3 * blocks)
+        left = off * np.repeat(random.normal(0, 0.3, blocks), 3)
+        chance = random.normal(size=len(keys))
+        found = Deviating(keys, np.full(len(keys), 1 / len(keys)), off + chance, left + chance).shrunk(seed)
+        assert found.interval is not None
+        low, high = found.interval
+        covered += low <= 1 - (left**2).sum() / (off**2).sum() <= high
+    assert covered >= 134
 
 
 def test_the_interval_is_the_seeds() -> None:
