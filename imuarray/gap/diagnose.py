@@ -111,12 +111,17 @@ def begun(
 
 
 def explained(
-    begin: Begun, candidates: Mapping[str, Candidate], progress: Callable[[str], None] = lambda what: None
+    begin: Begun,
+    candidates: Mapping[str, Candidate],
+    progress: Callable[[str], None] = lambda what: None,
+    known: Collection[str] = (),
 ) -> Diagnosis:
-    """The rest of `diagnose`: the search for causes among `candidates`, and what is said of them."""
+    """The rest of `diagnose`: the search for causes among `candidates`, and what is said of them. `known`: sensors that
+    are known to have one of them (`imuarray.gap.rounds.searches`).
+    """
     found = begin.found
     if found.located.is_gap:
-        searched = searches(found, candidates, begin.run, progress)
+        searched = searches(found, candidates, begin.run, progress, known)
     else:
         searched = Searched({}, found.bench.models())
     progress("simulating the repaired model")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -43,10 +43,16 @@ class Searched:
 
 
 def searches(
-    found: Compared, candidates: Mapping[str, Candidate], run: Run, progress: Callable[[str], None] = lambda what: None
+    found: Compared,
+    candidates: Mapping[str, Candidate],
+    run: Run,
+    progress: Callable[[str], None] = lambda what: None,
+    known: Collection[str] = (),
 ) -> Searched:
-    """All causes of what was found."""
-    names = [node.path[-1] for node in found.located.root.found("sensor")]
+    """All causes of what was found. Of the sensors `known` it is known that they have one of the candidates' effects:
+    only these are looked at, and what is found first needs no proof.
+    """
+    names = list(known) or [node.path[-1] for node in found.located.root.found("sensor")]
     standings = _standing(found, [(name,) for name in names], run)
     rounds: dict[Unit, list[Round]] = {}
     for number in range(ROUNDS):
@@ -57,7 +63,8 @@ def searches(
         progress(f"looking for causes, round {number + 1}: {len(todo)} sensors")
         guessed = _guessed(found, todo, candidates)
         placebos = {unit: one.placebo for unit, one in guessed.items()} if number == 0 else {}
-        came = searched(todo, {unit: one.alone for unit, one in guessed.items()}, placebos, run)
+        trials = {unit: one.alone for unit, one in guessed.items()}
+        came = searched(todo, trials, placebos, run, known=bool(known) and number == 0)
         for unit in _deferred(found, came):
             del came[unit]
         for unit, one in came.items():
@@ -65,7 +72,7 @@ def searches(
             if one.taken is not None:
                 standings[unit] = one.taken.standing
         if number < _FAMILY_ROUNDS:
-            _families(found, guessed, run, rounds, standings)
+            _families(found, guessed, run, rounds, standings, known=bool(known))
     models = dict(found.bench.models())
     for standing in standings.values():
         models.update(standing.models)
@@ -115,6 +122,7 @@ def _families(
     run: Run,
     rounds: dict[Unit, list[Round]],
     standings: dict[Unit, Standing],
+    known: bool,
 ) -> None:
     """Shared causes in the place of those of the members, where they are better; the best first, and none for a sensor
     that has one already. Causes of members that gain more than their part of the shared one stay beside it.
@@ -124,7 +132,7 @@ def _families(
     standings.update(_standing(found, sorted(missing), run))
     families = dict(_standing(found, list(trials), run))
     placebos = {family: next(one.placebo for (name,), one in guessed.items() if name in family) for family in trials}
-    came = searched(families, trials, placebos, run)
+    came = searched(families, trials, placebos, run, known)
     taken = {name: own[-1].taken for (name, *more), own in rounds.items() if not more}
     members = {family: [one for name in family if (one := taken.get(name)) is not None] for family in trials}
     staying = {family: _staying(found, came[family], members[family], standings, run) for family in trials}

@@ -118,8 +118,9 @@ def searched(
     trials: Mapping[Unit, Sequence[Trial]],
     placebos: Mapping[Unit, Trial],
     run: Run,
+    known: bool = False,
 ) -> dict[Unit, Round]:
-    """One round over all units at once."""
+    """One round over all units at once. Where it is `known` that one of the trials is right, none needs proof."""
     looks = _asked(run, _look, standings, {unit: [Tried(trial) for trial in own] for unit, own in trials.items()})
     likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
     refined = _asked(run, _refine, standings, likely)
@@ -127,7 +128,7 @@ def searched(
     needed = {unit: [Tried(placebos[unit])] for unit, own in best.items() if own and unit in placebos}
     fakes = _asked(run, _refine, standings, needed)
     confirmed = _asked(run, _confirm, standings, {unit: [*best[unit], *fakes.get(unit, ())] for unit in best})
-    return {unit: _round(standings[unit], own, bool(fakes.get(unit))) for unit, own in confirmed.items()}
+    return {unit: _round(standings[unit], own, bool(fakes.get(unit)), known) for unit, own in confirmed.items()}
 
 
 def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
@@ -210,11 +211,13 @@ def _asked(
     return found
 
 
-def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool) -> Round:
-    """If it `has_placebo`, that is the last."""
+def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool, known: bool = False) -> Round:
+    """If it `has_placebo`, that is the last; of those of which one is `known` to be right the likeliest is taken."""
     real, bar = (found[:-1], found[-1].gain) if has_placebo else (found, 0.0)
     odds = _log_odds(standing, real)
     ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
+    if known:
+        return Round(standing, ranked, bar, next((one for one in ranked if one.gain > 0), None))
     least = ACCEPTED + max(bar, 0.0)
     # what happens once has no more than one reason to show: all of its gain counts
     good = [

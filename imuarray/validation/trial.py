@@ -46,7 +46,7 @@ def tried(case: Case, folder: Path) -> None:
         opened = [stack.enter_context(open_log(path)) for path in logs]
         compared = begun(recordings_of(opened), runner, model=model_with(case.extra), replicates=REPLICATES)
         found = explained(compared, library(case.without)).as_json()
-        oracle = _oracle(compared, case, found) if case.kind in ("single", "pair") else {}
+        oracle = _oracle(compared, case, truth) if case.kind in ("single", "pair") else {}
     kept = {key: found[key] for key in _KEPT}
     lists = {key: found[key][:_WORST] for key in ("where", "unexplained")}
     outcome = Outcome(case.name, {**kept, **lists}, oracle, time.perf_counter() - begin)
@@ -69,13 +69,14 @@ def _unprinted(chip: str) -> dict[str, tuple[Recipe, ...]]:
     return {kind: (recipe,) for kind, recipe in usual(ARRAY_CHIPS[chip].unit).items()}
 
 
-def _oracle(compared: Begun, case: Case, blind: Mapping[str, Any]) -> dict[str, Any]:
-    """The share closed by who knows the effects, with its interval; that of the blind diagnosis if it named these and
-    no others.
+def _oracle(compared: Begun, case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:
+    """The share closed by who knows the effects and the sensors that have them, with its interval: such a one need not
+    be shown that they are there, and blames no others.
     """
-    known = {name for names in case.resembles for name in names}
-    gap = blind["gap"]
-    if {cause["effect"] for cause in blind["causes"]} - known:
-        told = explained(compared, {name: one for name, one in CANDIDATES.items() if name in known}).as_json()
-        gap = told["gap"]
+    effects = {name for names in case.resembles for name in names}
+    sensors = {
+        name for one in truth["mechanisms"] for name in one["sensors"]
+    } & compared.found.bench.base.headers.keys()
+    candidates = {name: one for name, one in CANDIDATES.items() if name in effects}
+    gap = explained(compared, candidates, known=sorted(sensors)).as_json()["gap"]
     return {"closed": gap["closed"], "closed_ci95": gap["closed_ci95"]}

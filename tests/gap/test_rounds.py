@@ -55,6 +55,13 @@ def test_nothing_is_found_without_candidates() -> None:
     assert heard == ["looking for causes, round 1: 1 sensors"]
 
 
+def test_who_knows_the_sensor_looks_there_alone() -> None:
+    """Where nothing is wrong no sensor is looked at; the one that is known to have the effect is."""
+    found, candidates = found_in(), {"tone": CANDIDATES["tone"]}
+    assert not searches(found, candidates, Run(found.bench)).rounds
+    assert list(searches(found, candidates, Run(found.bench), known=("G1",)).rounds) == [("G1",)]
+
+
 def test_candidates_see_what_is_left() -> None:
     """A candidate of nothing but what it is shown: at first the line, and that the model has no tone; the training part
     for what lasts, and both parts for what is brief.

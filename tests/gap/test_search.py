@@ -233,6 +233,15 @@ def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_
     assert (found.taken is not None) == is_taken
 
 
+@pytest.mark.parametrize(("gain", "is_taken"), [(0.1, True), (-0.1, False)])
+def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -> None:
+    """Neither that it is beyond chance nor that the training part shows it; what makes things worse is not it."""
+    told = Told({"bias": 9.0, "tone": 0.0}, {"bias": (0.0, gain), "tone": (0.0, 5.0)})
+    trials, placebos = {UNIT: [Trial((Bias(1.0),))]}, {UNIT: Trial((LINE,))}
+    found = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, told, known=True)[UNIT]
+    assert (found.taken is not None) == is_taken
+
+
 @pytest.mark.parametrize(("effect", "is_taken"), [(Bias(1.0), False), (Stuck(3.0, 1.0), True)])
 def test_what_moves_for_one_reason_counts_once(effect: Effect, is_taken: bool) -> None:
     """20 nats of statistics of which a tenth is independent are 2; what happens once has no more to show."""
