@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from math import isfinite
+from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -49,11 +49,13 @@ class Where:
 
 @dataclass(frozen=True)
 class Cause:
-    """One cause, with the probability that it is there. `sensors` and `axes` concerned (no axes: all); `parameters` by
-    their names with units, of the first sensor where they differ (`each` has all); `closed` is the share of the gap of
-    these sensors that goes with it, on data that it was not fitted to. `gain` is how much likelier it makes that data,
-    in nats. `needs_both`: the training part alone doesn't show it, so that it was told, and its share closed, by both
-    parts together.
+    """One cause, with the probability that it is there: its `share` among all that would explain as much, times how
+    often causes of sensors of whose gap so much is closed, by all of their causes together (`all_closed`), are right.
+
+    `sensors` and `axes` concerned (no axes: all); `parameters` by their names with units, of the first sensor where
+    they differ (`each` has all); `closed` is the share of the gap of these sensors that goes with it, on data that it
+    was not fitted to. `gain` is how much likelier it makes that data, in nats. `needs_both`: the training part alone
+    doesn't show it, so that it was told, and its share closed, by both parts together.
     """
 
     effect: str
@@ -69,6 +71,8 @@ class Cause:
     gain: float = 0.0
     each: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     needs_both: bool = False
+    share: float = nan
+    all_closed: float | None = None
 
 
 @dataclass(frozen=True)

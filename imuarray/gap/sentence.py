@@ -25,7 +25,7 @@ def sentence_of(
     worst = where[0]
     place = f"{worst.sensor}{' ' + worst.axis if worst.axis else ''}"
     parts = [f"The recordings differ from the simulator, most in {worst.domain.replace('_', ' ')} of {place}."]
-    likely = [cause for cause in causes if cause.probability >= 0.5]
+    likely = [cause for cause in causes if cause.probability >= 0.5] or list(causes[:1])
     parts += [f"{_named(cause)}." for cause in likely[:_MOST]]
     if gap.closed is not None and likely:
         closed = closed_text(gap.closed, gap.closed_ci95)

@@ -18,6 +18,8 @@ def frozen() -> dict[str, Any]:
         "nats a parameter costs": search.COST,
         "wrong form allowed": likeness.FORM,
         "log odds tempered": causes.TEMPER,
+        "right if nothing closes": causes.LEAST_RIGHT,
+        "right if all closes": causes.MOST_RIGHT,
         "probability to be told": causes.ALTERNATIVE,
         "odds to be confusable": causes.CONFUSABLE,
         "closed to be a cause": causes.LEAST,

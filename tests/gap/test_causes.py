@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
-from imuarray.gap.causes import TEMPER, causes_of, judged_of, probabilities
+from imuarray.gap.causes import LEAST_RIGHT, MOST_RIGHT, TEMPER, believed, causes_of, judged_of, probabilities
 from imuarray.gap.diagnosis import Cause, Judged
 from imuarray.gap.likeness import Likeness
 from imuarray.gap.refine import Tried
@@ -99,9 +99,10 @@ def test_a_cause_in_full(bench: Bench) -> None:
     assert (found.effect, found.action, found.sensors, found.axes) == ("tone", "add", ("G1",), ("y",))
     assert found.parameters == {"amplitude_dps": [0.0, 0.04, 0.0], "frequency_hz": 17.0}
     assert found.each == {"G1": found.parameters}
-    assert found.probability == pytest.approx(1 / (1 + math.exp(-15)))
-    assert found.closed == pytest.approx(1.0)
-    assert found.closed_ci95 == pytest.approx((1.0, 1.0))
+    assert found.share == pytest.approx(1 / (1 + math.exp(-15)))
+    assert found.probability == pytest.approx(MOST_RIGHT * found.share)
+    assert (found.closed, found.all_closed) == (pytest.approx(1.0), pytest.approx(1.0))
+    assert found.closed_ci95 == pytest.approx((1.0, 1.0), abs=0.02)
     assert (found.confusable_with, found.origin, found.gain) == ((), "sensor", nats(15.0) + COST)
     assert not found.needs_both
     late = replace(trial, whole=True)
@@ -130,7 +131,7 @@ def test_two_guesses_of_one_effect_count_together(bench: Bench) -> None:
     """With odds e^2, e^2 and 1 of nothing."""
     found = [confirmed(bench, "G1", effect, nats(2.0)) for effect in (LINE, Tone(LINE.amplitude, 34.0))]
     (told,) = causes(bench, "G1", round_of(bench, "G1", *found))
-    assert told.probability == pytest.approx(2 * math.e**2 / (1 + 2 * math.e**2))
+    assert told.share == pytest.approx(2 * math.e**2 / (1 + 2 * math.e**2))
     assert told.parameters["frequency_hz"] == 17.0
     assert told.confusable_with == ()
 
@@ -151,6 +152,20 @@ def test_shares_are_of_what_was_left(bench: Bench) -> None:
     line, steps = causes(bench, "G1", first, second)
     assert line.closed == pytest.approx(1 - 35 / 99)
     assert steps.closed == pytest.approx(1.0)
+    assert line.all_closed == steps.all_closed == pytest.approx(1.0)
+
+
+def test_what_leaves_much_of_the_gap_is_less_probable(bench: Bench) -> None:
+    """Half of the excess of 10 is closed with a score of sqrt(50.5), none of it with 10; whatever the share is."""
+    half, all_, none = (
+        causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", LINE, 99.0, score)))
+        for score in (50.5**0.5, 1.0, 10.0)
+    )
+    assert none == ()
+    assert half[0].all_closed == pytest.approx(0.5)
+    assert half[0].probability == pytest.approx(LEAST_RIGHT + (MOST_RIGHT - LEAST_RIGHT) / 16)
+    assert all_[0].probability == pytest.approx(MOST_RIGHT)
+    assert believed(0.5, None) == believed(0.5, -1.0) == 0.5 * LEAST_RIGHT
 
 
 def test_rounds_without_a_cause_tell_none(bench: Bench) -> None:
@@ -215,8 +230,9 @@ def test_the_same_in_two_sensors_of_a_chip_is_one_cause(bench: Bench) -> None:
     assert both.parameters == both.each["G1"]
     assert both.each["G2"]["frequency_hz"] == 17.1
     assert both.gain == pytest.approx(4.0)
-    odds = (alone.probability / (1 - alone.probability)) ** 2
-    assert both.probability == pytest.approx(odds / (1 + odds))
+    odds = (alone.share / (1 - alone.share)) ** 2
+    assert both.share == pytest.approx(odds / (1 + odds))
+    assert both.probability == pytest.approx(MOST_RIGHT * both.share)  # what is in no library is so in both of them
 
 
 @pytest.mark.parametrize(

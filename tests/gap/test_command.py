@@ -12,6 +12,7 @@ import pytest
 
 from imuarray.cli import main
 from imuarray.gap.candidates import CANDIDATES
+from imuarray.gap.causes import MOST_RIGHT
 from imuarray.gap.probes import PROBES
 from imuarray.log import open_log
 from imuarray.simulate import load_model
@@ -152,7 +153,8 @@ def test_the_cause_is_told(found: dict[str, Any]) -> None:
     """1000 rows in noise of 0.05 dps tell an amplitude to 0.0022 dps."""
     cause = found["causes"][0]
     assert (cause["effect"], cause["action"], cause["sensors"], cause["axes"]) == ("tone", "add", ["G1"], ["y"])
-    assert cause["probability"] > 0.9
+    assert cause["share"] > 0.9
+    assert 0.6 < cause["probability"] <= MOST_RIGHT
     assert cause["parameters"]["amplitude_dps"] == pytest.approx([0.0, 0.04, 0.0], abs=0.009)
     assert cause["parameters"]["frequency_hz"] == pytest.approx(17.0, abs=0.4)
     assert cause["closed"] > 0.8

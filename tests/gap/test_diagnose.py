@@ -80,7 +80,7 @@ def test_a_line_is_named_and_closed(tone: Diagnosis) -> None:
     """1000 rows in noise of 0.05 dps tell an amplitude to 0.0022 dps, bins of the spectrum are 0.4 Hz apart at most."""
     (cause,) = tone.causes
     assert (cause.effect, cause.action, cause.sensors, cause.axes) == ("tone", "add", ("G1",), ("y",))
-    assert cause.probability > 0.9
+    assert cause.share > 0.9
     assert amplitude_of(cause.parameters) == pytest.approx([0.0, 0.04, 0.0], abs=0.009)
     assert cause.parameters["frequency_hz"] == pytest.approx(17.0, abs=0.4)
     assert tone.verdict == "explained"
@@ -198,7 +198,7 @@ def stuck(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_a_moment_of_silence_is_found_in_either_part(stuck: tuple[float, Diagnosis]) -> None:
     cause = stuck[1].causes[0]
     assert (cause.effect, cause.action, cause.sensors) == ("stuck", "add", ("G1",))
-    assert cause.probability > 0.9
+    assert cause.share > 0.9
     assert stuck[1].verdict == "explained"
 
 

@@ -92,9 +92,10 @@ def test_the_figure_of_use_that_changed_most() -> None:
     assert "recorded" not in sentence_of("unexplained", GAP, [], [where()], [], uses)
 
 
-def test_them_are_named() -> None:
+def test_where_none_is_likely_the_likeliest_is_named() -> None:
     said = sentence_of("explained", GAP, [cause(probability=0.4), cause("glitches", 0.3)], [where()], [], [])
-    assert "With them" not in said
+    assert "probability 0.40. With it 97 %" in said
+    assert "glitches" not in said
 
 
 @pytest.mark.parametrize("effect", sorted(EFFECTS))
