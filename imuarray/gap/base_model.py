@@ -1,9 +1,9 @@
 """The base model: what a simulation has before anything is blamed, its few parameters fitted to a campaign's summaries.
 
 Every sensor has `white_noise`, `bias` and a linear `thermal_bias`, fitted; `scale`, `misalignment` and a gyroscope's
-`g_sensitivity` are drawn anew for every replicate from their populations, since no log in one attitude tells them from
-a bias. The phase of `own_clock` is drawn for every log, since it is another one after every boot and no log at rest
-tells it.
+`g_sensitivity` are drawn anew for every replicate from their populations (`imuarray.gap.usual_model`), since no log in
+one attitude tells them from a bias. The phase of `own_clock` is drawn for every log, since it is another one after
+every boot and no log at rest tells it.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from types import MappingProxyType
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -20,43 +19,16 @@ import numpy.typing as npt
 from imuarray.gap.at_rest import Fitted, Rest, felt, fitted_to
 from imuarray.gap.attitude import Forces, estimated_forces, forces_left
 from imuarray.gap.campaign import Campaign, PhaseSummary
+from imuarray.gap.usual_model import usual_model
 from imuarray.log.format import SensorHeader
-from imuarray.shipped import configs
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.model import Model, Part, load_model
+from imuarray.simulate.model import Model
 from imuarray.simulate.motion.felt import Motion
-from imuarray.simulate.population import Recipe, Spread
 from imuarray.simulate.streams import Streams
 
-__all__ = ["Base", "Fitted", "data_sheets", "fit", "headers_in", "replicate_seed", "residual"]
-
-SCALE_SIGMA, ANGLE_SIGMA_DEG, G_SENSITIVITY_SIGMA = 0.01, 0.7, 0.01
-"""Population of sensors in an array. Of angles data sheets say how a die lies in its package (half a degree, BMA-119),
-and not how that was soldered and its board screwed on. The paper's gyroscopes changed by up to 0.038 dps over 2 g (its
-Table 4).
-"""
-
-USUAL: Mapping[str, Recipe] = MappingProxyType(
-    {
-        "own_clock": {"phase_deg": math.nan},
-        "scale": {"error": Spread(sigma=SCALE_SIGMA)},
-        "misalignment": {"angles_deg": Spread(sigma=ANGLE_SIGMA_DEG)},
-    }
-)
-"""What sensors have beside the fitted, where there is no model."""
-
-_USUAL_AT_DPS: Mapping[str, Recipe] = MappingProxyType(
-    {"g_sensitivity": {"response_dps_per_g": Spread(sigma=G_SENSITIVITY_SIGMA)}}
-)
-
-PRINTED = frozenset({"scale"})
-"""Those for which the data sheets' populations are taken where there are any. Not the clock's: with a rate that is off,
-ages go round within a log, so that every replicate has the same mean age; at the set rate, in step with the polls, they
-stay what they are. A recording may be like either, and is no odd one among replicates that keep step.
-"""
+__all__ = ["Base", "Fitted", "fit", "headers_in", "replicate_seed", "residual"]
 
 _IN_STEP = OwnClock(phase_deg=math.nan)
 """Of a chip of whose clock the model says nothing."""
@@ -86,10 +58,12 @@ class Base:
         units = Streams(replicate_seed(self.seed, replicate))
         return {name: self._drawn(self.headers[name], units) for name in self.fitted}
 
+    @cached_property
+    def _usual(self) -> Model:
+        return usual_model(self.headers.values())
+
     def _drawn(self, header: SensorHeader, units: Streams) -> tuple[Effect, ...]:
-        if self.model is None:
-            return tuple(_typical(header, units))
-        effects = tuple(_unfitted(self.model.effects(header, units)))
+        effects = tuple(_unfitted((self.model or self._usual).effects(header, units)))
         return effects if any(effect.name == OwnClock.name for effect in effects) else (_IN_STEP, *effects)
 
 
@@ -168,28 +142,3 @@ def _unfitted(effects: Iterable[Effect]) -> Iterator[Effect]:
             yield replace(effect, slope=(0.0, 0.0, 0.0))
         elif effect.name not in _FITTED:
             yield effect
-
-
-def _typical(header: SensorHeader, units: Streams) -> Iterator[Effect]:
-    """A draw from the population of the chip, or where its data sheet names none, from the usual one."""
-    sheets = data_sheets()
-    for kind in usual(header.unit):
-        is_printed = kind in PRINTED and kind in sheets.parts(header, population=True)
-        model = sheets if is_printed else _usual(header)
-        yield from model.effects(header, units, population=True, without=EFFECTS.keys() - {kind})
-
-
-def usual(unit: str) -> dict[str, Recipe]:
-    """What a sensor of that unit has beside the fitted, where there is no model."""
-    return {**USUAL, **(_USUAL_AT_DPS if unit == "dps" else {})}
-
-
-@cache
-def data_sheets() -> Model:
-    """The shipped model of units as the data sheets describe them."""
-    return load_model(configs() / "models" / "datasheet.toml")
-
-
-def _usual(header: SensorHeader) -> Model:
-    effects = {kind: (recipe,) for kind, recipe in usual(header.unit).items()}
-    return Model("usual", "A chip of which nothing is known.", (Part(header.chip, effects=effects),), ())

@@ -6,11 +6,10 @@ Every sensor has what was fitted to it and what was found; what else it has stay
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
-from imuarray.gap.base_model import PRINTED, data_sheets, usual
 from imuarray.gap.bench import ORDINARY, Bench, Modelled, Models
+from imuarray.gap.usual_model import own_unit, usual_model
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
@@ -39,7 +38,7 @@ def repaired(
     what the file says of itself; without, what was diagnosed, from which kinds of `logs` (or from these).
     """
     headers = bench.base.headers
-    rest = model or _designs(headers.values())
+    rest = model or usual_model(headers.values())
     sensors = tuple(_sensor(rest, header, models[sensor]) for sensor, header in headers.items())
     others = tuple(part for part in rest.sensors if part.name not in headers)
     return Model(name, about or _about(bench, models, model, logs), rest.designs, (*sensors, *others))
@@ -62,7 +61,7 @@ def _sensor(model: Model, header: SensorHeader, found: Modelled) -> Part:
             effects[kind] = (_HARMLESS,)
     known = TRIADS.get(header.chip)
     range_ = header.range if known is None or header.range in known.sensitivity else None
-    return Part(header.chip, range_, header.name, noise_bandwidth_hz(header) or None, effects, _unit(header))
+    return Part(header.chip, range_, header.name, noise_bandwidth_hz(header) or None, effects, own_unit(header))
 
 
 def _kept(kind: str, recipes: Sequence[Recipe]) -> Iterator[Recipe]:
@@ -77,26 +76,6 @@ def _kept(kind: str, recipes: Sequence[Recipe]) -> Iterator[Recipe]:
 
 def _recipe(effect: Effect, header: SensorHeader) -> Recipe:
     return {key: figure_of(value, effect.name) for key, value in to_table(effect, header.unit).items()}
-
-
-def _designs(headers: Collection[SensorHeader]) -> Model:
-    """Scale and misalignment of the chips, from the data sheets; of a chip whose sheet has none, as is usual."""
-    parts: dict[tuple[str, str, float | None], Part] = {}
-    for header in headers:
-        for part in (part for part in data_sheets().designs if part.fits(header)):
-            if kept := {kind: recipes for kind, recipes in part.effects.items() if kind in PRINTED}:
-                parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=kept)
-        known = Model("", "", tuple(parts.values()), ()).parts(header)
-        if missing := {kind: (recipe,) for kind, recipe in usual(header.unit).items() if kind not in known}:
-            unit = _unit(header)
-            before = parts.get((header.chip, unit, None), Part(header.chip, unit=unit))
-            parts[header.chip, unit, None] = replace(before, effects={**before.effects, **missing})
-    return Model("data sheets", "", tuple(parts.values()), ())
-
-
-def _unit(header: SensorHeader) -> str:
-    """What a chip that we don't drive has to say."""
-    return "" if header.chip in TRIADS else header.unit
 
 
 def _about(bench: Bench, models: Models, model: Model | None, logs: Sequence[str]) -> str:

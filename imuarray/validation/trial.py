@@ -7,22 +7,22 @@ work in the logs is told to nobody but the oracle, whose library holds nothing e
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from imuarray.chips import CHIPS as ARRAY_CHIPS
-from imuarray.gap.base_model import data_sheets, usual
 from imuarray.gap.candidates import CANDIDATES
 from imuarray.gap.diagnose import Begun, begun, explained, library
-from imuarray.gap.recordings import recordings_of
+from imuarray.gap.recordings import Recording, recordings_of
+from imuarray.gap.usual_model import usual_model
 from imuarray.gap.workers import runner
 from imuarray.log import open_log
+from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, Part
-from imuarray.simulate.population import Recipe, figure_of
+from imuarray.simulate.population import figure_of
 from imuarray.validation.case import Case, Outcome, write_json
 from imuarray.validation.generator import CHIPS, record
 
@@ -44,7 +44,9 @@ def tried(case: Case, folder: Path) -> None:
             (folder / part).mkdir(parents=True, exist_ok=True)
         write_json(folder / "sealed" / f"{case.name}.json", {"case": case.table(), "truth": truth})
         opened = [stack.enter_context(open_log(path)) for path in logs]
-        compared = begun(recordings_of(opened), runner, model=model_with(case.extra), replicates=REPLICATES)
+        recordings = recordings_of(opened)
+        model = model_with(case.extra, headers_of(recordings)) if case.extra else None
+        compared = begun(recordings, runner, model=model, replicates=REPLICATES)
         found = explained(compared, library(case.without)).as_json()
         oracle = _oracle(compared, case, truth) if case.kind in ("single", "pair") else {}
     kept = {key: found[key] for key in _KEPT}
@@ -53,20 +55,17 @@ def tried(case: Case, folder: Path) -> None:
     write_json(folder / "outcomes" / f"{case.name}.json", asdict(outcome))
 
 
-def model_with(extra: Mapping[str, Any]) -> Model | None:
-    """The data sheets' model with one effect more in one sensor, and with what they don't say of any, as the diagnosis'
-    own model has it; None without: that one.
-    """
-    if not extra:
-        return None
+def model_with(extra: Mapping[str, Any], headers: Iterable[SensorHeader]) -> Model:
+    """What sensors usually have, as the diagnosis' own model has it, and in one of them one effect more."""
     recipe = {key: figure_of(value, extra["effect"]) for key, value in extra["parameters"].items()}
     part = Part(CHIPS[extra["sensor"]], name=extra["sensor"], effects={extra["effect"]: (recipe,)})
-    designs = tuple(replace(one, effects={**_unprinted(one.chip), **one.effects}) for one in data_sheets().designs)
-    return replace(data_sheets(), name="data sheets and more", designs=designs, sensors=(part,))
+    return replace(usual_model(headers), name="data sheets and more", sensors=(part,))
 
 
-def _unprinted(chip: str) -> dict[str, tuple[Recipe, ...]]:
-    return {kind: (recipe,) for kind, recipe in usual(ARRAY_CHIPS[chip].unit).items()}
+def headers_of(recordings: Iterable[Recording]) -> list[SensorHeader]:
+    """Of all sensors that were recorded, each once."""
+    found = {name: header for one in recordings for name, (header, _) in one.experiment.plan.sensors.items()}
+    return list(found.values())
 
 
 def _oracle(compared: Begun, case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,56 @@
+"""What sensors usually have: the data sheets' figures where there are any, and the same whoever asks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from imuarray.gap.base_model import Base, Fitted
+from imuarray.gap.usual_model import usual_model
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.model import Model, Part, parse_model
+from imuarray.simulate.population import Spread
+from tests.gap.made import header
+
+FITTED = Fitted(*((0.0,) * 3,) * 3)
+HEADERS = {
+    "A1": header("A1"),
+    "A2": header("A2", range=2.0),
+    "G1": header("G1", chip="l3g4200d"),
+}
+
+
+def recipes(model: Model, one: SensorHeader) -> dict[str, object]:
+    return {kind: part.effects[kind] for kind, part in model.parts(one).items()}
+
+
+def test_figures_are_of_the_chip_at_its_range() -> None:
+    """BMA180: +-2 % at 4 g, 1.5 % at 2 g (BMA-70, BMA-72), two sigma; of gyroscopes the data sheet says nothing."""
+    model = usual_model(HEADERS.values())
+    assert recipes(model, HEADERS["A1"])["scale"] == ({"error": Spread(sigma=0.01, limit=0.02)},)
+    assert recipes(model, HEADERS["A2"])["scale"] == ({"error": Spread(sigma=0.0075, limit=0.015)},)
+    assert recipes(model, HEADERS["G1"]).keys() == {"own_clock", "scale", "misalignment", "g_sensitivity"}
+    for one in HEADERS.values():
+        assert recipes(model, one)["misalignment"] == ({"angles_deg": Spread(sigma=0.7)},)
+        ((clock,),) = (recipes(model, one)["own_clock"],)  # type: ignore[misc]
+        assert clock.keys() == {"phase_deg"}
+        assert math.isnan(clock["phase_deg"])
+
+
+def test_it_is_a_file() -> None:
+    model = replace(usual_model([*HEADERS.values(), replace(header("X"), chip="other")]), name="usual")
+    assert [part.chip for part in parse_model(model.to_toml()).designs] == [part.chip for part in model.designs]
+
+
+@pytest.mark.parametrize("number", [0, 7])
+def test_with_an_effect_more_units_are_the_same(number: int) -> None:
+    """So that taking it out leaves what a diagnosis without a model begins with."""
+    usual = usual_model(HEADERS.values())
+    extra = Part("l3g4200d", name="G1", effects={"tone": ({"amplitude_dps": 0.3, "frequency_hz": 17.0},)})
+    fitted = dict.fromkeys(HEADERS, FITTED)
+    plain, more = (Base(HEADERS, fitted, one, 3).drawn(number) for one in (None, replace(usual, sensors=(extra,))))
+    assert [one.name for one in more["G1"] if one.name == "tone"]
+    without = {name: tuple(one for one in effects if one.name != "tone") for name, effects in more.items()}
+    assert repr(without) == repr(plain)  # nan is not equal to itself

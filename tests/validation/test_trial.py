@@ -1,0 +1,22 @@
+"""The model that has an effect too many."""
+
+from __future__ import annotations
+
+import pytest
+
+from imuarray.gap.usual_model import usual_model
+from imuarray.simulate.streams import Streams
+from imuarray.validation.generator import CHIPS
+from imuarray.validation.plans import EXTRAS
+from imuarray.validation.trial import model_with
+from tests.gap.made import header
+
+
+@pytest.mark.parametrize("extra", EXTRAS, ids=lambda extra: extra["effect"])
+def test_one_sensor_has_one_effect_more_than_is_usual(extra: dict[str, str]) -> None:
+    headers = [header(name, chip=chip) for name, chip in CHIPS.items()]
+    model, usual = model_with(extra, headers), usual_model(headers)
+    for one in headers:
+        added = [extra["effect"]] if one.name == extra["sensor"] else []
+        names = [effect.name for effect in model.effects(one, Streams(1))]
+        assert sorted(names) == sorted([*(effect.name for effect in usual.effects(one, Streams(1))), *added])
