@@ -200,7 +200,7 @@ class _Told(NamedTuple):
 
 
 def _told(noted: Sequence[_Noted], turns: Mapping[str, Floats]) -> _Told:
-    """What is wrong if some sensors' axes are `turns` (3, 3) of what is configured. Those are at fault, and any that feels
+    """What is wrong if some sensors' axes are `turns` (3, 3) of what is configured. At fault are these, and who feels
     another face than the one that is taken for true.
     """
     wrong, odd = [], set(turns)

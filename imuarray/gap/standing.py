@@ -126,7 +126,13 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     shift[known] = np.nanmean(moved[:, known], axis=0)
     location, scale = before.location + shift, before.scale.copy()
     alike = None if standing.alike is None else standing.alike[known]
-    scale[known] *= _spread_ratio(values[:, known], without[:, known], before.scale[known], alike)
+    ratio = _spread_ratio(values[:, known], without[:, known], before.scale[known], alike)
+    scale[known] *= ratio
+    # where a change takes the scatter away, as a delay that outdoes the noise, it doesn't matter where the same
+    # replicates lay before it (a control variate, of a weight that is at most the ratio)
+    kept, straight = np.minimum(ratio, 1.0), np.nanmean(values[:, known], axis=0)
+    paired = kept * location[known] + (1 - kept) * straight
+    location[known] = np.where(np.isfinite(location[known]), paired, location[known])
     if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
         same = came.all(axis=0) & (np.ptp(values, axis=0) < _SAME * (1 + np.abs(values).max(axis=0)))
         location[same] = values[:, same].mean(axis=0)

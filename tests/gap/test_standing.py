@@ -118,6 +118,18 @@ def test_a_scatter_that_is_scaled_is_told_by_many(factor: float) -> None:
     np.testing.assert_allclose(likeness.scale, factor, rtol=1e-3)
 
 
+def test_what_no_longer_scatters_is_where_it_is_now() -> None:
+    """A change that leaves nothing of the scatter: where the replicates lay before it, by chance a third of a standard
+    deviation off, says nothing of where they are after. What it leaves alone stays where it was.
+    """
+    without = drawn(2) + np.array([2.0, 2.0])
+    after = np.column_stack([3.0 + 1e-4 * drawn(1, seed=2)[:, 0], without[:, 1]])
+    likeness, _ = compared(standing([3.0, 0.0], without), after)
+    assert likeness.location[0] == pytest.approx(3.0, abs=1e-3)
+    assert likeness.location[1] == pytest.approx(0.0, abs=1e-9)
+    assert likeness.scale[0] < 1e-3
+
+
 def test_a_scatter_of_other_draws_is_believed_only_in_part() -> None:
     """Of 200 statistics drawn anew with the same scatter: the log of the ratio of two standard deviations of 16 has one
     of sqrt(2 / 30) = 0.26; shrunk by its own uncertainty it is a third of that or less in the middle.
