@@ -11,7 +11,7 @@ import numpy as np
 
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
-from imuarray.gap.closure import Deviating, deviating
+from imuarray.gap.closure import Deviating, deviating, deviating_in_either
 from imuarray.gap.diagnosis import Cause, Judged, Origin
 from imuarray.gap.search import Confirmed, Round
 from imuarray.gap.standing import Standing, Unit
@@ -137,8 +137,8 @@ def _cause(
     confusable: tuple[str, ...],
     seed: int,
 ) -> Cause:
-    counted = _deviating(bench, first, before)
-    with_it = _deviating(bench, first, taken.standing)
+    counted = _deviating(bench, first, before, taken.trial.needs_both)
+    with_it = _deviating(bench, first, taken.standing, taken.trial.needs_both)
     shrunk = replace(counted, before=counted.after, after=with_it.after).shrunk(seed)
     effect = taken.trial.effects[0] if taken.trial.effects else None
     own, others = taken.trial.sensor, taken.trial.others if taken.trial.opposite else ()
@@ -163,9 +163,12 @@ def _cause(
     )
 
 
-def _deviating(bench: Bench, first: Standing, then: Standing) -> Deviating:
-    """What deviated of a unit at first, with its scores then."""
-    return deviating(bench.pairs(bench.own(first.unit)), first.scores, then.scores, first.likeness.is_silent)
+def _deviating(bench: Bench, first: Standing, then: Standing, in_either: bool) -> Deviating:
+    """What deviated of a unit at first, with its scores then; of both parts if one may not show it."""
+    pairs = bench.pairs(bench.own(first.unit))
+    if in_either:
+        return deviating_in_either(pairs, first.scores, then.scores)
+    return deviating(pairs, first.scores, then.scores, first.likeness.is_silent)
 
 
 def _axes(effect: Effect | None) -> tuple[str, ...]:

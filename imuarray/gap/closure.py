@@ -44,9 +44,12 @@ class Shrunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Deviating:
-    """The statistics that count: their keys, weights (k,), and scores on held-out data `before` and `after` (k,)."""
+    """The statistics that count: their keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,):
+    on held-out data, or where something shows in one part only, on both parts.
+    """
 
     keys: tuple[Key, ...]
+    places: npt.NDArray[np.intp]
     weights: Floats
     before: Floats
     after: Floats
@@ -67,7 +70,7 @@ class Deviating:
     def of(self, chosen: Bools) -> Deviating:
         """Some of them, each domain with the same weight again."""
         keys = tuple(key for key, taken in zip(self.keys, chosen, strict=True) if taken)
-        return Deviating(keys, _weights(keys), self.before[chosen], self.after[chosen])
+        return Deviating(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
 
     def domains(self) -> tuple[str, ...]:
         """Those that there are."""
@@ -108,7 +111,19 @@ def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Bools) -> Dev
         chosen = np.isfinite(held_out) & (np.abs(np.nan_to_num(held_out)) > DEVIATES)
     places = pairs.held_out[chosen]
     keys = tuple(key for key, taken in zip(pairs.keys, chosen, strict=True) if taken)
-    return Deviating(keys, _weights(keys), np.nan_to_num(before[places]), np.nan_to_num(after[places], nan=0.0))
+    return _of(keys, places, before, after)
+
+
+def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> Deviating:
+    """What deviates by itself in either part, for what happens in one of them: the other doesn't know of it."""
+    parts = ((pairs.train, pairs.keys), (pairs.held_out, pairs.keys))
+    found = [(key, at) for places, keys in parts for key, at in zip(keys, places.tolist(), strict=True) if at >= 0]
+    chosen = [(key, at) for key, at in found if abs(np.nan_to_num(before[at])) > BY_ITSELF]
+    return _of(tuple(key for key, _ in chosen), np.array([at for _, at in chosen], np.intp), before, after)
+
+
+def _of(keys: tuple[Key, ...], places: npt.NDArray[np.intp], before: Floats, after: Floats) -> Deviating:
+    return Deviating(keys, places, _weights(keys), np.nan_to_num(before[places]), np.nan_to_num(after[places]))
 
 
 def _weights(keys: Sequence[Key]) -> Floats:

@@ -14,10 +14,10 @@ from imuarray.errors import ConfigError
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import CANDIDATES, Candidate
 from imuarray.gap.causes import causes_of, judged_of
-from imuarray.gap.closure import deviating
+from imuarray.gap.closure import deviating, deviating_in_either
 from imuarray.gap.compare import Compared, compared_with_base, prepared, replicate
 from imuarray.gap.described import changes_alike, lines_left
-from imuarray.gap.diagnosis import Diagnosis, Gap, Recorded, Unshown
+from imuarray.gap.diagnosis import Cause, Diagnosis, Gap, Recorded, Unshown, is_told_by_both
 from imuarray.gap.judgement import Judged, Told, floor_of, gap_of, judged, map_of, unknown_of, verdict_of, where_of
 from imuarray.gap.labels import Mislabelled, cause_of, corrected, mislabelled
 from imuarray.gap.menu import next_experiment
@@ -27,6 +27,7 @@ from imuarray.gap.recordings import Recording
 from imuarray.gap.repair import repaired
 from imuarray.gap.rounds import Searched, searches
 from imuarray.gap.sentence import sentence_of
+from imuarray.gap.standing import least_scale
 from imuarray.gap.stimulus import environment_of
 from imuarray.gap.unshown import facts_of, unshown, unsure
 from imuarray.gap.use import uses
@@ -143,13 +144,14 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched) 
     causes = with_origins(causes_of(bench, searched.rounds, case.seed), bench.base.headers, shared)
     came = _repaired(searched, run) if causes else found.replicates
     made = np.array([one.values for one in came])
-    after = judged(pairs, found.real.values, made, bench.resolutions) if causes else found.judged
+    floor = np.fmax(bench.resolutions, least_scale(found.judged.likeness))
+    after = judged(pairs, found.real.values, made, floor) if causes else found.judged
     lines = lines_of(causes, bench.base.headers)
     causes = tuple(sorted((*map(cause_of, case.wrong), *causes), key=lambda one: -one.probability))
     told = Told(bench, found.campaign, pairs, names)
     as_noted = told if noted is found else Told(noted.bench, noted.campaign, pairs, names)
     where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
-    gap = _gap(case, after)
+    gap = _gap(case, after, causes)
     unexplained = where_of(told, after, _left(after), {}) if is_gap else ()
     verdict = verdict_of(is_gap, gap, after, causes)
     unseen = {name: one for name, one in candidates.items() if name not in {cause.effect for cause in causes}}
@@ -200,11 +202,14 @@ def _repaired(searched: Searched, run: Run) -> list[Any]:
     return run(replicate, [(searched.models, number) for number in numbers])
 
 
-def _gap(case: Begun, after: Judged) -> Gap:
-    """How far it is closed, on the held-out part."""
+def _gap(case: Begun, after: Judged, causes: Sequence[Cause]) -> Gap:
+    """How far it is closed, on the held-out part; by causes that single parts don't show on both."""
     pairs, before = case.found.pairs, case.noted.judged
-    counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
-    gap = gap_of(counted, floor_of(pairs, counted, before, case.noted.chance), case.seed)
+    if is_told_by_both(causes):
+        counted = deviating_in_either(pairs, before.parts, after.parts)
+    else:
+        counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
+    gap = gap_of(counted, floor_of(counted, before, case.noted.chance), case.seed)
     return gap if case.noted.located.is_gap else replace(gap, after=gap.before, closed=None, closed_ci95=None)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Literal
@@ -73,6 +73,11 @@ class Cause:
     needs_both: bool = False
     share: float = nan
     all_closed: float | None = None
+
+
+def is_told_by_both(causes: Sequence[Cause]) -> bool:
+    """Whether no cause is left that one part of the campaign tells, so that the other could judge it."""
+    return bool(causes) and all(cause.needs_both for cause in causes)
 
 
 @dataclass(frozen=True)

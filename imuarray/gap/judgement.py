@@ -89,13 +89,11 @@ def gap_of(counted: Deviating, floor: float, seed: int) -> Gap:
     return Gap(whole.before, whole.after, floor, whole.closed, whole.interval, domains)
 
 
-def floor_of(pairs: Pairs, counted: Deviating, before: Judged, replicates: Floats) -> float:
+def floor_of(counted: Deviating, before: Judged, replicates: Floats) -> float:
     """Root mean square score of the same statistics where nothing is wrong: the median of replicates."""
-    places = dict(zip(pairs.keys, pairs.held_out.tolist(), strict=True))
-    columns = [places[key] for key in counted.keys]
-    if not columns:
+    if len(counted.places) == 0:
         return 1.0
-    squares = np.nan_to_num(before.likeness.scores(replicates)[:, columns]) ** 2
+    squares = np.nan_to_num(before.likeness.scores(replicates)[:, counted.places]) ** 2
     return float(np.sqrt(np.median(squares @ counted.weights / counted.weights.sum())))
 
 

@@ -249,7 +249,8 @@ def _guessed(
         lasting = [one for one in guesses_of(evidence, candidates) if not one.needs_both]
         everything = guesses_of(_evidence(found, both, standing, True), candidates)
         known = {one.name for one in lasting if not one.shared}
-        late = [replace(one, whole=True) for one in everything if not one.shared and one.name not in known]
+        alone = [one for one in everything if not one.shared]
+        late = [replace(one, whole=True) for one in alone if one.needs_both or one.name not in known]
         brief = [one for one in everything if one.shared and one.needs_both]
         guessed[unit] = _Guessed(
             [*(one for one in lasting if not one.shared), *late],

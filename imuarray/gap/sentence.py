@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from inspect import cleandoc
 
-from imuarray.gap.diagnosis import Cause, Gap, Use, Verdict, Where
+from imuarray.gap.diagnosis import Cause, Gap, Use, Verdict, Where, is_told_by_both
 from imuarray.gap.text import closed_text, parameters_text, places_text
 from imuarray.simulate.effects import EFFECTS
 
@@ -29,7 +29,8 @@ def sentence_of(
     parts += [f"{_named(cause)}." for cause in likely[:_MOST]]
     if gap.closed is not None and likely:
         closed = closed_text(gap.closed, gap.closed_ci95)
-        parts.append(f"With {'it' if len(likely) == 1 else 'them'} {closed} of the gap is closed on held-out data.")
+        data = "the data that told of it" if is_told_by_both(causes) else "held-out data"
+        parts.append(f"With {'it' if len(likely) == 1 else 'them'} {closed} of the gap is closed on {data}.")
     parts += list(_in_use(uses, causes))
     if verdict in ("unexplained", "partly explained") and unexplained:
         left = unexplained[0]

@@ -12,7 +12,7 @@ from scipy.stats import f as f_distribution
 from imuarray.gap.base_model import Fitted
 from imuarray.gap.bench import Modelled, Models
 from imuarray.gap.candidates import Trial
-from imuarray.gap.likeness import FREEDOM, Likeness, likeness_of
+from imuarray.gap.likeness import FORM, FREEDOM, Likeness, likeness_of
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 
@@ -134,9 +134,10 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     paired = kept * location[known] + (1 - kept) * straight
     location[known] = np.where(np.isfinite(location[known]), paired, location[known])
     if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
-        same = came.all(axis=0) & (np.ptp(values, axis=0) < _SAME * (1 + np.abs(values).max(axis=0)))
+        alike = np.fmax(_SAME * (1 + np.abs(values).max(axis=0)), least_scale(before))
+        same = came.all(axis=0) & (np.ptp(values, axis=0) < alike)
         location[same] = values[:, same].mean(axis=0)
-    scale = np.fmax(scale, _SAME * (1 + np.abs(location)))
+    scale = np.fmax(np.fmax(scale, _SAME * (1 + np.abs(location))), least_scale(before))
     fresh = came.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
     alone = likeness_of(values[:, fresh], np.zeros(int(fresh.sum())))
     location[fresh] = alone.location
@@ -157,6 +158,13 @@ def _branched(before: Likeness, moved: Floats, shift: Floats) -> tuple[Floats, F
         return before.location + moved, before.scale
     rest = np.broadcast_to(shift, (max(0, len(before.branches) - len(moved)), len(shift)))
     return before.branches + np.concatenate([moved, rest])[: len(before.branches)], before.width
+
+
+def least_scale(before: Likeness) -> Floats:
+    """(n,) of the scatter under a model with more in it: where a single event drowns what chance makes, no statistic is
+    known better than the event's form.
+    """
+    return FORM * before.scale
 
 
 def gains_of(standing: Standing, likeness: Likeness, moved: Floats) -> Floats:

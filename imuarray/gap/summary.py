@@ -18,6 +18,7 @@ from imuarray.characterise.correlation import Autocovariance
 from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 from imuarray.gap.haar import Haar, HaarTally
+from imuarray.gap.lone import Lone, LoneTally
 from imuarray.gap.segments import Segments, SegmentTally, Temperature
 from imuarray.gap.status import IntervalMoments, Intervals, StatusTally
 from imuarray.log.format import Phase, SensorHeader
@@ -58,7 +59,7 @@ class Summary:
     `segments` of time; `codes` and `steps` (sizes of the differences of neighbours), a histogram per axis; `spectrum`
     in squared counts per cycle per row; `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared
     differences of neighbours at lags 0 ... 3; `allan` at octaves; `intervals` of time, joint `repeats` of all axes,
-    rows with each of the log's `flags`, and `words`: rows in which all axes read -1, or all 0.
+    rows with each of the log's `flags`, `words`: rows in which all axes read -1, or all 0, and `lone` readings.
     """
 
     header: SensorHeader
@@ -76,6 +77,7 @@ class Summary:
     repeats: Repeats
     flags: Mapping[str, int]
     words: int
+    lone: Lone
 
 
 class Tally:
@@ -89,6 +91,7 @@ class Tally:
         self._covariance, self._arch = Autocovariance(LAGS, 3), Autocovariance(ARCH_LAGS, 3)
         self._haar = HaarTally(OCTAVES)
         self._intervals, self._repeats, self._status = IntervalMoments(), RepeatTally(), StatusTally()
+        self._lone = LoneTally()
         self._origin, self._rows = np.zeros(3), 0
         self._last = np.zeros((3, 0))
 
@@ -110,6 +113,7 @@ class Tally:
         self._haar.update(apart)
         self._intervals.update(block.time)
         self._repeats.update(block.counts)
+        self._lone.update(block.time, apart)
         self._status.update(block.status, block.counts)
 
     def result(self, temperature: Temperature) -> Summary:
@@ -130,6 +134,7 @@ class Tally:
             self._repeats.result(),
             self._status.flags,
             self._status.words,
+            self._lone.result(),
         )
 
     def _count(self, block: Block, steps: Floats) -> None:

@@ -19,6 +19,9 @@ NOTHING = "–"
 _WORST = 10
 _COLUMNS = (12, 15, 18, 7, 8, 8, 11, 6, 5, 10)
 """Greatest widths of the table of statistics, together `WIDTH` with two spaces before each."""
+_MOST = 9
+"""So many numbers of a list are said, as many as a response has."""
+
 _SMALL_G = 0.1
 """Accelerations below it are written in mg."""
 
@@ -119,7 +122,8 @@ def _parameter(key: str, value: Any) -> str:
         unit, values = "mg", [1000 * one for one in values]
     unit += f"/{_UNITS[under]}" if under else ""
     space = "" if unit == "°" else " "
-    return f"{found['name'].replace('_', ' ')} {', '.join(map(number, values))}{space}{unit}".rstrip()
+    said = ", ".join(map(number, values[:_MOST])) + (f" ... ({len(values)} in all)" if len(values) > _MOST else "")
+    return f"{found['name'].replace('_', ' ')} {said}{space}{unit}".rstrip()
 
 
 def _numbers(value: Any) -> list[float] | None:

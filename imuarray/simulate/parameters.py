@@ -21,6 +21,11 @@ def several(count: int, *, suffix: str = "") -> Any:
     return field(default=(0.0,) * count, metadata={"suffix": suffix})
 
 
+def listed(*, suffix: str = "") -> Any:
+    """A parameter of any count of numbers, none unless given."""
+    return field(default=(), metadata={"suffix": suffix})
+
+
 def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     """`values` as `count` floats; ValueError unless they are so many finite numbers."""
     found = np.asarray(values, float)
@@ -74,9 +79,11 @@ def _complaint(value: object, item: Field[Any]) -> str:
     if not isinstance(item.default, tuple):
         return "" if _is_number(value) else "a number without quotes"
     count, single = len(item.default), bool(item.metadata.get("per_axis"))
-    listed = isinstance(value, list | tuple) and len(value) == count and all(map(_is_number, value))
-    if listed or (single and _is_number(value)):
+    is_list = isinstance(value, list | tuple) and count in (0, len(value)) and all(map(_is_number, value))
+    if is_list or (single and _is_number(value)):
         return ""
+    if not count:
+        return "a list of numbers"
     return f"a number, or a list of {count}," if single else f"a list of {count} numbers"
 
 

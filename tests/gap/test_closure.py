@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.gap.closure import BY_ITSELF, DEVIATES, LARGEST, Deviating, deviating
+from imuarray.gap.closure import BY_ITSELF, DEVIATES, LARGEST, Deviating, deviating, deviating_in_either
 from imuarray.gap.pairs import NOWHERE, Pairs, pairs_of
 from imuarray.gap.statistics import Key
 
@@ -123,7 +123,7 @@ def test_the_interval_covers() -> None:
     for seed in range(150):
         before, after = (np.repeat(random.normal(0, sigma, 40), 3) for sigma in (10.0, 10.9**0.5))
         keys = tuple(key(number=block, probe=f"{part}") for block in range(40) for part in range(3))
-        found = Deviating(keys, np.full(120, 1 / 120), np.clip(before, -99, 99), after).shrunk(seed)
+        found = Deviating(keys, np.arange(120), np.full(120, 1 / 120), np.clip(before, -99, 99), after).shrunk(seed)
         assert found.interval is not None
         low, high = found.interval
         assert low <= high
@@ -154,3 +154,14 @@ def test_the_interval_is_the_seeds() -> None:
     made = counted(["level"] * 12, values, [value / 3 for value in values])
     assert made.shrunk(4) == made.shrunk(4)
     assert made.shrunk(4).interval != made.shrunk(5).interval
+
+
+def test_what_happens_in_one_part_counts_where_it_shows() -> None:
+    """Squares 400 and 900 less chance: half of the one is left and nothing of the other, 199.5 of 1298."""
+    keys = [key(number=number) for number in range(3)]
+    pairs = pairs_of([*keys, *keys], [False] * 3 + [True] * 3)
+    before = np.array([20.0, 0.3, 4.0, 1.0, 30.0, NAN])
+    found = deviating_in_either(pairs, before, np.array([200**0.5, 50.0, 50.0, 50.0, 1.0, 50.0]))
+    assert found.keys == (keys[0], keys[1])
+    assert found.places.tolist() == [0, 4]
+    assert found.shrunk(0).closed == pytest.approx(1 - 199 / 1298)

@@ -168,9 +168,9 @@ def test_the_floor_is_that_of_chance() -> None:
     scores = np.full(2 * COUNT, 9.0)
     before = Judged(scores[:COUNT], scores, np.zeros(2 * COUNT), likeness_of(rows, np.zeros(2 * COUNT)), 0.01, 4.0)
     counted = deviating(pairs, scores, scores, np.zeros(2 * COUNT, bool))
-    assert floor_of(pairs, counted, before, rows) == pytest.approx(1.0, abs=0.1)
+    assert floor_of(counted, before, rows) == pytest.approx(1.0, abs=0.1)
     nothing = deviating(pairs, 0 * scores, scores, np.zeros(2 * COUNT, bool))
-    assert floor_of(pairs, nothing, before, rows) == 1.0
+    assert floor_of(nothing, before, rows) == 1.0
 
 
 def test_the_map_has_the_largest_of_each() -> None:

@@ -50,6 +50,13 @@ def test_one_cause() -> None:
     )
 
 
+def test_what_both_parts_were_needed_for_is_not_closed_on_held_out_data() -> None:
+    said = sentence_of("explained", GAP, [cause(needs_both=True)], [where()], [], [])
+    assert "of the gap is closed on the data that told of it." in said
+    mixed = sentence_of("explained", GAP, [cause(needs_both=True), cause("bias")], [where()], [], [])
+    assert "of the gap is closed on held-out data." in mixed
+
+
 def test_several_causes_and_what_else_it_could_be() -> None:
     causes = [
         cause(confusable_with=("glitches", "jitter")),

@@ -157,6 +157,14 @@ def test_a_single_pair_says_nothing_of_the_scatter() -> None:
     assert likeness.scale[0] == pytest.approx(1.0)
 
 
+def test_an_event_makes_nothing_surer_than_its_form_is() -> None:
+    """What is nearly the same in all replicates, since the event drowns the noise, is off by a twentieth of that."""
+    without = drawn(2)
+    likeness, _ = compared(standing([0.0] * 2, without), 7 + 1e-3 * without)
+    np.testing.assert_allclose(likeness.location, 7.0, atol=0.01)
+    np.testing.assert_allclose(likeness.scale, 0.05, rtol=1e-6)
+
+
 def test_what_speaks_only_since_the_change() -> None:
     """It is there always now, about where the replicates have it, as sure as a tenth of its size at best."""
     nothing = np.full((REPLICATES, 1), NAN)

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.removal import with_removal
-from imuarray.gap.evidence import Evidence
+from imuarray.gap.evidence import Evidence, Seen
+from imuarray.gap.lone import MOST
 from imuarray.gap.probes.probe import noise_lsb
 from imuarray.gap.summary import Summary
 from imuarray.simulate.effects.glitches import Glitches
@@ -27,6 +28,12 @@ _LOW_BYTES = (64, 256)
 """What a high byte counts: six bits of a BMA180 travel in the low one (BMA-60), eight elsewhere."""
 
 _NEAR = 0.25
+
+_FAR, _FEWEST_LSB = 6.0, 4.0
+"""By so many standard deviations, and counts, single readings are off the middle of their neighbours."""
+
+_NUMBERS = 2.0
+"""Nats that a moment and a jump cost."""
 
 
 class _Tail(NamedTuple):
@@ -53,12 +60,50 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     tails = [tail for seen in evidence.still for tail in _tails(seen.raw)]
     rows = sum(tail.rows for tail in tails) / 3
     found, usual = sum(int(tail.counts.sum()) for tail in tails), _GAUSSIAN * 3 * rows
-    if found < usual + 3 * math.sqrt(usual) + 2:
+    if found >= usual + 3 * math.sqrt(usual) + 2:
+        hits = (found - usual) / 2  # there and back
+        size = _median(tails)
+        spike = Glitches(min(hits / rows, 1.0), size / evidence.header.sensitivity)
+        yield Trial((spike,), ("probability", "amplitude"))
+        yield from _torn(tails, size, hits)
+    yield from _few(evidence)
+
+
+class _Hit(NamedTuple):
+    """A reading of an axis in a log, and by how many counts it is off."""
+
+    log: int
+    moment_s: float
+    axis: int
+    jump: float
+
+
+def _few(evidence: Evidence) -> Iterator[Trial]:
+    """Where chance hit so few readings that it left most phases out: these very readings, all of which are known."""
+    hits = [hit for seen in evidence.still for hit in _hits(seen)]
+    if not 0 < len(hits) < MOST:
         return
-    hits = (found - usual) / 2  # there and back
-    size = _median(tails)
-    yield Trial((Glitches(min(hits / rows, 1.0), size / evidence.header.sensitivity),), ("probability", "amplitude"))
-    yield from _torn(tails, size, hits)
+    rows = sum(seen.raw.rows for seen in evidence.seen)
+    scale = evidence.header.sensitivity
+    jumps = [hit.jump / scale if axis == hit.axis else 0.0 for hit in hits for axis in range(3)]
+    effect = Glitches(
+        len(hits) / rows,
+        float(np.median([abs(hit.jump) for hit in hits])) / scale,
+        runs=tuple(float(hit.log) for hit in hits),
+        moments_s=tuple(hit.moment_s for hit in hits),
+        jumps=tuple(jumps),
+    )
+    yield Trial((effect,), whole=True, rarity=_NUMBERS * len(hits))
+
+
+def _hits(seen: Seen) -> Iterator[_Hit]:
+    """Lone readings beyond what noise makes, each due half a row before it came."""
+    limits = np.fmax(_FAR * np.sqrt(1.5) * noise_lsb(seen.raw), _FEWEST_LSB)
+    half_s = seen.raw.intervals.mean_s / 2
+    lone = seen.raw.lone
+    for axis, time_ns, apart in zip(lone.axis.tolist(), lone.time_ns.tolist(), lone.apart.tolist(), strict=True):
+        if abs(apart) > limits[axis]:
+            yield _Hit(seen.log, time_ns * 1e-9 - half_s, axis, apart)
 
 
 def _torn(tails: Sequence[_Tail], size: float, hits: float) -> Iterator[Trial]:

@@ -9,9 +9,13 @@ import numpy as np
 
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.parameters import listed
 from imuarray.simulate.signal import Codes, Counts, Place
 
 KINDS = ("spike", "torn", "word")
+
+_WORD = -32768, 32767
+"""What two bytes hold, whatever the chip would put in them."""
 
 _LOW_BITS = {"bma180": 6}
 """Bits of the code that travel in the low byte, where they aren't eight (BMA-60)."""
@@ -28,27 +32,42 @@ class Glitches(Effect):
     nobody drives: its lines float high (UM10204, 3.1.1). In data: heavy tails; torn readings are off by multiples of
     256 (BMA180: 64) counts, and only where neighbours differ in the high byte; for a gyroscope at rest -1 is a normal
     small reading.
+
+    Where single readings are known to have been hit, these are and no others: the one due at each of `moments_s`, in
+    seconds since the log's epoch, of the run with that number in `runs`, is off by three of `jumps`, one for each axis,
+    in the sensor's unit.
     """
 
     name: ClassVar[str] = "glitches"
     probability: float = scalar(0.0)
     amplitude: float = scalar(0.0, suffix="_{u}")
     kind: str = field(default="spike")
+    runs: tuple[float, ...] = listed()
+    moments_s: tuple[float, ...] = listed()
+    jumps: tuple[float, ...] = listed(suffix="_{u}")
 
     def __post_init__(self) -> None:
-        """ValueError for no probability, a negative amplitude or another kind."""
+        """ValueError for no probability, a negative amplitude, another kind, or lists that don't go together."""
         super().__post_init__()
         require("probability", self.probability, 0.0, 1.0)
         require("amplitude", self.amplitude, 0.0, 1e6)
         if self.kind not in KINDS:
             raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
+        for name in ("runs", "moments_s", "jumps"):
+            object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
+        if not (len(self.runs) == len(self.moments_s) == len(self.jumps) / 3):
+            raise ValueError(f"moments_s: {len(self.moments_s)}; as many runs and three times as many jumps are wanted")
 
     def lookback(self, at: Place) -> int:
-        """A torn reading needs the row before it."""
+        """A torn reading needs the row before it; so does one that is the first after a moment."""
+        if self.moments_s:
+            return 1
         return 1 if self.probability and self.kind == "torn" else 0
 
     def codes(self, codes: Codes, at: Place) -> Codes:
         """Corrupts rows of counts; flags and temperature stay."""
+        if self.moments_s:
+            return replace(codes, counts=self._hit(codes, at))
         if not self.probability:
             return codes
         stream = at.streams.of_boot(at.sensor.name, self.name, self.kind, width=2)  # double precision: rare events
@@ -59,6 +78,16 @@ class Glitches(Effect):
             return replace(codes, counts=np.where(struck, -1, codes.counts))
         wrong = _torn(codes.counts, at) if self.kind == "torn" else self._off(codes.counts, upwards * 2 - 1, at)
         return replace(codes, counts=np.where(struck & (np.arange(3) == axis[:, None]), wrong, codes.counts))
+
+    def _hit(self, codes: Codes, at: Place) -> Counts:
+        here = np.array(self.runs) == at.streams.boot
+        due_ns = np.array(self.moments_s)[here] * 1e9
+        rows = np.searchsorted(codes.instant_ns, due_ns)
+        seen = (rows < len(codes.counts)) & ((rows > 0) | (codes.first == 0))  # else one of the rows before
+        jumps = np.rint(np.array(self.jumps).reshape(-1, 3)[here] * at.sensor.sensitivity).astype(codes.counts.dtype)
+        counts = codes.counts.copy()
+        np.add.at(counts, rows[seen], jumps[seen])
+        return np.asarray(np.clip(counts, *_WORD))
 
     def _off(self, counts: Counts, sign: Counts, at: Place) -> Counts:
         span = code_span(at.sensor)

@@ -91,6 +91,18 @@ def test_spikes(probability: float, amplitude: float) -> None:
     assert found.amplitude == pytest.approx(amplitude, rel=0.1)
 
 
+def test_few_spikes_are_told_one_by_one() -> None:
+    """A row and a half of its 1/100 s before and after; the noise of the reading and of half of each neighbour's."""
+    hit = Glitches(runs=(0.0, 0.0), moments_s=(12.3, 40.0), jumps=(0.0, 0.5, 0.0, -2.0, 0.0, 0.0))
+    *_, trial = glitches.guesses(shown("static", "A1", hit))
+    (found,) = trial.effects
+    assert isinstance(found, Glitches)
+    assert trial.needs_both
+    assert found.runs == (0.0, 0.0)
+    np.testing.assert_allclose(sorted(found.moments_s), hit.moments_s, atol=0.015)
+    np.testing.assert_allclose(sorted(found.jumps), sorted(hit.jumps), atol=0.02)
+
+
 def test_torn_words() -> None:
     """z rests at 2112.5 counts, in the middle between two codes of 33 times 64: half of its neighbours differ in the
     high byte (six bits of a BMA180 travel in the low one, BMA-60). The other axes stay where they are.

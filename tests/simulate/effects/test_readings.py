@@ -95,6 +95,25 @@ class TestGlitches:
         ended = Glitches(1.0, amplitude=1e6).codes(codes(0, 100, 5), place(sensor("bma180")))
         assert set(np.unique(ended.counts)) == {-8192, 5, 8191}
 
+    @pytest.mark.parametrize("cut", [1, 49, 50, 51, 99])
+    def test_readings_that_are_named(self, place, codes, sensor, cut: int) -> None:
+        """The first one at or after its moment, of that run, up to the ends of a word; in pieces as in one."""
+        whole = codes(0, 100, 5)
+        due_s = (whole.instant_ns[50] - 1) * 1e-9
+        effect = Glitches(runs=(2, 2, 3), moments_s=(due_s, 0, due_s), jumps=(0, 0, 1e6, 1, 0, 0, 9, 9, 9))
+        here = place(sensor("bma180"), boot=2)
+        after = effect.codes(whole, here).counts
+        expected = whole.counts.copy()
+        expected[50, 2], expected[0, 0] = 32767, 5 + here.sensor.sensitivity
+        np.testing.assert_array_equal(after, expected)
+        back = cut - effect.lookback(here)
+        later = effect.codes(codes(back, 100, 5), here).counts[1:]
+        np.testing.assert_array_equal(later, expected[cut:])
+
+    def test_lists_that_do_not_go_together(self) -> None:
+        with pytest.raises(ValueError, match="moments_s: 1; as many runs"):
+            Glitches(runs=(0,), moments_s=(1.0,), jumps=(1.0,))
+
     def test_word_of_ones(self, place, codes) -> None:
         after = Glitches(0.5, kind="word").codes(codes(0, 1000, (10, 20, 30)), place())
         assert {tuple(row) for row in after.counts.tolist()} == {(10, 20, 30), (-1, -1, -1)}
