@@ -30,7 +30,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "common_mode": "all units of one design wander together",
         "tone": "a sine in the signal",
         "white_noise": "every reading is off by an independent normal number",
-        "bandwidth": "noise that remembers the reading before",
+        "bandwidth": "readings that remember the one before",
         "odr_error": "the chip runs at another data rate, or through another filter, than it was told to",
         "range_reset": "the chip measures in another range than it was set to",
         "quantisation": "codes come in coarser steps than one",

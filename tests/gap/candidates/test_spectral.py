@@ -32,6 +32,14 @@ def test_a_cutoff(cutoff_hz: float) -> None:
     assert first.cutoff_hz == pytest.approx(cutoff_hz, rel=0.1)
 
 
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_a_filter_on_the_signal_is_tried_where_motion_comes_late(share: float) -> None:
+    evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(5.0, share),)}, seed=7)
+    found = [one for trial in BANDWIDTH.guesses(evidence) for one in trial.effects if isinstance(one, Bandwidth)]
+    assert {one.share for one in found} == {0.0, share}
+    assert found[-1].cutoff_hz == pytest.approx(5.0, rel=0.1)
+
+
 def test_a_line() -> None:
     """6000 rows: the amplitude's standard error is sqrt(2 / 6000) of the noise, 0.001 dps."""
     first, *_ = tones("static", Tone((0.0, 0.02, 0.0), 13.7))

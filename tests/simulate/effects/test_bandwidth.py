@@ -40,6 +40,23 @@ def test_value_stays_and_no_noise_stays_none(place: MakePlace, analog: MakeAnalo
 
 
 @pytest.mark.parametrize("cutoff_hz", [0.5, 5.0, 40.0])
+def test_a_ramp_is_late_by_the_time_constant(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
+    """x(t) = t behind a filter of time constant T is t - T + T exp(-t / T), from rest at 0, whatever the rows' rate."""
+    time_s, constant_s = np.arange(300) / 100, 1 / (2 * np.pi * cutoff_hz)
+    ramp = np.repeat(time_s[:, None], 3, axis=1)
+    found = Bandwidth(cutoff_hz, 1.0).analog(analog(0, 300, value=ramp), place(rows_per_s=100.0)).value
+    expected = time_s - constant_s * -np.expm1(-time_s / constant_s)
+    np.testing.assert_allclose(found[:, 1], expected, atol=1e-12)
+    half = Bandwidth(cutoff_hz, 0.5).analog(analog(0, 300, value=ramp), place(rows_per_s=100.0)).value
+    np.testing.assert_allclose(half, (ramp + found) / 2, atol=1e-12)
+
+
+def test_what_is_at_rest_stays_where_it_is(place: MakePlace, analog: MakeAnalog) -> None:
+    rows = Bandwidth(5.0, 1.0).analog(analog(0, 50, value=1.5), place())
+    np.testing.assert_allclose(rows.value, 1.5, rtol=1e-14)
+
+
+@pytest.mark.parametrize("cutoff_hz", [0.5, 5.0, 40.0])
 def test_its_lookback_is_enough(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
     white = np.random.default_rng(7).normal(0, 1, (3000, 3))
     effect, at = Bandwidth(cutoff_hz), place(rows_per_s=100.0)
@@ -65,3 +82,5 @@ def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog
     assert Bandwidth().lookback(place()) == 0
     with pytest.raises(ValueError, match=r"cutoff_hz: 0(\.0)?; allowed is 0\.01 to inf"):
         Bandwidth(0.0)
+    with pytest.raises(ValueError, match=r"share: 2(\.0)?; allowed is 0 to 1"):
+        Bandwidth(5.0, 2.0)
