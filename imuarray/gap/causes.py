@@ -111,8 +111,10 @@ def _of_unit(bench: Bench, unit: Unit, rounds: Sequence[Round], seed: int) -> It
 
 def _all_closed(bench: Bench, first: Standing, rounds: Sequence[Round], seed: int) -> float | None:
     """The share of a unit's gap that is closed by everything that was taken."""
-    last = next((one.taken.standing for one in reversed(rounds) if one.taken is not None), first)
-    before, after = (_deviating(bench, first, one) for one in (first, last))
+    taken = [one.taken for one in rounds if one.taken is not None]
+    last = taken[-1].standing if taken else first
+    in_either = bool(taken) and all(one.trial.needs_both for one in taken)
+    before, after = (_deviating(bench, first, one, in_either) for one in (first, last))
     return replace(before, after=after.after).shrunk(seed).closed
 
 
