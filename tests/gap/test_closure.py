@@ -142,7 +142,9 @@ def test_the_interval_of_a_few_blocks_covers(blocks: int) -> None:
         off = np.repeat(random.choice((-10.0, 10.0), blocks), 3) * random.uniform(0.5, 1.5, 3 * blocks)
         left = off * np.repeat(random.normal(0, 0.3, blocks), 3)
         chance = random.normal(size=len(keys))
-        found = Deviating(keys, np.full(len(keys), 1 / len(keys)), off + chance, left + chance).shrunk(seed)
+        found = Deviating(
+            keys, np.arange(len(keys)), np.full(len(keys), 1 / len(keys)), off + chance, left + chance
+        ).shrunk(seed)
         assert found.interval is not None
         low, high = found.interval
         covered += low <= 1 - (left**2).sum() / (off**2).sum() <= high
