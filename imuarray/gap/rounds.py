@@ -87,14 +87,19 @@ def _deferred(found: Compared, came: Mapping[Unit, Round]) -> list[Unit]:
     for unit, one in came.items():
         if one.taken is not None:
             quantity = found.bench.base.headers[unit[0]].quantity
-            best[quantity] = max(best.get(quantity, 0.0), one.taken.gain)
+            best[quantity] = max(best.get(quantity, 0.0), _worth(one.taken))
     return [
         unit
         for unit, one in came.items()
         if one.taken is not None
         and one.taken.own_share < _OWN
-        and one.taken.gain < best[found.bench.base.headers[unit[0]].quantity]
+        and _worth(one.taken) < best[found.bench.base.headers[unit[0]].quantity]
     ]
+
+
+def _worth(taken: Confirmed) -> float:
+    """Its gain, less what it is rarer than others."""
+    return taken.gain - taken.trial.rarity
 
 
 def _in_company(

@@ -13,6 +13,11 @@ from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.skew import Skew
 
+_AHEAD = 3.0
+"""A reading may be old when it is stamped; one that is made after its stamp is rare. Of two sensors that differ the one
+behind is late, rather than the other one early.
+"""
+
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """The mean lag; a large one also a period earlier or later."""
@@ -27,9 +32,11 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
         float(np.average([getattr(lag, name) for lag in found], weights=[lag.weight for lag in found]))
         for name in ("lag_s", "pace")
     )
-    yield Trial((Skew(lag_s),), ("delay_s",))
+    delays_s = [lag_s]
     if any(lag.is_large for lag in found):
-        yield Trial((Skew(lag_s - math.copysign(2 * math.pi / pace, lag_s)),), ("delay_s",))
+        delays_s.append(lag_s - math.copysign(2 * math.pi / pace, lag_s))
+    for delay_s in delays_s:
+        yield Trial((Skew(delay_s),), ("delay_s",), rarity=_AHEAD if delay_s < 0 else 0.0)
 
 
 SKEW = Candidate(Skew.name, guesses, {"motion": "shaking at 2 Hz and more beside another sensor, 1 minute"})

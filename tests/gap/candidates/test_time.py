@@ -37,6 +37,7 @@ def test_skew(sensor: str, delay_s: float) -> None:
     assert isinstance(found, Skew)
     assert found.delay_s == pytest.approx(delay_s, rel=0.4)
     assert trial.free == ("delay_s",)
+    assert (trial.rarity > 0) == (delay_s < 0)  # readings come before their stamps
 
 
 @pytest.mark.parametrize(("sensor", "error_ppm"), [("A1", 2000.0), ("G1", -1000.0), ("G1", 300.0)])
