@@ -13,6 +13,7 @@ from imuarray.gap.candidates.candidate import Candidate, Kind, Trial
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.converters import code_span
+from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.quantisation import Quantisation
 
 _PROBES = ("odd_codes", "second_bit", "absent_codes", "repeats")
@@ -24,6 +25,16 @@ _ODD_ONES = 0.01
 """Share of codes that are anything: glitches."""
 
 _HIGHEST_BIT = 12
+
+_NORMAL = np.array([-3.0, -1.28, -0.52, 0.0, 0.52, 1.28, 3.0])
+"""Standard deviations: about equally likely parts of a normal distribution, and its ends."""
+
+_REACH, _SHIFTS = 1.5, 49
+"""Biases are looked for up to so many stretches off, at so many places."""
+
+_UNITS_DIFFER = 0.015
+"""Of what is felt: a scale, and an angle, of a chip's population; no bias is to depend on which one this is."""
+
 _FEWEST = 3
 """Fewer different codes have a common divisor by chance."""
 
@@ -46,10 +57,36 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     for step in dict.fromkeys((divisor, *powers[-1:])):
         if step > usual:
             yield Trial((Quantisation(float(step)),))
-    still = [codes for seen in evidence.still for codes in seen.raw.codes if len(codes.codes)]
     for bit in range(_HIGHEST_BIT) if divisor in (0, usual) else ():
-        if _is_dead(bit, merged, still):
-            yield Trial((Quantisation(dead_bits=float(1 << bit)),))
+        if _is_dead(bit, merged, codes):
+            dead = Quantisation(dead_bits=float(1 << bit))
+            yield Trial((dead,))
+            for bias in _moved(evidence, 1 << bit):
+                yield Trial((dead, bias))
+
+
+def _moved(evidence: Evidence, dead: int) -> Iterator[Bias]:
+    """By how much the bias has to be another one for the same levels to come out without that bit: the fit took its
+    own from what came out, a stretch too low on some of the faces.
+    """
+    if not evidence.still:
+        return
+    raw, left = (
+        np.array([np.nanmean(part.segments.mean, axis=0) for part in parts])
+        for parts in ([seen.raw for seen in evidence.still], [seen.left for seen in evidence.still])
+    )
+    scale = evidence.header.sensitivity
+    felt = np.abs(raw - left - np.mean(raw - left, axis=0)).max(axis=0) * _UNITS_DIFFER
+    noise, units = (np.multiply.outer(_NORMAL, width)[:, None] for width in (evidence.noise * scale, felt))
+    shifts = np.unique(np.rint(np.linspace(-_REACH * dead, _REACH * dead, _SHIFTS)))
+    shifts = shifts[np.argsort(np.abs(shifts), kind="stable")]  # of equals the nearest
+    apart = np.zeros((len(shifts), 3))
+    for unit in units:
+        true = np.rint((raw - left) + unit + shifts[:, None, None, None] + noise).astype(np.int64)
+        apart += np.abs((true & ~dead).mean(axis=1) - raw).mean(axis=1)
+    x, y, z = (shifts[apart.argmin(axis=0)] / scale).tolist()
+    if any((x, y, z)):
+        yield Bias((x, y, z))
 
 
 def _divisor(merged: Histogram) -> int:
@@ -62,12 +99,12 @@ def _divisor(merged: Histogram) -> int:
     return 0
 
 
-def _is_dead(bit: int, merged: Histogram, still: Sequence[Histogram]) -> bool:
-    """Whether a bit is clear in all codes but a hundredth of the readings, though those of an axis at rest leap over a
-    stretch in which it would be set.
+def _is_dead(bit: int, merged: Histogram, each: Sequence[Histogram]) -> bool:
+    """Whether a bit is clear in all codes but a hundredth of the readings, though those of an axis in a phase leap
+    over a stretch in which it would be set.
     """
     clear = merged.counts[merged.codes >> bit & 1 == 0].sum()
-    return bool(clear >= (1 - _ODD_ONES) * merged.counts.sum()) and any(_leaps(bit, codes) for codes in still)
+    return bool(clear >= (1 - _ODD_ONES) * merged.counts.sum()) and any(_leaps(bit, codes) for codes in each)
 
 
 def _leaps(bit: int, codes: Histogram) -> bool:

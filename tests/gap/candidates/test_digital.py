@@ -195,9 +195,24 @@ def test_what_the_model_has_and_the_sensor_has_not_goes(module: object, effect: 
 
 @pytest.mark.parametrize("bit", [2, 3])
 def test_a_bit_that_is_never_set(bit: int) -> None:
-    """An accelerometer's noise of some counts leaps over the stretch that would have it set."""
-    (trial,) = quantisation.guesses(shown("static", "A1", Quantisation(dead_bits=float(1 << bit))))
-    assert trial == Trial((Quantisation(dead_bits=float(1 << bit)),))
+    """An accelerometer's noise of some counts leaps over the stretch that would have it set; what comes out is half a
+    stretch too low on average, by which the fit's bias is wrong.
+    """
+    evidence = shown("static", "A1", Quantisation(dead_bits=float(1 << bit)))
+    as_fitted, moved = quantisation.guesses(evidence)
+    assert as_fitted == Trial((Quantisation(dead_bits=float(1 << bit)),))
+    dead, bias = moved.effects
+    assert dead == as_fitted.effects[0]
+    assert isinstance(bias, Bias)
+    half = (1 << bit) / 2 / evidence.header.sensitivity
+    assert np.median(bias.offset) == pytest.approx(half, rel=0.3)
+
+
+def test_a_bit_that_is_never_set_in_motion() -> None:
+    """At rest no axis gets near it."""
+    assert not list(quantisation.guesses(shown("static", "G1", Quantisation(dead_bits=128.0))))
+    first = next(iter(quantisation.guesses(shown("motion", "G1", Quantisation(dead_bits=128.0)))))
+    assert first == Trial((Quantisation(dead_bits=128.0),))
 
 
 def test_held_again_and_again() -> None:
