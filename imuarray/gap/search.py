@@ -213,7 +213,7 @@ def _asked(
 
 def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool, known: bool = False) -> Round:
     """If it `has_placebo`, that is the last; of those of which one is `known` to be right the likeliest is taken."""
-    real, bar = (found[:-1], found[-1].gain) if has_placebo else (found, 0.0)
+    real, bar = (found[:-1], _tempered(standing, found[-1]) * found[-1].gain) if has_placebo else (found, 0.0)
     odds = _log_odds(standing, real)
     ranked = tuple(real[at] for at in sorted(range(len(real)), key=lambda at: -odds[at]))
     if known:
@@ -237,9 +237,10 @@ def _squares(scores: Floats) -> float:
 
 def _tempered(standing: Standing, one: Confirmed) -> float:
     """How much a gain counts: a misalignment within what the chip's population has moves many statistics by about a
-    standard deviation, all of them for one and the same reason.
+    standard deviation, all of them for one and the same reason. A bow over temperature moves a handful of which each
+    says something of its own: that they are few among many that hang together takes nothing from them.
     """
-    return min(1.0, one.independent / standing.independent)
+    return one.independent / standing.independent
 
 
 def _log_odds(standing: Standing, found: Sequence[Confirmed]) -> tuple[float, ...]:

@@ -250,6 +250,17 @@ def test_what_moves_for_one_reason_counts_once(effect: Effect, is_taken: bool) -
     assert (found.taken is not None) == is_taken
 
 
+@pytest.mark.parametrize(("share", "is_taken"), [(0.9, True), (0.3, False)])
+def test_few_statistics_that_say_something_of_their_own_count_more(share: float, is_taken: bool) -> None:
+    """Nats are counted as if all statistics hung together as those of the whole sensor do, of which 0.3 is independent:
+    where those that are moved don't, 2 are 6.
+    """
+    told = Told({"bias": 9.0}, {"bias": (9.0, 2.0)}, independent=share)
+    standing = by_hand([0.0], drawn(1), independent=0.3)
+    found = searched({UNIT: standing}, {UNIT: [Trial((Bias(1.0),))]}, {}, told)[UNIT]
+    assert (found.taken is not None) == is_taken
+
+
 def test_what_needs_both_may_show_in_one_part_alone() -> None:
     last = {"stuck": (-1.0, 30.0), "tone": (0.0, 0.0)}
     found, _ = round_of({"stuck": 9.0, "tone": 0.0}, last, Stuck(3.0, 1.0))
