@@ -134,8 +134,8 @@ def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:
     paired = kept * location[known] + (1 - kept) * straight
     location[known] = np.where(np.isfinite(location[known]), paired, location[known])
     if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
-        alike = np.fmax(_SAME * (1 + np.abs(values).max(axis=0)), least_scale(before))
-        same = came.all(axis=0) & (np.ptp(values, axis=0) < alike)
+        least = np.fmax(_SAME * (1 + np.abs(values).max(axis=0)), least_scale(before))
+        same = came.all(axis=0) & (np.ptp(values, axis=0) < least)
         location[same] = values[:, same].mean(axis=0)
     scale = np.fmax(np.fmax(scale, _SAME * (1 + np.abs(location))), least_scale(before))
     fresh = came.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
