@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
 
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.gap.cross import Cross, CrossTally, window_ns
@@ -11,7 +14,9 @@ from imuarray.gap.runs import Runs, runs_of
 from imuarray.gap.segments import Temperature
 from imuarray.gap.source import Source
 from imuarray.gap.summary import Grid, Summary, Tally
-from imuarray.log.format import Phase
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.writer import Block
+from imuarray.simulate.streams import CHUNK
 from imuarray.units import INERTIAL
 
 
@@ -78,37 +83,135 @@ def summarise_log(
     layouts: Sequence[Layout] | None = None,
 ) -> LogSummary:
     """Every triad in every phase, in one pass; `layouts`, one per phase, are those of the log to compare with."""
+    (found,) = summarise_logs(kind, [sources], phases, temperature, layouts)
+    return found
+
+
+def summarise_logs(
+    kind: str,
+    replicates: Sequence[Mapping[str, Source]],
+    phases: Sequence[Phase],
+    temperature: Temperature,
+    layouts: Sequence[Layout] | None = None,
+) -> list[LogSummary]:
+    """`summarise_log` of several replicates of one log, which have the same sensors."""
     found = [
-        summarise_phase(sources, phase, number, temperature, None if layouts is None else layouts[number])
+        _summarise_phases(replicates, phase, number, temperature, None if layouts is None else layouts[number])
         for number, phase in enumerate(phases)
     ]
-    return LogSummary(kind, tuple(found))
+    return [LogSummary(kind, tuple(phase[at] for phase in found)) for at in range(len(replicates))]
 
 
 def summarise_phase(
     sources: Mapping[str, Source], phase: Phase, number: int, temperature: Temperature, layout: Layout | None = None
 ) -> PhaseSummary:
-    """The sensors side by side: always the one that is furthest behind goes on, so that little has to be kept."""
-    chosen = layout or layout_of(sources, phase)
-    tallies = {name: Tally(source.header, phase, chosen.grids[name]) for name, source in sources.items()}
-    cross = _cross(sources, phase, chosen.window_ns)
+    """One phase of one log."""
+    (found,) = _summarise_phases([sources], phase, number, temperature, layout)
+    return found
+
+
+def _summarise_phases(
+    replicates: Sequence[Mapping[str, Source]],
+    phase: Phase,
+    number: int,
+    temperature: Temperature,
+    layout: Layout | None,
+) -> list[PhaseSummary]:
+    """Of each replicate: short phases together, long ones one after the other, of which little has to be kept."""
+    chosen = layout or layout_of(replicates[0], phase)
+    rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
+    at_once = max(CHUNK // max(rows, 1), 1)
+    found: list[PhaseSummary] = []
+    for first in range(0, len(replicates), at_once):
+        some = replicates[first : first + at_once]
+        if len(some) > 1:
+            found += _together(some, phase, number, temperature, chosen)
+        else:
+            found.append(_in_one_pass(some[0], phase, number, temperature, chosen))
+    return found
+
+
+def _together(
+    replicates: Sequence[Mapping[str, Source]], phase: Phase, number: int, temperature: Temperature, layout: Layout
+) -> list[PhaseSummary]:
+    """Sensor by sensor, all replicates side by side where their rows have the same times."""
+    blocks = [
+        {name: list(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
+        for sources in replicates
+    ]
+    seen: list[dict[str, Summary]] = [{} for _ in replicates]
+    for name, source in replicates[0].items():
+        own = [one[name] for one in blocks]
+        sets = [own] if _are_simultaneous(own) else [[one] for one in own]
+        tallied = [_tallied(source.header, phase, layout.grids[name], some, temperature) for some in sets]
+        for sensors, summary in zip(seen, chain.from_iterable(tallied), strict=True):
+            sensors[name] = summary
+    crosses = (_crossed(sources, own, phase, layout) for sources, own in zip(replicates, blocks, strict=True))
+    return [
+        PhaseSummary(phase, number, layout, sensors, cross) for sensors, cross in zip(seen, crosses, strict=True)
+    ]
+
+
+def _are_simultaneous(replicates: Sequence[Sequence[Block]]) -> bool:
+    """Whether all have blocks of the same times."""
+    first, *others = replicates
+    return all(
+        len(one) == len(first) and all(np.array_equal(own.time, its.time) for own, its in zip(one, first, strict=True))
+        for one in others
+    )
+
+
+def _tallied(
+    header: SensorHeader, phase: Phase, grid: Grid, replicates: Sequence[Sequence[Block]], temperature: Temperature
+) -> list[Summary]:
+    """Summaries of replicates whose blocks have the same times."""
+    tally = Tally(header, phase, grid, len(replicates))
+    for blocks in zip(*replicates, strict=True):
+        tally.update(*blocks)
+    return tally.results(temperature)
+
+
+def _crossed(
+    sources: Mapping[str, Source], blocks: Mapping[str, Sequence[Block]], phase: Phase, layout: Layout
+) -> Cross | None:
+    """What inertial sensors have in common."""
+    cross = _cross(sources, phase, layout.window_ns)
+    if cross is None:
+        return None
+    for name, block in _in_turn({name: iter(blocks[name]) for name in sources if name in cross.sensors}, phase):
+        cross.take(name, block)
+    return cross.result()
+
+
+def _in_one_pass(
+    sources: Mapping[str, Source], phase: Phase, number: int, temperature: Temperature, layout: Layout
+) -> PhaseSummary:
+    """All sensors side by side, a block at a time."""
+    tallies = {name: Tally(source.header, phase, layout.grids[name]) for name, source in sources.items()}
+    cross = _cross(sources, phase, layout.window_ns)
     waiting = {name: source.blocks(phase.start_ns, phase.end_ns) for name, source in sources.items()}
-    reached = dict.fromkeys(sources, phase.start_ns)
+    for name, block in _in_turn(waiting, phase):
+        if block is not None:
+            tallies[name].update(block)
+        if cross is not None and name in cross.sensors:
+            cross.take(name, block)
+    sensors = {name: tally.result(temperature) for name, tally in tallies.items()}
+    return PhaseSummary(phase, number, layout, sensors, None if cross is None else cross.result())
+
+
+def _in_turn(blocks: Mapping[str, Iterator[Block]], phase: Phase) -> Iterator[tuple[str, Block | None]]:
+    """The blocks of all sensors, None behind a sensor's last: always the one that is furthest behind goes on, so that
+    little has to be kept.
+    """
+    waiting, reached = dict(blocks), dict.fromkeys(blocks, phase.start_ns)
     while waiting:
         name = min(waiting, key=reached.__getitem__)
         block = next(waiting[name], None)
-        crossed = cross if cross is not None and name in cross.sensors else None
         if block is None:
             del waiting[name]
-            if crossed is not None:
-                crossed.end(name)
-            continue
-        reached[name] = int(block.time[-1])
-        tallies[name].update(block)
-        if crossed is not None:
-            crossed.update(name, block)
-    sensors = {name: tally.result(temperature) for name, tally in tallies.items()}
-    return PhaseSummary(phase, number, chosen, sensors, None if cross is None else cross.result())
+        else:
+            reached[name] = int(block.time[-1])
+        yield name, block
 
 
 def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:

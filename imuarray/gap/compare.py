@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,11 @@ from imuarray.gap.workers import Run
 from imuarray.simulate.model import Model
 
 Floats = npt.NDArray[np.float64]
+
+TOGETHER = 8
+"""So many replicates are simulated in one job: what is the same in all is worked out once, and few jobs are left to do
+when most workers have nothing more to do.
+"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ def settled(bench: Bench, replicates: int = 8) -> Bench:
     the recording: what the other effects of a model add to noise and level is not in them twice.
     """
     models = bench.models()
-    came = [bench.replicate(models, number, held_out=False).fitted for number in range(replicates)]
+    came = [one.fitted for one in bench.replicates(models, range(replicates), held_out=False)]
     fitted = {
         name: one.moved(bench.base.fitted[name], [each[name] for each in came])
         for name, one in bench.base.fitted.items()
@@ -86,7 +92,7 @@ def settled(bench: Bench, replicates: int = 8) -> Bench:
 def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: int) -> Compared:
     """Where the recording leaves what the base model makes of it."""
     real = bench.observed(campaign, bench.base.fitted)
-    came = tuple(run(replicate, [(bench.models(), number) for number in range(replicates)]))
+    came = tuple(observed(bench.models(), range(replicates), run))
     chance = np.array([one.values for one in came])
     pairs = bench.pairs()
     scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
@@ -95,7 +101,12 @@ def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: i
     return Compared(bench, campaign, real, came, pairs, whole, where)
 
 
-def replicate(bench: Bench, asked: tuple[Models, int]) -> Values:
-    """One replicate, by its number, of sensors modelled so."""
-    models, number = asked
-    return bench.observed(bench.simulated(models, number), models)
+def observed(models: Models, numbers: Sequence[int], run: Run) -> list[Values]:
+    """Replicates, by their numbers, of sensors modelled so; a few of them in each job."""
+    groups = [numbers[first : first + TOGETHER] for first in range(0, len(numbers), TOGETHER)]
+    return list(chain.from_iterable(run(_replicates, [(models, group) for group in groups])))
+
+
+def _replicates(bench: Bench, asked: tuple[Models, Sequence[int]]) -> list[Values]:
+    models, numbers = asked
+    return [bench.observed(campaign, models) for campaign in bench.campaigns(models, numbers)]

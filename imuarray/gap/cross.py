@@ -139,6 +139,13 @@ class CrossTally:
         self._reached[place] = last
         self._work(int(self._reached.min()))
 
+    def take(self, sensor: str, block: Block | None) -> None:
+        """The next rows, or (None) word that there are no more."""
+        if block is None:
+            self.end(sensor)
+        else:
+            self.update(sensor, block)
+
     def end(self, sensor: str) -> None:
         """No more rows of this sensor."""
         self._reached[self._places[sensor]] = self._last

@@ -15,7 +15,7 @@ from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import CANDIDATES, Candidate
 from imuarray.gap.causes import causes_of, judged_of
 from imuarray.gap.closure import deviating, deviating_in_either
-from imuarray.gap.compare import Compared, compared_with_base, prepared, replicate
+from imuarray.gap.compare import Compared, compared_with_base, observed, prepared
 from imuarray.gap.described import changes_alike, lines_left
 from imuarray.gap.diagnosis import Cause, Diagnosis, Gap, Recorded, Unshown, is_told_by_both
 from imuarray.gap.judgement import Judged, Told, floor_of, gap_of, judged, map_of, unknown_of, verdict_of, where_of
@@ -196,10 +196,10 @@ def _shared(found: Compared) -> tuple[str, ...]:
     return changes_alike(bench.keys, found.real.values, bench.held_out.tolist(), bench.base.headers)
 
 
-def _repaired(searched: Searched, run: Run) -> list[Any]:
+def _repaired(searched: Searched, run: Run) -> list[Values]:
     """Replicates with the causes in."""
     numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
-    return run(replicate, [(searched.models, number) for number in numbers])
+    return observed(searched.models, numbers, run)
 
 
 def _gap(case: Begun, after: Judged, causes: Sequence[Cause]) -> Gap:

@@ -146,9 +146,7 @@ def _simulated(bench: Bench, standing: Standing, trial: Trial, models: Models, l
 def _seen(bench: Bench, standing: Standing, models: Models, whole: bool, looks: int) -> _Seen | None:
     """Of the training part, or of both (`whole`); None for parameters that an effect refuses."""
     try:
-        found = [
-            bench.replicate(models, number, held_out=whole, company=standing.company) for number in NUMBERS[:looks]
-        ]
+        found = bench.replicates(models, NUMBERS[:looks], held_out=whole, company=standing.company)
     except ValueError:
         return None
     kept = bench.among(standing.unit, standing.unit)

@@ -143,17 +143,14 @@ def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
     return kept
 
 
-def replicate_of(bench: Bench, standing: Standing, number: int) -> Values:
-    """The unit's statistics in one replicate of its models; what a lone sensor shares with others is left out."""
-    found = bench.replicate(standing.models, number, company=standing.company)
-    return replace(found, values=found.values[bench.among(standing.unit, standing.unit)])
-
-
 def replicated(bench: Bench, standing: Standing) -> Standing:
-    """With what replicates of its models make, and how far their noise is from the recording's."""
-    came = [replicate_of(bench, standing, number) for number in NUMBERS]
+    """With what replicates of its models make, and how far their noise is from the recording's; what a lone sensor
+    shares with others is left out.
+    """
+    came = bench.replicates(standing.models, NUMBERS, company=standing.company)
+    kept = bench.among(standing.unit, standing.unit)
     misfit = standing.misfit_of(bench.base.headers, [one.fitted for one in came])
-    return replace(standing, values=np.array([one.values for one in came]), misfit=misfit)
+    return replace(standing, values=np.array([one.values[kept] for one in came]), misfit=misfit)
 
 
 def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -54,18 +54,22 @@ class Segments:
 
 
 class SegmentTally:
-    """Adds up powers of the readings of [start_ns, end_ns) in `count` parts."""
+    """Adds up powers of the readings of [start_ns, end_ns) in `count` parts; of so many `replicates` at once, whose
+    rows have the same times.
+    """
 
-    def __init__(self, start_ns: int, end_ns: int, count: int) -> None:
+    def __init__(self, start_ns: int, end_ns: int, count: int, replicates: int = 1) -> None:
         self._edges = start_ns + (np.arange(count + 1) * (end_ns - start_ns)) // count
         self._rows = np.zeros(count, np.int64)
         self._since_ns = np.zeros(count)
-        self._powers = np.zeros((POWERS, count, 3))
-        self._thermometer = np.zeros((2, count))
+        self._powers = np.zeros((POWERS, count, 3 * replicates))
+        self._thermometer = np.zeros((2, replicates, count))
         self._has_thermometer = False
 
-    def update(self, time_ns: Times, apart: Floats, thermometer: npt.NDArray[np.int16] | None) -> None:
-        """The next rows: times (n,), distances (3, n) of counts from an origin, and the thermometer's counts (n,)."""
+    def update(self, time_ns: Times, apart: Floats, thermometers: npt.NDArray[np.int16] | None) -> None:
+        """The next rows: times (n,), distances (3 r, n) of counts from an origin, and the thermometers' counts (r, n);
+        of the only replicate (n,).
+        """
         part, starts, rows = self._parts(time_ns)
         self._rows[part] += rows
         self._since_ns[part] += np.add.reduceat(np.asarray(time_ns - self._edges[0], float), starts)
@@ -74,36 +78,51 @@ class SegmentTally:
         for power in range(1, POWERS):
             np.multiply(powers[power - 1], apart, out=powers[power])
         self._powers[:, part] += np.add.reduceat(powers, starts, axis=2).transpose(0, 2, 1)
-        if thermometer is not None:
+        if thermometers is not None:
             self._has_thermometer = True
-            values = thermometer.astype(float)
-            self._thermometer[0, part] += np.add.reduceat(values, starts)
-            self._thermometer[1, part] += np.add.reduceat(values * values, starts)
+            values = np.atleast_2d(thermometers).astype(float)
+            self._thermometer[0][:, part] += np.add.reduceat(values, starts, axis=1)
+            self._thermometer[1][:, part] += np.add.reduceat(values * values, starts, axis=1)
 
     def result(self, origin: Floats, temperature: Temperature) -> Segments:
-        """The parts; `origin` (3,) counts is what all distances were taken from."""
+        """The parts of the only replicate; `origin` (3,) counts is what all distances were taken from."""
+        (found,) = self.results(origin, temperature)
+        return found
+
+    def results(self, origin: Floats, temperature: Temperature) -> list[Segments]:
+        """The parts of each replicate; `origin` (3 r,)."""
         rows = np.where(self._rows, self._rows, np.nan)
-        first, second, third, fourth = self._powers / rows[:, None]
-        square = first * first
-        mean_ns = self._since_ns / rows
+        replicates, mean_ns = len(self._thermometer[0]), self._since_ns / rows
         widths_ns = self._edges[1:] - self._edges[:-1]
         widths_s = widths_ns * 1e-9
         at_ns = self._edges[0] + np.rint(np.where(self._rows, mean_ns, widths_ns / 2)).astype(np.int64)
         ends_degc = np.asarray(temperature(self._edges), float)
-        degc = self._thermometer / rows if self._has_thermometer else np.full((2, len(rows)), np.nan)
-        return Segments(
+        times = (
             float(widths_s.mean()),
             self._rows.copy(),
             (self._edges[0] + mean_ns) * 1e-9,
             np.asarray(temperature(at_ns), float),
             (ends_degc[1:] - ends_degc[:-1]) / widths_s,
+        )
+        moments = zip(*(side_by_side(one, replicates) for one in self._moments(origin, rows)), strict=True)
+        return [Segments(*times, *own, *degc) for own, degc in zip(moments, self._warmth(rows), strict=True)]
+
+    def _moments(self, origin: Floats, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """(s, 3 r) means, and central moments."""
+        first, second, third, fourth = self._powers / rows[:, None]
+        square = first * first
+        return (
             first + origin,
             np.maximum(second - square, 0.0),
             third - (3 * second - 2 * square) * first,
             fourth - (4 * third - (6 * second - 3 * square) * first) * first,
-            degc[0],
-            np.maximum(degc[1] - degc[0] ** 2, 0.0),
         )
+
+    def _warmth(self, rows: Floats) -> Iterator[tuple[Floats, Floats]]:
+        """(s,) mean and variance of each thermometer."""
+        means, squares = self._thermometer / rows if self._has_thermometer else np.full_like(self._thermometer, np.nan)
+        for mean, square in zip(means, squares, strict=True):
+            yield mean, np.maximum(square - mean**2, 0.0)
 
     def _parts(self, time_ns: Times) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """The parts that the times lie in, where each begins and how many rows of these it has."""
@@ -113,3 +132,8 @@ class SegmentTally:
         starts[0] = 0
         rows = np.concatenate([starts[1:], [len(time_ns)]]) - starts
         return part[rows > 0], starts[rows > 0], rows[rows > 0]
+
+
+def side_by_side(columns: Floats, replicates: int) -> Iterator[Floats]:
+    """(n, 3) of each of the replicates that have the columns (n, 3 r) together."""
+    return iter(np.ascontiguousarray(columns.reshape(len(columns), replicates, 3).swapaxes(0, 1)))

@@ -7,8 +7,8 @@ not in seconds; neighbours in the log are neighbours, whatever lies between.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 from imuarray.gap.haar import Haar, HaarTally
 from imuarray.gap.lone import Lone, LoneTally
-from imuarray.gap.segments import Segments, SegmentTally, Temperature
+from imuarray.gap.segments import Segments, SegmentTally, Temperature, side_by_side
 from imuarray.gap.status import IntervalMoments, Intervals, StatusTally
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
@@ -81,64 +81,93 @@ class Summary:
 
 
 class Tally:
-    """Takes the blocks of one sensor in one phase."""
+    """Takes the blocks of one sensor in one phase; of so many `replicates` at once, whose rows have the same times:
+    most of the time that few rows take is what every call of NumPy costs.
+    """
 
-    def __init__(self, header: SensorHeader, phase: Phase, grid: Grid) -> None:
+    def __init__(self, header: SensorHeader, phase: Phase, grid: Grid, replicates: int = 1) -> None:
         self._header, self._phase, self._grid = header, phase, grid
-        self._segments = SegmentTally(phase.start_ns, phase.end_ns, grid.segments)
-        self._codes, self._steps = [NOTHING] * 3, [NOTHING] * 3
-        self._welch = Welch(1.0, grid.spectrum_rows, 3)
-        self._covariance, self._arch = Autocovariance(LAGS, 3), Autocovariance(ARCH_LAGS, 3)
-        self._haar = HaarTally(OCTAVES)
-        self._intervals, self._repeats, self._status = IntervalMoments(), RepeatTally(), StatusTally()
-        self._lone = LoneTally()
-        self._origin, self._rows = np.zeros(3), 0
-        self._last = np.zeros((3, 0))
+        columns = 3 * replicates
+        self._segments = SegmentTally(phase.start_ns, phase.end_ns, grid.segments, replicates)
+        self._codes, self._steps = [NOTHING] * columns, [NOTHING] * columns
+        self._welch = Welch(1.0, grid.spectrum_rows, columns)
+        self._covariance, self._arch = Autocovariance(LAGS, columns), Autocovariance(ARCH_LAGS, columns)
+        self._haar = HaarTally(OCTAVES, columns)
+        self._intervals = IntervalMoments()
+        self._repeats = [RepeatTally() for _ in range(replicates)]
+        self._status = [StatusTally() for _ in range(replicates)]
+        self._lone = [LoneTally() for _ in range(replicates)]
+        self._origin, self._rows = np.zeros(columns), 0
+        self._last = np.zeros((columns, 0))
 
-    def update(self, block: Block) -> None:
-        """The next rows, at least one."""
-        apart = block.counts.T.astype(np.float64, order="C")
+    def update(self, *blocks: Block) -> None:
+        """The next rows of each replicate, at least one."""
+        time = blocks[0].time
+        counts = np.concatenate([block.counts.T for block in blocks])
+        apart = counts.astype(np.float64)
         if self._rows == 0:
             self._origin = np.rint(apart.mean(axis=1))
-        self._rows += len(block.time)
+        self._rows += len(time)
         apart -= self._origin[:, None]
         line = np.concatenate([self._last, apart], axis=1)
         steps = line[:, 1:] - line[:, :-1]
         self._last = apart[:, -1:].copy()
-        self._segments.update(block.time, apart, block.temperature_counts)
-        self._count(block, steps)
+        self._segments.update(time, apart, _thermometers(blocks))
+        self._count(counts, steps)
         self._welch.update(apart.T)
         self._covariance.update(apart.T)
         self._arch.update((steps * steps).T)
         self._haar.update(apart)
-        self._intervals.update(block.time)
-        self._repeats.update(block.counts)
-        self._lone.update(block.time, apart)
-        self._status.update(block.status, block.counts)
+        self._intervals.update(time)
+        for block, repeats, status in zip(blocks, self._repeats, self._status, strict=True):
+            repeats.update(block.counts)
+            status.update(block.status, block.counts)
+        for at, lone in enumerate(self._lone):
+            lone.update(time, apart[3 * at : 3 * at + 3])
 
     def result(self, temperature: Temperature) -> Summary:
-        """All that came so far."""
-        return Summary(
-            self._header,
-            self._phase,
-            self._grid,
-            self._rows,
-            self._segments.result(self._origin, temperature),
-            tuple(self._codes),
-            tuple(self._steps),
-            self._welch.result(),
-            self._covariance.correlation(),
-            self._arch.correlation(),
-            self._haar.result(),
-            self._intervals.result(),
-            self._repeats.result(),
-            self._status.flags,
-            self._status.words,
-            self._lone.result(),
-        )
+        """All that came so far of the only replicate."""
+        (found,) = self.results(temperature)
+        return found
 
-    def _count(self, block: Block, steps: Floats) -> None:
-        codes = histograms(block.counts.T.astype(np.int64, order="C"))
+    def results(self, temperature: Temperature) -> list[Summary]:
+        """All that came so far of each replicate."""
+        replicates = len(self._repeats)
+        spectrum, haar, intervals = self._welch.result(), self._haar.result(), self._intervals.result()
+        tables = (self._covariance.correlation(), self._arch.correlation(), haar.variance)
+        columns = zip(*(side_by_side(table, replicates) for table in tables), strict=True)
+        segments = self._segments.results(self._origin, temperature)
+        axes = [slice(3 * at, 3 * at + 3) for at in range(replicates)]
+        return [
+            Summary(
+                self._header,
+                self._phase,
+                self._grid,
+                self._rows,
+                segments[at],
+                tuple(self._codes[own]),
+                tuple(self._steps[own]),
+                replace(spectrum, density=spectrum.density[:, own]),
+                correlation,
+                arch,
+                haar._replace(variance=variance),
+                intervals,
+                self._repeats[at].result(),
+                self._status[at].flags,
+                self._status[at].words,
+                self._lone[at].result(),
+            )
+            for at, (own, (correlation, arch, variance)) in enumerate(zip(axes, columns, strict=True))
+        ]
+
+    def _count(self, counts: npt.NDArray[np.int16], steps: Floats) -> None:
+        codes = histograms(counts.astype(np.int64))
         sizes = histograms(np.abs(steps).astype(np.int64))
         self._codes = [seen.merge(more) for seen, more in zip(self._codes, codes, strict=True)]
         self._steps = [seen.merge(more) for seen, more in zip(self._steps, sizes, strict=True)]
+
+
+def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
+    """(r, n) counts, if the chip gives any."""
+    counts = [block.temperature_counts for block in blocks if block.temperature_counts is not None]
+    return np.array(counts) if counts else None
