@@ -138,3 +138,10 @@ def test_what_says_nothing_is_no_statistic() -> None:
     assert independent_share(more) == pytest.approx(independent_share(silent))
     assert independent_share(np.zeros((10, 4))) == 1.0
     assert independent_share(drawn[:, :1]) == 1.0
+
+
+@pytest.mark.parametrize("replicates", [7, 8])
+def test_the_middle_is_the_median(replicates: int) -> None:
+    values = np.random.default_rng(1).normal(size=(replicates, 5))
+    values[0, 1] = np.nan
+    np.testing.assert_array_equal(likeness_of(values, np.zeros(5)).location, np.nanmedian(values, axis=0))
