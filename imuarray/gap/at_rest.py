@@ -121,15 +121,23 @@ def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Floats:
     """(s, 3) what the nominal axes feel at the segments' mean times, in the sensor's unit; the force is `force_box`
     (3,), if that is given.
     """
-    header = summary.header
-    if force_box is not None and header.quantity == "specific_force":
-        vectors = np.broadcast_to(force_box, (len(summary.segments.rows), 3))
-    else:
-        part = summary.segments
-        at_ns = np.rint(np.where(part.rows > 0, part.time_s, 0.0) * 1e9).astype(np.int64)
-        vectors = np.asarray(getattr(motion.felt(at_ns), _COLUMN[header.quantity]), float)
+    if force_box is not None and summary.header.quantity == "specific_force":
+        return _along(np.broadcast_to(force_box, (len(summary.segments.rows), 3)), summary.header)
+    kept: dict[str, tuple[Motion, Floats]] = vars(summary)  # a fit asks, and who takes off what it predicts
+    if "felt" not in kept or kept["felt"][0] is not motion:
+        kept["felt"] = (motion, _felt(summary, motion))
+    return kept["felt"][1]
+
+
+def _felt(summary: Summary, motion: Motion) -> Floats:
+    part = summary.segments
+    at_ns = np.rint(np.where(part.rows > 0, part.time_s, 0.0) * 1e9).astype(np.int64)
+    return _along(np.asarray(getattr(motion.felt(at_ns), _COLUMN[summary.header.quantity]), float), summary.header)
+
+
+def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
     unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
-    return np.asarray(vectors @ np.array(header.orientation) * unit)
+    return np.asarray(vectors_box @ np.array(header.orientation) * unit)
 
 
 def fitted_to(header: SensorHeader, phases: Sequence[Rest]) -> Fitted:

@@ -6,28 +6,31 @@ simulation alike: levels of the held-out part are told from the bias that the tr
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, lru_cache
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.base_model import Base, Fitted, fit, replicate_seed, residual
-from imuarray.gap.campaign import Campaign, Layout, is_at_rest, summarise_logs
+from imuarray.gap.campaign import Campaign, Layout, LogSummary, is_at_rest, summarise_logs
 from imuarray.gap.pairs import Pairs, pairs_of
 from imuarray.gap.probes import PROBES, CrossProbe, Probe
 from imuarray.gap.probes.probe import ArrayProbe
 from imuarray.gap.recordings import Experiment, temperature_of
 from imuarray.gap.source import Source, simulated_sources
 from imuarray.gap.split import Split
-from imuarray.gap.statistics import Key, Statistics, residual_statistics, statistics
+from imuarray.gap.statistics import Key, Replicated, replicated_statistics, statistics
 from imuarray.gap.use import Uses, uses_of
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.posed import Posed
 from imuarray.simulate.simulation import Simulation
+from imuarray.simulate.streams import CHUNK
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -47,6 +50,22 @@ class Modelled:
 
 Models = Mapping[str, Modelled]
 """By sensor."""
+
+Effects = Mapping[str, tuple[Effect, ...]]
+
+Asked = tuple[Models, int]
+"""A replicate: its models and its number."""
+
+TOGETHER = 8
+"""So many replicates are simulated in one job, where there are many: what all have in common is done once, and there
+are enough jobs for many workers.
+"""
+
+_ROWS = 8 * CHUNK
+"""Of a sensor in all replicates of a log that are in work together; of so many rows each, it keeps four chunks."""
+
+_KEPT = 64
+"""Simulated sensors of logs in which the box moves: eight replicates of eight sensors."""
 
 
 @dataclass(frozen=True)
@@ -137,76 +156,127 @@ class Bench:
         """Replicate `number` of these sensors: of all that is looked at, or (`held_out` False) the training part.
         Sensors beside them are as `company` has them, or as the base model.
         """
-        (found,) = self.campaigns(models, (number,), held_out=held_out, company=company)
+        (found,) = self.campaigns([(models, number)], held_out=held_out, company=company)
         return found
 
     def campaigns(
         self,
-        models: Models,
-        numbers: Sequence[int],
+        asked: Sequence[Asked],
         *,
         held_out: bool = True,
         company: Models = MappingProxyType({}),
+        logs: Collection[int] | None = None,
     ) -> list[Campaign]:
-        """`simulated`, of several replicates."""
-        effects = [self._effects({**company, **models}, number) for number in numbers]
-        seeds = [replicate_seed(self.base.seed, number) for number in numbers]
-        phases = self.split.phases(None if held_out else False)
-        logs = []
-        for at, (experiment, kind) in enumerate(zip(self.experiments, self.kinds, strict=True)):
-            replicates = [
-                self._sources(at, models, own, seed) for own, seed in zip(effects, seeds, strict=True)
-            ]
-            layouts = self._layouts(at, held_out)
-            logs.append(summarise_logs(kind, replicates, phases[at], temperature_of(experiment.motion), layouts))
-        return [Campaign(replicate) for replicate in zip(*logs, strict=True)]
+        """`simulated`, of several replicates of the same sensors, each with its models and its number; only these
+        `logs` (None: all), the others without phases.
+        """
+        chosen = range(len(self.kinds)) if logs is None else logs
+        effects = [self._effects({**company, **models}, number) for models, number in asked]
+        parts = [
+            self._replicated(at, asked, effects, held_out) if at in chosen else [LogSummary(kind, ())] * len(asked)
+            for at, kind in enumerate(self.kinds)
+        ]
+        return [Campaign(replicate) for replicate in zip(*parts, strict=True)]
 
-    def _sources(
-        self, log: int, models: Models, effects: Mapping[str, Sequence[Effect]], seed: int
-    ) -> dict[str, Source]:
-        """One replicate of a log: these sensors, and where the box moves all others."""
+    def _replicated(
+        self, log: int, asked: Sequence[Asked], effects: Sequence[Effects], held_out: bool
+    ) -> list[LogSummary]:
+        """One log in several replicates, as many at a time as memory is for."""
+        kind, (plan, motion) = self.kinds[log], self.experiments[log]
+        phases = self.split.phases(None if held_out else False)[log]
+        rows = max((line.rows for _, line in plan.sensors.values()), default=0)
+        at_once = max(_ROWS // max(rows, 1), 1)
+        found: list[LogSummary] = []
+        for first in range(0, len(asked), at_once):
+            some = slice(first, first + at_once)
+            replicates = [self._sources(log, *one, own) for one, own in zip(asked[some], effects[some], strict=True)]
+            found += summarise_logs(kind, replicates, phases, temperature_of(motion), self._layouts(log, held_out))
+        return found
+
+    def _sources(self, log: int, models: Models, number: int, effects: Effects) -> dict[str, Source]:
+        """One replicate of a log: these sensors, and where the box moves all others, as many models have in common."""
         plan, motion = self.experiments[log]
-        simulation = Simulation(plan, motion, effects, seed=seed, boot=log)
-        wanted = {*models, *(effects if self._moves[log] else ())}
-        return {name: source for name, source in simulated_sources(simulation).items() if name in wanted}
+        wanted = [name for name in plan.sensors if name in (effects if self._moves[log] else models)]
+        swapped = [name for name in wanted if any(effect.name == ChannelSwap.name for effect in effects[name])]
+        seed = replicate_seed(self.base.seed, number)
+        array = simulated_sources(Simulation(plan, motion, effects, seed=seed, boot=log)) if swapped else {}
+        return {
+            name: array[name]
+            if name in swapped
+            else (self._alone if name in models else self._company)(log, name, effects[name], seed)
+            for name in wanted
+        }
+
+    @cached_property
+    def _company(self) -> Callable[[int, str, tuple[Effect, ...], int], Source]:
+        """`_alone`, the same one as long as it is kept."""
+        return lru_cache(maxsize=_KEPT)(self._alone)
+
+    def _alone(self, log: int, name: str, effects: tuple[Effect, ...], seed: int) -> Source:
+        """A sensor that needs no other."""
+        plan, motion = self.experiments[log]
+        own = replace(plan, sensors={name: plan.sensors[name]})
+        return simulated_sources(Simulation(own, motion, {name: effects}, seed=seed, boot=log))[name]
+
+    @cached_property
+    def _drawn(self) -> Callable[[int], Effects]:
+        """What isn't fitted, by the replicate's number."""
+        return lru_cache(maxsize=_KEPT)(self.base.drawn)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what was worked out, and is again where it is wanted."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
 
     def replicate(
         self, models: Models, number: int, *, held_out: bool = True, company: Models = MappingProxyType({})
     ) -> Values:
         """Statistics of `simulated`, under the keys of these sensors (`columns`), by its own fit."""
-        (found,) = self.replicates(models, (number,), held_out=held_out, company=company)
+        (found,) = self.replicates([(models, number)], held_out=held_out, company=company)
         return found
 
     def replicates(
-        self,
-        models: Models,
-        numbers: Sequence[int],
-        *,
-        held_out: bool = True,
-        company: Models = MappingProxyType({}),
+        self, asked: Sequence[Asked], *, held_out: bool = True, company: Models = MappingProxyType({})
     ) -> list[Values]:
-        """`replicate`, of several: faster than one after the other."""
-        campaigns = self.campaigns(models, numbers, held_out=held_out, company=company)
-        return [self.measured(campaign, models, held_out=held_out) for campaign in campaigns]
+        """`replicate`, of several of the same sensors: faster than one after the other."""
+        campaigns = self.campaigns(asked, held_out=held_out, company=company)
+        return self.each_measured(campaigns, asked[0][0], held_out=held_out)
 
     def observed(self, campaign: Campaign, sensors: Collection[str]) -> Values:
         """`measured`, with figures of use."""
-        found = self.measured(campaign, sensors)
-        base = replace(self.base, fitted=found.fitted)
-        return replace(found, uses=uses_of(campaign, residual(campaign, self.motions, base)))
+        (found,) = self.each_observed([campaign], sensors)
+        return found
 
-    def measured(self, campaign: Campaign, sensors: Collection[str], *, held_out: bool = True) -> Values:
+    def each_observed(self, campaigns: Sequence[Campaign], sensors: Collection[str]) -> list[Values]:
+        """`observed`, of several replicates."""
+        found = self.each_measured(campaigns, sensors)
+        bases = [replace(self.base, fitted=one.fitted) for one in found]
+        uses = [
+            uses_of(campaign, residual(campaign, self.motions, base))
+            for campaign, base in zip(campaigns, bases, strict=True)
+        ]
+        return [replace(one, uses=own) for one, own in zip(found, uses, strict=True)]
+
+    def measured(self, campaign: Campaign, sensors: Collection[str]) -> Values:
         """Statistics of a campaign of these sensors that was looked at as the recorded one, nan where it has none."""
-        train, told = self.split.train(campaign), self._told(campaign)
-        motions = [told[at] for at in train.logs]
-        base = fit(train.campaign, motions)
-        values = np.full(len(self.keys), np.nan)
-        self._put(values, residual_statistics(train.campaign, motions, base), 0)
-        if held_out:
-            other = self.split.held_out(campaign)
-            motions = [told[at] for at in other.logs]
-            self._put(values, residual_statistics(other.campaign, motions, base), 1)
-        return Values(values[self._places(frozenset(sensors))], base.fitted)
+        (found,) = self.each_measured([campaign], sensors)
+        return found
+
+    def each_measured(
+        self, campaigns: Sequence[Campaign], sensors: Collection[str], *, held_out: bool = True
+    ) -> list[Values]:
+        """`measured`, of several replicates."""
+        told = self._told(campaigns[0])
+        sides = [self.split.train(campaign) for campaign in campaigns]
+        motions = [told[at] for at in sides[0].logs]
+        bases = [fit(side.campaign, motions) for side in sides]
+        values = np.full((len(campaigns), len(self.keys)), np.nan)
+        for part in (0, 1) if held_out else (0,):
+            if part:
+                sides = [self.split.held_out(campaign) for campaign in campaigns]
+                motions = [told[at] for at in sides[0].logs]
+            self._put(values, replicated_statistics([side.campaign for side in sides], motions, bases, sensors), part)
+        own = values[:, self._places(frozenset(sensors))]
+        return [Values(one, base.fitted) for one, base in zip(own, bases, strict=True)]
 
     def _told(self, campaign: Campaign) -> tuple[Motion, ...]:
         """What the box did, as the sensors of a campaign can tell: attitudes that its accelerometers are to tell
@@ -216,10 +286,10 @@ class Bench:
         needed = {name for name, header in self.base.headers.items() if header.quantity == "specific_force"}
         return self.motions if needed <= there else tuple(map(_known, self.motions))
 
-    def _effects(self, models: Models, number: int) -> dict[str, tuple[Effect, ...]]:
+    def _effects(self, models: Models, number: int) -> Effects:
         """Of every sensor, those of the base model where nothing else is said."""
         found = {}
-        for name, drawn in self.base.drawn(number).items():
+        for name, drawn in self._drawn(number).items():
             model = models.get(name) or Modelled(self.base.fitted[name])
             kept = (effect for effect in drawn if effect.name not in model.removed)
             found[name] = (*kept, *model.fitted.effects(), *model.added)
@@ -231,17 +301,15 @@ class Bench:
             layout for layout, out in zip(self.layouts[log], share.held_out, strict=True) if held_out or not out
         )
 
-    def _put(self, values: Floats, found: Statistics, part: int) -> None:
-        """Write statistics of one part in their places; what is new in a simulation has none."""
+    def _put(self, values: Floats, found: Replicated, part: int) -> None:
+        """Write statistics (r, m) of one part in their places (r, n); what is new in a simulation has none."""
         own = slice(self.of_train, None) if part else slice(self.of_train)
         if found.keys == self.keys[own]:
-            values[own] = found.values
+            values[:, own] = found.values
             return
-        known = self._index[part]
-        for key, value in zip(found.keys, found.values.tolist(), strict=True):
-            at = known.get(key)
-            if at is not None:
-                values[at] = value
+        places = np.array([self._index[part].get(key, -1) for key in found.keys], np.intp)
+        known = places >= 0
+        values[:, places[known]] = found.values[:, known]
 
     @cached_property
     def _index(self) -> tuple[dict[Key, int], dict[Key, int]]:

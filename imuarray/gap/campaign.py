@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -139,26 +139,47 @@ def _together(
         {name: list(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
         for sources in replicates
     ]
-    seen: list[dict[str, Summary]] = [{} for _ in replicates]
-    for name, source in replicates[0].items():
-        own = [one[name] for one in blocks]
-        sets = [own] if _are_simultaneous(own) else [[one] for one in own]
-        tallied = [_tallied(source.header, phase, layout.grids[name], some, temperature) for some in sets]
-        for sensors, summary in zip(seen, chain.from_iterable(tallied), strict=True):
-            sensors[name] = summary
-    crosses = (_crossed(sources, own, phase, layout) for sources, own in zip(replicates, blocks, strict=True))
+    for name, grid in ((name, layout.grids[name]) for name in replicates[0]):
+        new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].known]
+        for some in _simultaneous([one[name] for one in blocks], new):
+            header = replicates[0][name].header
+            tallied = _tallied(header, phase, grid, [blocks[at][name] for at in some], temperature)
+            for at, summary in zip(some, tallied, strict=True):
+                replicates[at][name].known[phase, grid] = summary
+    crosses: dict[int, Cross | None] = {}
+    for some in _simultaneous([list(chain(*one.values())) for one in blocks], range(len(replicates))):
+        crosses.update(
+            zip(some, _crossed(replicates[some[0]], [blocks[at] for at in some], phase, layout), strict=True)
+        )
     return [
-        PhaseSummary(phase, number, layout, sensors, cross) for sensors, cross in zip(seen, crosses, strict=True)
+        PhaseSummary(
+            phase,
+            number,
+            layout,
+            {name: source.known[phase, layout.grids[name]] for name, source in sources.items()},
+            crosses[at],
+        )
+        for at, sources in enumerate(replicates)
     ]
 
 
-def _are_simultaneous(replicates: Sequence[Sequence[Block]]) -> bool:
-    """Whether all have blocks of the same times."""
-    first, *others = replicates
-    return all(
-        len(one) == len(first) and all(np.array_equal(own.time, its.time) for own, its in zip(one, first, strict=True))
-        for one in others
-    )
+def _simultaneous(replicates: Sequence[Sequence[Block]], places: Iterable[int]) -> list[list[int]]:
+    """The places of replicates, those together whose blocks have the same times."""
+    found: list[list[int]] = []
+    for at in places:
+        own = replicates[at]
+        for some in found:
+            others = replicates[some[0]]
+            if len(own) == len(others) and all(map(_have_same_times, own, others)):
+                some.append(at)
+                break
+        else:
+            found.append([at])
+    return found
+
+
+def _have_same_times(one: Block, other: Block) -> bool:
+    return np.array_equal(one.time, other.time)
 
 
 def _tallied(
@@ -172,15 +193,18 @@ def _tallied(
 
 
 def _crossed(
-    sources: Mapping[str, Source], blocks: Mapping[str, Sequence[Block]], phase: Phase, layout: Layout
-) -> Cross | None:
-    """What inertial sensors have in common."""
-    cross = _cross(sources, phase, layout.window_ns)
+    sources: Mapping[str, Source], blocks: Sequence[Mapping[str, Sequence[Block]]], phase: Phase, layout: Layout
+) -> Sequence[Cross | None]:
+    """What inertial sensors have in common, of replicates whose blocks have the same times."""
+    cross = _cross(sources, phase, layout.window_ns, len(blocks))
     if cross is None:
-        return None
-    for name, block in _in_turn({name: iter(blocks[name]) for name in sources if name in cross.sensors}, phase):
-        cross.take(name, block)
-    return cross.result()
+        return [None] * len(blocks)
+    waiting = {
+        name: list(zip(*(one[name] for one in blocks), strict=True)) for name in sources if name in cross.sensors
+    }
+    for name, several in _in_turn({name: iter(own) for name, own in waiting.items()}, phase):
+        cross.take(name, several)
+    return cross.results()
 
 
 def _in_one_pass(
@@ -189,29 +213,31 @@ def _in_one_pass(
     """All sensors side by side, a block at a time."""
     tallies = {name: Tally(source.header, phase, layout.grids[name]) for name, source in sources.items()}
     cross = _cross(sources, phase, layout.window_ns)
-    waiting = {name: source.blocks(phase.start_ns, phase.end_ns) for name, source in sources.items()}
-    for name, block in _in_turn(waiting, phase):
-        if block is not None:
-            tallies[name].update(block)
+    waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
+    for name, blocks in _in_turn(waiting, phase):
+        if blocks is not None:
+            tallies[name].update(*blocks)
         if cross is not None and name in cross.sensors:
-            cross.take(name, block)
+            cross.take(name, blocks)
     sensors = {name: tally.result(temperature) for name, tally in tallies.items()}
     return PhaseSummary(phase, number, layout, sensors, None if cross is None else cross.result())
 
 
-def _in_turn(blocks: Mapping[str, Iterator[Block]], phase: Phase) -> Iterator[tuple[str, Block | None]]:
+def _in_turn(
+    blocks: Mapping[str, Iterator[tuple[Block, ...]]], phase: Phase
+) -> Iterator[tuple[str, tuple[Block, ...] | None]]:
     """The blocks of all sensors, None behind a sensor's last: always the one that is furthest behind goes on, so that
     little has to be kept.
     """
     waiting, reached = dict(blocks), dict.fromkeys(blocks, phase.start_ns)
     while waiting:
         name = min(waiting, key=reached.__getitem__)
-        block = next(waiting[name], None)
-        if block is None:
+        several = next(waiting[name], None)
+        if several is None:
             del waiting[name]
         else:
-            reached[name] = int(block.time[-1])
-        yield name, block
+            reached[name] = int(several[0].time[-1])
+        yield name, several
 
 
 def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
@@ -229,7 +255,7 @@ def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
     return runs_of([phase for (phase,) in phases]) if all(phases) else None
 
 
-def _cross(sources: Mapping[str, Source], phase: Phase, window: int) -> CrossTally | None:
+def _cross(sources: Mapping[str, Source], phase: Phase, window: int, replicates: int = 1) -> CrossTally | None:
     there = [source for source in sources.values() if source.rows(phase.start_ns, phase.end_ns)]
     headers = [source.header for source in there if source.header.quantity in INERTIAL]
-    return CrossTally(headers, phase, window) if len(headers) > 1 else None
+    return CrossTally(headers, phase, window, replicates) if len(headers) > 1 else None

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.base_model import fit, headers_in
-from imuarray.gap.bench import Bench, Models, Values, bench_of
+from imuarray.gap.bench import TOGETHER, Asked, Bench, Models, Values, bench_of
 from imuarray.gap.campaign import Campaign, summarise_log
 from imuarray.gap.judgement import Judged, judged
 from imuarray.gap.pairs import Pairs, scores_by_others
@@ -22,11 +22,6 @@ from imuarray.gap.workers import Run
 from imuarray.simulate.model import Model
 
 Floats = npt.NDArray[np.float64]
-
-TOGETHER = 8
-"""So many replicates are simulated in one job: what is the same in all is worked out once, and few jobs are left to do
-when most workers have nothing more to do.
-"""
 
 
 @dataclass(frozen=True)
@@ -81,7 +76,7 @@ def settled(bench: Bench, replicates: int = 8) -> Bench:
     the recording: what the other effects of a model add to noise and level is not in them twice.
     """
     models = bench.models()
-    came = [one.fitted for one in bench.replicates(models, range(replicates), held_out=False)]
+    came = [one.fitted for one in bench.replicates([(models, number) for number in range(replicates)], held_out=False)]
     fitted = {
         name: one.moved(bench.base.fitted[name], [each[name] for each in came])
         for name, one in bench.base.fitted.items()
@@ -103,10 +98,10 @@ def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: i
 
 def observed(models: Models, numbers: Sequence[int], run: Run) -> list[Values]:
     """Replicates, by their numbers, of sensors modelled so; a few of them in each job."""
-    groups = [numbers[first : first + TOGETHER] for first in range(0, len(numbers), TOGETHER)]
-    return list(chain.from_iterable(run(_replicates, [(models, group) for group in groups])))
+    asked = [(models, number) for number in numbers]
+    groups = [asked[first : first + TOGETHER] for first in range(0, len(asked), TOGETHER)]
+    return list(chain.from_iterable(run(_observed, groups)))
 
 
-def _replicates(bench: Bench, asked: tuple[Models, Sequence[int]]) -> list[Values]:
-    models, numbers = asked
-    return [bench.observed(campaign, models) for campaign in bench.campaigns(models, numbers)]
+def _observed(bench: Bench, asked: Sequence[Asked]) -> list[Values]:
+    return bench.each_observed(bench.campaigns(asked), asked[0][0])

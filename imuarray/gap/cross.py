@@ -100,9 +100,11 @@ def window_ns(rates_hz: Sequence[float]) -> int:
 
 
 class CrossTally:
-    """Takes the blocks of several sensors of one phase, of each in order; keeps what not all have reached."""
+    """Takes the blocks of several sensors of one phase, of each in order; keeps what not all have reached. Of so many
+    `replicates` at once, whose rows have the same times.
+    """
 
-    def __init__(self, sensors: Sequence[SensorHeader], phase: Phase, window_ns: int) -> None:
+    def __init__(self, sensors: Sequence[SensorHeader], phase: Phase, window_ns: int, replicates: int = 1) -> None:
         self._sensors, self._phase, self._window_ns = tuple(sensors), phase, window_ns
         self._last = (phase.end_ns - phase.start_ns) // window_ns
         self._length = max(_SEGMENT_WINDOWS, -(-self._last // SEGMENTS))
@@ -114,37 +116,39 @@ class CrossTally:
             if sensor.quantity == "angular_rate"
         ]
         columns = 3 * len(sensors) + KINEMATIC
-        self._sums, self._rows = np.zeros((self._length, len(sensors), 3)), np.zeros((self._length, len(sensors)))
+        self._sums = np.zeros((self._length, replicates, len(sensors), 3))
+        self._rows = np.zeros((self._length, len(sensors)))
         self._reached = np.zeros(len(sensors), np.int64)
         self._base, self._windows, self._inner_windows = 0, 0, 0
         self._slow: list[Floats] = []
-        self._fast, self._turning, self._changes = np.zeros((3, columns, columns))
+        self._fast, self._turning, self._changes = np.zeros((3, replicates, columns, columns))
 
     @property
     def sensors(self) -> Collection[str]:
         """The names of those that take part."""
         return self._places.keys()
 
-    def update(self, sensor: str, block: Block) -> None:
-        """The next rows of one sensor, at least one."""
-        place, since_ns = self._places[sensor], block.time - self._phase.start_ns
+    def update(self, sensor: str, *blocks: Block) -> None:
+        """The next rows of one sensor in each replicate, at least one."""
+        place, since_ns = self._places[sensor], blocks[0].time - self._phase.start_ns
         first, last = int(since_ns[0]) // self._window_ns, int(since_ns[-1]) // self._window_ns
         starts = np.searchsorted(since_ns, np.arange(first, last + 1) * self._window_ns)
         rows = np.concatenate([starts[1:], [len(since_ns)]]) - starts
         filled = rows > 0
         self._make_room(last)
         at = first - self._base + np.flatnonzero(filled)
-        self._sums[at, place] += np.add.reduceat(block.counts.T.astype(float, order="C"), starts[filled], axis=1).T
+        counts = np.array([block.counts.T for block in blocks], float)
+        self._sums[at, :, place] += np.add.reduceat(counts, starts[filled], axis=2).transpose(2, 0, 1)
         self._rows[at, place] += rows[filled]
         self._reached[place] = last
         self._work(int(self._reached.min()))
 
-    def take(self, sensor: str, block: Block | None) -> None:
-        """The next rows, or (None) word that there are no more."""
-        if block is None:
+    def take(self, sensor: str, blocks: Sequence[Block] | None) -> None:
+        """The next rows of one sensor in each replicate, or (None) word that there are no more."""
+        if blocks is None:
             self.end(sensor)
         else:
-            self.update(sensor, block)
+            self.update(sensor, *blocks)
 
     def end(self, sensor: str) -> None:
         """No more rows of this sensor."""
@@ -152,13 +156,22 @@ class CrossTally:
         self._work(int(self._reached.min()))
 
     def result(self) -> Cross:
-        """All segments that are whole."""
+        """All segments that are whole, of the only replicate."""
+        (found,) = self.results()
+        return found
+
+    def results(self) -> list[Cross]:
+        """All segments that are whole, of each replicate."""
         self._work(self._last)
         with np.errstate(invalid="ignore"):
             fast = self._fast / np.float64(self._windows)
             turning, changes = np.array([self._turning, self._changes]) / np.float64(self._inner_windows)
-        slow = np.concatenate([np.zeros((0, len(self._fast))), *self._slow])
-        return Cross(self._sensors, self._phase, self._window_ns * 1e-9, self._windows, slow, fast, turning, changes)
+        slow = np.concatenate([np.zeros((len(fast), 0, fast.shape[2])), *self._slow], axis=1)
+        window_s = self._window_ns * 1e-9
+        return [
+            Cross(self._sensors, self._phase, window_s, self._windows, *own)
+            for own in zip(slow, fast, turning, changes, strict=True)
+        ]
 
     def _make_room(self, window: int) -> None:
         missing = window - self._base + 1 - len(self._rows)
@@ -182,52 +195,55 @@ class CrossTally:
         self._base += done
 
     def _add(self, sums: Floats, rows: Floats) -> None:
-        """Segments: sums (s, w, m, 3), rows (s, w, m). Windows in which not all sensors read count for nothing."""
+        """Segments: sums (s, w, r, m, 3), rows (s, w, m). Windows in which not all sensors read count for nothing."""
         full = np.asarray((rows > 0).all(axis=2))
         told = np.count_nonzero(full, axis=1) >= _SEGMENT_WINDOWS // 2
-        slow = np.full((len(full), len(self._fast)), np.nan)
+        slow = np.full((len(self._fast), len(full), self._fast.shape[2]), np.nan)
         self._slow.append(slow)
         if not told.any():
             return
         full = full[told]
         with np.errstate(invalid="ignore"):
-            readings = sums[told] / rows[told, :, :, None] * self._scale[:, None]
-        readings = _filled(readings, full)
-        line = np.concatenate([readings.reshape(*full.shape, -1), self._kinematic(readings)], axis=2)
-        line, slow[told] = _centred(line, full)
+            readings = sums[told] / rows[told, :, None, :, None] * self._scale[:, None]
+        readings = _filled(np.ascontiguousarray(np.moveaxis(readings, 2, 0)), full)
+        line = np.concatenate([readings.reshape(*readings.shape[:3], -1), self._kinematic(readings)], axis=3)
+        line, slow[:, told] = _centred(line, full)
         inner = full[:, :-2] & full[:, 1:-1] & full[:, 2:]
-        changes, _ = _centred((line[:, 2:] - line[:, :-2]) / 2, inner)
-        flat, between, changes = (part.reshape(-1, len(self._fast)) for part in (line, line[:, 1:-1], changes))
-        self._fast += flat.T @ flat
-        self._turning += between.T @ changes
-        self._changes += changes.T @ changes
+        changes, _ = _centred((line[:, :, 2:] - line[:, :, :-2]) / 2, inner)
+        parts = (line, line[:, :, 1:-1], changes)
+        flat, between, changes = (part.reshape(len(part), -1, part.shape[3]) for part in parts)
+        self._fast += flat.swapaxes(1, 2) @ flat
+        self._turning += between.swapaxes(1, 2) @ changes
+        self._changes += changes.swapaxes(1, 2) @ changes
         self._windows += int(np.count_nonzero(full))
         self._inner_windows += int(np.count_nonzero(inner))
 
     def _kinematic(self, readings: Floats) -> Floats:
-        """(s, w, 9) products xx, xy, xz, yy, yz, zz of the mean rate in the box, and its change per second."""
+        """(r, s, w, 9) products xx, xy, xz, yy, yz, zz of the mean rate in the box, and its change per second."""
         if not self._gyroscopes:
-            return np.zeros((*readings.shape[:2], KINEMATIC))
-        rate = np.mean([unit * readings[:, :, place] @ turn for place, unit, turn in self._gyroscopes], axis=0)
+            return np.zeros((*readings.shape[:3], KINEMATIC))
+        rate = np.mean([unit * readings[:, :, :, place] @ turn for place, unit, turn in self._gyroscopes], axis=0)
         first, second = _PRODUCTS
-        acceleration = np.gradient(rate, self._window_ns * 1e-9, axis=1)
-        return np.concatenate([rate[:, :, first] * rate[:, :, second], acceleration], axis=2)
+        acceleration = np.gradient(rate, self._window_ns * 1e-9, axis=2)
+        return np.concatenate([rate[..., first] * rate[..., second], acceleration], axis=3)
 
 
 def _filled(readings: Floats, full: Bools) -> Floats:
-    """Readings (s, w, m, 3) with the segment's mean in windows that aren't full (s, w)."""
+    """Readings (r, s, w, m, 3) with the segment's mean in windows that aren't full (s, w)."""
     if full.all():
         return readings
     held = full[:, :, None, None]
-    mean = np.mean(readings, axis=1, where=held, keepdims=True)
+    mean = np.mean(readings, axis=2, where=held, keepdims=True)
     return np.where(held, readings, mean)
 
 
 def _centred(line: Floats, held: Bools) -> tuple[Floats, Floats]:
-    """Columns (s, w, p) less their means (s, p) over the windows that are held (s, w), and these; 0 in the others."""
+    """Columns (r, s, w, p) less their means (r, s, p) over the windows that are held (s, w), and these; 0 in the
+    others.
+    """
     if held.all():
-        mean = line.mean(axis=1)
-        return line - mean[:, None], mean
+        mean = line.mean(axis=2)
+        return line - mean[:, :, None], mean
     count = np.maximum(np.count_nonzero(held, axis=1), 1)
-    mean = (line * held[:, :, None]).sum(axis=1) / count[:, None]
-    return (line - mean[:, None]) * held[:, :, None], mean
+    mean = (line * held[:, :, None]).sum(axis=2) / count[:, None]
+    return (line - mean[:, :, None]) * held[:, :, None], mean

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 import imuarray
 from imuarray.errors import ConfigError
-from imuarray.gap.bench import Bench
+from imuarray.gap.bench import Bench, Values
 from imuarray.gap.candidates import CANDIDATES, Candidate
 from imuarray.gap.causes import causes_of, judged_of
 from imuarray.gap.closure import deviating, deviating_in_either

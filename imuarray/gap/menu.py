@@ -153,11 +153,9 @@ def separations(bench: Bench, rivals: Rivals, run: Run) -> dict[Kind, float]:
     wanted = rivals.sensors[:2]
     benches = run(_laid_out, [_Wanted(kind, sides[0]) for kind in MENU])
     numbers = range(_FIRST, _FIRST + REPLICATES)
-    asked = [_Asked(own, side, wanted, number) for own in benches for side in sides for number in numbers]
-    values = run(_replicate, asked)
+    values = run(_replicates, [_Asked(own, side, wanted, numbers) for own in benches for side in sides])
     found: dict[Kind, float] = {}
-    for at, (kind, own) in enumerate(zip(MENU, benches, strict=True)):
-        first, second = np.split(np.array(values[2 * REPLICATES * at : 2 * REPLICATES * (at + 1)]), 2)
+    for kind, own, first, second in zip(MENU, benches, values[::2], values[1::2], strict=True):
         found[kind] = nats_between(first, second, own.resolutions[own.columns(wanted, cross=True)], rivals.independent)
     return found
 
@@ -232,7 +230,7 @@ class _Asked(NamedTuple):
     bench: Bench
     models: Models
     sensors: tuple[str, ...]
-    number: int
+    numbers: Sequence[int]
 
 
 def _laid_out(bench: Bench, wanted: _Wanted) -> Bench:
@@ -252,10 +250,10 @@ def _laid_out(bench: Bench, wanted: _Wanted) -> Bench:
     return bench_of(draft.simulated(wanted.models, _FIRST), split, experiments, base)
 
 
-def _replicate(_: Bench, asked: _Asked) -> Floats:
-    """(n,) statistics of the sensors that matter."""
-    campaign = asked.bench.simulated(asked.models, asked.number)
-    return asked.bench.measured(campaign, asked.sensors).values
+def _replicates(_: Bench, asked: _Asked) -> Floats:
+    """(r, n) statistics of the sensors that matter."""
+    campaigns = asked.bench.campaigns([(asked.models, number) for number in asked.numbers])
+    return np.array([one.values for one in asked.bench.each_measured(campaigns, asked.sensors)])
 
 
 def _plan(bench: Bench, names: Collection[str], seconds: float) -> Plan:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.characterise.codes import Histogram
-from imuarray.gap.bench import Bench, Models
+from imuarray.gap.bench import TOGETHER, Bench, Models
 from imuarray.gap.campaign import Campaign
 from imuarray.gap.diagnosis import Overlay, Where
 from imuarray.gap.summary import Summary
@@ -84,7 +85,7 @@ class _Asked:
     """What a job gets: curves with the recorded summaries that lay them out."""
 
     models: Models = field(repr=False)
-    number: int
+    numbers: Sequence[int]
     curves: tuple[tuple[Curve, tuple[Summary, ...]], ...] = field(repr=False)
 
 
@@ -108,8 +109,11 @@ def overlays_of(
     sensors = {curve.sensor for curve, _ in curves}
     sides = [{name: models[name] for name in sorted(sensors)} for models in (models_before, models_after)]
     unlike = sides if sides[0] != sides[1] else sides[:1]
-    asked = [_Asked(side, _FIRST + number, curves) for side in unlike for number in range(REPLICATES)]
-    came = run(_simulated, asked)
+    numbers = range(_FIRST, _FIRST + REPLICATES)
+    groups = [numbers[first : first + TOGETHER] for first in range(0, REPLICATES, TOGETHER)]
+    came = list(
+        chain.from_iterable(run(_simulated, [_Asked(side, some, curves) for side in unlike for some in groups]))
+    )
     before, after = came[:REPLICATES], came[-REPLICATES:]
     return tuple(
         _overlay(bench, curve, own, bands([one[at] for one in before]), bands([one[at] for one in after]))
@@ -155,10 +159,14 @@ def bands(replicates: Sequence[Floats]) -> Floats:
     return found
 
 
-def _simulated(bench: Bench, asked: _Asked) -> list[Floats]:
-    """All curves in one replicate."""
-    campaign = bench.simulated(asked.models, asked.number)
-    return [drawn(curve, recorded).values(summaries_of(campaign, curve)) for curve, recorded in asked.curves]
+def _simulated(bench: Bench, asked: _Asked) -> list[list[Floats]]:
+    """All curves in each replicate, from their logs alone."""
+    replicates = [(asked.models, number) for number in asked.numbers]
+    campaigns = bench.campaigns(replicates, logs={curve.log for curve, _ in asked.curves})
+    return [
+        [drawn(curve, recorded).values(summaries_of(campaign, curve)) for curve, recorded in asked.curves]
+        for campaign in campaigns
+    ]
 
 
 def _overlay(bench: Bench, curve: Curve, recorded: Sequence[Summary], before: Floats, after: Floats) -> Overlay:

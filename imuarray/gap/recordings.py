@@ -7,9 +7,9 @@ a motion that nothing tells of is left out. Every such decision is a note.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -127,6 +127,7 @@ class _NoThermometer:
 
     def __init__(self, source: Source) -> None:
         self.header = replace(source.header, has_temperature=False)
+        self.known: dict[Hashable, Any] = {}
         self._source = source
 
     def rows(self, start_ns: int, end_ns: int) -> int:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import Bench, Models
+from imuarray.gap.bench import Bench, Models, Values
 from imuarray.gap.candidates import Trial
 from imuarray.gap.factors import Factor, active_axes, factors_of, moved, without
 from imuarray.gap.likeness import FREEDOM, Likeness
@@ -58,8 +58,21 @@ class Tried:
 
 def look(bench: Bench, standing: Standing, trial: Trial) -> Tried:
     """The gain of a trial as it was guessed, whatever becomes of the noise: that isn't adapted yet."""
-    seen = _seen(bench, standing, standing.changed(trial), trial.needs_both, LOOKS)
-    return Tried(trial) if seen is None else Tried(trial, standing.changed(trial), _gain(standing, seen, trial))
+    (found,) = looks(bench, standing, [trial])
+    return found
+
+
+def looks(bench: Bench, standing: Standing, trials: Sequence[Trial]) -> list[Tried]:
+    """`look` at each."""
+    models = [standing.changed(trial) for trial in trials]
+    found = [Tried(trial) for trial in trials]
+    for whole in (False, True):
+        places = [at for at, trial in enumerate(trials) if trial.needs_both == whole]
+        came = _seen_each(bench, standing, [models[at] for at in places], whole, LOOKS)
+        for at, seen in zip(places, came, strict=True):
+            if seen is not None:
+                found[at] = Tried(trials[at], models[at], _gain(standing, seen, trials[at]))
+    return found
 
 
 def refine(bench: Bench, standing: Standing, trial: Trial) -> Tried:
@@ -143,17 +156,37 @@ def _simulated(bench: Bench, standing: Standing, trial: Trial, models: Models, l
     return _Simulated(Tried(trial, models, _gain(standing, seen, trial) - seen.misfit + standing.misfit), seen)
 
 
-def _seen(bench: Bench, standing: Standing, models: Models, whole: bool, looks: int) -> _Seen | None:
+def _seen(bench: Bench, standing: Standing, models: Models, whole: bool, count: int) -> _Seen | None:
     """Of the training part, or of both (`whole`); None for parameters that an effect refuses."""
+    (found,) = _seen_each(bench, standing, [models], whole, count)
+    return found
+
+
+def _seen_each(
+    bench: Bench, standing: Standing, several: Sequence[Models], whole: bool, count: int
+) -> list[_Seen | None]:
+    """`_seen`, of several models of the same sensors, in so many replicates of each."""
+    if not several:
+        return []
+    asked = [(models, number) for models in several for number in NUMBERS[:count]]
     try:
-        found = bench.replicates(models, NUMBERS[:looks], held_out=whole, company=standing.company)
+        found = bench.replicates(asked, held_out=whole, company=standing.company)
     except ValueError:
-        return None
+        if len(several) == 1:
+            return [None]
+        alone = [_seen_each(bench, standing, [models], whole, count) for models in several]
+        return [seen for one in alone for seen in one]
+    parts = [found[first : first + count] for first in range(0, len(found), count)]
+    return [_seen_in(bench, standing, models, part, whole) for models, part in zip(several, parts, strict=True)]
+
+
+def _seen_in(bench: Bench, standing: Standing, models: Models, found: Sequence[Values], whole: bool) -> _Seen:
+    """What replicates of models show."""
     kept = bench.among(standing.unit, standing.unit)
     values = np.array([one.values[kept] for one in found])
     if not whole:
         out = bench.held_out[bench.own(standing.unit)]
-        values[:, out] = standing.values[:looks, out]
+        values[:, out] = standing.values[: len(values), out]
     likeness, moved = compared(standing, values)
     came = [one.fitted for one in found]
     settled, misfit = standing.settled(models, came), standing.misfit_of(bench.base.headers, came)
@@ -181,22 +214,34 @@ def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Fa
     groups: dict[tuple[int, str, int], list[int]] = {}
     for at, factor in enumerate(factors):
         groups.setdefault((factor.effect, factor.name, factor.turn), []).append(at)
-    for members in groups.values():
-        for nudge in (_NUDGE, -_NUDGE):
-            steps = np.zeros(len(factors))
-            steps[members] = nudge
-            models = _with_fitted(standing.changed(moved(trial, factors, steps)), seen.settled)
-            nudged = _seen(bench, standing, models, trial.needs_both, len(seen.values))
-            if nudged is not None:
-                break
-        else:
-            continue
-        change = np.nan_to_num((nudged.values - seen.values).mean(axis=0)) / nudge
+    nudged = _nudged(bench, standing, trial, factors, seen, list(groups.values()))
+    for members, (nudge, values) in zip(groups.values(), nudged, strict=True):
+        change = np.nan_to_num((values - seen.values).mean(axis=0)) / nudge
         for at in members:
             axis = factors[at].axis
             own = np.ones(len(columns), bool) if axis is None else of_axis == AXES[axis]
             slopes[:, at] = np.where(own, change, np.where(of_axis == "", change / len(members), 0.0))
     return slopes
+
+
+def _nudged(
+    bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Factor], seen: _Seen, groups: Sequence[list[int]]
+) -> list[tuple[float, Floats]]:
+    """For each group of factors the step in their logs, upwards or where that can't be simulated downwards, and the
+    statistics then; those that were `seen` if neither can.
+    """
+    found = [(_NUDGE, seen.values)] * len(groups)
+    left = list(range(len(groups)))
+    for nudge in (_NUDGE, -_NUDGE):
+        several = []
+        for at in left:
+            steps = np.zeros(len(factors))
+            steps[groups[at]] = nudge
+            several.append(_with_fitted(standing.changed(moved(trial, factors, steps)), seen.settled))
+        came = dict(zip(left, _seen_each(bench, standing, several, trial.needs_both, len(seen.values)), strict=True))
+        found = [(nudge, one.values) if (one := came.get(at)) is not None else old for at, old in enumerate(found)]
+        left = [at for at, one in came.items() if one is None]
+    return found
 
 
 def _step(standing: Standing, seen: _Seen, slopes: Floats) -> Floats:

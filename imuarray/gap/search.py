@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import Bench, Values
+from imuarray.gap.bench import TOGETHER, Bench, Values
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.evidence import Evidence
 from imuarray.gap.factors import factors_of
 from imuarray.gap.likeness import independent_share
-from imuarray.gap.refine import Tried, look, refine
-from imuarray.gap.standing import NUMBERS, Standing, Unit, compared, gains_of
+from imuarray.gap.refine import Tried, looks, refine
+from imuarray.gap.standing import LOOKS, NUMBERS, Standing, Unit, compared, gains_of
 from imuarray.gap.workers import Run
 from imuarray.simulate.effects.tone import Tone
 
@@ -121,7 +121,7 @@ def searched(
     known: bool = False,
 ) -> dict[Unit, Round]:
     """One round over all units at once. Where it is `known` that one of the trials is right, none needs proof."""
-    looks = _asked(run, _look, standings, {unit: [Tried(trial) for trial in own] for unit, own in trials.items()})
+    looks = _looked(run, standings, trials)
     likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
     refined = _asked(run, _refine, standings, likely)
     best = {unit: likeliest(own, CONFIRMED) for unit, own in refined.items()}
@@ -143,14 +143,18 @@ def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
     return kept
 
 
-def replicated(bench: Bench, standing: Standing) -> Standing:
-    """With what replicates of its models make, and how far their noise is from the recording's; what a lone sensor
-    shares with others is left out.
-    """
-    came = bench.replicates(standing.models, NUMBERS, company=standing.company)
+def replicates_of(bench: Bench, standing: Standing, numbers: Sequence[int]) -> list[Values]:
+    """The unit's statistics in replicates of its models; what a lone sensor shares with others is left out."""
+    found = bench.replicates([(standing.models, number) for number in numbers], company=standing.company)
     kept = bench.among(standing.unit, standing.unit)
+    return [replace(one, values=one.values[kept]) for one in found]
+
+
+def replicated(bench: Bench, standing: Standing) -> Standing:
+    """With what replicates of its models make, and how far their noise is from the recording's."""
+    came = replicates_of(bench, standing, NUMBERS)
     misfit = standing.misfit_of(bench.base.headers, [one.fitted for one in came])
-    return replace(standing, values=np.array([one.values[kept] for one in came]), misfit=misfit)
+    return replace(standing, values=np.array([one.values for one in came]), misfit=misfit)
 
 
 def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
@@ -182,8 +186,31 @@ class _Asked(NamedTuple):
     tried: Tried
 
 
-def _look(bench: Bench, asked: _Asked) -> Tried:
-    return look(bench, asked.standing, asked.tried.trial)
+def _looked(
+    run: Run, standings: Mapping[Unit, Standing], trials: Mapping[Unit, Sequence[Trial]]
+) -> dict[Unit, list[Tried]]:
+    """A look at all trials, a few of a unit in each job."""
+    most = TOGETHER // LOOKS
+    asked = [
+        (unit, _Guesses(standings[unit], own[first : first + most]))
+        for unit, own in trials.items()
+        for first in range(0, len(own), most)
+    ]
+    found: dict[Unit, list[Tried]] = {unit: [] for unit in trials}
+    for (unit, _), result in zip(asked, run(_look, [one for _, one in asked]), strict=True):
+        found[unit] += result
+    return found
+
+
+class _Guesses(NamedTuple):
+    """What a look gets."""
+
+    standing: Standing
+    trials: Sequence[Trial]
+
+
+def _look(bench: Bench, asked: _Guesses) -> list[Tried]:
+    return looks(bench, asked.standing, asked.trials)
 
 
 def _refine(bench: Bench, asked: _Asked) -> Tried:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -104,8 +104,12 @@ class SegmentTally:
             np.asarray(temperature(at_ns), float),
             (ends_degc[1:] - ends_degc[:-1]) / widths_s,
         )
-        moments = zip(*(side_by_side(one, replicates) for one in self._moments(origin, rows)), strict=True)
-        return [Segments(*times, *own, *degc) for own, degc in zip(moments, self._warmth(rows), strict=True)]
+        mean, variance, third, fourth = (apart_again(one, replicates) for one in self._moments(origin, rows))
+        degc, noise = self._warmth(rows)
+        return [
+            Segments(*times, mean[at], variance[at], third[at], fourth[at], degc[at], noise[at])
+            for at in range(replicates)
+        ]
 
     def _moments(self, origin: Floats, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """(s, 3 r) means, and central moments."""
@@ -118,11 +122,12 @@ class SegmentTally:
             fourth - (4 * third - (6 * second - 3 * square) * first) * first,
         )
 
-    def _warmth(self, rows: Floats) -> Iterator[tuple[Floats, Floats]]:
-        """(s,) mean and variance of each thermometer."""
-        means, squares = self._thermometer / rows if self._has_thermometer else np.full_like(self._thermometer, np.nan)
-        for mean, square in zip(means, squares, strict=True):
-            yield mean, np.maximum(square - mean**2, 0.0)
+    def _warmth(self, rows: Floats) -> tuple[Floats, Floats]:
+        """(r, s) mean and variance of each thermometer."""
+        if not self._has_thermometer:
+            return (np.full(self._thermometer.shape[1:], np.nan),) * 2
+        means, squares = self._thermometer / rows
+        return means, np.maximum(squares - means**2, 0.0)
 
     def _parts(self, time_ns: Times) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """The parts that the times lie in, where each begins and how many rows of these it has."""
@@ -134,6 +139,6 @@ class SegmentTally:
         return part[rows > 0], starts[rows > 0], rows[rows > 0]
 
 
-def side_by_side(columns: Floats, replicates: int) -> Iterator[Floats]:
-    """(n, 3) of each of the replicates that have the columns (n, 3 r) together."""
-    return iter(np.ascontiguousarray(columns.reshape(len(columns), replicates, 3).swapaxes(0, 1)))
+def apart_again(columns: Floats, replicates: int) -> Floats:
+    """(r, n, 3) of replicates that have the columns (n, 3 r) together."""
+    return np.ascontiguousarray(columns.reshape(len(columns), replicates, 3).swapaxes(0, 1))

@@ -7,10 +7,10 @@ counts, flags as they are, nothing resampled, never a whole log at once.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,6 +30,10 @@ class Source(Protocol):
     def header(self) -> SensorHeader:
         """What is known of the sensor beforehand: nominal sensitivity, range, axes."""
 
+    @property
+    def known(self) -> dict[Hashable, Any]:
+        """What was worked out of its rows before, by what that is; kept as long as the source is."""
+
     def rows(self, start_ns: int, end_ns: int) -> int:
         """How many rows were to come in [start_ns, end_ns); a simulation counts dropped ones too."""
 
@@ -42,6 +46,7 @@ class RecordedSource:
 
     def __init__(self, sensor: SensorLog) -> None:
         self.header = _header_in(sensor)
+        self.known: dict[Hashable, Any] = {}
         self._sensor = sensor
 
     def rows(self, start_ns: int, end_ns: int) -> int:
@@ -67,6 +72,7 @@ class SimulatedSource:
 
     def __init__(self, sensor: SimulatedSensor) -> None:
         self.header = sensor.header
+        self.known: dict[Hashable, Any] = {}
         self._sensor = sensor
         self._row_at = lru_cache(maxsize=64)(self._find_row)
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from imuarray.gap.base_model import Base, residual
 from imuarray.gap.campaign import Campaign, LogSummary, PhaseSummary, runs_in
 from imuarray.gap.probes import PROBES
 from imuarray.gap.probes.probe import ArrayProbe, CrossProbe, Domain, LogProbe, PhaseProbe, RunsProbe
+from imuarray.gap.summary import Summary, side_by_side
 from imuarray.simulate.motion.felt import Motion
 
 Floats = npt.NDArray[np.float64]
@@ -78,25 +79,29 @@ class _Place(NamedTuple):
     phase_number: int
 
 
-_Said = tuple[str, Floats, float]
-"""What one probe says at one place: its name, the value, its resolution."""
+class _Said(NamedTuple):
+    """What one probe says at one place in each replicate, `values` (r, k) on three axes or one, and how small a
+    difference of them means anything.
+    """
+
+    probe: str
+    values: Floats
+    resolution: Callable[[], float]
+
+
+class Replicated(NamedTuple):
+    """`values` (r, n) of r replicates under the `keys`."""
+
+    keys: tuple[Key, ...]
+    values: Floats
 
 
 def statistics(campaign: Campaign) -> Statistics:
     """Every probe wherever it applies: phase by phase, log by log, then the logs of one kind together."""
-    keys: list[Key] = []
-    values: list[Floats] = [np.zeros(0)]
-    resolutions: list[Floats] = [np.zeros(0)]
-    for place, said in _all(campaign):
-        if not said:
-            continue
-        probes, found, least = zip(*said, strict=True)
-        flat = [value.reshape(-1) for value in found]
-        sizes = tuple([len(value) for value in flat])
-        keys += _keys(place, probes, sizes)
-        values += flat
-        resolutions.append(np.repeat(least, sizes))
-    return Statistics(tuple(keys), np.concatenate(values), np.concatenate(resolutions))
+    said = list(_all([campaign]))
+    keys, (values,) = _table(said, 1)
+    least = [np.full(one.values.shape[1], one.resolution()) for _, several in said for one in several]
+    return Statistics(keys, values, np.concatenate([np.zeros(0), *least]))
 
 
 def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Statistics:
@@ -104,16 +109,38 @@ def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Bas
     noises over the fitted ones.
     """
     found = statistics(residual(campaign, motions, base))
-    return replace(found, values=found.values - _predictions(found.keys, base))
+    return replace(found, values=found.values - _predictions(found.keys, [base])[0])
 
 
-def _predictions(keys: Sequence[Key], base: Base) -> Floats:
-    """(n,) what the noise that was fitted makes of statistics in logs, 0 of others."""
-    noises = {name: fitted.noise(base.headers[name]).tolist() for name, fitted in base.fitted.items()}
-    predicted = np.zeros(len(keys))
+def replicated_statistics(
+    campaigns: Sequence[Campaign], motions: Sequence[Motion], bases: Sequence[Base], sensors: Collection[str]
+) -> Replicated:
+    """The same of these sensors in several replicates, which were looked at alike, by a fit to each."""
+    left = [residual(campaign, motions, base) for campaign, base in zip(campaigns, bases, strict=True)]
+    keys, values = _table(_all(left, sensors), len(left))
+    return Replicated(keys, values - _predictions(keys, bases))
+
+
+def _table(said: Iterable[tuple[_Place, list[_Said]]], replicates: int) -> Replicated:
+    """One row for each replicate."""
+    keys: list[Key] = []
+    values = [np.zeros((replicates, 0))]
+    for place, several in said:
+        keys += _keys(place, tuple([one.probe for one in several]), tuple([one.values.shape[1] for one in several]))
+        values += [one.values for one in several]
+    return Replicated(tuple(keys), np.concatenate(values, axis=1))
+
+
+def _predictions(keys: Sequence[Key], bases: Sequence[Base]) -> Floats:
+    """(r, n) what the noise that was fitted makes of statistics in logs, 0 of others."""
+    noises = [
+        {name: fitted.noise(base.headers[name]).tolist() for name, fitted in base.fitted.items()} for base in bases
+    ]
+    predicted = np.zeros((len(bases), len(keys)))
     for place in [place for place, key in enumerate(keys) if key.probe in _NOISE_POWERS]:
         key = keys[place]
-        predicted[place] = _NOISE_POWERS[key.probe] * math.log(noises[key.sensor][AXES.index(key.axis)])
+        axis = AXES.index(key.axis)
+        predicted[:, place] = [_NOISE_POWERS[key.probe] * math.log(noise[key.sensor][axis]) for noise in noises]
     return predicted
 
 
@@ -128,43 +155,92 @@ def _keys(place: _Place, probes: tuple[str, ...], sizes: tuple[int, ...]) -> tup
     )
 
 
-def _all(campaign: Campaign) -> Iterator[tuple[_Place, list[_Said]]]:
-    for number, log in enumerate(campaign.logs):
-        for phase in log.phases:
-            for sensor, said in _of_phase(phase).items():
-                yield _Place(number, sensor, phase.phase.name, phase.number), said
-        for sensor in dict.fromkeys(sensor for phase in log.phases for sensor in phase.sensors):
-            yield _Place(number, sensor, "", WHOLE_LOG), _of_log(log, sensor)
-    for kind, logs in campaign.series().items():
-        for sensor in dict.fromkeys(sensor for phase in logs[0].phases for sensor in phase.sensors):
-            yield _Place(ALL_LOGS, sensor, kind, WHOLE_LOG), _of_runs(logs, sensor)
+def _all(campaigns: Sequence[Campaign], sensors: Collection[str] | None = None) -> Iterator[tuple[_Place, list[_Said]]]:
+    """Of replicates of one campaign, place by place."""
+    logs = zip(*(campaign.logs for campaign in campaigns), strict=True)
+    for number, replicates in enumerate(logs):
+        for phases in zip(*(log.phases for log in replicates), strict=True):
+            for sensor, said in _of_phase(phases, sensors).items():
+                yield _Place(number, sensor, phases[0].phase.name, phases[0].number), said
+        for sensor in _sensors(replicates[0].phases, sensors):
+            yield _Place(number, sensor, "", WHOLE_LOG), _of_log(replicates, sensor)
+    series = [campaign.series() for campaign in campaigns]
+    for kind, own in series[0].items() if series else ():
+        for sensor in _sensors(own[0].phases, sensors):
+            yield _Place(ALL_LOGS, sensor, kind, WHOLE_LOG), _of_runs([one[kind] for one in series], sensor)
 
 
-def _of_phase(phase: PhaseSummary) -> dict[str, list[_Said]]:
+def _sensors(phases: Sequence[PhaseSummary], wanted: Collection[str] | None) -> list[str]:
+    """Those that these phases have and that are wanted, each once."""
+    there = dict.fromkeys(sensor for phase in phases for sensor in phase.sensors)
+    return [sensor for sensor in there if wanted is None or sensor in wanted]
+
+
+def _of_phase(replicates: Sequence[PhaseSummary], wanted: Collection[str] | None) -> dict[str, list[_Said]]:
     """By sensor; one probe after the other of all sensors is faster than one sensor after the other."""
-    said: dict[str, list[_Said]] = {sensor: [] for sensor in phase.sensors}
-    crossed = [item.name for item in phase.cross.sensors if item.name in said] if phase.cross is not None else []
-    for name, probe in (_AT_REST if phase.is_still else _IN_MOTION).items():
+    first = replicates[0]
+    sensors = _sensors([first], wanted)
+    single = {sensor: [phase.sensors[sensor] for phase in replicates] for sensor in sensors}
+    together = {sensor: _together(several) for sensor, several in single.items()}
+    crosses = [phase.cross for phase in replicates if phase.cross is not None]
+    crossed = [item.name for item in crosses[0].sensors if item.name in single] if crosses else []
+    said: dict[str, list[_Said]] = {sensor: [] for sensor in sensors}
+    for name, probe in (_AT_REST if first.is_still else _IN_MOTION).items():
         if isinstance(probe, PhaseProbe):
-            for sensor, summary in phase.sensors.items():
-                said[sensor].append((name, probe.statistic(summary), probe.resolution(summary)))
-        elif phase.cross is not None:
+            for sensor, several in single.items():
+                values = _by_phase(probe, several, together[sensor])
+                said[sensor].append(_Said(name, values, partial(probe.resolution, several[0])))
+        elif isinstance(probe, CrossProbe):
             for sensor in crossed:
-                said[sensor].append((name, probe.statistic(phase.cross, sensor), 0.0))
+                found = np.array([probe.statistic(cross, sensor) for cross in crosses])
+                said[sensor].append(_Said(name, found, _any))
     return said
 
 
-def _of_log(log: LogSummary, sensor: str) -> list[_Said]:
-    still = log.still(sensor)
+def _together(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
+    """Those that were tallied together, by their places, side by side."""
+    sets: dict[int, list[int]] = {}
+    for at, one in enumerate(replicates):
+        sets.setdefault(id(one.segments.time_s), []).append(at)
+    return [(places, side_by_side([replicates[at] for at in places])) for places in sets.values()]
+
+
+def _by_phase(
+    probe: PhaseProbe, replicates: Sequence[Summary], together: Sequence[tuple[list[int], Summary]]
+) -> Floats:
+    """(r, k) of each replicate, of those `together` at once if that will do."""
+    if not probe.by_column:
+        return _rows([probe.statistic(summary) for summary in replicates])
+    values = np.empty((len(replicates), len(AXES)))
+    for places, summary in together:
+        values[places] = probe.statistic(summary).reshape(-1, len(AXES))
+    return values
+
+
+def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_Said]:
+    still = [log.still(sensor) for log in replicates]
     said: list[_Said] = []
-    for name, probe in _OF_LOGS.items() if still else ():
+    for name, probe in _OF_LOGS.items() if still[0] else ():
         if isinstance(probe, LogProbe):
-            said.append((name, probe.statistic(still), probe.resolution))
+            found = [probe.statistic(phases) for phases in still]
+            said.append(_Said(name, _rows(found), partial(float, probe.resolution)))
         else:
-            said.append((name, probe.statistic(log, sensor), 0.0))
+            said.append(_Said(name, _rows([probe.statistic(log, sensor) for log in replicates]), _any))
     return said
 
 
-def _of_runs(logs: tuple[LogSummary, ...], sensor: str) -> list[_Said]:
-    runs = runs_in(logs, sensor)
-    return [(name, probe.statistic(runs), 0.0) for name, probe in _OF_RUNS.items()] if runs is not None else []
+def _of_runs(replicates: Sequence[tuple[LogSummary, ...]], sensor: str) -> list[_Said]:
+    runs = [own for logs in replicates if (own := runs_in(logs, sensor)) is not None]
+    if not runs:
+        return []
+    return [_Said(name, _rows([probe.statistic(one) for one in runs]), _any) for name, probe in _OF_RUNS.items()]
+
+
+def _rows(found: Sequence[Floats]) -> Floats:
+    """(r, k) of what r replicates say on three axes or one."""
+    return np.array(found).reshape(len(found), -1)
+
+
+def _any() -> float:
+    """Any difference means something."""
+    return 0.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from imuarray.characterise.repeats import Repeats, RepeatTally
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 from imuarray.gap.haar import Haar, HaarTally
 from imuarray.gap.lone import Lone, LoneTally
-from imuarray.gap.segments import Segments, SegmentTally, Temperature, side_by_side
+from imuarray.gap.segments import Segments, SegmentTally, Temperature, apart_again
 from imuarray.gap.status import IntervalMoments, Intervals, StatusTally
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
@@ -134,10 +135,11 @@ class Tally:
         """All that came so far of each replicate."""
         replicates = len(self._repeats)
         spectrum, haar, intervals = self._welch.result(), self._haar.result(), self._intervals.result()
-        tables = (self._covariance.correlation(), self._arch.correlation(), haar.variance)
-        columns = zip(*(side_by_side(table, replicates) for table in tables), strict=True)
+        correlation, arch, variance = (
+            apart_again(table, replicates)
+            for table in (self._covariance.correlation(), self._arch.correlation(), haar.variance)
+        )
         segments = self._segments.results(self._origin, temperature)
-        axes = [slice(3 * at, 3 * at + 3) for at in range(replicates)]
         return [
             Summary(
                 self._header,
@@ -145,19 +147,19 @@ class Tally:
                 self._grid,
                 self._rows,
                 segments[at],
-                tuple(self._codes[own]),
-                tuple(self._steps[own]),
-                replace(spectrum, density=spectrum.density[:, own]),
-                correlation,
-                arch,
-                haar._replace(variance=variance),
+                tuple(self._codes[3 * at : 3 * at + 3]),
+                tuple(self._steps[3 * at : 3 * at + 3]),
+                replace(spectrum, density=spectrum.density[:, 3 * at : 3 * at + 3]),
+                correlation[at],
+                arch[at],
+                haar._replace(variance=variance[at]),
                 intervals,
                 self._repeats[at].result(),
                 self._status[at].flags,
                 self._status[at].words,
                 self._lone[at].result(),
             )
-            for at, (own, (correlation, arch, variance)) in enumerate(zip(axes, columns, strict=True))
+            for at in range(replicates)
         ]
 
     def _count(self, counts: npt.NDArray[np.int16], steps: Floats) -> None:
@@ -171,3 +173,34 @@ def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
     """(r, n) counts, if the chip gives any."""
     counts = [block.temperature_counts for block in blocks if block.temperature_counts is not None]
     return np.array(counts) if counts else None
+
+
+def side_by_side(replicates: Sequence[Summary]) -> Summary:
+    """Replicates that were tallied together as one summary, with three columns of each one after the other, for who
+    looks at every column alone; what has no columns is the first one's.
+    """
+    first = replicates[0]
+    if len(replicates) == 1:
+        return first
+    parts = [one.segments for one in replicates]
+    spectrum = replace(first.spectrum, density=_beside([one.spectrum.density for one in replicates]))
+    return replace(
+        first,
+        segments=replace(
+            first.segments,
+            mean=_beside([part.mean for part in parts]),
+            variance=_beside([part.variance for part in parts]),
+            third=_beside([part.third for part in parts]),
+            fourth=_beside([part.fourth for part in parts]),
+        ),
+        codes=tuple(chain.from_iterable(one.codes for one in replicates)),
+        steps=tuple(chain.from_iterable(one.steps for one in replicates)),
+        spectrum=spectrum,
+        correlation=_beside([one.correlation for one in replicates]),
+        arch=_beside([one.arch for one in replicates]),
+        allan=first.allan._replace(variance=_beside([one.allan.variance for one in replicates])),
+    )
+
+
+def _beside(tables: Sequence[Floats]) -> Floats:
+    return np.concatenate(tables, axis=1)

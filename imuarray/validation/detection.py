@@ -120,7 +120,7 @@ def _scores(asked: Asked, severity: float) -> Floats:
     sensors = (asked.sensor,) if asked.sensor else ()
     with _recorded(asked.seed, Put(asked.mechanism, severity, 1.0, sensors)) as (bench, campaign):
         models = bench.models()
-        own = np.array([bench.replicate(models, number).values for number in range(_FITTED)])
+        own = np.array([one.values for one in bench.replicates([(models, number) for number in range(_FITTED)])])
         found = np.vstack([bench.observed(campaign, models).values, own]) - _mean(own)
         places = {key: place for place, key in enumerate(_parts(bench))}
     known = [places.get(key, -1) for key in _parts(null.bench)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -21,6 +22,7 @@ from imuarray.gap.split import split_of
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
@@ -117,6 +119,34 @@ def test_replicates_are_draws_of_their_number() -> None:
     one, again, other = (bench.replicate(models, number).values for number in (0, 0, 1))
     np.testing.assert_array_equal(one, again)
     assert np.nanmean(one != other) > 0.8
+
+
+def test_several_replicates_are_the_same_as_one_by_one(both: tuple[Bench, Campaign]) -> None:
+    """Whether or not their rows have the same times, and though the sensor beside them is simulated once."""
+    bench, _ = both
+    model = bench.models()["G1"]
+    gappy = replace(model, added=(DroppedSamples(0.05),))
+    asked = [({"G1": one}, number) for number in (0, 1) for one in (model, gappy)]
+    for found, (models, number) in zip(bench.replicates(asked), asked, strict=True):
+        alone = replace(bench).replicate(models, number)
+        np.testing.assert_allclose(found.values, alone.values, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found.fitted["G1"].rms, alone.fitted["G1"].rms, rtol=1e-9)
+
+
+def test_only_the_logs_that_are_wanted_are_simulated(both: tuple[Bench, Campaign]) -> None:
+    bench, _ = both
+    whole, (part,) = bench.simulated(bench.models(), 0), bench.campaigns([(bench.models(), 0)], logs=[1])
+    assert [len(log.phases) for log in part.logs] == [0, len(whole.logs[1].phases)]
+    for one, other in zip(whole.logs[1].phases, part.logs[1].phases, strict=True):
+        np.testing.assert_array_equal(one.sensors["G1"].segments.mean, other.sensors["G1"].segments.mean)
+
+
+def test_what_is_only_kept_goes_nowhere(both: tuple[Bench, Campaign]) -> None:
+    """A bench is sent to other processes with every job: as large as before it was used."""
+    bench, _ = both
+    before = len(pickle.dumps(replace(bench)))
+    bench.replicate({"G1": bench.models()["G1"]}, 0)
+    assert len(pickle.dumps(bench)) <= before
 
 
 def test_the_training_part_alone_is_the_same_training_part(both: tuple[Bench, Campaign]) -> None:

@@ -62,6 +62,19 @@ def test_moments_are_those_of_a_plain_loop(pieces: int) -> None:
     np.testing.assert_allclose(found.slow_covariance[:6, :6], np.cov(segments.mean(axis=1).T), rtol=1e-9)
 
 
+def test_replicates_side_by_side_are_what_each_is_alone() -> None:
+    sensors = [header("A"), header("B", "-X+Y-Z")]
+    replicates = [[random_counts(1), random_counts(2)], [random_counts(3), random_counts(4)]]
+    tally = CrossTally(sensors, PHASE, WINDOW_NS, 2)
+    for at, sensor in enumerate(sensors):
+        tally.update(sensor.name, *(block(counts[at], INTERVAL_NS) for counts in replicates))
+    for found, counts in zip(tally.results(), replicates, strict=True):
+        alone = crossed(sensors, counts)
+        for name in ("slow", "fast", "turning", "changes"):
+            np.testing.assert_allclose(getattr(found, name), getattr(alone, name), rtol=1e-12, atol=1e-15)
+        assert found.windows == alone.windows
+
+
 def test_windows_that_one_sensor_missed_are_left_out() -> None:
     sensors = [header("A"), header("B")]
     tally = CrossTally(sensors, PHASE, WINDOW_NS)

@@ -26,7 +26,7 @@ from imuarray.gap.search import (
     guesses_of,
     likeliest,
     placebo_of,
-    replicate_of,
+    replicates_of,
     searched,
 )
 from imuarray.gap.standing import Standing, Unit
@@ -139,7 +139,7 @@ def test_a_lone_sensor_is_without_what_it_shares() -> None:
         own = {name: models[name] for name in unit}
         standing = replace(by_hand([], drawn(0)), unit=unit, models=own, real=nothing)
         columns = bench.columns(unit, cross=len(unit) > 1)
-        values = replicate_of(bench, standing, 2).values
+        (values,) = (one.values for one in replicates_of(bench, standing, [2]))
         assert values.shape == columns.shape
         assert np.isfinite(values).mean() > 0.5  # the rest says nothing of one log
 
@@ -155,7 +155,12 @@ class Told:
         self.asked.append(len(items))
         if job.__name__ == "_confirm":
             return [self._confirmed(item.standing, item.tried) for item in items]
-        return [replace(item.tried, models={}, gain=self._first[item.tried.trial.name]) for item in items]
+        if job.__name__ == "_look":
+            return [[self._looked(trial) for trial in item.trials] for item in items]
+        return [self._looked(item.tried.trial) for item in items]
+
+    def _looked(self, trial: Trial) -> Tried:
+        return Tried(trial, {}, self._first[trial.name])
 
     def _confirmed(self, standing: Standing, tried: Tried) -> Confirmed:
         return Confirmed(tried, standing, *self._last[tried.trial.name], independent=self._independent)
@@ -173,7 +178,7 @@ def test_what_gains_most_is_taken() -> None:
     first = {"bias": 5.0, "white_noise": 9.0, "stuck": 1.0, "tone": 0.0}
     last = {"bias": (5.0, 8.0), "white_noise": (9.0, 7.0), "tone": (0.0, 1.0)}
     found, told = round_of(first, last, Bias(1.0), WhiteNoise(1.0), Stuck(0.0))
-    assert told.asked == [3, 2, 1, 3]  # looks, refined, the placebo, confirmed
+    assert told.asked == [1, 2, 1, 3]  # looks at all, refined, the placebo, confirmed
     assert [one.trial.name for one in found.confirmed] == ["bias", "white_noise"]
     assert found.placebo_gain == 1.0
     assert found.taken is found.confirmed[0]

@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from imuarray.gap.summary import Grid, Summary, Tally
+from imuarray.gap.probes import PROBES, PhaseProbe
+from imuarray.gap.summary import Grid, Summary, Tally, side_by_side
 from imuarray.log.format import Phase
+from imuarray.log.writer import Block
 from tests.gap.made import block, header, summary
 
 
@@ -38,6 +40,30 @@ def same(one: Any, other: Any) -> None:
 def test_streamed_is_whole(cuts: list[int]) -> None:
     rows = block(noise(), temperature_counts=(np.arange(3000) % 7).astype(np.int16))
     same(summary(rows, cuts=sorted(cuts)), summary(rows))
+
+
+def test_side_by_side_they_are_what_each_is_alone() -> None:
+    """Two replicates in two blocks each, and every probe that says to look at each column alone."""
+    warm = (np.arange(3000) % 7).astype(np.int16)
+    rows = [block(noise(seed=seed), temperature_counts=warm + seed) for seed in (1, 2)]
+    phase = Phase(0, int(rows[0].time[-1]) + 10_000_000, "static", "+Z")
+    tally = Tally(header(), phase, Grid.of(3000), 2)
+    for part in (slice(1000), slice(1000, 3000)):
+        tally.update(
+            *(
+                Block(one.time[part], one.counts[part], one.status[part], warm[part] + seed)
+                for seed, one in enumerate(rows, start=1)
+            )
+        )
+    both = tally.results(lambda time_ns: np.full(len(time_ns), 25.0))
+    together = side_by_side(both)
+    for at, (found, own) in enumerate(zip(both, rows, strict=True)):
+        alone = summary(own)
+        same(found, alone)
+        for name, probe in PROBES.items():
+            if isinstance(probe, PhaseProbe) and probe.by_column:
+                told = probe.statistic(together).reshape(2, 3)[at]
+                np.testing.assert_allclose(told, probe.statistic(alone), rtol=1e-4, atol=1e-6, err_msg=name)
 
 
 def test_its_parts_are_what_others_say() -> None:

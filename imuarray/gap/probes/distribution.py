@@ -26,13 +26,15 @@ TAIL = 3.0
 def skewness(summary: Summary) -> Floats:
     """arsinh of the skewness about the segments' means."""
     variance, third, _ = _central(summary)
-    return np.asarray(np.arcsinh(np.divide(third, variance**1.5, out=NOTHING.copy(), where=variance > 0)))
+    return np.asarray(
+        np.arcsinh(np.divide(third, variance**1.5, out=np.full_like(variance, np.nan), where=variance > 0))
+    )
 
 
 def kurtosis(summary: Summary) -> Floats:
     """Log of the kurtosis about the segments' means, less log 3."""
     variance, _, fourth = _central(summary)
-    return log(np.divide(fourth, 3 * variance**2, out=NOTHING.copy(), where=variance > 0))
+    return log(_share(fourth, 3 * variance**2))
 
 
 def tail(summary: Summary) -> Floats:
@@ -49,6 +51,11 @@ def extreme(summary: Summary) -> Floats:
     """Normal score of the largest difference of neighbours, as if all of them were independent and Gaussian."""
     largest = [float(steps.codes[-1]) if len(steps.codes) else np.nan for steps in summary.steps]
     return score_of_largest(np.array(largest) / (np.sqrt(2) * noise_lsb(summary)), 2 * summary.rows)
+
+
+def _share(moment: Floats, of: Floats) -> Floats:
+    """nan of nothing."""
+    return np.divide(moment, of, out=np.full_like(of, np.nan), where=of > 0)
 
 
 @once

@@ -59,12 +59,14 @@ class Probe:
 @dataclass(frozen=True)
 class PhaseProbe(Probe):
     """Of one sensor in one phase: (3,), or one number for all axes. `in_motion`: while the box moves, too. `resolution`
-    is the least difference that means anything where values can be all alike by chance.
+    is the least difference that means anything where values can be all alike by chance. `by_column`: whatever number of
+    columns there is, each says what it says alone, so that replicates can be looked at side by side.
     """
 
     statistic: Callable[[Summary], Floats]
     in_motion: bool = False
     resolution: Callable[[Summary], float] = lambda _: 0.0
+    by_column: bool = True
 
 
 @dataclass(frozen=True)

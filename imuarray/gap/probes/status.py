@@ -20,7 +20,14 @@ def words(summary: Summary) -> Floats:
 
 def _probe(about: str, moved_by: tuple[str, ...], *flags: str) -> PhaseProbe:
     return PhaseProbe(
-        "status", f"arcsine of the share of rows {about}", "", moved_by, partial(flagged, flags), True, one_row
+        "status",
+        f"arcsine of the share of rows {about}",
+        "",
+        moved_by,
+        partial(flagged, flags),
+        True,
+        one_row,
+        by_column=False,
     )
 
 
@@ -29,5 +36,12 @@ SATURATED = _probe("at an end of the span", ("saturation", "range_reset", "scale
 LOST = _probe("before which some were lost", ("dropped_samples",), "lost_before", "overrun")
 DOUBT = _probe("of a chip in doubt or just set up again", (), "suspect", "reconfigured")
 WORDS = PhaseProbe(
-    "status", "arcsine of the share of rows that read -1 or 0 on all axes", "", ("glitches",), words, True, one_row
+    "status",
+    "arcsine of the share of rows that read -1 or 0 on all axes",
+    "",
+    ("glitches",),
+    words,
+    True,
+    one_row,
+    False,
 )

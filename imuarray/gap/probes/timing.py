@@ -51,7 +51,9 @@ def _hundredth(_: Summary) -> float:
 _DROPPED = ("dropped_samples",)
 _REPEATED = ("odr_error", "stale_samples", "stuck")
 
-INTERVAL = PhaseProbe("timing", "log of the mean interval between rows", "log s", (), interval, True, lambda _: 1e-6)
+INTERVAL = PhaseProbe(
+    "timing", "log of the mean interval between rows", "log s", (), interval, True, lambda _: 1e-6, by_column=False
+)
 IRREGULARITY = PhaseProbe(
     "timing",
     "log of the scatter of intervals over their mean",
@@ -60,12 +62,29 @@ IRREGULARITY = PhaseProbe(
     irregularity,
     True,
     _hundredth,
+    by_column=False,
 )
-GAPS = PhaseProbe("timing", "arcsine of the share of gaps", "", _DROPPED, gaps, True, one_row)
-LONGEST = PhaseProbe("timing", "log of the longest interval over the mean", "", _DROPPED, longest, True, _hundredth)
+GAPS = PhaseProbe("timing", "arcsine of the share of gaps", "", _DROPPED, gaps, True, one_row, by_column=False)
+LONGEST = PhaseProbe(
+    "timing", "log of the longest interval over the mean", "", _DROPPED, longest, True, _hundredth, by_column=False
+)
 REPEATS = PhaseProbe(
-    "timing", "arcsine of the share of rows that repeat the one before", "", _REPEATED, repeats, True, one_row
+    "timing",
+    "arcsine of the share of rows that repeat the one before",
+    "",
+    _REPEATED,
+    repeats,
+    True,
+    one_row,
+    by_column=False,
 )
 LONGEST_REPEAT = PhaseProbe(
-    "timing", "log of the longest run of equal rows", "", ("stuck", "odr_error"), longest_repeat, True, lambda _: 0.5
+    "timing",
+    "log of the longest run of equal rows",
+    "",
+    ("stuck", "odr_error"),
+    longest_repeat,
+    True,
+    lambda _: 0.5,
+    False,
 )
