@@ -115,9 +115,12 @@ def explained(
     candidates: Mapping[str, Candidate],
     progress: Callable[[str], None] = lambda what: None,
     known: Collection[str] = (),
+    *,
+    briefly: bool = False,
 ) -> Diagnosis:
     """The rest of `diagnose`: the search for causes among `candidates`, and what is said of them. `known`: sensors that
-    are known to have one of them (`imuarray.gap.rounds.searches`).
+    are known to have one of them (`imuarray.gap.rounds.searches`). `briefly`: without curves and without what to record
+    next, for which more is simulated.
     """
     found = begin.found
     if found.located.is_gap:
@@ -125,7 +128,7 @@ def explained(
     else:
         searched = Searched({}, found.bench.models())
     progress("simulating the repaired model")
-    return _said(begin, candidates, searched)
+    return _said(begin, candidates, searched, briefly)
 
 
 def library(without: Collection[str]) -> dict[str, Candidate]:
@@ -135,7 +138,7 @@ def library(without: Collection[str]) -> dict[str, Candidate]:
     return {name: one for name, one in CANDIDATES.items() if name not in without}
 
 
-def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched) -> Diagnosis:
+def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, briefly: bool) -> Diagnosis:
     """Everything that follows from the search."""
     found, noted, bench, names, run = case.found, case.noted, case.found.bench, case.names, case.run
     is_gap, pairs = noted.located.is_gap, found.pairs
@@ -167,12 +170,12 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched) 
         causes,
         unknown_of(is_gap, gap, after),
         unexplained,
-        next_experiment(bench, searched, causes, unexplained, untold, run),
+        "" if briefly else next_experiment(bench, searched, causes, unexplained, untold, run),
         untold,
         in_use,
         judged_of(searched.rounds),
         map_of(pairs, noted.judged, after, tuple(bench.base.headers)),
-        overlays_of(bench, found.campaign, where, bench.models(), searched.models, run, names=names),
+        () if briefly else overlays_of(bench, found.campaign, where, bench.models(), searched.models, run, names=names),
         tuple(map(_recorded, case.recordings)),
         (
             *lines_left(found.campaign, unexplained, names),

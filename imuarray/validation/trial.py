@@ -47,7 +47,7 @@ def tried(case: Case, folder: Path) -> None:
         recordings = recordings_of(opened)
         model = model_with(case.extra, headers_of(recordings)) if case.extra else None
         compared = begun(recordings, runner, model=model, replicates=REPLICATES)
-        found = explained(compared, library(case.without)).as_json()
+        found = explained(compared, library(case.without), briefly=True).as_json()
         oracle = _oracle(compared, case, truth) if case.kind in ("single", "pair") else {}
     kept = {key: found[key] for key in _KEPT}
     lists = {key: found[key][:_WORST] for key in ("where", "unexplained")}
@@ -77,5 +77,5 @@ def _oracle(compared: Begun, case: Case, truth: Mapping[str, Any]) -> dict[str, 
         name for one in truth["mechanisms"] for name in one["sensors"]
     } & compared.found.bench.base.headers.keys()
     candidates = {name: one for name, one in CANDIDATES.items() if name in effects}
-    gap = explained(compared, candidates, known=sorted(sensors)).as_json()["gap"]
+    gap = explained(compared, candidates, known=sorted(sensors), briefly=True).as_json()["gap"]
     return {"closed": gap["closed"], "closed_ci95": gap["closed_ci95"]}

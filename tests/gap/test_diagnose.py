@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from imuarray.errors import ConfigError
 from imuarray.gap.candidates import CANDIDATES
 from imuarray.gap.compare import prepared
-from imuarray.gap.diagnose import diagnose, library
+from imuarray.gap.diagnose import begun, diagnose, explained, library
 from imuarray.gap.diagnosis import Diagnosis
 from imuarray.gap.recordings import Recording, recordings_of
 from imuarray.log import open_log
@@ -179,6 +180,13 @@ def test_noise_is_not_counted_twice(tmp_path: Path) -> None:
 def test_a_seed_is_a_diagnosis(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
     again = diagnosed(lined)
     assert json.dumps(again.as_json()) == json.dumps(tone.as_json())
+
+
+def test_briefly_nothing_else_is_missing(lined: tuple[Recording, ...], tone: Diagnosis) -> None:
+    brief = explained(begun(lined, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
+    assert (brief.overlays, brief.next_experiment) == ((), "")
+    whole = replace(brief, next_experiment=tone.next_experiment)
+    assert json.dumps(whole.as_json()) == json.dumps(tone.as_json())
 
 
 def test_the_library() -> None:
