@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from imuarray.gap.candidates.bistable_bias import rarer
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.levels import levels, log_levels
 from imuarray.gap.candidates.removal import with_removal
-from imuarray.gap.candidates.steps import States, onset, states_of_logs
+from imuarray.gap.candidates.steps import Onset, States, onsets, states_of_logs
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.range_reset import RangeReset
 
@@ -54,11 +55,26 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
         rare = rarer(means, errors) if len(means) > 1 else None
         if rare is not None and (states := states_of_logs(evidence, rare)) is not None:
             yield from _reset(evidence, states, 0.0, float(rare.mean()))
-    if evidence.is_odd(*_WITHIN, beyond=_BEYOND):
-        found = onset(evidence)
-        if found is not None:
-            logs = len({one.log for one in evidence.seen})
-            yield from _reset(evidence, found.states, found.onset_s, 1.0 / logs)
+    if evidence.is_odd(*_WITHIN, beyond=_BEYOND) and (found := onsets(evidence)):
+        yield from _within(evidence, found)
+
+
+def _within(evidence: Evidence, found: Sequence[Onset]) -> Iterator[Trial]:
+    """A reset in the log with the clearest step; and in all others in which the same range is left of one."""
+    clearest, *more = found
+    for trial in _reset(evidence, clearest.states, 0.0, 1.0):
+        (first,) = (effect for effect in trial.effects if isinstance(effect, RangeReset))
+        alone = replace(first, onset_s=clearest.onset_s, run=float(clearest.log))
+        others = [
+            replace(effect, onset_s=one.onset_s, run=float(one.log))
+            for one in more
+            for other in _reset(evidence, one.states, 0.0, 1.0)
+            for effect in other.effects
+            if isinstance(effect, RangeReset) and effect.range == first.range
+        ]
+        if others:
+            yield Trial((alone, *others))
+        yield replace(trial, effects=(alone,))
 
 
 def _ratios(evidence: Evidence) -> dict[float, float]:

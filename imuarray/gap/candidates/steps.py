@@ -33,10 +33,12 @@ class States(NamedTuple):
 
 
 class Onset(NamedTuple):
-    """From `onset_s` on in its log another state holds."""
+    """From `onset_s` on in log number `log` another state holds, which explains it by `nats` better."""
 
+    log: int
     onset_s: float
     states: States
+    nats: float
 
 
 class _Series(NamedTuple):
@@ -48,18 +50,18 @@ class _Series(NamedTuple):
     variance: Floats
 
 
-def onset(evidence: Evidence) -> Onset | None:
-    """The clearest step of level and noise within a log; None without one."""
-    best: tuple[float, Onset] | None = None
+def onsets(evidence: Evidence) -> list[Onset]:
+    """The clearest step of level and noise within each log that has a clear one, the clearest first."""
+    found: list[Onset] = []
     for log in dict.fromkeys(one.log for one in evidence.still):
         series = _series(evidence, [one for one in evidence.still if one.log == log])
         if len(series.time_s) < 2 * _LEAST + 2:
             continue
         gains = np.array([_gain(series, at) for at in range(_LEAST, len(series.time_s) - _LEAST)])
         at = int(gains.argmax()) + _LEAST
-        if gains.max() > _CLEAR and (best is None or gains.max() > best[0]):
-            best = float(gains.max()), Onset(_time(series, at), _states(series, at))
-    return None if best is None else best[1]
+        if gains.max() > _CLEAR:
+            found.append(Onset(log, _time(series, at), _states(series, at), float(gains.max())))
+    return sorted(found, key=lambda one: -one.nats)
 
 
 def states_of_logs(evidence: Evidence, rare: Bools) -> States | None:

@@ -20,8 +20,8 @@ Number = TypeVar("Number", int, float)
 
 @dataclass(frozen=True)
 class RangeReset(Effect):
-    """From `onset_s` on, in a run with this probability: counts per unit of that other range, y = x + offset, and noise
-    times `noise_share`.
+    """From `onset_s` on, in a run with this probability, or only in that number `run`: counts per unit of that other
+    range, y = x + offset, and noise times `noise_share`.
 
     `range` in the sensor's unit (nan: no reset), `offset` too: each range has an offset of its own (BMA-79). A chip
     that lost its settings has another filter and another gain before its converter: its noise, in the unit, is another.
@@ -37,6 +37,7 @@ class RangeReset(Effect):
     noise_share: Triple = per_axis(1.0)
     onset_s: float = scalar(0.0)
     probability: float = scalar(1.0)
+    run: float = scalar(math.nan)
 
     def __post_init__(self) -> None:
         """ValueError for an infinite onset or a probability outside 0 to 1."""
@@ -47,7 +48,7 @@ class RangeReset(Effect):
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds the offset, scales the noise and sets the converter. ValueError for a range that the chip hasn't."""
-        if math.isnan(self.range):
+        if math.isnan(self.range) or (not math.isnan(self.run) and self.run != at.streams.boot):
             return analog
         sensitivity = _sensitivity(at.sensor, self.range)
         since = analog.instant_ns >= self.onset_s * 1e9

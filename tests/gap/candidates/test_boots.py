@@ -59,6 +59,18 @@ def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) 
     assert first.offset == pytest.approx((offset,) * 3, rel=0.1)
     assert first.noise_share == pytest.approx((0.8,) * 3, rel=0.3)
     assert first.probability == 1.0
+    assert first.run == 0.0
+
+
+def test_another_range_from_another_row_on_in_each_log() -> None:
+    """A supply that dips now and then: the second log has its own moment, the same range."""
+    dips = [RangeReset(2.0, onset_s=onset_s, run=run) for onset_s, run in ((33.3, 0.0), (20.0, 1.0))]
+    evidence = evidence_of(("static", "heating"), "A1", {"A1": tuple(dips)}, seed=7)
+    trial = next(trial for trial in RANGE_RESET.guesses(evidence) if trial.is_brief)
+    found = {effect.run: effect for effect in trial.effects if isinstance(effect, RangeReset)}
+    assert {run: one.range for run, one in found.items()} == {0.0: 2.0, 1.0: 2.0}
+    assert found[0.0].onset_s == pytest.approx(33.3, abs=0.1)
+    assert found[1.0].onset_s == pytest.approx(20.0, abs=0.5)
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,12 @@ def test_from_one_row_to_the_next(place: MakePlace, analog: MakeAnalog) -> None:
         np.testing.assert_array_equal(counts, np.repeat([[512.0] * 3, [1.25 * 4096] * 3], 5, axis=0))
 
 
+def test_in_one_run_only(place: MakePlace, analog: MakeAnalog) -> None:
+    effect, before = RangeReset(2.0, run=3.0), analog(0, 5)
+    assert effect.analog(before, place(boot=2)) is before
+    assert effect.analog(before, place(boot=3)).sensitivity == 4096
+
+
 def test_stretches_before_within_and_after_agree(place: MakePlace, analog: MakeAnalog) -> None:
     effect = RangeReset(2.0, (0.1, 0.2, 0.3), onset_s=0.05)
     whole = effect.analog(analog(0, 20, value=1.0), place())
