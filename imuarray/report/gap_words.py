@@ -10,7 +10,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "clock_error": "the log's clock goes wrong by a constant ratio",
         "own_clock": "the chip makes its readings by a clock of its own, and answers a poll with the latest of them",
         "skew": "readings are older than their stamps",
-        "jitter": "every reading is stamped a little off",
+        "jitter": "readings are stamped a little off",
         "dropped_samples": "readings are lost, alone or in bursts",
         "size_effect": "a sensor away from the box's origin feels the box turn",
         "thermal_lag": "the element warms up later than the box",
@@ -39,7 +39,7 @@ MEANINGS: Mapping[str, str] = MappingProxyType(
         "stale_samples": "a reading is the one before, once more",
         "glitches": "now and then a reading is corrupted",
         "stuck": "the counts stand still for a while",
-        "channel_swap": "the data of another sensor",
+        "channel_swap": "the data, or the place, of another sensor",
     }
 )
 """By the effects' names in models and in JSON."""
