@@ -22,6 +22,7 @@ from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.converters import THERMOMETERS, code_span, converted, held, latest_reading
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.own_clock import AT_ITS_RATE
 from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Floats, Instants, Integers, Motion, Place, per_row
 from imuarray.simulate.streams import CHUNK, Streams
 from imuarray.simulate.timeline import Timeline
@@ -70,6 +71,7 @@ class SimulatedSensor:
         self._span = code_span(header)
         self._orientation = np.array(lies or header.orientation)
         self._acting = tuple(zip(self.effects, self._places(), strict=True))
+        self._is_late = any(effect.name == "jitter" for effect in self.effects)
         self._lookback = 1 + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
         self._chunk = lru_cache(maxsize=4)(self._evaluate)
 
@@ -198,7 +200,9 @@ class SimulatedSensor:
         temperature = None if thermometer is None else thermometer.counts(analog.thermometer_degc)
         counts = converted(analog, self._span)
         codes = Codes(analog.first, analog.instant_ns, counts, temperature, np.ones(len(counts), bool))
-        return held(codes, analog.rate_hz, phase) if 0 < analog.rate_hz < self.timeline.rows_per_s else codes
+        rows_per_s = self.timeline.rows_per_s
+        is_asked_twice = self._is_late and analog.rate_hz > (1 + AT_ITS_RATE) * rows_per_s
+        return held(codes, analog.rate_hz, phase) if is_asked_twice or 0 < analog.rate_hz < rows_per_s else codes
 
     def _status(self, counts: npt.NDArray[np.int16], fresh: Bools) -> npt.NDArray[np.uint16]:
         """Flags as the logger would set them: stale, saturated."""

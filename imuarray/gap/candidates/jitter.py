@@ -1,4 +1,6 @@
-"""`jitter` is recognised by noise under motion, in proportion to how fast the signal changes."""
+"""`jitter` is recognised by noise under motion, in proportion to how fast the signal changes; and by rows that repeat
+the one before, if that was read late.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +12,51 @@ import numpy.typing as npt
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.lag import motions, speed_squared
 from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.candidates.repetition import repeated_share
 from imuarray.gap.evidence import Evidence
 from imuarray.gap.probes.motion import residual
 from imuarray.simulate.effects.jitter import Jitter
 
 Floats = npt.NDArray[np.float64]
 
+_LEAST, _MOST = 1e-4, 0.9
+
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
-    """The time that makes the variance which is left over of the speed at which readings change."""
+    """The time that makes the variance which is left over of the speed at which readings change; and the share of late
+    rows that makes that and the repetitions.
+    """
     yield from with_removal(evidence, Jitter.name, _found(evidence))
 
 
 def _found(evidence: Evidence) -> Iterator[Trial]:
-    if not (evidence.score("motion_residual") > 2.5).any():
+    rms_s = _rms_s(evidence) if (evidence.score("motion_residual") > 2.5).any() else 0.0
+    if rms_s > 0:
+        yield Trial((Jitter(rms_s),), ("rms_s",))
+    repeated = repeated_share(evidence) if evidence.is_odd("repeats", "stale") else 0.0
+    if repeated > _LEAST:
+        yield from late(repeated, rms_s, 1 / evidence.rows_per_s, evidence.header.rate_hz)
+
+
+def late(repeated: float, rms_s: float, row_s: float, rate_hz: float) -> Iterator[Trial]:
+    """Of a chip of `rate_hz` that is read every `row_s` and repeats a share `repeated` of its readings. One is repeated
+    if it is late by so much that there is no new one until the next row: the time between rows less what has passed of
+    a period. With `rms_s` of all rows that tells how late they are; without, it is taken to be as much as a row.
+    """
+    if rate_hz <= 0:
         return
+    mean_s = row_s * np.geomspace(0.05, 1.5, 60)
+    wait_s = np.maximum(row_s - np.linspace(0, 1, 21) / rate_hz, 0.0)
+    share = repeated / np.exp(-wait_s / mean_s[:, None]).mean(axis=1)
+    apart = np.abs(np.log(2 * share * mean_s**2 / rms_s**2)) if rms_s > 0 else np.abs(np.log(mean_s / row_s))
+    best = int(np.argmin(np.where(share < _MOST, apart, np.inf)))
+    if share[best] < _MOST:
+        guess = Jitter(float(np.sqrt(2) * mean_s[best]), float(share[best]))
+        yield Trial((guess,), ("rms_s", "share"), limits={"share": (0.0, _MOST)})
+
+
+def _rms_s(evidence: Evidence) -> float:
+    """Of all rows, from motion; 0 if nothing is left over."""
     name, usual = evidence.header.name, _usual_variance(evidence)
     excess = speed = 0.0
     for _, cross in motions(evidence):
@@ -32,8 +64,7 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
         beyond = np.maximum(np.exp(residual(cross, name)) - usual, 0.0)
         excess += float(np.nansum(beyond * rows))
         speed += float(np.nansum(speed_squared(cross, name)))
-    if excess > 0 and speed > 0:
-        yield Trial((Jitter(float(np.sqrt(excess / speed))),), ("rms_s",))
+    return float(np.sqrt(excess / speed)) if excess > 0 and speed > 0 else 0.0
 
 
 def _usual_variance(evidence: Evidence) -> Floats:

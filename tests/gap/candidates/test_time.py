@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from imuarray.gap.candidates import clock_error, dropped_samples, jitter, skew
@@ -59,11 +61,29 @@ def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:
 
 @pytest.mark.parametrize(("sensor", "rms_s"), [("G1", 0.001), ("G1", 0.004), ("A1", 0.002)])
 def test_jitter(sensor: str, rms_s: float) -> None:
-    (trial,) = jitter.guesses(shown("motion", sensor, Jitter(rms_s)))
+    trial = next(iter(jitter.guesses(shown("motion", sensor, Jitter(rms_s)))))
     (found,) = trial.effects
     assert isinstance(found, Jitter)
     assert found.rms_s == pytest.approx(rms_s, rel=0.5)
     assert trial.free == ("rms_s",)
+
+
+def test_rows_that_are_late_are_repeated() -> None:
+    """Rows every 10 ms of a chip that makes a reading as often: what is late by w is repeated with the probability
+    w / 10 ms, and for exponential w of mean m with m / 10 ms (1 - e^(-10 ms / m)). 5 ms of a tenth make 4.3 %, and
+    sqrt(2 0.1) 5 ms of all; if nothing is told of that, they are late by a row.
+    """
+    (trial,) = jitter.late(0.1 * 0.5 * (1 - math.exp(-2)), math.sqrt(0.2) * 5e-3, 0.01, 100.0)
+    (found,) = trial.effects
+    assert isinstance(found, Jitter)
+    assert found.rms_s == pytest.approx(math.sqrt(2) * 5e-3, rel=0.1)
+    assert found.share == pytest.approx(0.1, rel=0.1)
+    assert trial.free == ("rms_s", "share")
+    ((untold,),) = (one.effects for one in jitter.late(0.02, 0.0, 0.01, 100.0))
+    assert isinstance(untold, Jitter)
+    assert untold.rms_s == pytest.approx(math.sqrt(2) * 0.01, rel=0.1)
+    assert untold.share == pytest.approx(0.02 / (1 - math.exp(-1)), rel=0.1)
+    assert not list(jitter.late(0.02, 0.0, 0.01, 0.0))  # a chip without a rate answers with what is now
 
 
 @pytest.mark.parametrize(("probability", "burst_rows"), [(0.03, 3.0), (0.1, 1.0), (0.2, 10.0), (0.3, 30.0)])

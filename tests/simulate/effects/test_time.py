@@ -75,6 +75,22 @@ class TestJitter:
         assert abs(np.corrcoef(off_s[1:], off_s[:-1])[0, 1]) < 5 / math.sqrt(ROWS)
         assert abs((np.abs(off_s) < 2e-3).mean() - 0.682689) < 5 * math.sqrt(0.683 * 0.317 / ROWS)
 
+    @pytest.mark.parametrize("share", [0.02, 0.3])
+    def test_a_share_of_rows_is_late(self, place, instants, share: float) -> None:
+        """1 ms of 10 ms between rows: exponential, of mean 1 / sqrt(2) ms; e^(-12.7) of them would be cut off."""
+        before = instants(0, ROWS)
+        late_s = (Jitter(1e-3, share).sampled(before, place()).instant_ns - before.stamp_ns) * 1e-9
+        assert abs((late_s > 0).mean() - share) < 5 * math.sqrt(share * (1 - share) / ROWS)
+        mean, count = 1e-3 / math.sqrt(2), share * ROWS
+        assert abs(late_s[late_s > 0].mean() / mean - 1) < 5 / math.sqrt(count)
+        assert abs((late_s > mean).sum() / count - math.exp(-1)) < 5 * math.sqrt(0.37 / count)
+
+    def test_a_row_is_read_before_the_next_one(self, place, instants) -> None:
+        before = instants(0, ROWS)
+        late_s = (Jitter(1.0, 0.5).sampled(before, place()).instant_ns - before.stamp_ns) * 1e-9
+        assert late_s.min() == 0
+        assert 0.008 < late_s.max() < 0.009 + 1e-9
+
     def test_noise_in_proportion_to_the_slope(self, place, instants) -> None:
         """sin(w t) read sigma off has an error of w sigma / sqrt(2) rms (to first order: 1e-4 of it left out)."""
         before, omega = instants(0, ROWS), 2 * math.pi * 1.7
