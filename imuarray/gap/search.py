@@ -262,9 +262,12 @@ def _squares(scores: Floats) -> float:
 def _tempered(standing: Standing, one: Confirmed) -> float:
     """How much a gain counts: a misalignment within what the chip's population has moves many statistics by about a
     standard deviation, all of them for one and the same reason. A bow over temperature moves a handful of which each
-    says something of its own: that they are few among many that hang together takes nothing from them.
+    says something of its own: that they are few among many that hang together takes nothing from them. How a sensor
+    moves beside others hangs on these as well, and counts no more for that.
     """
-    return one.independent / standing.independent
+    ratio = one.independent / standing.independent
+    own = min(max(one.own_share, 0.0), 1.0)
+    return min(ratio, 1.0) + own * max(ratio - 1.0, 0.0)
 
 
 def _log_odds(standing: Standing, found: Sequence[Confirmed]) -> tuple[float, ...]:

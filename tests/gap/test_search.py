@@ -266,6 +266,16 @@ def test_few_statistics_that_say_something_of_their_own_count_more(share: float,
     assert (found.taken is not None) == is_taken
 
 
+@pytest.mark.parametrize(("own_share", "odds"), [(1.0, 6.0), (0.5, 4.0), (0.0, 2.0), (-3.0, 2.0)])
+def test_what_shows_beside_others_counts_no_more(own_share: float, odds: float) -> None:
+    """2 nats that are three times as independent as most, by what of them the sensor shows alone."""
+    one = Confirmed(
+        Tried(Trial((Bias(1.0),))), by_hand([0.0], drawn(1)), 9.0, 2.0, own_share=own_share, independent=0.9
+    )
+    found = Round(by_hand([0.0], drawn(1), independent=0.3), (one,), 0.0, None)
+    assert found.log_odds == pytest.approx((odds,))
+
+
 def test_what_needs_both_may_show_in_one_part_alone() -> None:
     last = {"stuck": (-1.0, 30.0), "tone": (0.0, 0.0)}
     found, _ = round_of({"stuck": 9.0, "tone": 0.0}, last, Stuck(3.0, 1.0))
