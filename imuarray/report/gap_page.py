@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.diagnosis import Diagnosis, Gap, Map, Use, Where
+from imuarray.gap.diagnosis import Diagnosis, Gap, Map, Use, Where, is_told_by_both
 from imuarray.gap.text import chance, gap_text, number, scored, share
 from imuarray.report import gap_tables as tables
 from imuarray.report.gap_curves import curves_section
@@ -114,7 +114,7 @@ def _causes(diagnosis: Diagnosis) -> Section:
     words = (
         "Effects that the simulation needs so that it looks like the recordings, most probable first; several can be "
         "true at once, each has a probability of its own. Closes: the share of these sensors' gap that goes with it "
-        "alone, on data to which it was not fitted, with 95 % interval. An "
+        "alone, on data to which it was not fitted (unless only both parts of the data show it), with 95 % interval. An "
         "origin that isn't the sensor means that the environment, or what the log says of itself, is to blame."
     )
     each = tables.each_table(diagnosis.causes)
@@ -125,9 +125,14 @@ def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
     gap, uses = diagnosis.gap, diagnosis.uses
     words = "There is no gap to close."
     if gap.closed is not None:
+        data = (
+            "data that told of it"
+            if is_told_by_both(diagnosis.causes)
+            else "held-out data, to which nothing was fitted"
+        )
         words = (
-            "Scores of the statistics that differ, on held-out data, to which nothing was fitted; closed is the share "
-            "of the squared excess over the floor that is gone, with 95 % interval."
+            f"Scores of the statistics that differ, on {data}; closed is the share of the squared excess over the floor "
+            "that is gone, with 95 % interval."
         )
     if uses:
         words += " Figures in units of use say what the difference means to who works with the sensors."
