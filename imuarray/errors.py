@@ -2,11 +2,13 @@
 
 ::
 
-    ImuArrayError                 one line for a person; the command line turns it into exit code 2
+    ImuArrayError                 one line for a person; the command line turns it into its exit code (2)
     +-- ConfigError               a TOML file says something impossible: names the file, the key, what is allowed
     +-- BusUrlError               a bus URL that names no bus, or one that can't be opened here
     +-- SensorError               a chip that is missing, wrong, or does not keep what was written to it
     +-- LogError                  a log that is missing, foreign, truncated, hostile or malformed
+    |   +-- LogBusyError          a log that is being written by somebody else
+    |   +-- DiskFullError         no room to go on: the log was ended, all that was acknowledged is in it; exit code 3
     +-- SourceError               a foreign recording that `import` can't read: names the file and the row
     +-- CalibrationError          data from which the wanted parameters can't be had, or a bad calibration file
     +-- FusionError               a technique that this array or this log can't feed
@@ -29,6 +31,9 @@ NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})
 class ImuArrayError(Exception):
     """Root of the tree; its text is one line that names the place, what came and what is allowed."""
 
+    exit_code = 2
+    """With which the command line ends."""
+
 
 class ConfigError(ImuArrayError):
     """A configuration that can't be meant: unknown key, impossible range, two sensors in one place, mirrored axes."""
@@ -44,6 +49,22 @@ class SensorError(ImuArrayError):
 
 class LogError(ImuArrayError):
     """A log file that is missing, not a log, truncated, malformed, or built to do harm."""
+
+
+class LogBusyError(LogError):
+    """A log that somebody else is writing or recovering."""
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        super().__init__(f"{path}: is being written by another process; wait until it ends, or choose another name")
+
+
+class DiskFullError(LogError):
+    """The disk is full, or nearly so: what was acknowledged is kept, nothing more can be written."""
+
+    exit_code = 3
+
+    def __init__(self, path: str | PathLike[str], why: str) -> None:
+        super().__init__(f"{path}: {why}; everything acknowledged until then is in the log")
 
 
 class SourceError(ImuArrayError):

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import click
 
 from imuarray.errors import ImuArrayError
+from imuarray.printable import printable
 
 
 def run(command: click.Command, name: str, arguments: Sequence[str] | None = None) -> int:
     """Run a command as the program `name` (with `arguments`, else those of this process): what it returns is the exit
-    code, 2 for bad input, with one line, 130 if it was interrupted.
+    code, that of the error with one line (2 for bad input), 130 if it was interrupted.
     """
     try:
         given = None if arguments is None else list(arguments)
@@ -23,6 +24,6 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         return 130
     except (click.ClickException, ImuArrayError) as error:
         text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        click.echo(f"{name}: {' '.join(text.split())}", err=True)
-        return 2
+        click.echo(printable(f"{name}: {' '.join(text.split())}"), err=True)
+        return error.exit_code if isinstance(error, ImuArrayError) else 2
     return result if isinstance(result, int) else 0

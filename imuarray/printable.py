@@ -1,0 +1,10 @@
+"""Words from somewhere else, a file or a chip, as they can be shown to a person."""
+
+from __future__ import annotations
+
+
+def printable(text: str) -> str:
+    """`text` with what would steer a terminal spelled out: control characters, marks that turn the direction."""
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
