@@ -1,6 +1,7 @@
 """The command line: one small file a command in `imuarray.commands`, loaded only when it is called.
 
-Exit codes: 0 did what was asked; 2 bad input, with one line that names the place and what is allowed; 130 interrupted.
+Exit codes: 0 did what was asked; 2 bad input, with one line that names the place and what is allowed; 3 the disk is
+full (a log was ended, and what it acknowledged is in it); 130 interrupted.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "detect": "what answers on the bus, and is it what the configuration says",
         "log": "record an array into a log",
         "info": "what a log holds",
+        "verify": "check every block of a log",
+        "recover": "finish a log whose writing was cut short",
         "import": "turn a foreign recording into a log",
         "simulate": "a log as an array would record it, from a model of its sensors",
         "characterise": "Allan deviation, spectrum, codes and noise table of a log",

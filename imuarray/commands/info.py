@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import json_option, log_argument, print_json
+from imuarray.printable import printable
 
 if TYPE_CHECKING:
     from imuarray.log import Log, SensorLog
@@ -32,6 +33,7 @@ def describe(log: Log) -> dict[str, Any]:
     """The log as one JSON-ready object."""
     return {
         "log": str(log.path),
+        "state": log.state,
         "source": log.source,
         "epoch": log.epoch,
         "software": log.software,
@@ -42,7 +44,7 @@ def describe(log: Log) -> dict[str, Any]:
         ],
         "events": [
             {"time_s": event.time_ns * 1e-9, "sensor": event.sensor, "kind": event.kind, "message": event.message}
-            for event in log.events
+            for event in sorted(log.events, key=lambda event: event.time_ns)
         ],
         "truth": log.truth is not None,
     }
@@ -78,20 +80,26 @@ def _sensor(sensor: SensorLog) -> dict[str, Any]:
 def _print(summary: dict[str, Any]) -> None:
     """The same for a person."""
     emulated = " (no hardware)" if summary["source"] == "emulated" else ""
-    click.echo(
-        f"{summary['log']}: {summary['source']}{emulated}, from {summary['epoch']}, written by {summary['software']}"
-    )
+    _say(f"{summary['log']}: {summary['source']}{emulated}, from {summary['epoch']}, written by {summary['software']}")
+    if summary["state"] != "finished":
+        hint = f"; imuarray recover {summary['log']} finishes it" if summary["state"] == "interrupted" else ""
+        _say(f"  {summary['state']}: all that was acknowledged is shown{hint}")
     for sensor in summary["sensors"]:
         scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else sensor["unit"]
         flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())
-        click.echo(
+        _say(
             f"  {sensor['name']:12} {sensor['chip']:10} {sensor['quantity']:15} {scale:12} {sensor['axes']:8}"
             f" {sensor['rows']:8d} rows {sensor['rate_hz']:7.2f} Hz  {flags}".rstrip()
         )
     for phase in summary["phases"]:
         up = f" ({phase['up']} up)" if phase["up"] else ""
-        click.echo(f"  phase {phase['name']:12} {phase['start_s']:9.1f} s to {phase['end_s']:9.1f} s{up}")
+        _say(f"  phase {phase['name']:12} {phase['start_s']:9.1f} s to {phase['end_s']:9.1f} s{up}")
     for event in summary["events"][:20]:
-        click.echo(f"  event {event['time_s']:9.3f} s {event['sensor']} {event['kind']}: {event['message']}")
+        _say(f"  event {event['time_s']:9.3f} s {event['sensor']} {event['kind']}: {event['message']}")
     if len(summary["events"]) > 20:
-        click.echo(f"  and {len(summary['events']) - 20} more events (--json lists all)")
+        _say(f"  and {len(summary['events']) - 20} more events (--json lists all)")
+
+
+def _say(text: str) -> None:
+    """A line that may hold words from a file: what would steer a terminal is spelled out."""
+    click.echo(printable(text))

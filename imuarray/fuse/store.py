@@ -19,6 +19,9 @@ import numpy as np
 from imuarray import __version__
 from imuarray.errors import OutputExistsError
 from imuarray.fuse.fuse import FusedBlock
+from imuarray.log.guard import open_file
+from imuarray.log.heaps import Inspected
+from imuarray.log.inspection import refuse_hostile
 
 UNITS = {"specific_force": "m s-2", "angular_rate": "rad s-1"}
 
@@ -59,8 +62,10 @@ def write_fused(
 
 
 def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[FusedBlock]:
-    """The blocks of a file that `write_fused` wrote, `block` frames at a time."""
-    with h5py.File(path, "r") as file:
+    """The blocks of a file that `write_fused` wrote, `block` frames at a time; LogError for one built to do harm."""
+    with open_file(Path(path)) as file:
+        with h5py.File(Inspected(Path(path)), "r") as inspected:
+            refuse_hostile(file, inspected, str(path))
         group = file["fused"]
         for start in range(0, group["time"].shape[0], block):
             rows = slice(start, start + block)

@@ -1,6 +1,7 @@
 """The log: raw counts in HDF5, the one place where acquisition and analysis meet."""
 
 from imuarray.log.reader import Log, SensorLog, Track, first_at, open_log
+from imuarray.log.rotate import RotatingWriter
 from imuarray.log.writer import Block, LogWriter, Stimulus
 
-__all__ = ["Block", "Log", "LogWriter", "SensorLog", "Stimulus", "Track", "first_at", "open_log"]
+__all__ = ["Block", "Log", "LogWriter", "RotatingWriter", "SensorLog", "Stimulus", "Track", "first_at", "open_log"]

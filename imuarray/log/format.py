@@ -66,6 +66,19 @@ class Event(NamedTuple):
     message: str
 
 
+class ClockRow(NamedTuple):
+    """A row of `/clocks`: the log's own time and four clocks of the machine (CLOCK_MONOTONIC, ..._RAW, CLOCK_BOOTTIME,
+    CLOCK_REALTIME), in ns, read together. From such rows the wall time of any sample can be had, however often the wall
+    clock was set.
+    """
+
+    time_ns: int
+    monotonic_ns: int
+    monotonic_raw_ns: int
+    boottime_ns: int
+    realtime_ns: int
+
+
 @dataclass(frozen=True)
 class SensorHeader:
     """What a log says of one sensor: the attributes of `/sensors/<NAME>`.

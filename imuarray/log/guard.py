@@ -1,20 +1,27 @@
-"""A file from elsewhere is looked through before anything in it is believed.
+"""Reading from a file that may be anything: opened, or one clear line; texts by the piece; notes checked.
 
-Nothing in a log may lead outside it (links, external storage, virtual datasets), hide behind a filter that would have
-to be loaded, or nest without end.
+What is looked at before anything in it is believed: `imuarray.log.inspection`.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import h5py
 
 from imuarray.errors import LogError
 from imuarray.log.format import FORMAT
+from imuarray.log.heaps import LONGEST
 
-_FILTERS = frozenset({"gzip", "lzf", None})
-_MAX_DEPTH = 4
+MAX_TEXT_BYTES = 1 << 26
+"""Of all texts in a column together."""
+_BLOCK_BYTES = 1 << 27
+
+DAMAGE = (
+    OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError, ArithmeticError, MemoryError,
+)  # fmt: skip
+"""What h5py raises on what it can't make sense of."""
 
 
 def open_file(path: Path) -> h5py.File:
@@ -28,18 +35,30 @@ def open_file(path: Path) -> h5py.File:
         raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}") from None
 
 
-def refuse_hostile(group: h5py.Group, where: str, depth: int = 0) -> None:
-    """LogError for anything that leads outside the file or declares what it does not hold."""
-    if depth > _MAX_DEPTH:
-        raise LogError(f"{where}: groups nested deeper than {_MAX_DEPTH}")
-    for name in group:
-        place = f"{where}: {group.name.rstrip('/')}/{name}"
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            raise LogError(f"{place}: a link that leads elsewhere; a log holds its own data")
-        item = group[name]
-        if isinstance(item, h5py.Group):
-            refuse_hostile(item, where, depth + 1)
-        elif not isinstance(item, h5py.Dataset):
-            raise LogError(f"{place}: neither group nor dataset")
-        elif item.external or item.is_virtual or item.compression not in _FILTERS:
-            raise LogError(f"{place}: data stored outside the file or behind an unknown filter")
+def check_note(fields: Any, numbers: int) -> None:
+    """ValueError unless these are the fields of a phase or an event: so many times, and texts."""
+    times, texts = fields[:numbers], fields[numbers:]
+    if not isinstance(fields, list) or not all(isinstance(text, str) for text in texts):
+        raise ValueError("a note is times and texts")
+    if not all(isinstance(time, int) and not isinstance(time, bool) and abs(time) < 1 << 63 for time in times):
+        raise ValueError("times are whole numbers of 64 bits")
+
+
+def read_texts(column: Any) -> list[Any]:
+    """All of a column of texts or numbers, a few rows at a time: each text may be as long as a heap, and all of them
+    the same one. ValueError for more than `MAX_TEXT_BYTES`, TypeError for what is no column.
+    """
+    if not isinstance(column, h5py.Dataset) or column.dtype.kind != "O":
+        return list(column[:].tolist())
+    if column.ndim != 1:
+        raise ValueError("texts are one column")
+    rows, values, size = int(column.shape[0]), [], 0
+    longest = min(LONGEST, max(1, column.file.id.get_filesize()))
+    step = max(1, min(4096, _BLOCK_BYTES // longest))
+    for start in range(0, rows, step):
+        block = column[start : start + step].tolist()
+        size += sum(len(value) for value in block)
+        if size > MAX_TEXT_BYTES:
+            raise ValueError(f"texts of more than {MAX_TEXT_BYTES} bytes")
+        values += block
+    return values

@@ -1,4 +1,4 @@
-"""Reading a log: lazily, a slice at a time, and only if it is one.
+"""Reading a log: lazily, a slice at a time, and only if it is one; finished or not.
 
 A file from elsewhere is checked before anything in it is believed: it must be a log of a known format, nothing in it
 may lead outside it (links, external storage, virtual datasets), and the columns must be there, of the right kind and
@@ -21,19 +21,19 @@ import numpy.typing as npt
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
+from imuarray.log.column import Column, LiveGroup
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, Event, Phase
-from imuarray.log.guard import open_file, refuse_hostile
+from imuarray.log.guard import DAMAGE, open_file, read_texts
+from imuarray.log.inspection import inspect
+from imuarray.log.interrupted import LiveView, Rebuilt, may_be_unfinished, open_interrupted
+from imuarray.log.journal import is_running
+from imuarray.log.layout import CLOCKS
+from imuarray.log.preamble import Preamble
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
 _EDGE_ROWS = 4096
-_DAMAGE = (
-    OSError,
-    KeyError,
-    RuntimeError,
-    ValueError,
-    TypeError,
-    AttributeError,
-)  # what h5py raises on what it can't make sense of
+_GROUP = (h5py.Group, LiveGroup)
+_DATASET = (h5py.Dataset, Column)
 
 
 class SensorLog:
@@ -41,7 +41,7 @@ class SensorLog:
     whole. Pickled, it is its log's path and its name.
     """
 
-    def __init__(self, group: h5py.Group, where: str, log: Log) -> None:
+    def __init__(self, group: h5py.Group | LiveGroup, where: str, log: Log) -> None:
         self._group = group
         self._log, self._path = ref(log), log.path  # no cycle: a log that nobody has any more is closed at once
         self.name = str(group.name).rsplit("/", 1)[-1]
@@ -109,7 +109,7 @@ class SensorLog:
                 if name in ("time", "counts"):
                     raise LogError(f"{self.where}: column {name} is missing")
                 continue
-            if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in kind:
+            if not isinstance(dataset, _DATASET) or dataset.dtype.kind not in kind:
                 raise LogError(f"{self.where}: column {name} is no column of whole numbers")
             if dataset.shape[:1] != self._group["time"].shape[:1]:
                 raise LogError(f"{self.where}: column {name} has another length than time")
@@ -150,7 +150,7 @@ class SensorLog:
         LogError.
         """
         dataset = self._group.get(name)
-        if not isinstance(dataset, h5py.Dataset) or dataset.shape != self.time.shape:
+        if not isinstance(dataset, _DATASET) or dataset.shape != self.time.shape:
             raise LogError(f"{self.where}: column {name} is missing")
         return dataset
 
@@ -196,6 +196,16 @@ class Track(NamedTuple):
     temperature: h5py.Dataset | None
 
 
+class ClockTrack(NamedTuple):
+    """`/clocks`: datasets (n,) ns of the log's own time and of four clocks of the machine (`imuarray.log.format`)."""
+
+    time: h5py.Dataset
+    monotonic: h5py.Dataset
+    monotonic_raw: h5py.Dataset
+    boottime: h5py.Dataset
+    realtime: h5py.Dataset
+
+
 class Log:
     """An open log; a context manager. `log["Gyro1"].counts[1000:2000]` reads a thousand rows and no more.
 
@@ -203,10 +213,19 @@ class Log:
     that came to it so is open there any more. A log that came so is shared; whoever closes it closes it for all.
     """
 
-    def __init__(self, path: str | PathLike[str]) -> None:
-        """Open and check `path`; LogError says what is missing or wrong with it."""
+    def __init__(self, path: str | PathLike[str], *, thorough: bool = False) -> None:
+        """Open and check `path`; LogError says what is missing or wrong with it. `thorough` reads all of a log that was
+        not finished, and checks every block of it.
+        """
         self.path = Path(path)
-        self._file = open_file(self.path)
+        try:
+            self._file = _open(self.path, thorough)
+        except DAMAGE as error:
+            raise LogError(f"{path}: damaged or malformed: {' '.join(str(error).split())}") from None
+        except LogError as error:  # what is wrong with its parts does not say whose they are
+            if str(error).startswith(str(path)):
+                raise
+            raise LogError(f"{path}: {error}") from None
         try:
             self._check()
             self.sensors: Mapping[str, SensorLog] = {
@@ -214,7 +233,7 @@ class Log:
             }
         except BaseException as error:
             self._file.close()
-            if isinstance(error, _DAMAGE):
+            if isinstance(error, DAMAGE):
                 raise LogError(f"{path}: damaged or malformed: {' '.join(str(error).split())}") from None
             raise
 
@@ -225,13 +244,29 @@ class Log:
         version = attributes.get("format_version")
         if str(version) != str(FORMAT_VERSION):
             raise LogError(f"{self.path}: log format {version}; this software reads format {FORMAT_VERSION}")
-        refuse_hostile(self._file, str(self.path))
         if _plain(attributes.get("source")) not in SOURCES:
             raise LogError(
                 f"{self.path}: attribute source is {attributes.get('source')!r}; allowed are {', '.join(SOURCES)}"
             )
-        if not isinstance(self._file.get("sensors"), h5py.Group) or len(self._file["sensors"]) == 0:
+        if not isinstance(self._file.get("sensors"), Mapping | h5py.Group) or len(self._file["sensors"]) == 0:
             raise LogError(f"{self.path}: group sensors is missing or empty")
+
+    @property
+    def preamble(self) -> Preamble | None:
+        """What an unfinished log was begun with; None for one that is finished."""
+        return self._file.preamble if isinstance(self._file, LiveView | Rebuilt) else None
+
+    @property
+    def state(self) -> str:
+        """ "finished", "being written" or "interrupted"; of an unfinished log all that was acknowledged can be read."""
+        if self.preamble is None:
+            return "finished"
+        return "being written" if is_running(self.path) else "interrupted"
+
+    @property
+    def is_rebuilt(self) -> bool:
+        """Whether the HDF5 file of an unfinished log was of no use, and everything comes from its journal."""
+        return isinstance(self._file, Rebuilt)
 
     @property
     def epoch(self) -> str:
@@ -281,8 +316,8 @@ class Log:
         if group is None:
             return [[] for _ in columns]
         try:
-            values = [[_plain(value) for value in group[column][:].tolist()] for column in columns]
-        except _DAMAGE:
+            values = [[_plain(value) for value in read_texts(group[column])] for column in columns]
+        except DAMAGE:
             raise LogError(f"{self.path}: group {name} lacks one of the columns {', '.join(columns)}") from None
         if len({len(column) for column in values}) != 1:
             raise LogError(f"{self.path}: group {name} has columns of different lengths")
@@ -302,11 +337,24 @@ class Log:
         """What a reference instrument saw, if one was there."""
         return self._track("reference")
 
+    @property
+    def clocks(self) -> ClockTrack | None:
+        """What the machine's clocks said now and then."""
+        group = self._file.get("clocks")
+        if group is None:
+            return None
+        columns = [group.get(column) for column, _, _ in CLOCKS]
+        if any(not isinstance(column, _DATASET) or column.dtype.kind != "i" for column in columns) or (
+            len({column.shape for column in columns}) != 1
+        ):
+            raise LogError(f"{self.path}: group clocks lacks a column, or they differ in length")
+        return ClockTrack(*columns)
+
     def _track(self, name: str) -> Track | None:
         group = self._file.get(name)
         if group is None:
             return None
-        if not isinstance(group, h5py.Group) or "time" not in group:
+        if not isinstance(group, _GROUP) or "time" not in group:
             raise LogError(f"{self.path}: group {name} has no time")
         columns = [group.get(column) for column in ("specific_force", "angular_rate", "temperature")]
         for column, tail in zip(columns, ((3,), (3,), ()), strict=True):
@@ -335,8 +383,26 @@ class Log:
         self.close()
 
 
+def _open(path: Path, thorough: bool) -> h5py.File | LiveView:
+    """The file, or what is to be seen of a log that is being written or was never finished."""
+    unfinished = open_interrupted(path, thorough=thorough) if may_be_unfinished(path) else None
+    if unfinished is not None:
+        return unfinished
+    file = open_file(path)
+    try:
+        inspect(path, file)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
 def open_log(path: str | PathLike[str]) -> Log:
-    """Open a log for reading; LogError, one line, if it is missing, truncated, foreign, malformed or hostile."""
+    """Open a log for reading; LogError, one line, if it is missing, truncated, foreign, malformed or hostile.
+
+    One that is being written, or whose writing was cut short, is read as far as its rows were acknowledged when it was
+    opened (`Log.state`); nothing on the disk is changed.
+    """
     return Log(path)
 
 

@@ -179,7 +179,7 @@ def filled(sensor: SensorLog) -> Recorded | Filled:
     Usual is the median of the intervals without the flag, in 65536 rows. Reads times and flags once, a block at a time.
     """
     recorded, status = Recorded(sensor), sensor.status
-    holes = list(_holes(sensor, status)) if isinstance(status, h5py.Dataset) and recorded.rows > 1 else []
+    holes = list(_holes(sensor, status)) if not isinstance(status, np.ndarray) and recorded.rows > 1 else []
     if not holes:
         return recorded
     before, missing = zip(*holes, strict=True)

@@ -265,7 +265,7 @@ def unknown_filter(file: h5py.File) -> None:
         (outside, "sensors/Acc/counts: data stored outside"),
         (unknown_filter, "sensors/Acc/counts: .*unknown filter"),
         (nested, "nested deeper than"),
-        (circular, "nested deeper than"),
+        (circular, "sensors/Acc/again: reached twice"),
     ],
 )
 def test_hostile(small: Path, spoil: Spoil, said: str) -> None:

@@ -1,0 +1,42 @@
+"""`imuarray recover`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
+
+
+@click.command("recover")
+@log_argument
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="FILE.h5",
+    help="write the finished log here and leave RUN.h5 as it is (where its disk is full)",
+)
+@force_option
+@json_option
+def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
+    """Finish a log whose writing was cut short: every acknowledged row, compressed and checked, in its place.
+
+    Every command reads such a log without this; recovering makes one small file of it and its journal.
+    """
+    from imuarray.log import open_log
+    from imuarray.log.finish import recover
+
+    if output is not None:
+        refuse_existing(output, force, run)
+    with open_log(run) as log:
+        rows = sum(len(sensor) for sensor in log.sensors.values())
+    with progress(rows, str(run)) as done:
+        recovered = recover(run, output, done)
+    if as_json:
+        print_json({"log": str(output or run), **recovered._asdict()})
+    elif recovered.changed:
+        click.echo(f"{output or run}: recovered {sum(recovered.rows.values())} rows of {len(recovered.rows)} sensors")
+    else:
+        click.echo(f"{run}: is finished, there is nothing to recover")

@@ -1,0 +1,46 @@
+"""`imuarray verify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imuarray.commands.options import json_option, log_argument, print_json, progress
+from imuarray.errors import LogError
+
+if TYPE_CHECKING:
+    from imuarray.log.verify import Verdict
+
+
+@click.command("verify")
+@log_argument
+@json_option
+def command(run: Path, as_json: bool) -> None:
+    """Read all of a log and check every block of it: exit code 0 if all is well, 2 if rows are damaged.
+
+    Nothing is changed. A log that is being written, or whose writing was cut short, can be checked too.
+    """
+    from imuarray.log import open_log
+    from imuarray.log.verify import verify
+
+    with open_log(run) as log:
+        rows = sum(len(sensor) for sensor in log.sensors.values())
+    with progress(rows, str(run)) as done:
+        verdict = verify(run, done)
+    if as_json:
+        print_json({"log": str(run), "good": not verdict.problems, **verdict._asdict()})
+    else:
+        _print(run, verdict)
+    if verdict.problems:
+        more = f" (and {len(verdict.problems) - 1} more)" if len(verdict.problems) > 1 else ""
+        raise LogError(f"{run}: {verdict.problems[0]}{more}")
+
+
+def _print(run: Path, verdict: Verdict) -> None:
+    """For a person: every finding, then the sum."""
+    for text in (*verdict.problems, *verdict.remarks):
+        click.echo(f"  {text}")
+    found = f"{len(verdict.problems)} problems" if verdict.problems else "every block is good"
+    click.echo(f"{run}: {verdict.state}, {sum(verdict.rows.values())} rows of {len(verdict.rows)} sensors: {found}")

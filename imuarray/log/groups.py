@@ -1,0 +1,129 @@
+"""The groups of a log in HDF5, with the attributes by which xarray (engine h5netcdf) and NeXus viewers know them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import h5py
+import numpy as np
+
+from imuarray.log.format import FORMAT, FORMAT_VERSION, LONG_NAME, SensorHeader
+from imuarray.log.layout import BESIDE, STIMULI, Group, sensor_group
+from imuarray.log.preamble import Preamble
+from imuarray.units import SI_NAME, SI_PER_UNIT
+
+COMPRESSED: Mapping[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+"""How the columns of a finished log are stored: every chunk with its check sum."""
+
+PLAIN: Mapping[str, Any] = {}
+"""How the columns of a log are stored while it is written."""
+
+_TEXT = h5py.string_dtype("utf-8")
+_BESIDE_UNITS = {
+    "specific_force": "m s-2",
+    "angular_rate": "rad s-1",
+    "temperature": "degC",
+    "monotonic": "ns",
+    "monotonic_raw": "ns",
+    "boottime": "ns",
+    "realtime": "ns",
+}
+
+
+def begin(file: h5py.File, preamble: Preamble) -> None:
+    """The attributes of the file itself."""
+    file.attrs.update(
+        format=FORMAT,
+        format_version=FORMAT_VERSION,
+        epoch=preamble.epoch,
+        source=preamble.source,
+        config=preamble.config,
+        software=preamble.software,
+        Conventions="CF-1.8",
+        NX_class="NXroot",
+    )
+
+
+def create_columns(file: h5py.File, group: Group, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
+    """A group with its columns, empty and made to grow."""
+    made = file.create_group(group.path)
+    for name, kind, tail in group.columns:
+        made.create_dataset(name, (0, *tail), kind, maxshape=(None, *tail), chunks=(chunk, *tail), **storage)
+    return made
+
+
+def create_sensor(
+    file: h5py.File, header: SensorHeader, epoch: str, chunk: int, storage: Mapping[str, Any]
+) -> h5py.Group:
+    """Create `/sensors/<NAME>` with its attributes and empty columns; ValueError for impossible axes."""
+    orientation = np.array(header.orientation)
+    group = create_columns(file, sensor_group(header), chunk, storage)
+    group.attrs.update(
+        chip=header.chip,
+        quantity=header.quantity,
+        range=header.range,
+        unit=header.unit,
+        sensitivity=header.sensitivity,
+        rate_hz=header.rate_hz,
+        bandwidth_hz=header.bandwidth_hz,
+        axes=header.axes,
+        orientation=orientation,
+        position_mm=np.array(header.position_mm),
+        columns=list(header.columns),
+        NX_class="NXdata",
+        signal="counts",
+        **header.extra,
+    )
+    if header.delay_ns is not None:
+        group.attrs["delay_ns"] = header.delay_ns
+    group.create_dataset("axis", data=list(header.columns), dtype=_TEXT)
+    group["time"].attrs["units"] = f"nanoseconds since {epoch}"
+    group["time"].attrs["long_name"] = "start of the burst on the wire"
+    counts = group["counts"].attrs
+    counts["long_name"] = LONG_NAME[header.quantity]
+    if header.columns == ("x", "y", "z") and header.sensitivity:
+        counts["units"] = SI_NAME[header.unit]
+        counts["scale_factor"] = SI_PER_UNIT[header.unit] / header.sensitivity
+        counts["add_offset"] = 0.0
+    for name in header.compensated:
+        group[name].attrs["units"] = {"temperature": "degC", "pressure": "Pa"}.get(name, "1")
+    return group
+
+
+def create_beside(file: h5py.File, name: str, epoch: str, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
+    """Create a group of `BESIDE`, empty."""
+    group = create_columns(file, Group(name, BESIDE[name]), chunk, storage)
+    group["time"].attrs["units"] = f"nanoseconds since {epoch}"
+    for column, _, _ in BESIDE[name][1:]:
+        group[column].attrs["units"] = _BESIDE_UNITS[column]
+    if name in STIMULI:
+        group.create_dataset("axis", data=["X", "Y", "Z"], dtype=_TEXT)
+    return group
+
+
+def attach_scales(group: h5py.Group) -> None:
+    """Dimension scales on every column: without them xarray invents names and finds no time."""
+    group["time"].make_scale("time")
+    if "axis" in group:
+        group["axis"].make_scale("axis")
+    for name, dataset in group.items():
+        if name in ("time", "axis"):
+            continue
+        dataset.dims[0].attach_scale(group["time"])
+        if dataset.ndim == 2:
+            dataset.dims[1].attach_scale(group["axis"])
+
+
+def write_table(
+    file: h5py.File, name: str, fields: Sequence[str], rows: Sequence[Any], renamed: Mapping[str, str]
+) -> None:
+    """A group of equally long columns from named tuples; whole numbers are int64, the rest text."""
+    group = file.create_group(name)
+    for index, field in enumerate(fields):
+        values = [row[index] for row in rows]
+        column = renamed.get(field, field)
+        if field.endswith("_ns"):
+            group.create_dataset(column, data=np.array(values, np.int64))
+        else:
+            group.create_dataset(column, data=values, dtype=_TEXT)

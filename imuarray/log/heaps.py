@@ -1,0 +1,96 @@
+"""A file as HDF5 reads it while it is looked through: every heap of texts is checked before HDF5 believes it.
+
+Texts of varying length stand in global heaps, which have no check sum. HDF5 (2.0 and before) goes through a bad one
+for ever: an object of no size, or of nearly 2^64 bytes, leads it back to where it was. So the bytes are read here, and
+a heap that does not add up is an error of the disk.
+
+What can't be seen from here: how long the place that points to a text says it is (32 bits). HDF5 asks for so much
+memory, and only then finds that the text is shorter, which is an error.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+_SIGN = b"GCOL"
+_HEAD = 16
+"""Bytes before the first object of a heap, and before the data of an object (HDF5 file format, III.E)."""
+LONGEST = 1 << 24
+"""Of a heap; it holds as many texts as fit into 4 KiB, or one that is longer: a configuration is the longest."""
+
+
+class Inspected(io.RawIOBase):
+    """The bytes of a file, for h5py's driver for Python files; OSError (EBADMSG) for a heap that does not add up."""
+
+    def __init__(self, path: Path, *, looks: bool = True) -> None:
+        """`looks`: heaps are checked; not for reading numbers, among which anything may stand."""
+        self._file = path.open("rb", buffering=0)
+        self._looks = looks
+        self._at = 0
+        self._good: set[int] = set()
+
+    def readable(self) -> bool:
+        """It is."""
+        return True
+
+    def seekable(self) -> bool:
+        """It is."""
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
+        """As every file does."""
+        start = (0, self._at, os.fstat(self._file.fileno()).st_size)[whence]
+        self._at = start + offset
+        return self._at
+
+    def tell(self) -> int:
+        """As every file does."""
+        return self._at
+
+    def readinto(self, buffer: Any, /) -> int:
+        """As every file does, but for heaps."""
+        view = memoryview(buffer).cast("B")
+        count = os.preadv(self._file.fileno(), [view], self._at)
+        if self._looks:
+            self._look(bytes(view[:count]))
+        self._at += count
+        return count
+
+    def _look(self, data: bytes) -> None:
+        """At heaps that begin in these bytes, or just before them: HDF5 may read them in two pieces."""
+        before = os.pread(self._file.fileno(), min(self._at, len(_SIGN) - 1), max(self._at - len(_SIGN) + 1, 0))
+        data, start = before + data, self._at - len(before)
+        found = data.find(_SIGN)
+        while found >= 0:
+            if start + found not in self._good:
+                if not _adds_up(self._file.fileno(), start + found):
+                    raise OSError(errno.EBADMSG, "a heap of texts is damaged")
+                self._good.add(start + found)
+            found = data.find(_SIGN, found + 1)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+def _adds_up(fd: int, at: int) -> bool:
+    """Whether the objects of the heap at this place fill it and no more."""
+    length = int.from_bytes(os.pread(fd, _HEAD, at)[8:], "little")
+    if not _HEAD <= length <= LONGEST:
+        return False
+    heap = os.pread(fd, length, at)
+    if len(heap) < length:
+        return False
+    place = _HEAD
+    while length - place >= _HEAD:
+        number = int.from_bytes(heap[place : place + 2], "little")
+        size = int.from_bytes(heap[place + 8 : place + _HEAD], "little")
+        if number == 0 and size < _HEAD:  # what is free counts its own head
+            return False
+        place += size if number == 0 else _HEAD + -(-size // 8) * 8
+    return place <= length

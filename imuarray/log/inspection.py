@@ -1,0 +1,234 @@
+"""A file from elsewhere is looked through before anything in it is believed.
+
+Nothing in a log may lead outside it (links, external storage, virtual datasets, references), hide behind a filter that
+would have to be loaded, declare more than it can hold, or be reached twice. Links, headers, declared sizes and texts
+are looked at here; no number is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
+
+from imuarray.errors import LogError
+from imuarray.log.format import FORMAT
+from imuarray.log.guard import DAMAGE, read_texts
+from imuarray.log.heaps import Inspected
+from imuarray.printable import printable
+
+MAX_DEPTH = 4
+MAX_OBJECTS = 4096
+"""Groups and datasets of a file; an array of a hundred sensors has about seven hundred."""
+MAX_ATTRIBUTES = 256
+MAX_ATTRIBUTE_BYTES = 1 << 22
+"""Of all attributes of a group or dataset together."""
+MAX_TEXTS = 256
+"""Texts in one attribute: each may be as long as the file, and all of them the same one."""
+MAX_NAME_BYTES = 255
+MAX_ITEM_BYTES = 1 << 16
+MAX_RANK = 4
+MAX_CHUNK_BYTES = 1 << 20
+"""HDF5 reads whole chunks; ours have less than a tenth of that."""
+SLACK_BYTES = 1 << 24
+"""Rows that may be declared and not yet written, in a log whose writing was cut short."""
+MOST_DEFLATED = 1032
+"""Bytes that zlib's method makes of one at most (RFC 1951: 258 by two bits)."""
+
+_PACKERS = frozenset({h5z.FILTER_DEFLATE, h5z.FILTER_LZF})
+_FILTERS = _PACKERS | {h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
+_PLAIN = frozenset({h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM})
+_SCALES = frozenset({b"DIMENSION_LIST", b"REFERENCE_LIST"})
+"""Attributes with which HDF5 notes what belongs to which dimension, references; nothing here ever follows them."""
+
+
+def inspect(path: Path, file: h5py.File) -> None:
+    """LogError if the open `file` was built to do harm; one of another kind, which nobody reads on, is let pass."""
+    try:
+        with h5py.File(Inspected(path), "r") as inspected:
+            _look_at_attributes(_Place(h5o.open(file.id, b"/"), b""), f"{path}: /")
+            kind = inspected.attrs.get("format")
+            if isinstance(kind, str | bytes) and kind in (FORMAT, FORMAT.encode()):
+                refuse_hostile(file, inspected, str(path))
+    except DAMAGE as error:
+        raise LogError(f"{path}: damaged or malformed: {printable(' '.join(str(error).split()))}") from None
+
+
+def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str) -> None:
+    """LogError for anything that leads outside the file, is reached twice, or declares what the file can't hold.
+
+    `inspected` is the same file as it is `Inspected`: its texts are read, last, for that costs most.
+    """
+    size = file.id.get_filesize()
+    root = _Place(h5o.open(file.id, b"/"), b"")
+    found = list(_walk(root, where))
+    texts: list[_Text] = []
+    for place in found:
+        texts += _look_at(place, f"{where}: {place.name}", size)
+    for place in (root, *found):
+        texts += _look_at_attributes(place, f"{where}: {place.name or '/'}")
+    for text in texts:
+        _read(inspected, text, where)
+
+
+def _walk(root: _Place, where: str) -> Iterator[_Place]:
+    """All groups and datasets, those near the root first; LogError for too many, too deep or one twice."""
+    seen = {h5o.get_info(root.item).addr}
+    level = [root]
+    for depth in range(MAX_DEPTH + 2):
+        below: list[_Place] = []
+        for group in level:
+            if not isinstance(group.item, h5g.GroupID):
+                continue
+            if len(seen) + group.item.get_num_objs() > MAX_OBJECTS:
+                raise LogError(f"{where}: {group.name or '/'}: more than {MAX_OBJECTS} groups and datasets")
+            for found in _linked(group, where):
+                if depth > MAX_DEPTH:
+                    raise LogError(f"{where}: groups nested deeper than {MAX_DEPTH}")
+                address = h5o.get_info(found.item).addr
+                if address in seen:
+                    raise LogError(f"{where}: {found.name}: reached twice, by links in a circle or to the same place")
+                seen.add(address)
+                below.append(found)
+        yield from below
+        level = below
+
+
+class _Place(NamedTuple):
+    """An open object, and its path."""
+
+    item: Any
+    path: bytes
+
+    @property
+    def name(self) -> str:
+        """The path as it can be shown."""
+        return _shown(self.path)
+
+
+class _Text(NamedTuple):
+    """Where there are texts: a column, or an attribute of something."""
+
+    path: bytes
+    attribute: bytes | None
+
+
+def _shown(name: bytes) -> str:
+    """A name, or a path of names that were found to be good, for a message."""
+    return printable(name.decode(errors="backslashreplace"))
+
+
+def _linked(group: _Place, where: str) -> Iterator[_Place]:
+    """What is in a group; LogError for links that are no plain ones, and for names that are no words."""
+    links: list[tuple[bytes, int]] = []
+    group.item.links.iterate(lambda name, info: links.append((name, info.type)), info=True)
+    for name, kind in links:
+        place = f"{group.name}/{_shown(name)[:MAX_NAME_BYTES]}"
+        if _shown(name).encode() != name or len(name) > MAX_NAME_BYTES:
+            raise LogError(f"{where}: {place}: a name that is no word")
+        if kind != h5l.TYPE_HARD:
+            raise LogError(f"{where}: {place}: a link that leads elsewhere; a log holds its own data")
+        yield _Place(h5o.open(group.item, name), group.path + b"/" + name)
+
+
+def _look_at(found: _Place, place: str, file_bytes: int) -> list[_Text]:
+    """What one object is and what its header declares; where its texts are."""
+    if isinstance(found.item, h5d.DatasetID):
+        return _look_at_dataset(found, place, file_bytes)
+    if not isinstance(found.item, h5g.GroupID):
+        raise LogError(f"{place}: neither group nor dataset")
+    found.item.get_create_plist()  # who lists its attributes later asks for it: here damage is a LogError
+    return []
+
+
+def _look_at_attributes(found: _Place, place: str) -> list[_Text]:
+    """Numbers and texts, and not too many of them; where the texts are."""
+    texts: list[_Text] = []
+    info = h5o.get_info(found.item)
+    if info.num_attrs > MAX_ATTRIBUTES:
+        raise LogError(f"{place}: {info.num_attrs} attributes; at most {MAX_ATTRIBUTES}")
+    held = info.meta_size.attr.heap_size  # looked at before one is opened: that reads it
+    if held > MAX_ATTRIBUTE_BYTES:
+        raise LogError(f"{place}: {held} bytes of attributes; at most {MAX_ATTRIBUTE_BYTES}")
+    names: list[bytes] = []
+    h5a.iterate(found.item, names.append)
+    for name in names:
+        attribute = h5a.open(found.item, name)
+        where = f"{place}: attribute {_shown(name)[:MAX_NAME_BYTES]}"
+        kind = attribute.get_type()
+        if kind.get_class() not in _PLAIN and name not in _SCALES:
+            raise LogError(f"{where}: neither numbers nor text")
+        space = attribute.get_space()
+        count = 0 if space.get_simple_extent_type() == h5s.NULL else space.get_simple_extent_npoints()
+        if count * kind.get_size() > MAX_ATTRIBUTE_BYTES:
+            raise LogError(f"{where}: {count * kind.get_size()} bytes; at most {MAX_ATTRIBUTE_BYTES}")
+        varies = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str()
+        if varies and count > MAX_TEXTS:
+            raise LogError(f"{where}: more than {MAX_TEXTS} texts")
+        if varies and count:
+            texts.append(_Text(found.path or b"/", name))
+    return texts
+
+
+def _look_at_dataset(found: _Place, place: str, file_bytes: int) -> list[_Text]:
+    """Kind, where the data are, and how much is declared; where its texts are."""
+    item = found.item
+    kind, plan = item.get_type(), item.get_create_plist()
+    if kind.get_class() not in _PLAIN:
+        raise LogError(f"{place}: neither numbers nor text")
+    layout = plan.get_layout()
+    packed = _look_at_filters(plan, place)
+    if layout not in (h5d.COMPACT, h5d.CONTIGUOUS, h5d.CHUNKED) or plan.get_external_count():
+        raise LogError(f"{place}: data stored outside the file or behind an unknown filter")
+    if item.get_space().get_simple_extent_type() == h5s.NULL:
+        return []
+    shape, width = item.shape, kind.get_size()
+    if len(shape) > MAX_RANK or width > MAX_ITEM_BYTES:
+        raise LogError(f"{place}: {len(shape)} dimensions of {width} bytes; at most {MAX_RANK} of {MAX_ITEM_BYTES}")
+    declared = _product(shape) * width
+    if layout == h5d.CHUNKED:
+        chunk = _product(plan.get_chunk()) * width
+        if chunk > MAX_CHUNK_BYTES:
+            raise LogError(f"{place}: chunks of {chunk} bytes; at most {MAX_CHUNK_BYTES}")
+        held = file_bytes * (MOST_DEFLATED if packed else 1) + SLACK_BYTES
+    else:
+        held = item.get_storage_size()
+    if declared > held:
+        raise LogError(f"{place}: declares {declared} bytes, more than this file of {file_bytes} bytes can hold")
+    varies = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str()
+    return [_Text(found.path, None)] if varies and declared else []
+
+
+def _read(inspected: h5py.File, text: _Text, where: str) -> None:
+    """Texts, from a file in which nothing damaged is believed."""
+    item = h5o.open(inspected.id, text.path)
+    if text.attribute is not None:
+        attribute = h5a.open(item, text.attribute)
+        attribute.read(np.empty(attribute.shape, attribute.dtype))
+    elif item.rank == 0:
+        item.read(h5s.ALL, h5s.ALL, np.empty((), item.dtype))
+    else:
+        try:
+            read_texts(h5py.Dataset(item))
+        except ValueError as error:
+            raise LogError(f"{where}: {_shown(text.path)}: {error}") from None
+
+
+def _look_at_filters(plan: Any, place: str) -> bool:
+    """Whether data are packed; LogError for filters that no log has, or one twice."""
+    filters = [plan.get_filter(index)[0] for index in range(plan.get_nfilters())]
+    if not _FILTERS.issuperset(filters) or len(set(filters)) < len(filters) or len(_PACKERS.intersection(filters)) > 1:
+        raise LogError(f"{place}: data stored outside the file or behind an unknown filter")
+    return not _PACKERS.isdisjoint(filters)
+
+
+def _product(lengths: tuple[int, ...]) -> int:
+    """Of whole numbers without end: lengths are 64 bits wide."""
+    product = 1
+    for length in lengths:
+        product *= int(length)
+    return product

@@ -1,0 +1,257 @@
+"""A log while it is recorded: `RUN.h5`, an uncompressed single-writer/multiple-reader file, and its journal.
+
+Blocks go through a bounded queue to a thread, which appends them to the journal (from then on they are acknowledged:
+they survive the process), syncs the journal every second (then they survive a power cut), and whenever a chunk is full
+adds all that waits to the HDF5 file: rows, sync, then a row of the commit table. Nothing is compressed yet: a chunk has
+its place from the start and is filled in it. A full disk ends the log before anything is lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import h5py
+
+from imuarray.errors import DiskFullError, ImuArrayError, LogError
+from imuarray.log import groups as hdf5
+from imuarray.log.commits import COMMITS, Commit, block_crc, row_of, width
+from imuarray.log.journal import JournalLock, JournalWriter, Mark
+from imuarray.log.layout import BESIDE, CHUNK, Columns, groups_of
+from imuarray.log.preamble import Preamble
+from imuarray.log.room import FULL, Allowance, Reserve, free_bytes, sync_folder, unwritable
+
+PREAMBLE = "preamble"
+QUEUE_BLOCKS = 1024
+"""Blocks that may wait for a slow disk; then `put` waits too."""
+
+_AT_ONCE = 256
+_COMMIT_ROWS = 64
+_EMPTY_BYTES = 1 << 14
+
+
+class LiveFile:
+    """The HDF5 file of a log that is being recorded. Its columns only ever grow, by commits."""
+
+    def __init__(self, path: Path, preamble: Preamble, chunk: int = CHUNK) -> None:
+        """Create it, with everything that it will ever hold, under a temporary name; on the disk; then name it."""
+        self._groups = groups_of(preamble.sensors)
+        self._rows = [0] * len(self._groups)
+        self._identity = preamble.identity
+        self._chunk = chunk
+        part = path.with_name(f".{path.name}.{os.getpid()}.live.part")
+        part.unlink(missing_ok=True)
+        self.file = h5py.File(part, "w", libver="latest")
+        self._room = Allowance(part, path)
+        try:
+            self._room.ask((len(self._groups) + 1) * _EMPTY_BYTES + len(preamble.config) * 8)
+            self._create(preamble, chunk)
+            self._room.sync()
+            part.replace(path)
+            sync_folder(path)
+        except BaseException:
+            self.close()
+            part.unlink(missing_ok=True)
+            raise
+
+    def _create(self, preamble: Preamble, chunk: int) -> None:
+        hdf5.begin(self.file, preamble)
+        self.file.attrs[PREAMBLE] = preamble.to_json()
+        for header in preamble.sensors:
+            hdf5.create_sensor(self.file, header, preamble.epoch, chunk, hdf5.PLAIN)
+        for name in BESIDE:
+            hdf5.create_beside(self.file, name, preamble.epoch, chunk, hdf5.PLAIN)
+        hdf5.create_columns(self.file, self._groups[-1], chunk, hdf5.PLAIN)
+        columns = width(self._groups)
+        self.file.create_dataset(COMMITS, (0, columns), "<i8", maxshape=(None, columns), chunks=(_COMMIT_ROWS, columns))
+        self.file.swmr_mode = True
+
+    def commit(self, waiting: Sequence[Sequence[Columns]], mark: Mark) -> None:
+        """Add rows of all groups, everything that the journal holds before `mark`; LogError."""
+        added = {number: self._groups[number].joined(parts) for number, parts in enumerate(waiting) if parts}
+        for number, rows in added.items():
+            self._add(number, rows)
+        self.file.flush()
+        self._room.sync()
+        table = self.file[COMMITS]
+        self._room.ask(_COMMIT_ROWS * 8 * table.shape[1] if len(table) % _COMMIT_ROWS == 0 else 0)
+        table.resize(len(table) + 1, axis=0)
+        table[-1] = row_of(Commit(mark, block_crc(self._groups, added), tuple(self._rows)), self._identity)
+        table.flush()
+
+    def _add(self, number: int, rows: Columns) -> None:
+        group, start = self._groups[number], self._rows[number]
+        count = len(next(iter(rows.values())))
+        chunks = -(-(start + count) // self._chunk) - -(-start // self._chunk)
+        self._room.ask(chunks * self._chunk * group.row_bytes)
+        for name, values in rows.items():
+            dataset = self.file[group.path][name]
+            dataset.resize(start + count, axis=0)
+            dataset[start:] = values
+        self._rows[number] = start + count
+
+    def close(self) -> None:
+        """Close the file; what was committed stands in it."""
+        with contextlib.suppress(Exception):  # the journal has what this can't write any more
+            self.file.close()
+        self._room.close()
+
+
+class _Item(NamedTuple):
+    number: int
+    rows: int
+    payload: bytes
+
+
+class Live:
+    """A log that is being recorded at `path`. `put` blocks of rows; `flush` waits until they are on the disk."""
+
+    def __init__(
+        self, path: Path, preamble: Preamble, *, watermark: int, sync_s: float, force: bool, chunk: int = CHUNK
+    ) -> None:
+        """Begin: lock, journal and file are there, on the disk and named, when this returns. LogBusyError,
+        DiskFullError, LogError.
+        """
+        self.path = path
+        self.error: ImuArrayError | None = None
+        self.groups = groups_of(preamble.sensors)
+        self.acknowledged = [0] * len(self.groups)
+        self._watermark, self._sync_s, self._chunk = watermark, sync_s, chunk
+        self._waiting: list[list[Columns]] = [[] for _ in self.groups]
+        self._unwritten = [0] * len(self.groups)
+        self._synced_s = time.monotonic()
+        self._dirty = False
+        try:
+            self._open(preamble, force)
+        except OSError as error:
+            raise unwritable(path, error) from None
+        self._queue: queue.Queue[_Item | threading.Event | None] = queue.Queue(QUEUE_BLOCKS)
+        self._thread = threading.Thread(target=self._run, name=f"log {path.name}", daemon=True)
+        self._thread.start()
+
+    def _open(self, preamble: Preamble, force: bool) -> None:
+        if free_bytes(self.path) < self._watermark:
+            raise DiskFullError(self.path, f"less than {self._watermark >> 20} MiB are free")
+        self.lock = JournalLock(self.path, create=True)
+        try:
+            if os.fstat(self.lock.fd).st_size and not force:
+                raise LogError(f"{self.lock.path}: is left over from another log; move it away, or say --force")
+            self._begin(preamble)
+        except BaseException:
+            self.lock.close()
+            raise
+
+    def _begin(self, preamble: Preamble) -> None:
+        """Journal, reserve, file: all of them or none."""
+        self._reserve = Reserve(self.path)
+        try:
+            self._journal = JournalWriter(self.lock.fd, preamble)
+            self._journal.sync()
+            self._file = LiveFile(self.path, preamble, self._chunk)
+        except BaseException:
+            self._reserve.release()
+            self.lock.remove()
+            raise
+
+    def put(self, number: int, columns: Columns) -> None:
+        """Add rows of the group of this number; raises what went wrong with earlier ones (DiskFullError, LogError)."""
+        if self.error is not None:
+            raise self.error
+        rows = len(next(iter(columns.values())))
+        self._queue.put(_Item(number, rows, self.groups[number].encode(columns)))
+
+    def flush(self) -> None:
+        """Everything that was put is acknowledged and on the disk when this returns; DiskFullError, LogError."""
+        done = threading.Event()
+        self._queue.put(done)
+        done.wait()
+        if self.error is not None:
+            raise self.error
+
+    def close(self) -> None:
+        """Write what waits and close the file; the journal stays, and locked (`lock`). Errors are left in `error`."""
+        if self._thread.is_alive():
+            self._queue.put(None)
+            self._thread.join()
+        self._reserve.release()
+        self._file.close()
+
+    def _run(self) -> None:
+        """The thread: takes what is there, all at once, until there is nothing more to come."""
+        while True:
+            items, flushed, more = self._take()
+            if self.error is None:
+                try:
+                    self._work(items, sync=bool(flushed) or not more, last=not more)
+                except OSError as error:
+                    self._stop(unwritable(self.path, error))
+                except ImuArrayError as error:
+                    self._stop(error)
+                except Exception as error:
+                    self._stop(LogError(f"{self.path}: can't be written: {error!r}"))
+            for done in flushed:
+                done.set()
+            if not more:
+                return
+
+    def _take(self) -> tuple[list[_Item], list[threading.Event], bool]:
+        """Blocks that came, those who wait for them, and whether more can come."""
+        items: list[_Item] = []
+        try:
+            item = self._queue.get(timeout=self._sync_s if self._dirty else None)
+            while True:
+                if not isinstance(item, _Item):
+                    return items, [] if item is None else [item], item is not None
+                items.append(item)
+                if len(items) == _AT_ONCE:
+                    break
+                item = self._queue.get_nowait()
+        except queue.Empty:
+            pass
+        return items, [], True
+
+    def _work(self, items: Sequence[_Item], *, sync: bool, last: bool) -> None:
+        if items:
+            self._append(items)
+        commit = max(self._unwritten) >= self._chunk or (last and any(self._unwritten))
+        if self._dirty and (commit or sync or time.monotonic() - self._synced_s >= self._sync_s):
+            self._journal.sync()
+            self._dirty, self._synced_s = False, time.monotonic()
+        if commit:
+            self._file.commit(self._waiting, self._journal.mark)
+            self._waiting = [[] for _ in self.groups]
+            self._unwritten = [0] * len(self.groups)
+        if items and free_bytes(self.path) < self._watermark:
+            raise DiskFullError(self.path, f"the log was ended: less than {self._watermark >> 20} MiB are free")
+
+    def _append(self, items: Sequence[_Item]) -> None:
+        """Into the journal; if the disk is full, once more with what the reserve gives back."""
+        try:
+            self._journal.append(items)
+        except OSError as error:
+            if error.errno not in FULL:
+                raise
+            self._reserve.release()
+            self._journal.append(items)
+            self._acknowledge(items)
+            raise DiskFullError(self.path, "the log was ended: no room left on the disk") from None
+        self._acknowledge(items)
+
+    def _acknowledge(self, items: Sequence[_Item]) -> None:
+        self._dirty = True
+        for item in items:
+            self.acknowledged[item.number] += item.rows
+            self._waiting[item.number].append(self.groups[item.number].decode(item.payload, item.rows))
+            self._unwritten[item.number] += item.rows
+
+    def _stop(self, error: ImuArrayError) -> None:
+        """Nothing more is written; what was, is on the disk as far as the disk can."""
+        self.error = error
+        with contextlib.suppress(OSError):
+            self._journal.sync()

@@ -1,0 +1,101 @@
+"""What a log says once, before its first row: sensors, epoch, source, configuration. It stands in the journal too, so
+that a log can be had from its journal alone.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from imuarray.axes import orientation_of
+from imuarray.errors import LogError
+from imuarray.log.format import SensorHeader
+from imuarray.printable import printable
+from imuarray.units import QUANTITIES, SI_PER_UNIT
+
+_TUPLES = ("position_mm", "columns", "compensated")
+_RESERVED = frozenset({"time", "counts", "status", "temperature_counts", "axis"})
+_OWN_ATTRIBUTES = frozenset({"orientation", "NX_class", "signal"})
+_NO_NAMES = frozenset({".", ".."})
+_LONGEST_TEXT = 255
+_MOST_COLUMNS = 32
+_MOST_SENSORS = 512
+
+
+@dataclass(frozen=True)
+class Preamble:
+    """`identity` tells a log and its journal from those of another recording."""
+
+    sensors: tuple[SensorHeader, ...]
+    source: str
+    epoch: str
+    config: str
+    software: str
+    identity: str = ""
+
+    def to_json(self) -> str:
+        """One line of JSON."""
+        sensors = [asdict(header) | {"extra": dict(header.extra)} for header in self.sensors]
+        return json.dumps(asdict(self) | {"sensors": sensors}, default=lambda number: number.item())
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Preamble:
+        """LogError unless it is what `to_json` makes."""
+        try:
+            values = json.loads(text)
+            listed = values.pop("sensors")
+            if not isinstance(listed, list) or len(listed) > _MOST_SENSORS:
+                raise TypeError(f"sensors are a list of at most {_MOST_SENSORS}")
+            sensors = tuple(_header(one) for one in listed)
+            if len({header.name for header in sensors}) < len(sensors):
+                raise TypeError("sensors have names of their own")
+            preamble = cls(sensors=sensors, **values)
+        except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
+            raise LogError(f"the log's preamble can't be read: {printable(repr(error))[:_LONGEST_TEXT]}") from None
+        texts = [getattr(preamble, field.name) for field in fields(cls) if field.name != "sensors"]
+        if not all(isinstance(text, str) and "\0" not in text for text in texts):
+            raise LogError("the log's preamble can't be read: text is wanted")
+        return preamble
+
+
+def _header(values: dict[str, Any]) -> SensorHeader:
+    """A sensor's header from JSON; TypeError or ValueError unless it is one that could have been written."""
+    header = SensorHeader(**values | {name: tuple(values[name]) for name in _TUPLES})
+    names = (header.name, *header.columns, *header.compensated)
+    if not all(_is_word(name) for name in names) or not 0 < len(header.columns) <= len(names) <= _MOST_COLUMNS:
+        raise TypeError("names of sensors and columns are words")
+    if not _RESERVED.isdisjoint(header.compensated) or len(set(header.compensated)) < len(header.compensated):
+        raise TypeError("a column of that name is there already")
+    numbers = (header.range, header.sensitivity, header.rate_hz, header.bandwidth_hz, *header.position_mm)
+    if len(header.position_mm) != 3 or not all(_is_number(number) for number in numbers):
+        raise TypeError("finite numbers are wanted")
+    texts = (header.chip, header.quantity, header.unit, header.axes)
+    if not all(isinstance(text, str) for text in texts) or not isinstance(header.has_temperature, bool):
+        raise TypeError("text is wanted")
+    if header.quantity not in QUANTITIES or header.unit not in SI_PER_UNIT:
+        raise ValueError(f"quantity {header.quantity}, unit {header.unit}")
+    if not (header.delay_ns is None or (isinstance(header.delay_ns, int) and abs(header.delay_ns) < 1 << 63)):
+        raise TypeError("delay_ns is a whole number")
+    if not isinstance(header.extra, dict) or not all(_is_extra(*item) for item in header.extra.items()):
+        raise TypeError("further attributes are numbers and words")
+    orientation_of(header.axes)
+    return header
+
+
+def _is_word(name: Any) -> bool:
+    """Can this be the name of something in an HDF5 file, and be shown?"""
+    fits = isinstance(name, str) and 0 < len(name.encode(errors="replace")) <= _LONGEST_TEXT
+    return fits and name.isprintable() and "/" not in name and name not in _NO_NAMES
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def _is_extra(name: Any, value: Any) -> bool:
+    """Can this be an attribute of one chip only?"""
+    known = {field.name for field in fields(SensorHeader)} | _OWN_ATTRIBUTES
+    fits = _is_number(value) and abs(value) < 1 << 63
+    return _is_word(name) and name not in known and (fits or (isinstance(value, str) and len(value) <= _LONGEST_TEXT))

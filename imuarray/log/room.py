@@ -1,0 +1,140 @@
+"""Room on the disk: asked for before it is needed, because HDF5 does not survive a write that fails.
+
+A write that runs into a full disk leaves HDF5 with a file that it can't close and a process that ends in a segmentation
+fault. So the room for what HDF5 will write is allocated first (`Allowance`), a log ends while there is still some left
+(`WATERMARK`), and a reserve file is given back for the last steps if the disk fills up all the same.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from pathlib import Path
+
+from imuarray.errors import DiskFullError, LogError
+
+FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""What a write says when there is no room: the disk, the user's quota, the longest file that is allowed."""
+
+WATERMARK = 64 << 20
+"""A log that is being recorded ends when less than this many bytes are free."""
+
+RESERVE = 1 << 20
+"""Bytes of the reserve file."""
+
+_STEP = 1 << 16
+_LOOK_STEP = 1 << 20
+_NOT_SUPPORTED = frozenset({errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS, errno.ENODEV})
+
+
+def free_bytes(path: Path) -> int:
+    """Bytes that may still be written beside `path`."""
+    room = os.statvfs(path.parent)
+    return room.f_bavail * room.f_frsize
+
+
+def unwritable(path: Path, error: OSError) -> LogError:
+    """The error of `path` for what the system said: DiskFullError where there is no room."""
+    if error.errno in FULL:
+        return DiskFullError(path, "no room left on the disk")
+    return LogError(f"{path}: can't be written: {os.strerror(error.errno) if error.errno else error}")
+
+
+def _allocate(fd: int, start: int, length: int) -> None:
+    """Room on the disk for a stretch of a file; OSError."""
+    if not hasattr(os, "posix_fallocate"):  # macOS
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    os.posix_fallocate(fd, start, length)
+
+
+class Allowance:
+    """The room of one HDF5 file: `ask` before every write. Kept as the file's allocated length beyond its end."""
+
+    def __init__(self, path: Path, name: Path, *, allocate: bool = True) -> None:
+        """`path` is the file, `name` what errors call it; without `allocate` room is only looked for."""
+        self._path, self._name = path, name
+        self._step = _STEP if allocate else _LOOK_STEP
+        self._allocates = allocate
+        self.fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        self._used = self._allocated = os.fstat(self.fd).st_size
+
+    def ask(self, size: int) -> None:
+        """Room for `size` more bytes of data and what HDF5 adds; DiskFullError if there is none."""
+        self._used += size + size // 64
+        if self._used <= self._allocated:
+            return
+        wanted = self._used + self._step
+        if self._allocates:
+            try:
+                _allocate(self.fd, self._allocated, wanted - self._allocated)
+            except OSError as error:
+                if error.errno not in _NOT_SUPPORTED:
+                    raise unwritable(self._name, error) from None
+                self._allocates = False
+        if not self._allocates and free_bytes(self._path) < wanted - self._allocated + RESERVE:
+            raise DiskFullError(self._name, "no room left on the disk")
+        self._allocated = wanted
+
+    def sync(self) -> None:
+        """What was written is on the disk when this returns; LogError."""
+        try:
+            os.fsync(self.fd)
+        except OSError as error:
+            raise unwritable(self._name, error) from None
+
+    def settle(self) -> None:
+        """What was asked for, written and flushed took less where it was compressed: count what it took."""
+        self._used = min(self._used, self._end() or self._used)
+
+    def trim(self) -> None:
+        """Give back what a closed file does not use."""
+        end = self._end()
+        if end is not None and end < os.fstat(self.fd).st_size:
+            os.ftruncate(self.fd, end)
+
+    def _end(self) -> int | None:
+        """Where the file ends for HDF5: its superblock says so (HDF5 file format, version 3: 64 bits at byte 28)."""
+        head = os.pread(self.fd, 36, 0)
+        return int.from_bytes(head[28:36], "little") if len(head) == 36 and head[8] == 3 and head[9] == 8 else None
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self.fd >= 0:
+            os.close(self.fd)
+            self.fd = -1
+
+
+class Reserve:
+    """A file that does nothing but take up room, until it is needed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = reserve_of(path)
+        fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            _allocate(fd, 0, RESERVE)
+        except OSError as error:
+            if error.errno not in _NOT_SUPPORTED:
+                self.release()
+                raise unwritable(path, error) from None
+        finally:
+            os.close(fd)
+
+    def release(self) -> None:
+        """Give its room back."""
+        self.path.unlink(missing_ok=True)
+
+
+def reserve_of(path: Path) -> Path:
+    """Where the reserve file of the log at `path` is."""
+    return path.with_name(f".{path.name}.reserve")
+
+
+def sync_folder(path: Path) -> None:
+    """The names in the folder of `path` are on the disk when this returns."""
+    with contextlib.suppress(OSError):  # not every file system lets a folder be synced
+        fd = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)

@@ -1,0 +1,75 @@
+"""An HDF5 file that was never closed, opened for reading and left as it is.
+
+Its superblock says that it is open for writing, so HDF5 refuses it, unless it is opened as a reader beside a living
+writer (SWMR). But such a reader waits for damage to go away, twice as long each time, for ever in the end; and after a
+power cut nobody is there to repair it. So HDF5 is shown the file with that one flag cleared.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from imuarray.log.heaps import Inspected
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_FLAGS = 11
+_LENGTH = 44
+"""Bytes of a superblock of version 3 with 8-byte addresses; its check sum follows (HDF5 file format, II.A)."""
+
+
+def says_unclosed(path: Path) -> bool:
+    """Whether a file says that it was open for writing when it was last heard of."""
+    with path.open("rb") as file:
+        head = file.read(_LENGTH)
+    return _is_version_3(head) and head[_FLAGS] != 0
+
+
+def _is_version_3(head: bytes) -> bool:
+    return len(head) == _LENGTH and head[:8] == _SIGNATURE and head[8] == 3 and head[9] == 8
+
+
+class Unclosed(Inspected):
+    """The bytes of a file, with the flags in its superblock cleared; for h5py's driver for Python files."""
+
+    def __init__(self, path: Path, *, looks: bool = True) -> None:
+        """`looks` as of `Inspected`."""
+        super().__init__(path, looks=looks)
+        head = os.pread(self._file.fileno(), _LENGTH + 4, 0)
+        self._head = head
+        if _is_version_3(head[:_LENGTH]) and head[_LENGTH:] == _checksum(head[:_LENGTH]):
+            cleared = head[:_FLAGS] + b"\0" + head[_FLAGS + 1 : _LENGTH]
+            self._head = cleared + _checksum(cleared)
+
+    def readinto(self, buffer: Any, /) -> int:
+        """As every file does; the superblock is the cleared one."""
+        at = self._at
+        count = super().readinto(buffer)
+        if at < len(self._head):
+            piece = self._head[at : at + count]
+            memoryview(buffer).cast("B")[: len(piece)] = piece
+        return count
+
+
+def _checksum(data: bytes) -> bytes:
+    """Bob Jenkins' lookup3 (hashlittle, public domain, 2006), with which HDF5 checks its metadata."""
+    mask = 0xFFFFFFFF
+    words = [int.from_bytes(data[start : start + 4], "little") for start in range(0, -(-len(data) // 12) * 12, 4)]
+    a = b = c = (0xDEADBEEF + len(data)) & mask
+
+    def turned(value: int, by: int) -> int:
+        return ((value << by) | (value >> (32 - by))) & mask
+
+    for start in range(0, len(words), 3):
+        a, b, c = (a + words[start]) & mask, (b + words[start + 1]) & mask, (c + words[start + 2]) & mask
+        if start + 3 == len(words):
+            break
+        for by in (4, 6, 8, 16, 19, 4):
+            a = ((a - c) & mask) ^ turned(c, by)
+            c = (c + b) & mask
+            a, b, c = b, c, a
+    for by in (14, 11, 25, 16, 4, 14, 24):
+        c = ((c ^ b) - turned(b, by)) & mask
+        a, b, c = b, c, a
+    return b.to_bytes(4, "little")

@@ -1,0 +1,318 @@
+"""Logs that were never finished: read as they are, finished by `recover`, checked by `verify`, whatever was damaged."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import imuarray.log.writer as writing
+from imuarray.cli import main
+from imuarray.errors import LogError
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.column import Column
+from imuarray.log.finish import recover
+from imuarray.log.format import Event, Phase, SensorHeader
+from imuarray.log.journal import journal_of
+from imuarray.log.unclosed import Unclosed, says_unclosed
+from imuarray.log.verify import verify
+
+HEADERS = (
+    SensorHeader("Acc", "bma180", "specific_force", "g", 16.0, 512.0, has_temperature=True, delay_ns=7),
+    SensorHeader(
+        "Baro",
+        "bmp180",
+        "pressure",
+        "Pa",
+        0,
+        0,
+        columns=("ut", "up"),
+        compensated=("temperature", "pressure"),
+        extra={"AC1": 408},
+    ),
+)
+ROWS = 230
+
+
+def acc(first: int, count: int) -> Block:
+    row = np.arange(first, first + count)
+    counts = np.stack([row, -row, row % 7 + 1], axis=1).astype(np.int16)
+    return Block(row * 1000 + 5, counts, (row % 8).astype(np.uint16), (row % 100).astype(np.int16))
+
+
+def baro(row: int) -> Block:
+    made = {"temperature": np.array([20.5 + row]), "pressure": np.array([99_000.0 + row])}
+    return Block(
+        np.array([row * 1000]), np.array([[27_898 + row, 23_843]], np.int32), np.zeros(1, np.uint16), None, made
+    )
+
+
+@pytest.fixture(scope="module")
+def cut_short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log as a kill leaves it: 230 rows, some commits, the last rows in the journal alone."""
+    folder = tmp_path_factory.mktemp("cut")
+    left = folder / "left"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(writing, "CHUNK", 64)
+        with LogWriter(
+            folder / "run.h5", HEADERS, source="emulated", epoch="2026-01-01T00:00:00Z", config="# t"
+        ) as log:
+            log.keep()
+            log.event(Event(3, "Acc", "lost", "no reading"))
+            for first in range(0, ROWS, 10):
+                log.append("Acc", acc(first, 10))
+                log.append("Baro", baro(first))
+                log.flush()
+            log.phase(Phase(0, 10, "static", ""))
+            log.flush()
+            left.mkdir()
+            for path in folder.iterdir():
+                if path.is_file():
+                    shutil.copy(path, left / path.name)
+    return left
+
+
+@pytest.fixture
+def run(cut_short: Path, tmp_path: Path) -> Path:
+    for path in cut_short.iterdir():
+        shutil.copy(path, tmp_path / path.name)
+    return tmp_path / "run.h5"
+
+
+def check(path: Path, rows: int = ROWS) -> None:
+    with open_log(path) as log:
+        expected = acc(0, rows)
+        for name in ("time", "counts", "status", "temperature_counts"):
+            np.testing.assert_array_equal(np.asarray(getattr(log["Acc"], name)), getattr(expected, name))
+        frames = -(-rows // 10)
+        assert log["Baro"].compensated("pressure")[:].tolist() == [99_000.0 + 10 * row for row in range(frames)]
+        assert log["Baro"].attributes["AC1"] == 408
+        assert log["Acc"].attributes["delay_ns"] == 7
+        assert log.events == (Event(3, "Acc", "lost", "no reading"),)
+        assert (log.source, log.epoch, log.config) == ("emulated", "2026-01-01T00:00:00Z", "# t")
+        if rows == ROWS:
+            assert log.phases == (Phase(0, 10, "static", ""),)
+
+
+def test_it_is_read_and_not_changed(run: Path) -> None:
+    before = {path: path.read_bytes() for path in run.parent.iterdir()}
+    assert says_unclosed(run)
+    check(run)
+    with open_log(run) as log:
+        assert (log.state, log.is_rebuilt) == ("interrupted", False)
+    assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
+
+
+def test_it_is_recovered(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run.parent / f".run.h5.{2**22 + 1}.part").write_bytes(b"of a process that is gone")
+    (run.parent / f".run.h5.{os.getppid()}.part").write_bytes(b"of one that is not")
+    assert main(["recover", str(run), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"log": str(run), "rows": {"Acc": ROWS, "Baro": 23}, "changed": True}
+    assert {path.name for path in run.parent.iterdir()} == {"run.h5", f".run.h5.{os.getppid()}.part"}
+    check(run)
+    with h5py.File(run) as file:
+        assert file["sensors/Acc/counts"].compression == "gzip"
+        assert file["sensors/Acc/counts"].fletcher32
+        assert "commits" not in file
+    assert main(["recover", str(run)]) == 0
+    assert "nothing to recover" in capsys.readouterr().out
+
+
+def test_it_is_recovered_elsewhere(run: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere.h5"
+    before = run.read_bytes()
+    assert main(["recover", str(run), "-o", str(elsewhere)]) == 0
+    check(elsewhere)
+    assert run.read_bytes() == before
+    assert journal_of(run).exists()
+    assert main(["recover", str(run), "-o", str(elsewhere)]) == 2
+
+
+def test_without_its_journal_it_is_good_up_to_the_last_commit(run: Path) -> None:
+    journal_of(run).unlink()
+    check(run, 210)
+    recover(run)
+    check(run, 210)
+
+
+def test_the_journal_of_another_log_is_not_believed(run: Path, tmp_path: Path) -> None:
+    content = journal_of(run).read_bytes()
+    (tmp_path / "other").mkdir()
+    with LogWriter(tmp_path / "other" / "run.h5", HEADERS, source="emulated", epoch="2026-01-01T00:00:00Z") as log:
+        log.keep()
+        log.append("Acc", acc(5000, 300))
+        log.flush()
+        shutil.copy(journal_of(tmp_path / "other" / "run.h5"), journal_of(run))
+    assert journal_of(run).read_bytes() != content
+    check(run, 210)
+
+
+@pytest.mark.parametrize("damage", ["removed data", "wrong data", "wrong table", "cut", "empty", "no superblock"])
+def test_with_a_damaged_file_it_comes_from_the_journal(run: Path, damage: str) -> None:
+    content = bytearray(run.read_bytes())
+    with h5py.File(Unclosed(run), "r") as file:
+        chunk = file["sensors/Acc/counts"].id.get_chunk_info(3)
+        table = file["commits"].id.get_chunk_info(0)
+    if damage.endswith("data"):
+        zeros = bytes(100) if damage.startswith("removed") else b"\x55" * 100
+        content[chunk.byte_offset : chunk.byte_offset + 100] = zeros
+    elif damage == "wrong table":
+        content[table.byte_offset : table.byte_offset + 8] = b"\x55" * 8
+    elif damage == "cut":
+        del content[len(content) // 3 :]
+    elif damage == "empty":
+        content.clear()
+    else:
+        content[:48] = bytes(48)
+    run.write_bytes(content)
+    check(run)
+    verdict = verify(run)
+    assert verdict.problems == ()
+    assert recover(run).rows == {"Acc": ROWS, "Baro": 23}
+    check(run)
+    assert not journal_of(run).exists()
+
+
+def test_wrong_data_before_the_last_commit_are_noticed_by_those_who_read_all(run: Path) -> None:
+    content = bytearray(run.read_bytes())
+    with h5py.File(Unclosed(run), "r") as file:
+        chunk = file["sensors/Acc/counts"].id.get_chunk_info(0)
+    content[chunk.byte_offset + 10] ^= 1
+    run.write_bytes(content)
+    verdict = verify(run)
+    assert verdict.problems == ()
+    assert "all of it is had from its journal" in verdict.remarks[1]
+    recover(run)
+    check(run)
+
+
+def test_with_everything_damaged_it_is_refused(run: Path) -> None:
+    run.write_bytes(run.read_bytes()[:3000])
+    journal_of(run).write_bytes(b"no journal")
+    with pytest.raises(LogError, match="was not finished, and is damaged; its journal is missing or damaged too"):
+        open_log(run)
+
+
+def test_a_finished_log_does_not_mind_a_journal_that_was_left(run: Path) -> None:
+    """As a kill between the last two steps of its end leaves it."""
+    journal = journal_of(run).read_bytes()
+    recover(run)
+    journal_of(run).write_bytes(journal)
+    with open_log(run) as log:
+        assert log.state == "finished"
+    check(run)
+    assert recover(run).changed is False
+    assert not journal_of(run).exists()
+
+
+def test_a_copy_that_is_not_equal_does_not_take_the_logs_place(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import imuarray.log.draft as draft
+
+    write = draft.Draft.append
+
+    def wrong(self: Any, number: int, columns: Any) -> None:
+        write(self, number, columns | ({"counts": columns["counts"] + 1} if number == 0 else {}))
+
+    before = {path: path.read_bytes() for path in run.parent.iterdir()}
+    with monkeypatch.context() as patch:
+        patch.setattr(draft.Draft, "append", wrong)
+        with pytest.raises(LogError, match="its finished copy differs in /sensors/Acc; the log is left as it was"):
+            recover(run)
+    assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
+    check(run)
+
+
+class TestVerify:
+    @pytest.fixture
+    def finished(self, run: Path) -> Path:
+        recover(run)
+        return run
+
+    def test_good(self, finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["verify", str(finished), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert (found["log"], found["good"], found["state"]) == (str(finished), True, "finished")
+        assert (found["rows"], found["problems"], found["remarks"]) == ({"Acc": ROWS, "Baro": 23}, [], [])
+
+    def test_interrupted(self, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["verify", str(run)]) == 0
+        assert "imuarray recover" in capsys.readouterr().out
+        assert main(["info", str(run)]) == 0
+        assert "interrupted: all that was acknowledged is shown" in capsys.readouterr().out
+
+    @pytest.mark.parametrize("column", ["sensors/Acc/counts", "sensors/Acc/time", "sensors/Baro/pressure"])
+    def test_a_damaged_chunk(self, finished: Path, column: str, capsys: pytest.CaptureFixture[str]) -> None:
+        with h5py.File(finished) as file:
+            chunk = file[column].id.get_chunk_info(0)
+        content = bytearray(finished.read_bytes())
+        content[chunk.byte_offset + chunk.size // 2] ^= 4
+        finished.write_bytes(content)
+        assert main(["verify", str(finished)]) == 2
+        name = column.rsplit("/", 1)[-1]
+        said = capsys.readouterr()
+        assert "damaged" in said.err
+        assert len(said.err.splitlines()) == 1
+        assert name in said.err or "damaged or malformed" in said.err
+
+    def test_a_chunk_that_was_never_written_and_times_that_go_back(self, finished: Path) -> None:
+        with h5py.File(finished, "r+") as file:
+            group = file["sensors/Acc"]
+            for name, rows, fill in (("counts", 10_000, None), ("time", 10_000, np.arange(10_000) % 5000 + 1)):
+                dtype, tail = group[name].dtype, group[name].shape[1:]
+                del group[name]
+                group.create_dataset(name, (rows, *tail), dtype, chunks=(4096, *tail), data=fill)
+            for name in ("status", "temperature_counts"):
+                del group[name]
+        problems = verify(finished).problems
+        assert "sensor Acc: column counts: 3 of 3 chunks were never written" in problems
+        assert "sensor Acc: time does not increase behind row 4999" in problems
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    rows=st.integers(0, 12),
+    key=st.one_of(
+        st.integers(-12, 11),
+        st.slices(12),
+        st.tuples(st.slices(12), st.integers(0, 2)),
+        st.tuples(st.integers(-12, 11), st.slices(3)),
+        st.just(Ellipsis),
+        st.just(()),
+        st.lists(st.integers(0, 11), min_size=1).map(np.array),
+        st.lists(st.booleans(), min_size=12, max_size=12).map(np.array),
+    ),
+)
+def test_a_column_of_two_parts_is_sliced_as_one(tmp_path: Path, rows: int, key: Any) -> None:
+    whole = np.arange(36, dtype=np.int16).reshape(12, 3)
+    with h5py.File(tmp_path / f"{os.getpid()}.h5", "w") as file:
+        stored = np.concatenate([whole[:rows], np.full((5, 3), -1, np.int16)])  # more than is good
+        column = Column(file.create_dataset("c", data=stored, maxshape=(None, 3)), rows, whole[rows:])
+        assert (column.shape, column.ndim, column.dtype, len(column), column.size) == ((12, 3), 2, whole.dtype, 12, 36)
+        np.testing.assert_array_equal(column[key], whole[key])
+        np.testing.assert_array_equal(np.asarray(column), whole)
+        assert type(column[key]) is type(whole[key])
+        with pytest.raises(IndexError):
+            column[12]
+
+
+def test_the_check_sum_of_an_unclosed_file_is_hdf5s_own(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w", libver="latest") as file:
+        file.attrs["x"] = 5
+        file.flush()
+        shutil.copy(tmp_path / "a.h5", tmp_path / "b.h5")
+    assert says_unclosed(tmp_path / "b.h5")
+    assert not says_unclosed(tmp_path / "a.h5")
+    with pytest.raises(OSError, match="already open for write"):
+        h5py.File(tmp_path / "b.h5", "r")
+    with h5py.File(Unclosed(tmp_path / "b.h5"), "r") as file:
+        assert file.attrs["x"] == 5
+    closed = (tmp_path / "a.h5").read_bytes()[:48]
+    assert Unclosed(tmp_path / "b.h5").read(12) == closed[:12]

@@ -1,0 +1,228 @@
+"""A log while it is recorded: seen by readers, refused to a second writer, and never in a state that has no meaning."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import imuarray.log.live as live
+import imuarray.log.writer as writing
+from imuarray.errors import LogBusyError, LogError, OutputExistsError
+from imuarray.log import Block, LogWriter, Stimulus, open_log
+from imuarray.log.format import Event, Phase
+from imuarray.log.journal import journal_of
+
+Writer = Callable[..., LogWriter]
+
+
+def gyro(first: int, count: int) -> Block:
+    row = np.arange(first, first + count)
+    return Block(row * 1000 + 5, np.stack([row, -row, row % 7], axis=1).astype(np.int16), (row % 8).astype(np.uint16))
+
+
+def test_what_a_reader_sees_while_it_is_written(
+    tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows in the HDF5 file and in the journal, events, phases, truth; and afterwards the same, finished."""
+    monkeypatch.setattr(writing, "CHUNK", 64)
+    path = tmp_path / "run.h5"
+    with writer(path) as log:
+        log.keep()
+        for first in range(0, 300, 10):
+            log.append("Gyro", gyro(first, 10))
+            log.flush()
+        with h5py.File(path, "r", swmr=True) as file:  # any HDF5 reader can look on; the rest stands in the journal
+            assert len(file["sensors/Gyro/time"]) == 280
+        with open_log(path) as seen:
+            np.testing.assert_array_equal(seen["Gyro"].time[270:290], gyro(270, 20).time)
+        log.event(Event(7, "Gyro", "lost", "Größe µ"))
+        log.phase(Phase(np.int64(0), np.int64(9), "static", "+Z"))  # type: ignore[arg-type]
+        log.stimulus("truth", Stimulus(np.arange(3), np.ones((3, 3)), np.zeros((3, 3)), np.full(3, 25.0)))
+        log.flush()
+        assert log.acknowledged == {"Gyro": 300}
+        assert {entry.name for entry in tmp_path.iterdir()} == {"run.h5", "run.h5.journal", ".run.h5.reserve"}
+        with open_log(path) as seen:
+            assert seen.state == "being written"
+            check(seen)
+            assert isinstance(seen["Gyro"].time[0], np.int64)
+    with open_log(path) as seen:
+        assert seen.state == "finished"
+        check(seen)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+def check(log: object) -> None:
+    sensor = log["Gyro"]  # type: ignore[index]
+    for name, expected in zip(("time", "counts", "status"), gyro(0, 300)[:3], strict=True):
+        np.testing.assert_array_equal(np.asarray(getattr(sensor, name)), expected)
+    assert sensor.between(50_005, 250_005) == slice(50, 250)
+    assert log.events == (Event(7, "Gyro", "lost", "Größe µ"),)  # type: ignore[attr-defined]
+    assert log.phases == (Phase(0, 9, "static", "+Z"),)  # type: ignore[attr-defined]
+    assert log.truth.temperature[:].tolist() == [25.0] * 3  # type: ignore[attr-defined]
+    assert log.reference is None  # type: ignore[attr-defined]
+
+
+def test_what_came_before_it_was_kept(tmp_path: Path, writer: Writer) -> None:
+    with writer(tmp_path / "run.h5") as log:
+        log.append("Gyro", gyro(0, 10))
+        log.event(Event(1, "", "note", "early"))
+        log.keep()
+        log.keep()
+        log.append("Gyro", gyro(10, 5))
+    with open_log(tmp_path / "run.h5") as log:
+        np.testing.assert_array_equal(log["Gyro"].counts[:], gyro(0, 15).counts)
+        assert [event.message for event in log.events] == ["early"]
+
+
+def test_everything_that_a_header_says_stands_in_a_finished_log(tmp_path: Path, writer: Writer) -> None:
+    for name, kept in (("live", True), ("draft", False)):
+        with writer(tmp_path / f"{name}.h5", "Acc", "Gyro", "Baro") as log:
+            if kept:
+                log.keep()
+    with h5py.File(tmp_path / "live.h5") as one, h5py.File(tmp_path / "draft.h5") as other:
+        assert set(one) == set(other) == {"sensors", "phases", "events"}
+        assert set(one.attrs) == set(other.attrs)
+        for name in ("Acc", "Gyro", "Baro"):
+            ours, theirs = one["sensors"][name], other["sensors"][name]
+            assert {key: np.asarray(value).tolist() for key, value in ours.attrs.items()} == {
+                key: np.asarray(value).tolist() for key, value in theirs.attrs.items()
+            }
+            assert set(ours) == set(theirs)
+        assert one["sensors/Baro"].attrs["AC1"] == 408
+        assert one["sensors/Gyro"].attrs["delay_ns"] == 1_500_000
+
+
+def test_a_second_log_into_a_running_one_is_refused(tmp_path: Path, writer: Writer) -> None:
+    path = tmp_path / "run.h5"
+    early = writer(path)  # it began when there was nothing yet
+    with writer(path) as log:
+        log.keep()
+        log.append("Gyro", gyro(0, 10))
+        for force in (False, True):
+            with pytest.raises(LogBusyError, match="is being written by another process"):
+                writer(path, force=force)
+        with pytest.raises(LogBusyError), early:
+            early.keep()
+        program = f"import sys; from imuarray.cli import main; sys.exit(main(['recover', {str(path)!r}]))"
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 2
+        assert "is being written by another process" in done.stderr
+        log.append("Gyro", gyro(10, 10))
+    with open_log(path) as seen:
+        assert len(seen["Gyro"]) == 20
+    with pytest.raises(OutputExistsError):
+        writer(path)
+
+
+def test_a_journal_left_over_is_not_overwritten(tmp_path: Path, writer: Writer) -> None:
+    journal = journal_of(tmp_path / "run.h5")
+    journal.write_text("precious")
+    with pytest.raises(LogError, match=r"run\.h5\.journal: is left over"), writer(tmp_path / "run.h5") as log:
+        log.keep()
+    assert journal.read_text() == "precious"
+    with writer(tmp_path / "run.h5", force=True) as log:
+        log.keep()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_an_old_log_goes_when_the_new_one_is_kept(tmp_path: Path, writer: Writer) -> None:
+    path = tmp_path / "run.h5"
+    with writer(path) as log:
+        log.append("Gyro", gyro(0, 5))
+    with pytest.raises(RuntimeError, match="mine"), writer(path, force=True) as log:
+        with open_log(path) as old:
+            assert len(old["Gyro"]) == 5
+        log.keep()
+        log.append("Gyro", gyro(0, 7))
+        with open_log(path) as new:
+            assert new.state == "being written"
+        raise RuntimeError("mine")
+    with open_log(path) as new:
+        assert len(new["Gyro"]) == 7
+
+
+def test_readers_come_and_go_while_it_is_written(
+    tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In another process, as often as it can: never an error, never a wrong row, never fewer than before."""
+    monkeypatch.setattr(writing, "CHUNK", 64)
+    path = tmp_path / "run.h5"
+    program = f"""
+import numpy as np
+from imuarray.log import open_log
+seen = looks = 0
+while seen < 4000:
+    with open_log({str(path)!r}) as log:
+        rows = log["Gyro"].time[:]
+        assert np.array_equal(rows, np.arange(len(rows)) * 1000 + 5), rows
+        counts = log["Gyro"].counts[:]
+        assert len(counts) == len(rows) >= seen
+        assert np.array_equal(counts[:, 1], -np.arange(len(rows))), counts
+        seen, looks = len(rows), looks + 1
+print(looks)
+"""
+    with writer(path) as log:
+        log.keep()
+        pipe = subprocess.PIPE
+        reader = subprocess.Popen([sys.executable, "-c", program], stdout=pipe, stderr=pipe, text=True)
+        for first in range(0, 4000, 10):
+            log.append("Gyro", gyro(first, 10))
+            if first > 100 and reader.poll() is None:
+                time.sleep(0.002)
+    out, err = reader.communicate(timeout=60)
+    assert (reader.returncode, err) == (0, "")
+    assert int(out) >= 2
+
+
+def test_a_slow_disk_makes_append_wait(tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The queue is bounded: no more than so many blocks wait, none is lost."""
+    monkeypatch.setattr(live, "QUEUE_BLOCKS", 4)
+    gate = threading.Event()
+    append = live.JournalWriter.append
+    monkeypatch.setattr(live.JournalWriter, "append", lambda self, items: (gate.wait(), append(self, items))[1])
+    done = []
+
+    def fill() -> None:
+        for number in range(40):
+            log.append("Gyro", gyro(number, 1))
+            done.append(number)
+
+    with writer(tmp_path / "run.h5") as log:
+        log.keep()
+        thread = threading.Thread(target=fill)
+        thread.start()
+        thread.join(0.2)
+        assert thread.is_alive()
+        assert len(done) < 12
+        gate.set()
+        thread.join()
+    with open_log(tmp_path / "run.h5") as seen:
+        assert len(seen["Gyro"]) == 40
+
+
+def test_what_the_thread_can_not_write_is_raised_and_the_rest_kept(
+    tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.h5"
+
+    def broken(self: live.JournalWriter, items: object) -> None:
+        raise OSError(5, "Input/output error")
+
+    with pytest.raises(LogError, match=r"run\.h5: can't be written: Input/output error"), writer(path) as log:
+        log.keep()
+        log.append("Gyro", gyro(0, 10))
+        log.flush()
+        monkeypatch.setattr(live.JournalWriter, "append", broken)
+        log.append("Gyro", gyro(10, 10))
+        log.flush()
+    with open_log(path) as seen:
+        assert seen.state == "interrupted"
+        assert len(seen["Gyro"]) == 10

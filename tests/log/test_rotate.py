@@ -1,0 +1,103 @@
+"""A recording in parts: every row in the part of its time, none lost, each part finished while the next is written."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from imuarray.errors import OutputExistsError
+from imuarray.log import Block, RotatingWriter, Stimulus, open_log
+from imuarray.log.format import Event, Phase, SensorHeader
+
+HEADERS = tuple(SensorHeader(name, "l3g4200d", "angular_rate", "dps", 250.0, 114.3) for name in ("A", "B"))
+SECOND = 1_000_000_000
+
+
+def rows(first: int, count: int, offset: int = 0) -> Block:
+    """Ten rows a second."""
+    row = np.arange(first, first + count)
+    return Block(
+        row * (SECOND // 10) + offset, np.stack([row] * 3, axis=1).astype(np.int16), np.zeros(count, np.uint16)
+    )
+
+
+def rotating(path: Path, every_s: float = 1.0, *, force: bool = False) -> RotatingWriter:
+    return RotatingWriter(path, HEADERS, every_s=every_s, source="i2c", epoch="2026-01-01T00:00:00Z", force=force)
+
+
+def test_parts(tmp_path: Path) -> None:
+    with rotating(tmp_path / "run.h5") as log:
+        log.keep()
+        log.phase(Phase(SECOND // 2, 10**15, "static", "+Z"))
+        for first in range(0, 35, 7):
+            log.append("A", rows(first, 7))
+            log.append("B", rows(first, 7, 3))
+            log.stimulus("truth", Stimulus(rows(first, 7).time, np.ones((7, 3)), np.ones((7, 3)), np.ones(7)))
+            log.event(Event(int(rows(first, 1).time[0]), "A", "note", str(first)))
+        log.flush()
+        assert log.acknowledged == {"A": 35, "B": 35}
+        for _ in range(500):
+            with open_log(tmp_path / "run_001.h5") as part:
+                if part.state == "finished":
+                    break
+            time.sleep(0.01)
+        else:
+            pytest.fail("the first part is not finished while the last one is written")
+    assert [path.name for path in log.paths] == [f"run_00{number}.h5" for number in (1, 2, 3, 4)]
+    assert sorted(tmp_path.iterdir()) == log.paths
+    for number, path in enumerate(log.paths):
+        with open_log(path) as part:
+            for name, offset in (("A", 0), ("B", 3)):
+                expected = rows(number * 10, 10 if number < 3 else 5, offset)
+                np.testing.assert_array_equal(part[name].time[:], expected.time)
+                np.testing.assert_array_equal(part[name].counts[:], expected.counts)
+            assert part.epoch == "2026-01-01T00:00:00Z"
+            end_ns = (number + 1) * SECOND if number < 3 else 34 * SECOND // 10 + 3 + 1
+            assert part.phases == (Phase(max(number * SECOND, SECOND // 2), end_ns, "static", "+Z"),)
+            assert part.truth is not None
+            assert len(part.truth.time) == len(part["A"])
+            assert {int(event.message) // 10 for event in part.events} <= {number, number - 1}  # late ones go on
+
+
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(lengths=st.lists(st.integers(1, 30), min_size=1, max_size=6), every_s=st.sampled_from([0.3, 1.0, 2.5]))
+def test_no_row_is_lost_whatever_the_blocks(tmp_path: Path, lengths: list[int], every_s: float) -> None:
+    """Also where one sensor falls silent: then its parts do not wait for it for ever."""
+    with rotating(tmp_path / "run.h5", every_s, force=True) as log:
+        first = 0
+        for length in lengths:
+            log.append("A", rows(first, length))
+            first += length
+        log.append("B", rows(0, 1))
+    assert len(log.paths) >= first * 0.1 // every_s
+    back = []
+    for path in log.paths:
+        with open_log(path) as part:
+            back += part["A"].time[:].tolist()
+    assert back == rows(0, first).time.tolist()
+
+
+def test_an_error_keeps_what_was_kept_and_leaves_no_drafts(tmp_path: Path) -> None:
+    for kept in (True, False):
+        with pytest.raises(RuntimeError, match="mine"), rotating(tmp_path / f"{kept}.h5") as log:
+            if kept:
+                log.keep()
+            log.append("A", rows(0, 5))
+            raise RuntimeError("mine")
+    assert [path.name for path in tmp_path.iterdir()] == ["True_001.h5"]
+    with open_log(tmp_path / "True_001.h5") as log:
+        assert len(log["A"]) == 5
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "run_002.h5").write_text("precious")
+    with pytest.raises(OutputExistsError, match=r"run_002\.h5"), rotating(tmp_path / "run.h5") as log:
+        log.append("A", rows(0, 15))
+    assert (tmp_path / "run_002.h5").read_text() == "precious"
+    with pytest.raises(ValueError, match="a positive length"):
+        rotating(tmp_path / "x.h5", 0)

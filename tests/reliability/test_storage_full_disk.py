@@ -1,0 +1,135 @@
+"""A disk that fills up: the log ends with its own error and exit code, everything acknowledged is in it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from imuarray.cli import main
+from imuarray.errors import DiskFullError
+from imuarray.log import LogWriter, open_log, room
+from tests.reliability import storage_rows as rows
+
+ROOT = Path(__file__).parents[2]
+MIB = 1 << 20
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 8 MiB in memory; only root can have one."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", place], capture_output=True, check=False
+    )
+    if mounted.returncode != 0:
+        pytest.skip("a small disk can't be mounted here: needs root")
+    yield place
+    subprocess.run(["umount", "-l", place], check=True)
+
+
+def logged(folder: Path, setup: str = "", **options: int) -> subprocess.CompletedProcess[str]:
+    """Log until the disk is full, in a process of its own that ends as the command line does."""
+    program = f"""
+import sys, click
+from pathlib import Path
+from imuarray.errors import ImuArrayError
+from tests.reliability import storage_rows as rows
+{setup}
+try:
+    told = rows.counter({str(folder.parent / "acknowledged")!r})
+    rows.record(Path({str(folder / "run.h5")!r}), 1_000_000, 500, 1024, told, **{options!r})
+except ImuArrayError as error:
+    print(error, file=sys.stderr)
+    sys.exit(error.exit_code)
+"""
+    return subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def check(done: subprocess.CompletedProcess[str], folder: Path) -> int:
+    """Exit code 3, no signal, one line; frames that the log holds, all that were acknowledged."""
+    assert done.returncode == DiskFullError.exit_code == 3
+    assert len(done.stderr.splitlines()) == 1
+    assert "the log was ended" in done.stderr or "no room left" in done.stderr
+    acknowledged = rows.counted(folder.parent / "acknowledged")
+    frames, problems = rows.wrong(folder / "run.h5")
+    assert problems == []
+    assert frames >= acknowledged > 1000
+    return frames
+
+
+def test_it_ends_at_the_watermark_and_is_finished(small_disk: Path) -> None:
+    frames = check(logged(small_disk, watermark=4 * MIB), small_disk)
+    assert [path.name for path in small_disk.iterdir()] == ["run.h5"]
+    with open_log(small_disk / "run.h5") as log:
+        assert log.state == "finished"
+    print(f"ended at the watermark with {frames} frames, finished")
+
+
+def test_it_ends_where_there_is_no_room_at_all(small_disk: Path, tmp_path: Path) -> None:
+    """Without a watermark: the journal, or the room that HDF5 is given, meets the end of the disk."""
+    frames = check(logged(small_disk, watermark=0), small_disk)
+    with open_log(small_disk / "run.h5") as log:
+        assert log.state == "interrupted"
+    assert main(["verify", str(small_disk / "run.h5")]) == 0
+    assert main(["recover", str(small_disk / "run.h5"), "-o", str(tmp_path / "elsewhere.h5")]) == 0
+    assert rows.wrong(tmp_path / "elsewhere.h5") == (frames, [])
+    print(f"ended on a full disk with {frames} frames")
+
+
+def test_somebody_else_fills_the_disk(small_disk: Path) -> None:
+    filler = f"""
+import threading, time
+def fill():
+    time.sleep(0.15)
+    with open({str(small_disk / "filler")!r}, "wb", buffering=0) as file:
+        while True:
+            try:
+                file.write(bytes(4096))
+            except OSError:
+                time.sleep(0.001)
+threading.Thread(target=fill, daemon=True).start()
+"""
+    check(logged(small_disk, filler, watermark=0), small_disk)
+
+
+def test_files_may_not_be_longer(tmp_path: Path) -> None:
+    """A limit that the disk's free space does not show, as a quota is."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({2 * MIB}, {2 * MIB}))"
+    check(logged(folder, limit, watermark=0), folder)
+
+
+def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imuarray.log.live.free_bytes", lambda path: 10 * MIB)
+    with (
+        pytest.raises(DiskFullError, match="less than 64 MiB are free"),
+        LogWriter(tmp_path / "run.h5", rows.SENSORS, source="simulated", epoch=rows.EPOCH) as log,
+    ):
+        log.keep()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_draft_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with (
+        pytest.raises(DiskFullError, match="no room left on the disk"),
+        LogWriter(tmp_path / "run.h5", rows.SENSORS, source="simulated", epoch=rows.EPOCH) as log,
+    ):
+        monkeypatch.setattr(room, "free_bytes", lambda path: 2 * MIB)
+        for first in range(0, 100_000, 1000):
+            log.append("Acc", rows.block(0, first, 1000))
+    assert list(tmp_path.iterdir()) == []
