@@ -1,6 +1,7 @@
-"""Ways to reach a chip: Linux, a recorded transcript, the emulated array. All of them are a `Bus`.
+"""Ways to reach a chip: Linux, a microcontroller, a recorded transcript, the emulated array. All of them are a `Bus`.
 
-A bus is named by a URL: ``i2c:/dev/i2c-1``, ``replay:T.jsonl``, ``emulated:?clock=real&world=tumble``.
+A bus is named by a URL: ``i2c:/dev/i2c-1``, ``serial:/dev/ttyACM0``, ``replay:T.jsonl``,
+``emulated:?clock=real&world=tumble``.
 """
 
 from __future__ import annotations
@@ -38,9 +39,16 @@ def _linux(rest: str, array: ArrayConfig) -> OpenBus:
     return LinuxBus(path)
 
 
+def _serial(rest: str, array: ArrayConfig) -> OpenBus:
+    """``serial:/dev/ttyACM0``, ``serial:/dev/ttyUSB0?baud=921600``."""
+    from imuarray.bus.serial_bus import open_serial
+
+    return open_serial(rest)
+
+
 def _replay(rest: str, array: ArrayConfig) -> OpenBus:
     """``replay:T.jsonl``."""
-    from imuarray.bus.transcript import ReplayBus
+    from imuarray.bus.replay import ReplayBus
 
     return ReplayBus(rest)
 
@@ -60,6 +68,11 @@ def _emulated(rest: str, array: ArrayConfig) -> OpenBus:
     return cast(OpenBus, bus)
 
 
-_SCHEMES: dict[str, Callable[[str, ArrayConfig], OpenBus]] = {"i2c": _linux, "replay": _replay, "emulated": _emulated}
+_SCHEMES: dict[str, Callable[[str, ArrayConfig], OpenBus]] = {
+    "i2c": _linux,
+    "serial": _serial,
+    "replay": _replay,
+    "emulated": _emulated,
+}
 
-_EXAMPLES = ("i2c:/dev/i2c-1", "replay:T.jsonl", "emulated:")
+_EXAMPLES = ("i2c:/dev/i2c-1", "serial:/dev/ttyACM0", "replay:T.jsonl", "emulated:")

@@ -1,23 +1,30 @@
 """Transcripts: every transaction of a bus as one line of JSON, and a bus that plays them back.
 
 A line is ``{"to": "53", "write": "00", "read": "e5", "at_ns": 1200, "end_ns": 94950}``, bytes as hexadecimal digits;
-a transaction that failed has ``"errno": 121`` in place of ``"read"``. A replayed bus refuses the first transaction
-that differs, naming the line, so that a user's transcript can become a test.
+a transaction that failed has ``"errno": 121`` in place of ``"read"``, and ``"error"`` if the bus had words of its own
+for it. A question whose an address is (`claim`) is
+``{"claim": "53", ...}``, with what was answered as ``"errno"`` or ``"error"`` if it was not "yours". ``"seen"`` are the
+times at which the program looked at the clock before that line, in ns before its ``at_ns``: what it decided by them it
+decides again. A replayed bus refuses the first transaction that differs, naming the line, so that a user's transcript
+can become a test.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
 
 from imuarray.bus.protocol import Bus, OpenBus
-from imuarray.clock import Clock
+from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError, OutputExistsError, SensorError
+
+LONGEST_LINE = 1 << 17
+"""A message carries at most 8192 bytes (LNX-05)."""
+_MOST = 1 << 63
 
 
 def open_output(path: Path, force: bool) -> IO[str]:
@@ -25,19 +32,84 @@ def open_output(path: Path, force: bool) -> IO[str]:
     return path.open("w" if force else "x", encoding="utf-8")
 
 
+class _Notes:
+    """What the program saw of the clock since the last line, and what it would have seen of one that stands there."""
+
+    def __init__(self) -> None:
+        self.standing_ns = -_MOST
+        self._seen: list[int] = []
+        self._moved = False
+
+    def saw(self, now_ns: int) -> None:
+        self._seen.append(now_ns)
+        self._moved |= now_ns != self.standing_ns
+
+    def stand(self, at_ns: int) -> None:
+        self.standing_ns = max(self.standing_ns, at_ns)
+
+    def take(self, at_ns: int) -> list[int]:
+        """How long before `at_ns` it looked; nothing if a clock that stands still would have shown the same."""
+        seen = [at_ns - one for one in self._seen] if self._moved else []
+        self._seen, self._moved = [], False
+        return seen
+
+
+class _NotedClock:
+    """Another clock; whoever looks at it leaves a note."""
+
+    def __init__(self, clock: Clock, notes: _Notes) -> None:
+        self._clock, self._notes = clock, notes
+
+    def now_ns(self) -> int:
+        """See `Clock`."""
+        now_ns = self._clock.now_ns()
+        self._notes.saw(now_ns)
+        return now_ns
+
+    def sleep_until(self, at_ns: int) -> None:
+        """See `Clock`."""
+        self._clock.sleep_until(at_ns)
+        self._notes.stand(at_ns)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._clock, name)
+
+
+class _NotedMonotonicClock(_NotedClock, MonotonicClock):
+    """The machine's own, and known as such."""
+
+
 class RecordingBus:
-    """Any open bus, with everything that passes written to a file."""
+    """Any open bus, with everything that passes written to a file. `failed` says why nothing more is written, if the
+    file could not take it: the recording goes on. `remark` is what should be known of such a transcript.
+
+    A microcontroller is polled through it, transaction by transaction: what it streams by itself has none.
+    """
 
     def __init__(self, bus: OpenBus, path: str | PathLike[str], *, force: bool = False) -> None:
         self.bus = bus
-        self.clock = bus.clock
+        self._notes = _Notes()
+        kind = _NotedMonotonicClock if isinstance(bus.clock, MonotonicClock) else _NotedClock
+        self.clock: Clock = kind(bus.clock, self._notes)
         self.source = bus.source
+        self.path = Path(path)
+        self.failed = ""
         try:
-            self._file: IO[str] = open_output(Path(path), force)
+            self._file: IO[str] = open_output(self.path, force)
         except FileExistsError:
             raise OutputExistsError(path) from None
         except OSError as error:
             raise BusUrlError(f"transcript {path}: can't be written: {error.strerror or error}") from None
+
+    @property
+    def remark(self) -> str:
+        """One line, or nothing."""
+        if self.source != "serial":
+            return ""
+        return (
+            f"{self.path}: while a transcript is written the microcontroller is asked for each transaction;"
+            " what it streams by itself has none"
+        )
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """See `Bus.transfer`."""
@@ -48,7 +120,7 @@ class RecordingBus:
         return _RecordedChannel(self, path, self.bus.channel_bus(path))
 
     def _note(self, path: str, bus: Bus, address: int, write: bytes, read: int) -> bytes:
-        line: dict[str, Any] = {"to": f"{address:02x}", "write": write.hex(), "at_ns": self.clock.now_ns()}
+        line: dict[str, Any] = {"to": f"{address:02x}", "write": write.hex(), "at_ns": self.bus.clock.now_ns()}
         if path:
             line["bus"] = path
         try:
@@ -57,15 +129,52 @@ class RecordingBus:
             return answer
         except OSError as error:
             line.update(count=read, errno=error.errno)
+            if error.errno and error.strerror != os.strerror(error.errno):
+                line["error"] = str(error.strerror)
             raise
         finally:
             if "read" in line or "errno" in line:  # a request that no adapter can send never went over the wire
-                line["end_ns"] = self.clock.now_ns()
-                self._file.write(json.dumps(line) + "\n")
+                self._write(line)
+
+    def _claim(self, address: int, path: str | None = None) -> None:
+        """Ask whose an address is, where the bus can tell."""
+        line: dict[str, Any] = {"claim": f"{address:02x}", "at_ns": self.bus.clock.now_ns()}
+        if path:
+            line["bus"] = path
+        try:
+            self.bus.claim(address, path)  # type: ignore[attr-defined]  # `__getattr__` has looked
+        except OSError as error:
+            line["errno"] = error.errno
+            raise
+        except SensorError as error:
+            line["error"] = str(error)
+            raise
+        finally:
+            self._write(line)
+
+    def _write(self, line: dict[str, Any]) -> None:
+        """A line; a file that can't take it is no failure of the bus."""
+        line["end_ns"] = self.bus.clock.now_ns()
+        seen = self._notes.take(line["at_ns"])
+        if seen:
+            line["seen"] = seen
+        self._notes.stand(line["end_ns"])
+        if self.failed:
+            return
+        try:
+            self._file.write(json.dumps(line) + "\n")
+        except OSError as error:
+            self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        self.failed = f"transcript {self.path}: not complete: {error.strerror or error}"
 
     def __getattr__(self, name: str) -> Any:
-        """What else the bus offers (an emulated one knows the truth)."""
-        return getattr(self.bus, name)
+        """What else the bus offers (an emulated one knows the truth), but for transactions that nobody would see."""
+        if name == "transfer_all":
+            raise AttributeError(name)
+        offered = getattr(self.bus, name)
+        return self._claim if name == "claim" else offered
 
     def __enter__(self) -> Self:
         self.bus.__enter__()
@@ -74,7 +183,14 @@ class RecordingBus:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        at_ns = self.bus.clock.now_ns()
+        seen = self._notes.take(at_ns)
+        try:
+            if seen and not self.failed:
+                self._file.write(json.dumps({"seen": seen, "at_ns": at_ns}) + "\n")
+            self._file.close()
+        except OSError as failure:
+            self._give_up(failure)
         self.bus.__exit__(kind, error, trace)
 
 
@@ -86,104 +202,3 @@ class _RecordedChannel:
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         return self._recording._note(self._path, self._bus, address, write, read)
-
-
-class ReplayClock:
-    """A clock that stands where the transcript stands."""
-
-    def __init__(self) -> None:
-        self._now_ns = 0
-
-    def now_ns(self) -> int:
-        """When the last transaction was recorded, or when the last sleep ended."""
-        return self._now_ns
-
-    def sleep_until(self, at_ns: int) -> None:
-        """No need to wait."""
-        self._now_ns = max(self._now_ns, at_ns)
-
-
-class ReplayBus:
-    """A transcript played back: gives the recorded answers, refuses whatever was not asked then."""
-
-    source = "replay"
-
-    def __init__(self, path: str | PathLike[str]) -> None:
-        self.path = Path(path)
-        self._clock = ReplayClock()
-        self.clock: Clock = self._clock
-        try:
-            self._lines = self.path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise BusUrlError(f"replay:{path}: {getattr(error, 'strerror', None) or 'is not a transcript'}") from None
-        self._transactions = self._parsed()
-        self._at = 0
-
-    def _parsed(self) -> Iterator[dict[str, Any]]:
-        for number, line in enumerate(self._lines, start=1):
-            self._at = number
-            try:
-                parsed = json.loads(line)
-                parsed["to"], parsed["write"] = int(parsed["to"], 16), bytes.fromhex(parsed["write"])
-                parsed["read"] = bytes.fromhex(parsed.get("read", ""))
-                parsed["at_ns"], parsed["errno"] = int(parsed.get("at_ns", 0)), int(parsed.get("errno", 0))
-                parsed["end_ns"] = int(parsed.get("end_ns", parsed["at_ns"]))
-            except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
-                raise BusUrlError(f"{self.path}, line {number}: not a transaction of a transcript") from None
-            yield parsed
-
-    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """See `Bus.transfer`; SensorError at the first transaction that differs from the recorded one."""
-        return self._play("", address, write, read)
-
-    def channel_bus(self, path: str) -> Bus:
-        """The replayed traffic of another bus that was recorded into the same transcript."""
-        return _ReplayedChannel(self, path)
-
-    def _play(self, path: str, address: int, write: bytes, read: int) -> bytes:
-        recorded = next(self._transactions, None)
-        if recorded is None:
-            raise SensorError(f"{self.path}: the transcript ends after {len(self._lines)} transactions, more was asked")
-        asked = (path, address, write, read)
-        then = (
-            recorded.get("bus", ""),
-            recorded["to"],
-            recorded["write"],
-            recorded.get("count", len(recorded["read"])),
-        )
-        if asked != then:
-            raise SensorError(f"{self.path}, line {self._at}: recorded {_words(*then)}, now {_words(*asked)}")
-        self._clock.sleep_until(recorded["end_ns"])
-        if recorded["errno"]:
-            raise OSError(recorded["errno"], os.strerror(recorded["errno"]))
-        answer: bytes = recorded["read"]
-        return answer
-
-    def finished(self) -> None:
-        """SensorError if part of the transcript was never asked for."""
-        if self._at < len(self._lines):
-            raise SensorError(f"{self.path}: {len(self._lines) - self._at} recorded transactions were not repeated")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Nothing is held open."""
-
-
-class _ReplayedChannel:
-    """A kernel-driven channel of a replayed bus."""
-
-    def __init__(self, replay: ReplayBus, path: str) -> None:
-        self._replay, self._path = replay, path
-
-    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        return self._replay._play(self._path, address, write, read)
-
-
-def _words(path: str, address: int, write: bytes, read: int) -> str:
-    """A transaction in words."""
-    where = f"{path} " if path else ""
-    return f"{where}{address:#04x} write {write.hex() or 'nothing'} read {read}"

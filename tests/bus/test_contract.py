@@ -22,7 +22,8 @@ from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import Bus, open_bus
 from imuarray.bus.linux import LinuxBus
 from imuarray.bus.mux import Pca9544a
-from imuarray.bus.transcript import RecordingBus, ReplayBus
+from imuarray.bus.replay import ReplayBus
+from imuarray.bus.transcript import RecordingBus
 from imuarray.errors import BusUrlError
 
 DEVICE, NOBODY, MUX = 0x53, 0x1D, 0x70

@@ -323,7 +323,8 @@ def test_a_log_through_the_linux_path(served: Any, tmp_path: Path, text: str, ur
         assert log.source == "i2c"
         for name, per_g, bias_g in (("A", 256, 0.25), ("B", 256, 0.25), ("C", 4096, 0.1)):  # ADX-62, BMA-110
             counts = np.asarray(log[name].counts, float)
-            assert 25 <= len(counts) <= 31
+            assert 1 <= len(counts) == summary.frames <= 31  # a busy machine misses some
+            assert summary.frames + summary.missed >= 29
             mean_g = counts.mean(axis=0) / per_g
             assert np.abs(mean_g - [0.0, 0.0, 1.0]).max() < bias_g + 0.1
         assert not np.array_equal(np.asarray(log["A"].counts), np.asarray(log["B"].counts))

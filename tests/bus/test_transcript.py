@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.acquire import record
-from imuarray.array import parse_array
+from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import open_bus
-from imuarray.bus.transcript import RecordingBus, ReplayBus
+from imuarray.bus.replay import ReplayBus
+from imuarray.bus.transcript import RecordingBus
 from imuarray.errors import BusUrlError, OutputExistsError, SensorError
 from imuarray.log import open_log
+
+sys.path.insert(0, str(Path(__file__).parent))
+from serial_bench import Bench
 
 
 class Script:
@@ -71,7 +79,7 @@ def test_lines_are_as_documented(tmp_path: Path) -> None:
         bus.channel_bus("/dev/i2c-5").transfer(0x70, b"\x04")
     assert lines(path) == [
         {"to": "53", "write": "00", "at_ns": 1000, "read": "e5", "end_ns": 2000},
-        {"to": "1d", "write": "00", "at_ns": 3000, "count": 6, "errno": 121, "end_ns": 4000},
+        {"to": "1d", "write": "00", "at_ns": 3000, "count": 6, "errno": 121, "error": "no", "end_ns": 4000},
         {"to": "70", "write": "04", "at_ns": 5000, "bus": "/dev/i2c-5", "read": "", "end_ns": 6000},
     ]
 
@@ -213,7 +221,7 @@ def test_recording_hands_through_clock_source_and_whatever_else_there_is() -> No
         bus = RecordingBus(inner, "/dev/null", force=True)
         with bus:
             assert bus.source == "emulated"
-            assert bus.clock is inner.clock
+            assert bus.clock.now_ns() == inner.clock.now_ns()
             assert bus.truth(0).force_box == (0.0, 0.0, 9.80665)
             assert not hasattr(bus, "no_such_thing")
 
@@ -260,3 +268,208 @@ def test_a_replayed_recording_gives_the_same_log(tmp_path: Path, rate_hz: int, b
             assert len(live[name]) == len(again[name]) > 5
             assert (live[name].counts[:] == again[name].counts[:]).all()
             assert (live[name].status[:] == again[name].status[:]).all()
+
+
+NIGHT = """
+[[fault]]
+kind = "unplugged"
+sensor = "B"
+at_s = 3.0
+for_s = 1.5
+[[fault]]
+kind = "reset"
+sensor = "A"
+at_s = 4.2
+[[fault]]
+kind = "no_acknowledge"
+sensor = "G"
+at_s = 5.0
+for_s = 0.3
+[[fault]]
+kind = "stuck_bus"
+at_s = 6.5
+for_s = 0.4
+[[fault]]
+kind = "wrong_channel"
+at_s = 8.0
+for_s = 0.3
+[[fault]]
+kind = "kernel_driver"
+sensor = "B"
+at_s = 9.0
+for_s = 1.1
+[[fault]]
+kind = "clock_held"
+sensor = "G"
+at_s = 11.5
+for_s = 0.5
+[[fault]]
+kind = "stall"
+at_s = 12.5
+for_s = 0.5
+[[fault]]
+kind = "frozen"
+sensor = "B"
+at_s = 13.5
+for_s = 2.0
+until_set_up = true
+"""
+
+
+class Hurried:
+    """A clock of a machine that does other things too: it moves whenever it is looked at, never twice alike."""
+
+    def __init__(self, clock: Any) -> None:
+        self._clock = clock
+        self._draw = np.random.default_rng(5)
+
+    def now_ns(self) -> int:
+        self._clock.advance(int(self._draw.integers(1_000, 300_000)))
+        now_ns: int = self._clock.now_ns()
+        return now_ns
+
+    def sleep_until(self, at_ns: int) -> None:
+        self._clock.sleep_until(at_ns + int(self._draw.integers(0, 2_000_000)))
+
+
+def faulty_night(tmp_path: Path, hurried: bool) -> tuple[Any, Any, ArrayConfig]:
+    """The summary of what was recorded as live.h5, and of its replay as again.h5."""
+    (tmp_path / "night.toml").write_text(NIGHT)
+    text = '[array]\nname="a"\nmux={chip="pca9544a",address=0x70}\n'
+    for name, chip, channel, address, extra in (
+        ("A", "adxl345", 0, 0x53, "range=4"),
+        ("B", "bma180", 1, 0x40, "range=2"),
+        ("C", "bma180", 0, 0x40, "range=16"),
+        ("P", "bmp180", 1, 0x77, "rate_hz=8"),
+        ("G", "l3g4200d", 0, 0x68, "range=250\nrate_hz=100\nfifo=true"),
+    ):
+        text += f'[[sensor]]\nname="{name}"\nchip="{chip}"\nchannel={channel}\naddress={address}\n{extra}\n'
+    array = parse_array(text)
+    inner = open_bus(f"emulated:?faults={tmp_path / 'night.toml'}&bit_rate=400000", array)
+    if hurried:
+        inner.clock = Hurried(inner.clock)
+        inner.truth = None  # type: ignore[attr-defined]  # hardware has none: nobody looks at the clock for it
+    start = datetime(2026, 3, 1, tzinfo=UTC)
+    with RecordingBus(inner, tmp_path / "t.jsonl") as bus:
+        live = record(array, bus, tmp_path / "live.h5", rate_hz=50, seconds=18, wall_time=start)
+    with open_bus(f"replay:{tmp_path / 't.jsonl'}", array) as replay:
+        again = record(array, replay, tmp_path / "again.h5", rate_hz=50, seconds=18, wall_time=start)
+        replay.finished()  # type: ignore[attr-defined]
+    return live, again, array
+
+
+@pytest.mark.parametrize("hurried", [False, True])
+def test_a_faulty_night_replays_frame_by_frame(tmp_path: Path, hurried: bool) -> None:
+    live_summary, again_summary, array = faulty_night(tmp_path, hurried)
+    with open_log(tmp_path / "live.h5") as live, open_log(tmp_path / "again.h5") as again:
+        kinds = {event.kind for event in live.events}
+        assert {"lost", "reconfigured", "configuration", "bus", "taken"} <= kinds
+        assert again.events == live.events
+        for sensor in array.sensors:
+            ours, theirs = live[sensor.name], again[sensor.name]
+            np.testing.assert_array_equal(theirs.time[:], ours.time[:])
+            np.testing.assert_array_equal(theirs.counts[:], ours.counts[:])
+            np.testing.assert_array_equal(theirs.status[:], ours.status[:])
+    assert (again_summary.frames, again_summary.late, again_summary.missed, again_summary.lost) == (
+        live_summary.frames,
+        live_summary.late,
+        live_summary.missed,
+        live_summary.lost,
+    )
+
+
+def test_the_first_difference_of_a_night_names_its_line(tmp_path: Path) -> None:
+    _, _, array = faulty_night(tmp_path, False)
+    rows = (tmp_path / "t.jsonl").read_text().splitlines()
+    at = next(index for index, row in enumerate(rows) if index > 2000 and '"write": "30"' in row)
+    rows[at] = rows[at].replace('"write": "30"', '"write": "31"')
+    (tmp_path / "other.jsonl").write_text("\n".join(rows) + "\n")
+    with (
+        open_bus(f"replay:{tmp_path / 'other.jsonl'}", array) as replay,
+        pytest.raises(SensorError, match=rf"other\.jsonl, line {at + 1}: recorded 0x53 write 31 read .*, now 0x53 wri"),
+    ):
+        record(array, replay, tmp_path / "other.h5", rate_hz=50, seconds=18)
+
+
+def test_questions_whose_an_address_is_are_recorded(tmp_path: Path) -> None:
+    class Owned(Script):
+        def claim(self, address: int, path: str | None = None) -> None:
+            if address == 0x53:
+                raise OSError(16, "Device or resource busy")
+            if address == 0x40:
+                raise SensorError("belongs to the kernel")
+
+    def ask(bus: Any) -> list[str]:
+        said = []
+        for address, path in ((0x1E, None), (0x53, None), (0x40, "/dev/i2c-11")):
+            try:
+                bus.claim(address, path)
+                said.append("")
+            except (OSError, SensorError) as error:
+                said.append(f"{type(error).__name__} {getattr(error, 'errno', error)}")
+        return said
+
+    with RecordingBus(Owned([]), tmp_path / "t.jsonl") as bus:
+        first = ask(bus)
+    assert lines(tmp_path / "t.jsonl")[1:] == [
+        {"claim": "53", "at_ns": 3000, "errno": 16, "end_ns": 4000},
+        {"claim": "40", "at_ns": 5000, "bus": "/dev/i2c-11", "error": "belongs to the kernel", "end_ns": 6000},
+    ]
+    with ReplayBus(tmp_path / "t.jsonl") as replay:
+        assert ask(replay) == first == ["", "OSError 16", "SensorError belongs to the kernel"]
+        replay.finished()
+    with ReplayBus(tmp_path / "t.jsonl") as replay, pytest.raises(SensorError, match="line 1: recorded 0x1e: whose"):
+        replay.transfer(0x1E)
+    with RecordingBus(Script([]), tmp_path / "u.jsonl") as bus:
+        assert not hasattr(bus, "claim")
+
+
+def test_a_disk_that_is_full_is_no_failure_of_the_bus(tmp_path: Path) -> None:
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(28, "No space left on device")
+
+    with RecordingBus(Script([b"\x01", b"\x02"]), tmp_path / "t.jsonl") as bus:
+        bus._file.close()
+        bus._file = Full()
+        assert bus.transfer(0x53, b"\x00", 1) == b"\x01"
+        assert bus.failed == f"transcript {tmp_path / 't.jsonl'}: not complete: No space left on device"
+        assert bus.transfer(0x53, b"\x00", 1) == b"\x02"
+
+
+def test_transactions_that_nobody_would_see_are_not_offered(tmp_path: Path) -> None:
+    class Grouping(Script):
+        def transfer_all(self, requests: Any) -> list[bytes]:
+            return []
+
+    with RecordingBus(Grouping([]), tmp_path / "t.jsonl") as bus:
+        assert not hasattr(bus, "transfer_all")
+
+
+def test_a_microcontroller_is_polled_while_a_transcript_is_written(tmp_path: Path) -> None:
+    text = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
+    array = parse_array(text)
+    bench = Bench(array)
+    with RecordingBus(bench.bus(), tmp_path / "t.jsonl") as bus:
+        assert "what it streams by itself has none" in bus.remark
+        assert len(bus.remark.splitlines()) == 1
+        record(array, bus, tmp_path / "live.h5", rate_hz=50, seconds=2)
+    with ReplayBus(tmp_path / "t.jsonl") as replay:
+        record(array, replay, tmp_path / "again.h5", rate_hz=50, seconds=2)
+        replay.finished()
+    with open_log(tmp_path / "live.h5") as live, open_log(tmp_path / "again.h5") as again:
+        assert len(live["A"]) >= 90
+        np.testing.assert_array_equal(live["A"].time[:], again["A"].time[:])
+        np.testing.assert_array_equal(live["A"].counts[:], again["A"].counts[:])
+
+
+@given(st.lists(st.one_of(st.text(max_size=30), st.sampled_from([json.dumps(GOOD), "[" * 5000, "9" * 5000]))))
+def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, rows: list[str]) -> None:
+    path = tmp_path_factory.mktemp("t") / "t.jsonl"
+    path.write_text("\n".join(rows), encoding="utf-8", errors="replace")
+    try:
+        with ReplayBus(path) as bus:
+            for _ in range(len(rows) + 1):
+                bus.transfer(0x53, b"\x00", 1)
+    except (SensorError, BusUrlError) as refused:
+        assert len(str(refused).splitlines()) == 1

@@ -17,7 +17,7 @@ from firmware_emulator.wire import Wire
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.bus.linux import LinuxBus
-from imuarray.bus.transcript import ReplayBus
+from imuarray.bus.replay import ReplayBus
 from imuarray.errors import BusUrlError, ConfigError
 
 SENSOR = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\n'
@@ -31,11 +31,9 @@ def refusal(url: str) -> str:
     return str(refused.value)
 
 
-@pytest.mark.parametrize(
-    "url", ["", ":", "i2c", "/dev/i2c-1", "usb:1", "EMULATED:", "emulated", "serial:/dev/ttyACM0 "]
-)
+@pytest.mark.parametrize("url", ["", ":", "i2c", "/dev/i2c-1", "usb:1", "EMULATED:", "emulated", "SERIAL:/dev/ttyACM0"])
 def test_no_bus_at_all(url: str) -> None:
-    assert refusal(url).startswith(f"bus {url!r}: allowed are i2c:/dev/i2c-1, replay:T.jsonl")
+    assert refusal(url).startswith(f"bus {url!r}: allowed are i2c:/dev/i2c-1, serial:/dev/ttyACM0, replay:T.jsonl")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,183 @@
+"""The microcontroller's loop, without I/O: take commands, go through the lists, frame after frame.
+
+As the paper's firmware (section 3.2) it records a time and reads all sensors, again and again; which, and how, the host
+says. Commands are looked at between two frames. What it can't do with a command it says by a result, and goes on.
+"""
+
+from __future__ import annotations
+
+import errno
+import struct
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+from firmware_emulator.clock import Clock
+from firmware_emulator.serial_link import LONGEST, VERSION, Command, Receiver, frame
+
+DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
+FAILED_AGES = {NOBODY: 0xFFFF, HELD: 0xFFFE}
+LONGEST_AGE_US = 0xFFFD
+ANSWER, DATA = 0x80, 0xD0
+LISTS = 128
+REQUEST_BYTES = 1536
+"""What fits into 2.5 KiB of memory beside everything else; the paper's microcontroller has no more."""
+
+
+class Transfers(Protocol):
+    """The I2C bus of the microcontroller."""
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """One transaction; OSError as the emulated wire gives it."""
+
+
+class Request(NamedTuple):
+    """One transaction of a list."""
+
+    address: int
+    write: bytes
+    read: int
+
+
+@dataclass
+class PollList:
+    """Gone through in frames number `offset`, `offset` + `every`, ..."""
+
+    every: int
+    offset: int
+    requests: list[Request] = field(default_factory=list)
+
+
+class Firmware:
+    """One microcontroller on `bus`. Its counter stands at `counter_us` as it starts and runs fast by `drift` (1e-4: by
+    100 parts in a million); `clock` is true time.
+    """
+
+    def __init__(self, bus: Transfers, clock: Clock, *, counter_us: int = 0, drift: float = 0.0) -> None:
+        self.clock = clock
+        self.bus = bus
+        self.rate = 1 + drift
+        self._counter_us = counter_us
+        self._started_ns = clock.now_ns()
+        self._receiver = Receiver()
+        self._last = b"", b""  # command and answer
+        self._lists: dict[int, PollList] = {}
+        self._period_ns = 0.0
+        self._begun_ns = 0
+        self._number = 0
+        self._commands = {1: self._hello, 2: self._transfer, 3: self._list, 4: self._start, 5: self._stop}
+
+    def time_us(self) -> int:
+        """The counter, which has no end here."""
+        return self._counter_us + int((self.clock.now_ns() - self._started_ns) * self.rate) // 1000
+
+    @property
+    def due_ns(self) -> int | None:
+        """When the next frame begins, on the true clock; None while none is wanted."""
+        return self._begun_ns + round(self._number * self._period_ns) if self._period_ns else None
+
+    def feed(self, data: bytes) -> bytes:
+        """Bytes from the host; what is answered."""
+        return b"".join(self._answer(command) for command in self._receiver.feed(data))
+
+    def tick(self) -> list[bytes]:
+        """Begin the next frame if it is time to: what it sends, list by list. One that would begin a whole frame late
+        is left out.
+        """
+        if self.due_ns is None or self.due_ns > self.clock.now_ns():
+            return []
+        late_ns = self.clock.now_ns() - self.due_ns
+        self._number += int(late_ns // self._period_ns)
+        number, self._number = self._number, self._number + 1
+        return [
+            self._gone_through(name, asked.requests, number)
+            for name, asked in sorted(self._lists.items())
+            if number % asked.every == asked.offset
+        ]
+
+    def _gone_through(self, name: int, requests: list[Request], number: int) -> bytes:
+        done = [self._try_twice(request) for request in requests]
+        now_us, payload = self.time_us(), bytearray([name])
+        for result, begun_us, data in done:
+            age_us = FAILED_AGES.get(result, min(now_us - begun_us, LONGEST_AGE_US))
+            payload += age_us.to_bytes(2, "little") + data
+        return frame(DATA, number, now_us, bytes(payload))
+
+    def _try_twice(self, request: Request) -> tuple[int, int, bytes]:
+        """Result, when its START was on the wire, and as many bytes as were asked for."""
+        for _ in range(2):
+            begun_us = self.time_us()
+            result, data = self._transaction(*request)
+            if result != NOBODY:
+                break
+        return result, begun_us, data
+
+    def _transaction(self, address: int, write: bytes, read: int) -> tuple[int, bytes]:
+        try:
+            return DONE, self.bus.transfer(address, write, read)
+        except OSError as error:
+            return (HELD if error.errno in (errno.ETIMEDOUT, errno.EAGAIN) else NOBODY), bytes(read)
+        except ValueError:
+            return REFUSED, bytes(read)
+
+    def _answer(self, command: Command) -> bytes:
+        if command.raw == self._last[0] and command.kind != 1:
+            return self._last[1]
+        handler = self._commands.get(command.kind)
+        payload = bytes([REFUSED]) if handler is None else handler(command.payload)
+        answer = frame(command.kind | ANSWER, command.sequence, self.time_us(), payload)
+        self._last = command.raw, answer
+        return answer
+
+    def _hello(self, payload: bytes) -> bytes:
+        self._stop(b"")
+        return struct.pack("<BBH", VERSION, LISTS, REQUEST_BYTES)
+
+    def _transfer(self, payload: bytes) -> bytes:
+        if len(payload) < 3:
+            return bytes([REFUSED])
+        address, read = struct.unpack_from("<BH", payload)
+        if read + 1 > LONGEST:
+            return bytes([REFUSED])
+        result, data = self._transaction(address, payload[3:], read)
+        return bytes([result]) + (data if result == DONE else b"")
+
+    def _list(self, payload: bytes) -> bytes:
+        if len(payload) < 5:
+            return bytes([REFUSED])
+        number, every, offset = struct.unpack_from("<BHH", payload)
+        asked = requests_in(payload[5:])
+        others = [request for name, other in self._lists.items() if name != number for request in other.requests]
+        if asked is None or not offset < every or number >= LISTS or size_of(others + asked) > REQUEST_BYTES:
+            return bytes([REFUSED])
+        if 1 + sum(2 + request.read for request in asked) > LONGEST:
+            return bytes([REFUSED])
+        self._lists[number] = PollList(every, offset, asked)
+        return bytes([DONE])
+
+    def _start(self, payload: bytes) -> bytes:
+        if len(payload) != 4 or not any(payload):
+            return bytes([REFUSED])
+        self._period_ns = int.from_bytes(payload, "little") * 1000 / self.rate
+        self._begun_ns, self._number = self.clock.now_ns(), 0
+        return bytes([DONE])
+
+    def _stop(self, payload: bytes) -> bytes:
+        self._lists.clear()
+        self._period_ns = 0.0
+        return bytes([DONE])
+
+
+def requests_in(body: bytes) -> list[Request] | None:
+    """The requests of a LIST; None if they don't fill it exactly or no bus can carry them."""
+    requests = []
+    while body:
+        if len(body) < 3 or len(body) < 3 + body[1] or body[0] > 0x7F:
+            return None
+        requests.append(Request(body[0], body[3 : 3 + body[1]], body[2]))
+        body = body[3 + body[1] :]
+    return requests
+
+
+def size_of(requests: list[Request]) -> int:
+    """Bytes that they take in memory."""
+    return sum(3 + len(request.write) for request in requests)

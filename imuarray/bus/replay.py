@@ -1,0 +1,199 @@
+"""A transcript played back (`imuarray.bus.transcript`)."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import deque
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+from imuarray.bus.protocol import Bus
+from imuarray.bus.transcript import LONGEST_LINE
+from imuarray.clock import Clock
+from imuarray.errors import BusUrlError, SensorError
+from imuarray.printable import printable
+
+_MOST_NS = 1 << 63
+_MOST_ERRNO = 4095
+
+
+class ReplayClock:
+    """A clock that stands where the transcript stands, and shows what was seen there."""
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+        self._seen_ns: deque[int] = deque()
+
+    def now_ns(self) -> int:
+        """What the program saw then; else when the last transaction ended, or the last sleep."""
+        if self._seen_ns:
+            self._now_ns = max(self._now_ns, self._seen_ns.popleft())
+        return self._now_ns
+
+    def sleep_until(self, at_ns: int) -> None:
+        """No need to wait."""
+        self._now_ns = max(self._now_ns, at_ns)
+
+    def stand(self, at_ns: int, seen_ns: list[int]) -> None:
+        """A transaction has ended; before the next one the clock will have been seen at these times."""
+        self._now_ns = max(self._now_ns, at_ns)
+        self._seen_ns = deque(seen_ns)
+
+
+class ReplayBus:
+    """A transcript played back: gives the recorded answers, refuses whatever was not asked then."""
+
+    source = "replay"
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self.path = Path(path)
+        self._clock = ReplayClock()
+        self.clock: Clock = self._clock
+        self._played = 0
+        self._failure: SensorError | BusUrlError | None = None
+        try:
+            self._file: IO[str] = self.path.open(encoding="utf-8")
+        except OSError as error:
+            raise BusUrlError(f"replay:{path}: {error.strerror or error}") from None
+        try:
+            self._next = self._read()
+        except (OSError, UnicodeDecodeError) as error:
+            self._file.close()
+            raise BusUrlError(f"replay:{path}: {getattr(error, 'strerror', None) or 'is not a transcript'}") from None
+        self._show_ahead(0)
+        if self._next and "claim" in self._next:  # else this bus could not tell whose an address is
+            self.claim = self._claim
+
+    def _read(self) -> dict[str, Any] | None:
+        """The next line; None behind the last, empty for one that is no transaction."""
+        text = self._file.readline(LONGEST_LINE)
+        if not text:
+            return None
+        try:
+            return _parsed(json.loads(text))
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+            return {}
+
+    def _show_ahead(self, end_ns: int) -> None:
+        self._clock.stand(end_ns, self._next.get("seen_ns", []) if self._next else [])
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """See `Bus.transfer`; SensorError at the first transaction that differs from the recorded one."""
+        return self._play("", address, write, read)
+
+    def channel_bus(self, path: str) -> Bus:
+        """The replayed traffic of another bus that was recorded into the same transcript."""
+        return _ReplayedChannel(self, path)
+
+    def _play(self, path: str, address: int, write: bytes, read: int) -> bytes:
+        asked = _words(path, address, write, read)
+        recorded = self._line(asked)
+        if recorded["errno"]:
+            raise OSError(recorded["errno"], recorded.get("error") or os.strerror(recorded["errno"]))
+        answer: bytes = recorded["read"]
+        return answer
+
+    def _claim(self, address: int, path: str | None = None) -> None:
+        recorded = self._line(_claimed(path or "", address))
+        if "error" in recorded:
+            raise SensorError(recorded["error"])
+        if recorded["errno"]:
+            raise OSError(recorded["errno"], os.strerror(recorded["errno"]))
+
+    def _line(self, asked: str) -> dict[str, Any]:
+        """The next line, if that is what is asked now; once it wasn't, the first difference is all that is told."""
+        if self._failure is None:
+            try:
+                return self._checked(asked)
+            except (SensorError, BusUrlError) as error:
+                self._failure = error
+        raise self._failure
+
+    def _checked(self, asked: str) -> dict[str, Any]:
+        recorded = self._next
+        if recorded is None or (recorded and "words" not in recorded):
+            raise SensorError(f"{self.path}: the transcript ends after {self._played} transactions, more was asked")
+        self._played += 1
+        if not recorded:
+            raise BusUrlError(f"{self.path}, line {self._played}: not a transaction of a transcript")
+        if asked != recorded["words"]:
+            raise SensorError(f"{self.path}, line {self._played}: recorded {recorded['words']}, now {asked}")
+        try:
+            self._next = self._read()
+        except (OSError, UnicodeDecodeError):
+            self._next = {}
+        self._show_ahead(recorded["end_ns"])
+        return recorded
+
+    def finished(self) -> None:
+        """SensorError if part of the transcript was never asked for."""
+        left = 0
+        while self._next is not None:
+            left += not self._next or "words" in self._next
+            self._next = self._read()
+        if left:
+            raise SensorError(f"{self.path}: {left} recorded transactions were not repeated")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+class _ReplayedChannel:
+    """A kernel-driven channel of a replayed bus."""
+
+    def __init__(self, replay: ReplayBus, path: str) -> None:
+        self._replay, self._path = replay, path
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        return self._replay._play(self._path, address, write, read)
+
+
+def _parsed(line: dict[str, Any]) -> dict[str, Any]:
+    """A line with its numbers; ValueError, KeyError, TypeError, AttributeError, OverflowError for what is none."""
+    at_ns = _time(line.get("at_ns", 0))
+    found = {
+        "end_ns": _time(line.get("end_ns", at_ns)),
+        "seen_ns": [at_ns - _time(one) for one in line.get("seen", [])],
+    }
+    if "seen" in line and "to" not in line and "claim" not in line:
+        return found
+    path, number = line.get("bus", ""), int(line.get("errno", 0))
+    if "error" in line:
+        found["error"] = printable(str(line["error"]))
+    if not isinstance(path, str) or not 0 <= number <= _MOST_ERRNO:
+        raise ValueError(line)
+    found["errno"] = number
+    if "claim" in line:
+        words = _claimed(path, int(line["claim"], 16))
+        return found | {"claim": True, "words": words}
+    answer = bytes.fromhex(line.get("read", ""))
+    count = int(line.get("count", len(answer)))
+    words = _words(path, int(line["to"], 16), bytes.fromhex(line["write"]), count)
+    return found | {"words": words, "read": answer}
+
+
+def _time(value: Any) -> int:
+    time_ns = int(value)
+    if abs(time_ns) >= _MOST_NS:
+        raise OverflowError(value)
+    return time_ns
+
+
+def _words(path: str, address: int, write: bytes, read: int) -> str:
+    """A transaction in words."""
+    where = f"{path} " if path else ""
+    return f"{where}{address:#04x} write {write.hex() or 'nothing'} read {read}"
+
+
+def _claimed(path: str, address: int) -> str:
+    """The question whose an address is, in words."""
+    where = f"{path} " if path else ""
+    return f"{where}{address:#04x}: whose is it"

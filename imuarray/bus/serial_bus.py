@@ -1,0 +1,182 @@
+"""An array on a microcontroller, over the link of `imuarray.bus.serial_link`.
+
+As a `Bus` it has the microcontroller carry out one transaction after the other: drivers configure and check their
+chips through it as through any other. `start` hands it lists to go through by itself, and `receive` takes what it
+sends in bulk: the port is read seldom and in large pieces, and the frames of a list become the rows of a matrix.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.bus import serial_link as link
+from imuarray.bus.protocol import Bus
+from imuarray.bus.serial_clock import ClockFit, Widened
+from imuarray.bus.serial_link import Capacity, Frame, LinkError, PollList
+from imuarray.bus.serial_port import Port, port_of, usual_port
+from imuarray.bus.serial_session import PATIENCE_S, Session
+from imuarray.clock import Clock, MonotonicClock, sleep_for
+from imuarray.errors import BusUrlError
+
+NAP_S = 0.02
+"""Between two pieces of a stream: what comes in the meantime is read at once."""
+BUSY_BYTES = 8192
+"""When more than this came in a nap, the next one is left out: the system's own buffers are no larger."""
+
+
+class Samples(NamedTuple):
+    """What came of one list: numbers of the frames (n,), when each was sent (n,) in ns on the host's clock, and what
+    was sent (n, size), the list's number left out.
+    """
+
+    numbers: npt.NDArray[np.int64]
+    sent_ns: npt.NDArray[np.int64]
+    payload: npt.NDArray[np.uint8]
+
+
+class SerialBus:
+    """The microcontroller on the port that `open_port` opens; LinkError if nobody there speaks the link. `clock` is
+    the host's.
+
+    While lists are being gone through the multiplexer is theirs: `stop` before using the bus as a bus.
+    """
+
+    source = "serial"
+
+    def __init__(
+        self, open_port: Callable[[], Port], clock: Clock | None = None, *, patience_s: float = PATIENCE_S
+    ) -> None:
+        self.clock: Clock = MonotonicClock() if clock is None else clock
+        self._session = Session(open_port, self.clock, patience_s)
+        self._numbers = Widened(link.SEQUENCES, 0)
+        self._numbered_us = 0
+        self._sizes: dict[int, int] = {}
+        self._period_us = 0
+        self._behind = False
+
+    @property
+    def fit(self) -> ClockFit:
+        """From the microcontroller's clock to the host's."""
+        return self._session.fit
+
+    @property
+    def capacity(self) -> Capacity:
+        """What there is room for."""
+        return self._session.capacity
+
+    @property
+    def skipped(self) -> int:
+        """Bytes that came and belonged to no frame."""
+        return self._session.skipped
+
+    @property
+    def streaming(self) -> bool:
+        """True between `start` and `stop`."""
+        return self._period_us > 0
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        """See `Bus.transfer`; LinkError if the microcontroller does not answer, ValueError for what no frame holds."""
+        answer = self._session.ask(link.TRANSFER, link.transfer_payload(address, write, read))
+        return link.outcome_of(answer.payload, read, f"address {address:#04x} over the link")
+
+    def channel_bus(self, path: str) -> Bus:
+        """There is none: OSError, as for a device file that isn't there."""
+        raise FileNotFoundError(errno.ENOENT, "a microcontroller has no buses of the kernel", path)
+
+    def start(self, lists: Sequence[PollList], period_us: int) -> None:
+        """Have these lists gone through, frame after frame; OSError if the microcontroller refuses or has no room."""
+        size = link.request_bytes(lists)
+        if len(lists) > self.capacity.lists or size > self.capacity.request_bytes:
+            raise OSError(
+                errno.ENOSPC,
+                f"{len(lists)} lists with {size} bytes of requests; this microcontroller has room for"
+                f" {self.capacity.lists} with {self.capacity.request_bytes}",
+            )
+        for number, asked in enumerate(lists):
+            self._do(link.LIST, link.list_payload(number, asked), f"list {number}")
+        self._sizes = {number: asked.size for number, asked in enumerate(lists)}
+        self._do(link.START, link.start_payload(period_us), "start")
+        self._numbers, self._numbered_us = Widened(link.SEQUENCES, 0), self._session.started_us
+        self._period_us = period_us
+
+    def stop(self) -> None:
+        """End it; what was sent before is still there for `receive`."""
+        self._period_us = 0
+        self._do(link.STOP, b"", "stop")
+
+    def receive(self) -> Mapping[int, Samples]:
+        """Everything that came since the last call, by number of the list; while streaming after a nap, when a frame
+        has arrived or a moment has passed, without delay if there is more than can be kept up with. LinkError when the
+        port is gone.
+        """
+        if self.streaming:
+            if not self._behind:
+                sleep_for(self.clock, NAP_S)
+            self._behind = self._session.drain() > BUSY_BYTES
+            until_ns = self.clock.now_ns() + round(NAP_S * 1e9)
+            while not self._behind and self._session.read() == 0 and self.clock.now_ns() < until_ns:
+                pass
+        frames, sent_us = self._session.collect()
+        return self._by_list(frames, sent_us) if frames else {}
+
+    def reconnect(self, patience_s: float = PATIENCE_S) -> None:
+        """Open the port anew and begin from the beginning, after it was unplugged or its microcontroller was reset: the
+        chips may have lost their supply too. LinkError when nobody is there.
+        """
+        self._period_us = 0
+        self._session.reconnect(patience_s)
+
+    def _do(self, kind: int, payload: bytes, what: str) -> None:
+        link.outcome_of(self._session.ask(kind, payload).payload, 0, what)
+
+    def _by_list(self, frames: Sequence[Frame], sent_us: npt.NDArray[np.int64]) -> dict[int, Samples]:
+        """Frames as matrices, one a list; what no list of ours can have sent is left out."""
+        elapsed = (int(sent_us[0]) - self._numbered_us) / self._period_us if self._period_us else 0.0
+        numbers = self._numbers.widen(np.fromiter((frame.sequence for frame in frames), np.int64, len(frames)), elapsed)
+        self._numbered_us = int(sent_us[-1])
+        sent_ns = self.fit.host_ns(sent_us * 1000)
+        rows: dict[int, list[int]] = defaultdict(list)
+        for row, (_, _, _, payload) in enumerate(frames):
+            if payload and self._sizes.get(payload[0]) == len(payload):
+                rows[payload[0]].append(row)
+        found = {}
+        for number, where in sorted(rows.items()):
+            together = b"".join([frames[row].payload for row in where])
+            matrix = np.frombuffer(together, np.uint8).reshape(len(where), -1)
+            found[number] = Samples(numbers[where], sent_ns[where], matrix[:, 1:])
+        return found
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(OSError):
+            if self.streaming:
+                self.stop()
+        self._session.port.close()
+
+
+def open_serial(rest: str) -> SerialBus:
+    """The bus of the URL ``serial:`` + `rest`: ``/dev/ttyACM0``, ``/dev/ttyUSB0?baud=921600``; BusUrlError."""
+    path, baud = port_of(rest)
+    try:
+        return SerialBus(lambda: usual_port(path, baud), patience_s=PATIENCE_S)
+    except LinkError as error:
+        raise BusUrlError(f"serial:{path}: {error.strerror}; its firmware must speak the serial link") from error
+    except (OSError, ValueError) as error:
+        number = getattr(error, "errno", None)
+        if number in (errno.EAGAIN, errno.EBUSY):
+            raise BusUrlError(f"serial:{path}: another program has locked this port") from error
+        said = os.strerror(number) if number else error
+        raise BusUrlError(f"serial:{path}: {said}; ports are /dev/ttyACM* and /dev/ttyUSB* (group dialout)") from error

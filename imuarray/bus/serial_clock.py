@@ -1,0 +1,154 @@
+"""From the microcontroller's counters to the host's clock.
+
+Counters on the link are 16 and 32 bits wide and start over; `Widened` goes on counting. A frame can arrive late but
+never early, so that of all straight lines through (sent, arrived) the right one lies under every point, and close to
+the earliest: the edge of the lower convex hull that spans the middle of the data, which is the line under all points
+with the least sum of distances to them (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network
+delay measurements", INFOCOM 1999; Zhang, Liu and Xia, INFOCOM 2002, for the hull). Late deliveries, however many and
+however late, don't move it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Times = npt.NDArray[np.int64]
+
+MAX_DRIFT = 0.01
+"""Ceramic resonators are good to half a percent; what a fit says beyond twice that is the fault of its data."""
+BLOCK_NS = 100_000_000
+"""Of each such stretch one arrival is kept, the earliest."""
+WINDOW_BLOCKS = 600
+"""A minute or more: long beside the jitter of a delivery, short beside the warming up of an oscillator."""
+MIN_SPAN_NS = 200_000_000
+"""A shorter stretch says nothing about drift."""
+REFIT_NS = 1_000_000_000
+SLEW_NS = 2_000_000_000
+"""A better fit is approached over so long, instead of jumped to."""
+
+
+class Widened:
+    """A counter of `modulus` steps that starts over, as a number that doesn't: `last` is the newest."""
+
+    def __init__(self, modulus: int, last: int | None = None) -> None:
+        self.modulus = modulus
+        self.last = last
+
+    def widen(self, values: npt.NDArray[Any], elapsed: float = 0.0) -> Times:
+        """The values (n,), never decreasing, widened. `elapsed` is about how far the first is from `last` by another
+        clock, right to half a modulus: without it a silence of a whole turn would go unseen.
+        """
+        wide = np.asarray(values, np.int64)
+        if len(wide) == 0:
+            return wide
+        before = int(wide[0]) if self.last is None else self.last
+        steps = np.diff(wide, prepend=before) % self.modulus
+        turns = round((elapsed - int(steps[0])) / self.modulus)
+        steps[0] += max(turns, 0) * self.modulus
+        wide = before + np.cumsum(steps)
+        self.last = int(wide[-1])
+        return wide
+
+
+class ClockFit:
+    """The host's time as a line over the microcontroller's: `rate` nanoseconds here for one there.
+
+    `latency_ns` is how long the quickest delivery takes, and is taken off. Times that were given out stay in order,
+    whatever the fit learns later.
+    """
+
+    def __init__(self, latency_ns: int = 0) -> None:
+        self.latency_ns = latency_ns
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the microcontroller counts from another beginning."""
+        self.rate = 1.0
+        self._sent_ns: deque[int] = deque(maxlen=WINDOW_BLOCKS)
+        self._arrived_ns: deque[int] = deque(maxlen=WINDOW_BLOCKS)
+        self._block_ns = 0  # where the newest block began
+        self._fitted_ns: int | None = None
+        self._line = (0, 0.0)  # a time there, and the time here
+        self._slew: tuple[int, float] = (0, 0.0)  # from which time there on how much is made up for
+        self._given_ns: int | None = None
+
+    def add(self, sent_ns: int, arrived_ns: int) -> None:
+        """What was sent at `sent_ns` of the microcontroller's time had arrived by `arrived_ns` of ours."""
+        if not self._sent_ns or sent_ns - self._block_ns >= BLOCK_NS:
+            self._block_ns = sent_ns
+            self._sent_ns.append(sent_ns)
+            self._arrived_ns.append(arrived_ns)
+        elif arrived_ns - self._arrived_ns[-1] < self.rate * (sent_ns - self._sent_ns[-1]):
+            self._sent_ns[-1], self._arrived_ns[-1] = sent_ns, arrived_ns
+
+    def host_ns(self, sent_ns: Times) -> Times:
+        """Our time of each of the times (n,) of the microcontroller; ValueError before anything was added."""
+        if not self._sent_ns:
+            raise ValueError("a clock fit without data")
+        newest_ns = self._sent_ns[-1]
+        young = newest_ns - self._sent_ns[0] < 5 * REFIT_NS
+        if self._fitted_ns is None or young or newest_ns - self._fitted_ns >= REFIT_NS:
+            self._fit()
+        if len(sent_ns):
+            self._given_ns = int(sent_ns[-1])
+        return self._mapped(sent_ns)
+
+    def _mapped(self, sent_ns: Times) -> Times:
+        at_ns, here_ns = self._line
+        slewed_from_ns, slew_ns = self._slew
+        ahead = (sent_ns - at_ns).astype(np.float64)
+        made_up = slew_ns * np.clip(1 - (sent_ns - slewed_from_ns) / SLEW_NS, 0.0, 1.0)
+        host: Times = np.rint(ahead * self.rate + made_up + (here_ns - round(here_ns))).astype(np.int64)
+        return host + round(here_ns) - self.latency_ns
+
+    def _fit(self) -> None:
+        """The line under everything that was added, approached from where the last one led."""
+        given = None if self._given_ns is None else np.array([self._given_ns])
+        before = None if given is None else int(self._mapped(given)[0])
+        at_ns, base_ns = self._sent_ns[0], self._arrived_ns[0]
+        sent = np.array(self._sent_ns, np.int64) - at_ns
+        arrived = np.array(self._arrived_ns, np.int64) - base_ns
+        self.rate, least = line_under(sent.astype(np.float64), arrived.astype(np.float64))
+        self._line, self._fitted_ns = (at_ns, base_ns + least), self._sent_ns[-1]
+        self._slew = (0, 0.0)
+        if given is not None and before is not None:
+            self._slew = (int(given[0]), float(before - int(self._mapped(given)[0])))
+
+
+def line_under(sent: npt.NDArray[np.float64], arrived: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Slope and intercept of the line under all points (n,), in ns, with the least sum of distances to them.
+
+    Slope 1 where the points span too little to tell; never further from 1 than `MAX_DRIFT`.
+    """
+    slope = 1.0
+    if sent[-1] - sent[0] >= MIN_SPAN_NS:
+        (x0, y0), (x1, y1) = _edge(_lower_hull(sent.tolist(), arrived.tolist()), float(sent.mean()))
+        slope = min(max((y1 - y0) / (x1 - x0), 1 - MAX_DRIFT), 1 + MAX_DRIFT)
+    return slope, float((arrived - slope * sent).min())
+
+
+Point = tuple[float, float]
+
+
+def _lower_hull(xs: Sequence[float], ys: Sequence[float]) -> list[Point]:
+    """Corners of the lower convex hull, from left to right; `xs` increase (Andrew's monotone chain)."""
+    hull: list[Point] = []
+    for x, y in zip(xs, ys, strict=True):
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+                break
+            hull.pop()
+        hull.append((x, y))
+    return hull
+
+
+def _edge(hull: Sequence[Point], middle: float) -> tuple[Point, Point]:
+    """The edge of the hull above which `middle` lies."""
+    right = next(index for index, (x, _) in enumerate(hull) if x >= middle and index > 0)
+    return hull[right - 1], hull[right]

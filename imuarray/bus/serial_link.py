@@ -1,0 +1,212 @@
+"""The serial link to an array on a microcontroller, byte by byte; all that firmware needs to know to be spoken to.
+
+Both sides speak in frames; every number is little-endian::
+
+    offset  bytes
+    0       2       sync: A5 5A
+    2       2       n, length of the payload: at most 1024
+    4       1       kind
+    5       2       sequence
+    7       4       time: microseconds on the microcontroller's counter as the frame is begun; 0 from the host
+    11      n       payload
+    11 + n  4       CRC-32 (zlib's and Ethernet's) of bytes 2 to 10 + n
+
+A receiver that meets anything else looks for the next sync one byte further: a frame in one piece is found whatever
+stands around it. Commands of the host, and what the answer carries; an answer has bit 7 of the kind set and the
+command's sequence::
+
+    01 HELLO                                                  version, lists u8, bytes u16
+    02 TRANSFER  address, count u16, bytes to write           result, bytes that were read
+    03 LIST      number, every u16, offset u16, requests      result
+    04 START     period u32 (microseconds)                    result
+    05 STOP                                                   result
+
+`result` is 0 done, 1 nobody acknowledged, 2 the clock was held too long, 3 refused. A TRANSFER is one transaction,
+register address out and bytes in (`imuarray.bus.protocol.Bus`). HELLO ends what an earlier program left going on, and
+tells how many lists, and bytes of requests in them, there is room for. A command that is repeated, the very same frame,
+is answered again and not done again; HELLO alone is always new.
+
+A list is what is asked in one frame of the array. Its requests follow each other as ``address, bytes to write u8, bytes
+to read u8, what to write``. From START on, frame number 0, 1, 2, ... begins every `period`; in frame k the lists with
+``k mod every == offset`` are gone through, in order of their numbers, and each is sent at once. One that nobody
+acknowledges is tried a second time. STOP forgets all lists. What comes in between, and after each list, is::
+
+    D0 DATA      sequence: frame number mod 65536;  list number, then for each request: age u16, the bytes read
+
+`age` is how many microseconds before `time` the request's START was on the wire; FFFF in its place means that nobody
+acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller that comes late leaves
+frames out, and one whose line is full leaves out what it would have sent; their numbers are missing.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+VERSION = 1
+SYNC = b"\xa5\x5a"
+MAX_PAYLOAD = 1024
+HELLO, TRANSFER, LIST, START, STOP = 0x01, 0x02, 0x03, 0x04, 0x05
+ANSWER = 0x80
+DATA = 0xD0
+DONE, NOBODY, HELD, REFUSED = 0, 1, 2, 3
+AGE_NOBODY, AGE_HELD = 0xFFFF, 0xFFFE
+SEQUENCES = 1 << 16
+TIMES_US = 1 << 32
+
+_HEADER = struct.Struct("<2sHBHI")
+_BODY = _HEADER.size
+_CRC = struct.Struct("<I")
+OVERHEAD = _BODY + _CRC.size
+"""Bytes of a frame that are not payload."""
+_HELLO = struct.Struct("<BBH")
+_LIST = struct.Struct("<BHH")
+_TRANSFER = struct.Struct("<BH")
+
+_NOTHING = (b"", 0, 0, 0, 0)
+_ERRNO = {NOBODY: errno.EREMOTEIO, HELD: errno.ETIMEDOUT, REFUSED: errno.EOPNOTSUPP}
+
+
+class LinkError(OSError):
+    """What came over the link has no meaning, or nothing came; errno is EPROTO (71)."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(errno.EPROTO, text)
+
+
+class Frame(NamedTuple):
+    """One frame; `time_us` as it was sent, not widened."""
+
+    kind: int
+    sequence: int
+    time_us: int
+    payload: bytes
+
+
+class Capacity(NamedTuple):
+    """What HELLO tells: the version that is spoken, how many lists there can be, and how many bytes of requests."""
+
+    version: int
+    lists: int
+    request_bytes: int
+
+
+@dataclass(frozen=True)
+class Request:
+    """One transaction of a list."""
+
+    address: int
+    write: bytes
+    read: int
+
+
+@dataclass(frozen=True)
+class PollList:
+    """What is asked in frames number `offset`, `offset` + `every`, ..."""
+
+    every: int
+    offset: int
+    requests: tuple[Request, ...]
+
+    @property
+    def size(self) -> int:
+        """Bytes of the payload with which it is answered, its number included."""
+        return 1 + sum(2 + request.read for request in self.requests)
+
+
+def framed(kind: int, sequence: int, payload: bytes = b"", time_us: int = 0) -> bytes:
+    """The bytes of one frame; ValueError for a payload that is too long."""
+    if len(payload) > MAX_PAYLOAD:
+        raise ValueError(f"{len(payload)} bytes in a frame of the serial link; at most {MAX_PAYLOAD}")
+    frame = _HEADER.pack(SYNC, len(payload), kind, sequence, time_us) + payload
+    return frame + _CRC.pack(zlib.crc32(frame[2:]))
+
+
+class Deframer:
+    """Bytes in, in pieces of any length; frames out. `skipped` counts the bytes that belonged to none."""
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self._waiting = b""
+
+    def feed(self, data: bytes, *, final: bool = False) -> list[Frame]:
+        """The frames that `data` completes; never raises. `final`: nothing follows, what looks like the beginning of a
+        frame is none.
+        """
+        buffer = self._waiting + data
+        frames: list[Frame] = []
+        crc32, header, checksum, find = zlib.crc32, _HEADER.unpack_from, _CRC.unpack_from, buffer.find
+        at, size, skipped = 0, len(buffer), 0
+        while (start := find(SYNC, at)) >= 0:
+            _, length, kind, sequence, time_us = header(buffer, start) if size - start >= _BODY else _NOTHING
+            body, end = start + _BODY, start + _BODY + length
+            if length <= MAX_PAYLOAD and end + 4 <= size:
+                if crc32(buffer[start + 2 : end]) == checksum(buffer, end)[0]:
+                    frames.append(Frame(kind, sequence, time_us, buffer[body:end]))
+                    skipped += start - at
+                    at = end + 4
+                    continue
+            elif length <= MAX_PAYLOAD and not final:
+                break
+            skipped += start + 1 - at  # this sync begins no frame
+            at = start + 1
+        half = buffer.endswith(SYNC[:1]) and not final
+        kept = max(at, start if start >= 0 else size - half)
+        self.skipped += skipped + kept - at
+        self._waiting = buffer[kept:]
+        return frames
+
+
+def transfer_payload(address: int, write: bytes, read: int) -> bytes:
+    """Payload of TRANSFER; ValueError for what no adapter can send or no frame can carry."""
+    if not 0 <= address <= 0x7F or read < 0:
+        raise ValueError(f"transfer({address:#x}, read={read}): allowed are addresses of 7 bits and counts from 0")
+    if max(len(write) + _TRANSFER.size, read + 1) > MAX_PAYLOAD:
+        raise ValueError(
+            f"address {address:#04x}: {max(len(write), read)} bytes; a frame of the link holds {MAX_PAYLOAD}"
+        )
+    return _TRANSFER.pack(address, read) + write
+
+
+def list_payload(number: int, asked: PollList) -> bytes:
+    """Payload of LIST; ValueError for a list that does not fit into frames."""
+    body = b"".join(
+        bytes([request.address, len(request.write), request.read]) + request.write for request in asked.requests
+    )
+    if max(_LIST.size + len(body), asked.size) > MAX_PAYLOAD:
+        raise ValueError(f"list {number}: {max(len(body), asked.size)} bytes; a frame of the link holds {MAX_PAYLOAD}")
+    return _LIST.pack(number, asked.every, asked.offset) + body
+
+
+def request_bytes(lists: Sequence[PollList]) -> int:
+    """Bytes of requests in all lists, as HELLO counts them."""
+    return sum(3 + len(request.write) for asked in lists for request in asked.requests)
+
+
+def start_payload(period_us: int) -> bytes:
+    """Payload of START."""
+    return struct.pack("<I", period_us)
+
+
+def capacity_of(payload: bytes) -> Capacity:
+    """What the answer to HELLO says; LinkError for a payload that can't be one."""
+    if len(payload) < _HELLO.size:
+        raise LinkError(f"the answer to HELLO has {len(payload)} bytes; {_HELLO.size} are wanted")
+    return Capacity(*_HELLO.unpack_from(payload))
+
+
+def outcome_of(payload: bytes, count: int, what: str) -> bytes:
+    """The `count` bytes behind a result of 0; OSError as Linux gives it for 1 to 3, LinkError for anything else."""
+    if not payload or payload[0] not in (DONE, *_ERRNO):
+        raise LinkError(f"{what}: the microcontroller answers {payload[:8].hex() or 'nothing'}")
+    if payload[0] != DONE:
+        number = _ERRNO[payload[0]]
+        raise OSError(number, f"{os.strerror(number)}: {what}")
+    if len(payload) != 1 + count:
+        raise LinkError(f"{what}: {len(payload) - 1} bytes came; {count} were asked for")
+    return payload[1:]

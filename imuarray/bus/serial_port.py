@@ -1,0 +1,69 @@
+"""The port behind which a microcontroller is: pyserial opens it, and is asked for large pieces only.
+
+`read_until` and `readline` of pyserial fetch one byte a system call; a read of all that waits is several hundred times
+faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+from urllib.parse import parse_qsl
+
+from imuarray.bus.serial_link import LinkError
+from imuarray.errors import BusUrlError
+
+BAUD = 115_200
+"""What Arduino's examples begin with; a port that is USB all the way takes no notice of it."""
+READ_S = 0.02
+"""Longest wait for one byte."""
+WRITE_S = 0.25
+
+
+class Port(Protocol):
+    """What is used of pyserial's `Serial`; reading gives up after a while and gives what there is."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read at once."""
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Up to `size` bytes."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+def usual_port(path: str, baud: int) -> Port:
+    """The port at `path`, for this program alone; pyserial's SerialException, an OSError, or ValueError."""
+    from serial import Serial
+
+    port: Port = Serial(path, baud, timeout=READ_S, write_timeout=WRITE_S, exclusive=True)
+    return port
+
+
+def port_of(rest: str) -> tuple[str, int]:
+    """Path and speed from a URL without its ``serial:``; BusUrlError."""
+    path, _, query = rest.partition("?")
+    asked = dict(parse_qsl(query, keep_blank_values=True))
+    baud = asked.pop("baud", str(BAUD))
+    if not path:
+        raise BusUrlError("bus 'serial:': name the port, as in serial:/dev/ttyACM0")
+    if asked or not (baud.isascii() and baud.isdigit() and int(baud)):
+        raise BusUrlError(f"bus 'serial:{rest}': allowed behind the port is ?baud= and a whole number")
+    return path, int(baud)
+
+
+@contextmanager
+def port_errors() -> Iterator[None]:
+    """Turn what a port that is gone says into LinkError; pyserial's errors have no errno of their own."""
+    try:
+        yield
+    except LinkError:
+        raise
+    except OSError as error:
+        raise LinkError(f"the port fails: {error}") from error

@@ -1,0 +1,75 @@
+"""How a chip is read by a microcontroller that knows no chips: which transactions make up one reading.
+
+Most readings are one transaction; which it is is found by letting the driver fetch once from a bus that notes it. A
+barometer is asked three times, with waits in between. What comes back is put together to the burst that the driver's
+`decode` reads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from imuarray.array import SensorConfig
+from imuarray.bus.serial_link import Request
+from imuarray.drivers import DRIVERS
+from imuarray.facts import bmp180
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What is asked of one chip in one frame. The first request's answer, from byte `skipped` on, is a part of the
+    burst; if one of the bits `busy` is set in its first byte the chip had not finished, and there is no reading.
+    """
+
+    requests: tuple[Request, ...]
+    skipped: int = 0
+    busy: int = 0
+    wait_ns: int = 0
+    """At least so long after the visit before."""
+
+
+class _NotingBus:
+    """Notes what is asked, answers with zeros."""
+
+    def __init__(self) -> None:
+        self.asked: list[Request] = []
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        self.asked.append(Request(address, write, read))
+        return bytes(read)
+
+
+class _NoClock:
+    """Nothing takes time."""
+
+    def now_ns(self) -> int:
+        return 0
+
+    def sleep_until(self, at_ns: int) -> None:
+        pass
+
+
+def visits_of(sensor: SensorConfig) -> tuple[Visit, ...]:
+    """The visits, in order, that make up one reading; a sensor with `fifo` has none (its readings come in any number):
+    ValueError.
+    """
+    if sensor.fifo:
+        raise ValueError(f"sensor {sensor.name}: a queue is drained by its driver")
+    if sensor.chip == "bmp180":
+        return _barometer(sensor.address)
+    bus = _NotingBus()
+    DRIVERS[sensor.chip](bus, sensor, _NoClock()).fetch()
+    return (Visit(tuple(bus.asked)),)
+
+
+def _barometer(address: int) -> tuple[Visit, ...]:
+    """Temperature, then pressure: started, and read when it is over at the latest (BMP-40, BMP-44, BMP-46)."""
+    register = bytes([bmp180.CTRL_MEAS.address])
+    start_temperature = Request(address, register + b"\x2e", 0)
+    start_pressure = Request(address, register + b"\xf4", 0)
+    busy = bmp180.CONVERTING.mask
+    return (
+        Visit((start_temperature,)),
+        Visit((Request(address, register, 4), start_pressure), skipped=2, busy=busy, wait_ns=4_500_000),
+        Visit((Request(address, register, 5),), skipped=2, busy=busy, wait_ns=25_500_000),
+    )

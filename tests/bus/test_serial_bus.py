@@ -1,0 +1,273 @@
+"""The host's end of the link: a bus like any other, lists that are gone through, and lines that fail."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.array import parse_array
+from imuarray.bus import Bus, open_bus, serial_bus, serial_session
+from imuarray.bus.mux import Pca9544a
+from imuarray.bus.serial_bus import SerialBus
+from imuarray.bus.serial_link import ANSWER, LinkError, PollList, Request, framed
+from imuarray.errors import BusUrlError
+from tests.bus.serial_bench import Bench, Handle
+from tests.bus.test_contract import CONVERSATIONS, DEVICE, MUX, ON_CHANNEL, ON_TRUNK
+
+ARRAY = parse_array(ON_TRUNK)
+DEVID = Request(DEVICE, b"\x00", 1)
+MS = 1_000_000
+
+
+def received(bus: SerialBus, number: int, count: int) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """At least `count` frames of one list: numbers, times, payloads."""
+    found = []
+    for _ in range(50 + count):
+        came = bus.receive()
+        if number in came:
+            found.append(came[number])
+        if sum(len(samples.numbers) for samples in found) >= count:
+            break
+    numbers, times, payloads = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return numbers.tolist(), times, payloads
+
+
+@pytest.mark.parametrize("talk", CONVERSATIONS)
+def test_contract(talk: Callable[[Bus], None]) -> None:
+    with Bench(ARRAY).bus() as bus:
+        talk(bus)
+    with Bench(parse_array(ON_CHANNEL)).bus() as bus:
+        talk(Pca9544a(bus, MUX).channel(2))
+
+
+def test_what_it_is() -> None:
+    bench = Bench(ARRAY)
+    with bench.bus() as bus:
+        assert bus.source == "serial"
+        assert bus.clock is bench
+        assert bus.capacity.version == 1
+        assert not bus.streaming
+        with pytest.raises(OSError, match="no buses of the kernel"):
+            bus.channel_bus("/dev/i2c-7")
+        with pytest.raises(ValueError, match="7 bits"):
+            bus.transfer(0x80)
+        with pytest.raises(ValueError, match="holds 1024"):
+            bus.transfer(DEVICE, b"\x00", 1024)
+        assert len(bus.transfer(DEVICE, b"\x00", 1023)) == 1023
+    assert [handle.closed for handle in bench.handles] == [True]
+
+
+def test_a_held_clock_is_a_time_out() -> None:
+    class Held(Bench):
+        def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+            raise OSError(110, "held")
+
+    with Held(ARRAY).bus() as bus, pytest.raises(TimeoutError) as refused:
+        bus.transfer(DEVICE)
+    assert refused.value.errno == errno.ETIMEDOUT
+
+
+@pytest.mark.parametrize("lost", ["command", "answer"])
+def test_what_gets_lost_is_said_again_and_done_once(lost: str) -> None:
+    bench = Bench(ARRAY)
+    with bench.bus() as bus:
+        kept = iter([b""])  # the next piece disappears, the others arrive
+        if lost == "command":
+            bench.heard = lambda piece: next(kept, piece)
+        else:
+            bench.delivered = lambda piece: next(kept, piece)
+        before = len(bench.taps)
+        assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
+        assert len(bench.taps) == before + 1
+
+
+def test_answers_in_pieces_and_garbage_around_them() -> None:
+    bench = Bench(ARRAY)
+    with bench.bus() as bus:
+        bench.delivered = lambda piece: b"\xa5\x5a\x30\x00noise\xa5" + piece + b"\xa5\x5a"
+        for _ in range(5):
+            assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
+        assert bus.skipped >= 5 * 10
+
+
+def test_a_late_answer_to_another_command_is_none() -> None:
+    bench = Bench(ARRAY)
+    with bench.bus() as bus:
+        stale = framed(0x02 | ANSWER, 0x1234, b"\x00\x99")
+        bench.delivered = lambda piece: stale + piece
+        assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
+
+
+def test_silence() -> None:
+    bench = Bench(ARRAY)
+    with bench.bus() as bus:
+        bench.delivered = lambda piece: b""
+        with pytest.raises(LinkError, match="does not answer"):
+            bus.transfer(DEVICE)
+        begun_ns = bench.now_ns()
+        with pytest.raises(LinkError):
+            bus.transfer(DEVICE)
+        assert bench.now_ns() - begun_ns < 1000 * MS
+
+
+def test_nobody_speaks_the_link() -> None:
+    bench = Bench(ARRAY)
+    bench.delivered = lambda piece: b"AT+OK\r\n"
+    with pytest.raises(LinkError, match="does not answer"):
+        bench.bus()
+    assert [handle.closed for handle in bench.handles] == [True]
+
+
+def test_another_version() -> None:
+    bench = Bench(ARRAY)
+    bench.delivered = lambda piece: framed(0x81, int.from_bytes(piece[5:7], "little"), b"\x02\x80\x00\x06")
+    with pytest.raises(LinkError, match="speaks version 2 of the link, not 1"):
+        bench.bus()
+
+
+def test_lists_in_their_frames_with_numbers_and_times() -> None:
+    bench = Bench(ARRAY, drift=3e-3, counter_us=77)
+    with bench.bus() as bus:
+        begun_ns = bench.now_ns()
+        bus.start([PollList(1, 0, (DEVID,)), PollList(3, 2, (Request(DEVICE, b"\x2c", 1), DEVID))], 5000)
+        assert bus.streaming
+        numbers, times, payloads = received(bus, 0, 200)
+        assert numbers == list(range(len(numbers)))
+        np.testing.assert_allclose(np.diff(times), 5 * MS / 1.003, atol=3000)  # microseconds, and a fit that learns
+        taps = [tap.at_ns for tap in bench.taps if tap.write == b"\x00" and tap.at_ns >= begun_ns]
+        assert abs(times[0] - taps[0] - 93_700) < 50_000  # the age: one transaction, BUS-07
+        assert {bytes(row) for row in payloads} == {bytes([94, 0, 0xE5]), bytes([93, 0, 0xE5])}
+        bus.stop()
+        assert not bus.streaming
+
+
+def test_a_slower_list() -> None:
+    with Bench(ARRAY).bus() as bus:
+        bus.start([PollList(3, 2, (Request(DEVICE, b"\x2c", 1), DEVID))], 5000)
+        numbers, _, payloads = received(bus, 0, 20)
+        assert numbers == list(range(2, 3 * len(numbers), 3))
+        assert {(row[2], row[5]) for row in payloads.tolist()} == {(0x0A, 0xE5)}
+
+
+@pytest.mark.parametrize("silent_frames", [65_400, 65_536 * 3 + 20_000])
+@pytest.mark.parametrize("counter_us", [(1 << 32) - 700_000, 0])
+def test_counters_start_over_in_mid_stream(counter_us: int, silent_frames: int) -> None:
+    bench = Bench(ARRAY, counter_us=counter_us)
+    with bench.bus() as bus:
+        bus.start([PollList(1, 0, (DEVID,))], 5000)
+        before = received(bus, 0, 10)[0][-1]
+        bench.clock.advance(silent_frames * 5 * MS)  # the microcontroller did something else, and leaves frames out
+        numbers, times, _ = received(bus, 0, 200)
+        assert abs(numbers[0] - before - silent_frames) < 3
+        assert set(np.diff(numbers)) == {1}
+        assert numbers[-1] > 65_536
+        np.testing.assert_allclose(np.diff(times), 5 * MS, atol=150_000)  # the first begins late
+
+
+def test_frames_of_an_earlier_program_are_not_taken_for_ours() -> None:
+    bench = Bench(ARRAY)
+    old = bench.bus()
+    old.start([PollList(1, 0, (DEVID, DEVID))], 2000)
+    bench.sleep_until(bench.now_ns() + 300 * MS)  # it ended without a word; nobody reads
+    with bench.bus() as bus:
+        bus.start([PollList(1, 0, (DEVID,))], 5000)
+        numbers, _, payloads = received(bus, 0, 20)
+        assert numbers == list(range(len(numbers)))
+        assert payloads.shape[1] == 3
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 255), st.integers(0, 0xFFFF), st.binary(max_size=8)), max_size=20))
+def test_frames_that_are_whole_and_mean_nothing(strange: list[tuple[int, int, bytes]]) -> None:
+    bench = Bench(ARRAY)
+    with bench.bus() as bus:
+        bus.start([PollList(1, 0, (DEVID,))], 5000)
+        received(bus, 0, 3)
+        time_us = bench.firmware.time_us()
+        bench.sent += b"".join(framed(kind, number, payload, time_us) for kind, number, payload in strange)
+        for _ in range(3):
+            for number, samples in bus.receive().items():
+                assert number == 0
+                assert samples.payload.shape == (len(samples.numbers), 3)
+                assert (np.diff(samples.sent_ns) >= 0).all()
+        bus.stop()
+        assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
+
+
+def test_no_room() -> None:
+    with Bench(ARRAY).bus() as bus:
+        with pytest.raises(OSError, match=r"129 lists with 516 bytes of requests; .* room for 128 with 1536") as full:
+            bus.start([PollList(1, 0, (DEVID,))] * 129, 5000)
+        assert full.value.errno == errno.ENOSPC
+        with pytest.raises(OSError, match="list 0"):
+            bus.start([PollList(1, 1, (DEVID,))], 5000)  # no frame has this remainder
+
+
+def test_the_port_disappears_and_comes_back() -> None:
+    bench = Bench(ARRAY)
+    with bench.bus() as bus:
+        bus.start([PollList(1, 0, (DEVID,))], 5000)
+        received(bus, 0, 10)
+        bench.unplug()
+        with pytest.raises(LinkError, match=r"the port fails: .*Input/output error"):
+            bus.receive()
+        with pytest.raises(LinkError, match="No such file"):
+            bus.reconnect(0.5)
+        bench.unplugged = False
+        bus.reconnect(0.5)
+        assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
+        assert [handle.closed for handle in bench.handles] == [True, False]
+
+
+def test_a_port_that_opens_and_can_not_be_written_to() -> None:
+    bench = Bench(ARRAY)
+
+    def dead() -> Handle:
+        handle = bench.open()
+        handle.dead = True
+        return handle
+
+    with pytest.raises(LinkError, match="the port fails"):
+        SerialBus(dead, bench, patience_s=0.5)
+    assert bench.now_ns() < 600 * MS
+
+
+def refusal(url: str) -> str:
+    with pytest.raises(BusUrlError) as refused:
+        open_bus(url, ARRAY)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+def test_urls_that_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(serial_bus, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(serial_session, "ANSWER_S", 0.05)
+    assert refusal("serial:") == "bus 'serial:': name the port, as in serial:/dev/ttyACM0"
+    for query in ("?speed=9600", "?baud=fast", "?baud=0", "?baud=9600&parity=E"):
+        assert refusal(f"serial:/dev/ttyACM0{query}").endswith("allowed behind the port is ?baud= and a whole number")
+    assert refusal("serial:/dev/no-such-port").startswith("serial:/dev/no-such-port: No such file or directory; ports")
+    (tmp_path / "file").touch()
+    assert refusal(f"serial:{tmp_path / 'file'}").startswith(f"serial:{tmp_path / 'file'}: ")
+
+
+def test_a_terminal_where_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial_bus, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(serial_session, "ANSWER_S", 0.05)
+    ours, theirs = os.openpty()
+    drain = threading.Thread(target=lambda: os.read(ours, 65536))
+    drain.start()
+    try:
+        said = refusal(f"serial:{os.ttyname(theirs)}?baud=9600")
+        assert said.endswith("the microcontroller does not answer; its firmware must speak the serial link")
+    finally:
+        drain.join()
+        os.close(ours)
+        os.close(theirs)

@@ -1,0 +1,141 @@
+"""Counters that start over, and the host's time from deliveries that are late as often as not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from imuarray.bus.serial_clock import SLEW_NS, ClockFit, Widened, line_under
+
+S = 1_000_000_000
+
+
+@settings(deadline=None)
+@given(
+    st.integers(0, 2**40),
+    st.lists(st.lists(st.integers(0, 60_000), min_size=1, max_size=20), max_size=8),
+)
+def test_a_counter_of_sixteen_bits_goes_on(first: int, steps: list[list[int]]) -> None:
+    counter, true, found, expected = Widened(1 << 16), first, [], []
+    for piece in steps:
+        values = []
+        for step in piece:
+            true += step
+            values.append(true)
+        expected += values
+        found += counter.widen(np.array(values) % (1 << 16)).tolist()
+    if found:
+        assert found == [value - expected[0] + expected[0] % (1 << 16) for value in expected]
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 2**36), st.floats(-0.49, 0.49))
+def test_a_silence_of_many_turns_is_seen_with_another_clock(first: int, silence: int, off: float) -> None:
+    counter = Widened(1 << 32)
+    (start,) = counter.widen(np.array([first]))
+    elapsed = silence + off * 2**32
+    (after,) = counter.widen(np.array([(first + silence) % (1 << 32)]), elapsed)
+    assert after - start == silence
+
+
+def test_from_a_known_beginning() -> None:
+    counter = Widened(1 << 16, 0)
+    assert counter.widen(np.array([2, 65_535, 1])).tolist() == [2, 65_535, 65_537]
+    assert counter.widen(np.array([], np.int64)).tolist() == []
+    assert counter.last == 65_537
+
+
+def deliveries(
+    seconds: float, rate_hz: float, drift: float, seed: int, late: float = 0.3
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(true, counter, arrived) in ns: 80 us of scatter, and `late` of them late by up to half a second more."""
+    draw = np.random.default_rng(seed)
+    true = np.arange(0, seconds * S, S / rate_hz)
+    delay = 50_000 + draw.exponential(80_000, len(true))
+    delay += np.where(draw.random(len(true)) < late, draw.uniform(0, S / 2, len(true)), 0)
+    arrived = np.maximum.accumulate(true + delay) + 7 * S
+    return true + 7 * S, np.round(true * (1 + drift)).astype(np.int64) + 123 * S, arrived.astype(np.int64)
+
+
+@pytest.mark.parametrize("drift", [0.0, 5e-3, -5e-3, 40e-6])
+def test_offset_and_drift_of_a_resonator(drift: float) -> None:
+    true, counter, arrived = deliveries(60, 50, drift, 1)
+    fit = ClockFit(latency_ns=50_000)
+    for sent_ns, arrived_ns in zip(counter.tolist(), arrived.tolist(), strict=True):
+        fit.add(sent_ns, arrived_ns)
+    error_ns = fit.host_ns(counter) - true
+    assert np.abs(error_ns).max() < 60_000
+    assert fit.rate * (1 + drift) == pytest.approx(1, abs=2e-6)
+    assert (arrived - true).mean() > 30_000_000  # what a mean, or least squares, would be off by
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_in_order_while_it_learns(seed: int) -> None:
+    true, counter, arrived = deliveries(8, 50, 4e-3, seed, late=0.5)
+    fit, given_ns = ClockFit(), []
+    for start in range(0, len(counter), 5):
+        piece = slice(start, start + 5)
+        fit.add(int(counter[piece][-1]), int(arrived[piece][-1]))
+        given_ns += fit.host_ns(counter[piece]).tolist()
+    assert (np.diff(given_ns) > 0).all()
+    assert abs(given_ns[-1] - true[-1]) < S / 2
+
+
+def test_a_better_fit_is_approached_and_not_jumped_to() -> None:
+    fit = ClockFit()
+    fit.add(0, 5_000_000)  # 5 ms late
+    before = fit.host_ns(np.array([0, 1000]))
+    assert before.tolist() == [5_000_000, 5_001_000]
+    fit.add(50_000_000, 50_000_000)  # in time: so the first was late
+    times = np.arange(2000, 2 * SLEW_NS, 1_000_000)
+    after = fit.host_ns(times)
+    assert after[0] == pytest.approx(5_002_000, abs=10)
+    assert (np.diff(after) > 990_000).all()
+    assert after[-1] == times[-1]
+
+
+def test_warming_up_is_followed() -> None:
+    # The rate changes by 20 parts in a million in five minutes: a line over all of it would be 0.75 ms off.
+    draw = np.random.default_rng(3)
+    seconds = np.arange(0, 300, 0.05)
+    true = np.round(seconds * S).astype(np.int64)
+    counter = np.round((seconds + 20e-6 * seconds**2 / 600) * S).astype(np.int64)
+    arrived = true + draw.exponential(80_000, len(true)).astype(np.int64)
+    fit, error_ns = ClockFit(), []
+    for at in range(len(true)):
+        fit.add(int(counter[at]), int(arrived[at]))
+        if at % 20 == 19:
+            error_ns.append(int(fit.host_ns(counter[at : at + 1])[0] - true[at]))
+    assert np.abs(error_ns[10:]).max() < 150_000
+
+
+def test_nothing_to_fit() -> None:
+    with pytest.raises(ValueError, match="without data"):
+        ClockFit().host_ns(np.array([1]))
+
+
+@settings(deadline=None)
+@given(st.integers(2, 40), st.integers(0, 2**32 - 1))
+def test_the_line_lies_under_all_points_and_as_close_as_one_can(count: int, seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    sent = np.cumsum(draw.uniform(1e7, 1e8, count)) - 1e7
+    sent -= sent[0]
+    arrived = sent * (1 + 3e-3) + draw.exponential(2e5, count)
+    slope, start = line_under(sent, arrived)
+    gap = arrived - start - slope * sent
+    assert gap.min() >= -1e-3
+    if sent[-1] >= 2e8 and abs(slope - 1) < 0.0099:
+        # The same as a linear programme: maximise the sum under the line, in units of seconds.
+        best = linprog(
+            [-sent.sum() / 1e9, -count],
+            A_ub=np.stack([sent / 1e9, np.ones(count)], axis=1),
+            b_ub=(arrived - sent) / 1e9,
+            bounds=[(None, None)] * 2,
+        )
+        assert gap.sum() / 1e9 == pytest.approx(
+            float(((arrived - sent) / 1e9).sum() + best.fun), abs=5e-6
+        )  # its tolerance is 1e-7 a point
