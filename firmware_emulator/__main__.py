@@ -1,4 +1,5 @@
-"""`python -m firmware_emulator CONFIG --usbip`: the emulated array as an I2C adapter of this or another Linux machine.
+"""`python -m firmware_emulator CONFIG --usbip`: the emulated array as an I2C adapter of this or another Linux machine;
+`--serial`: on an emulated microcontroller behind a pseudo-terminal.
 
 The only file of the emulator that reads a configuration; everything else is handed one. Exit codes as of `imuarray`: 2
 for bad input, with one line that names the place and what is allowed; 130 interrupted.
@@ -14,6 +15,8 @@ from urllib.parse import parse_qsl
 import click
 
 from firmware_emulator.array import EmulatedBus, open_bus
+from firmware_emulator.serial_firmware import Firmware
+from firmware_emulator.serial_port import SerialPort
 from firmware_emulator.serve import DEFAULT_HOST, DEFAULT_PORT, UsbipServer
 from imuarray.array import ArrayConfig, load_array
 from imuarray.commands.options import find_config
@@ -25,18 +28,24 @@ PROGRAM = "firmware_emulator"
 @click.command(PROGRAM, context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("config", type=click.Path(path_type=Path))
 @click.option("--usbip", is_flag=True, help="as a USB/IP device that Linux's module i2c-tiny-usb drives")
+@click.option("--serial", is_flag=True, help="on a microcontroller that sends what it reads over a serial port")
 @click.option("--host", default=DEFAULT_HOST, show_default=True, help="address to listen on; there is no password")
 @click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0: any free one")
 @click.option("--query", default="", metavar="TEXT", help="as after emulated:? in a bus URL: world=tumble&face_s=10")
-def program(config: Path, usbip: bool, host: str, port: int, query: str) -> None:
+def program(config: Path, usbip: bool, serial: bool, host: str, port: int, query: str) -> None:
     """Serve the emulated array of CONFIG outside this process, in real time.
 
-    Then, as root: modprobe -a vhci-hcd i2c-tiny-usb i2c-dev; usbip attach -r 127.0.0.1 -b 1-1
+    After --usbip, as root: modprobe -a vhci-hcd i2c-tiny-usb i2c-dev; usbip attach -r 127.0.0.1 -b 1-1. After
+    --serial: imuarray log CONFIG --bus serial:PORT -o RUN.h5, with the port that is printed.
     """
-    if not usbip:
-        raise click.UsageError("say how to serve it; allowed is --usbip")
+    if usbip == serial:
+        raise click.UsageError("say how to serve it; allowed is --usbip or --serial")
     array = load_array(find_config(config))
-    serve_usbip(array, real_time_bus(query, array), host, port)
+    bus = real_time_bus(query, array)
+    if serial:
+        serve_serial(array, bus)
+    else:
+        serve_usbip(array, bus, host, port)
 
 
 def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
@@ -48,6 +57,13 @@ def real_time_bus(query: str, array: ArrayConfig) -> EmulatedBus:
         return open_bus(asked, array)
     except ValueError as error:
         raise click.UsageError(f"--query {query!r}: {error}") from None
+
+
+def serve_serial(array: ArrayConfig, bus: EmulatedBus) -> None:
+    """Say where it is, and serve until interrupted."""
+    with SerialPort(Firmware(bus, bus.clock)) as port:
+        click.echo(f"{array.name}: serial:{port.path}")
+        port.serve_forever()
 
 
 def serve_usbip(array: ArrayConfig, bus: EmulatedBus, host: str, port: int) -> None:

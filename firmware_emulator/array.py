@@ -5,7 +5,9 @@ The array's description is duck-typed: `ArrayLike` says what is looked at.
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
@@ -29,6 +31,8 @@ ERRNOS = (6, 121)
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
 """Parameters that `firmware_emulator.mechanisms` understands."""
+FAULTS = "faults"
+"""Names a file of faults that happen by the clock (`firmware_emulator.faults`)."""
 
 
 class MuxLike(Protocol):
@@ -100,7 +104,14 @@ class EmulatedBus:
 
     source = "emulated"
 
-    def __init__(self, wires: Mapping[str, Wire], chips: Mapping[str, Chip], world: World, clock: Clock) -> None:
+    def __init__(
+        self,
+        wires: Mapping[str, Wire],
+        chips: Mapping[str, Chip],
+        world: World,
+        clock: Clock,
+        owned: Callable[[int, str], bool] = lambda address, bus: False,
+    ) -> None:
         self.wires = dict(wires)
         self.wire = self.wires[TRUNK]
         self.chips = dict(chips)
@@ -108,6 +119,12 @@ class EmulatedBus:
         self.truth = world
         self.transfer = self.wire.transfer
         self.phases: tuple[Phase, ...] = getattr(world, "phases", ())
+        self._owned = owned
+
+    def claim(self, address: int, path: str | None = None) -> None:
+        """OSError with EBUSY, as of I2C_SLAVE, while a driver of the kernel has that address (LNX-12)."""
+        if self._owned(address, path or TRUNK):
+            raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
 
     def channel_bus(self, bus: str) -> Wire:
         """The trunk of that name; OSError, as for a device file that isn't there, when no sensor is on it."""
@@ -162,7 +179,11 @@ def open_array(
         wires[TRUNK].connect_router(parts.router(array.mux.chip, array.mux.address, branches, now_ns))
     elif branches:
         raise ValueError(f"array {array.name}: sensors on channels {sorted(branches)}, but no mux")
-    return EmulatedBus(wires, chips, begun, parts.host_clock(time))
+
+    def owned(address: int, bus: str) -> bool:
+        return parts.owned(address, bus, time)
+
+    return EmulatedBus(wires, chips, begun, parts.host_clock(time), owned)
 
 
 def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switches = MappingProxyType({})) -> Chip:
@@ -185,9 +206,10 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
     """
     kind = named(query.get("world", "still"), WORLDS, "world")
     own = [field.name for field in fields(kind)]
+    allowed = (*SETTINGS, *own, *FITTINGS, FAULTS)
     for key in query:
-        if key not in (*SETTINGS, *own, *FITTINGS):
-            raise ValueError(f"{key}: no such parameter; allowed are {', '.join((*SETTINGS, *own, *FITTINGS))}")
+        if key not in allowed:
+            raise ValueError(f"{key}: no such parameter; allowed are {', '.join(allowed)}")
     nack_errno = whole_number(query, "errno", 121)
     if nack_errno not in ERRNOS:
         raise ValueError(f"errno={nack_errno}; allowed are {', '.join(map(str, ERRNOS))}")
@@ -203,12 +225,18 @@ def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
 
 
 def board_kind(query: Mapping[str, str], array: ArrayLike) -> BoardKind:
-    """The plain board, or one with the mechanisms that the query names."""
-    if not any(key in FITTINGS for key in query):
-        return Board
-    from firmware_emulator.mechanisms.query import board_from
+    """The plain board, or one with the mechanisms that the query names; with faults if it names a file of them."""
+    board: BoardKind = Board
+    if any(key in FITTINGS for key in query):
+        from firmware_emulator.mechanisms.query import board_from
 
-    return board_from(query, array)
+        board = board_from(query, array)
+    if FAULTS in query:
+        from firmware_emulator.faults import read_faults
+        from firmware_emulator.faulty_board import with_faults
+
+        board = with_faults(board, read_faults(query[FAULTS], array))
+    return board
 
 
 def world_from(kind: WorldKind, query: Mapping[str, str]) -> PhasedWorld:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from firmware_emulator.chip import Chip, Target
+from firmware_emulator.chip import Chip, Element, Target
 from firmware_emulator.chips import CHIPS
 from firmware_emulator.clock import Clock
 from firmware_emulator.element import IDENTITY, SensingElement
@@ -48,7 +48,7 @@ class Board:
         """The multiplexer; ValueError for one that isn't known."""
         return named(chip, MUXES, "mux")(address, channels, powered_on_ns)
 
-    def element(self, sensor: SensorLike) -> SensingElement:
+    def element(self, sensor: SensorLike) -> Element:
         """The sensing element of one sensor, with its unit's imperfections."""
         unit = unit_of(self.array, sensor.name, sensor.chip, sensor.range or 0.0, self.seed)
         orientation = IDENTITY if sensor.orientation is None else sensor.orientation
@@ -69,6 +69,10 @@ class Board:
     def device(self, sensor: SensorLike, chip: Chip) -> Target:
         """What is connected to the wire for one sensor: the chip itself, or what stands before it."""
         return chip
+
+    def owned(self, address: int, bus: str, clock: Clock) -> bool:
+        """Whether a driver of the kernel has taken that address of that bus."""
+        return False
 
     def host_clock(self, clock: Clock) -> Clock:
         """The clock that the polling program reads and sleeps on; `clock` is that of the world."""

@@ -9,7 +9,7 @@ wins (DEC-02).
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import and_
 from typing import NamedTuple, NoReturn, Protocol
@@ -40,6 +40,8 @@ FAST_MODE = Overhead(start_ns=600, repeated_start_ns=600 + 600, stop_ns=600 + 13
 STANDARD_MODE_MAX_HZ = 100_000
 
 Responders = dict[int, tuple[Target, ...]]
+Interference = Callable[["Wire", Sequence[Target]], None]
+"""Asked at every START, with the wire and the devices that will be addressed; may raise OSError or let time pass."""
 
 
 class Wire:
@@ -68,6 +70,7 @@ class Wire:
         self._begun_ns = 0
         self._at_ns = 0  # within a transaction the wire counts for itself; the clock hears of it at STOP
         self._addressed: Responders = {}
+        self.interference: Interference | None = None
 
     def connect(self, *devices: Target) -> None:
         """Solder devices to the trunk."""
@@ -85,6 +88,8 @@ class Wire:
 
         OSError(`nack_errno`) when address or data are not acknowledged, ValueError for what no adapter can send.
         """
+        if self.interference is not None:
+            self._interfere(address)
         responders = self._responders.get(address, ())
         if len(responders) != 1 or self._open or not write or read < 0:
             return self._transfer_by_messages(address, write, read)
@@ -116,6 +121,10 @@ class Wire:
 
     def send(self, address: int, data: bytes) -> None:
         """One writing message: (repeated) START, address, `data`. OSError, after a STOP, without acknowledge."""
+        self._interfere(address)
+        self._send(address, data)
+
+    def _send(self, address: int, data: bytes) -> None:
         responders = self._address(address)
         first_ns, byte_ns, count = self._at_ns + self._byte_ns, self._byte_ns, len(data)
         acknowledged = max([device.write(data, first_ns, byte_ns) for device in responders])
@@ -126,6 +135,10 @@ class Wire:
 
     def receive(self, address: int, count: int) -> bytes:
         """One reading message: (repeated) START, address, `count` bytes. OSError, after a STOP, when nobody answers."""
+        self._interfere(address)
+        return self._receive(address, count)
+
+    def _receive(self, address: int, count: int) -> bytes:
         responders = self._address(address)
         begun_ns, byte_ns = self._at_ns, self._byte_ns
         answers = [device.read(count, begun_ns, byte_ns) for device in responders]
@@ -161,8 +174,8 @@ class Wire:
         if read < 0 or not 0 <= address <= 0x7F:
             raise ValueError(f"transfer({address:#x}, read={read}): allowed are addresses of 7 bits and counts from 0")
         if write or not read:
-            self.send(address, write)
-        received = self.receive(address, read) if read else b""
+            self._send(address, write)
+        received = self._receive(address, read) if read else b""
         self.stop()
         return received
 
@@ -172,6 +185,11 @@ class Wire:
         self._begun_ns, self._at_ns = begun_ns, at_ns
         self._addressed[address] = self._responders[address]
         self.scl_clocks += 9
+
+    def _interfere(self, address: int) -> None:
+        """What is wrong with the wires shows before a transaction begins."""
+        if self.interference is not None and not self._open:
+            self.interference(self, self._responders.get(address, ()))
 
     def _address(self, address: int) -> tuple[Target, ...]:
         """(Repeated) START and address: who answers."""

@@ -235,7 +235,7 @@ def test_the_command_says_how_to_attach_and_serves() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([str(CONFIG)], "allowed is --usbip"),
+        ([str(CONFIG)], "allowed is --usbip or --serial"),
         ([str(CONFIG), "--usbip", "--query", "clock=virtual"], "clock=virtual; allowed is real"),
         ([str(CONFIG), "--usbip", "--query", "world=moon"], "allowed are still"),
         (["no/such.toml", "--usbip"], "no/such.toml"),

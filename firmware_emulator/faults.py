@@ -1,0 +1,168 @@
+"""A bad night, written down beforehand: faults of the emulated array by the clock, from a TOML file.
+
+``emulated:?faults=night.toml`` makes them happen. Each is a table; times are seconds since the array was powered on::
+
+    [[fault]]
+    kind = "unplugged"     # see FAULTS
+    sensor = "BMA2"        # which one; not for faults of the bus
+    at_s = 600.0
+    for_s = 5.0            # how long it lasts; a fault that only happens has no length
+    every_s = 60.0         # again and again; left out: once
+    times = 10             # how often; left out: for ever
+    until_set_up = true    # frozen, stale, start_up: over as soon as the program configures the chip
+    channel = 1            # wrong_channel: which is connected instead; left out: the one before
+    reads_right = true     # wrong_channel: the control byte can be read back as ordered all the same
+    bias = [4.0, 0.0, 0.0] # start_up: how far off it has come up, in g, dps or gauss
+
+What the program at the other end should make of them is not written down here.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from firmware_emulator.faulty_parts import LAYOUTS, TEARS, Times
+
+if TYPE_CHECKING:
+    from firmware_emulator.array import ArrayLike
+
+CHIP_FAULTS = MappingProxyType(
+    {
+        "no_acknowledge": "silent",
+        "unplugged": "unplugged",
+        "reset": "reset",
+        "torn": "torn",
+        "frozen": "frozen",
+        "stale": "stale",
+        "start_up": "start_up",
+        "kernel_driver": "owned",
+        "clock_held": "hangs",
+    }
+)
+"""Faults of one sensor: it does not acknowledge; is unplugged and plugged in again; falls back to its defaults; loses
+the bit that keeps a reading in one piece; gives the same reading again, as a new one or as an old one; comes up with
+another bias; a driver of the kernel takes its address; it holds the clock whenever it is addressed."""
+BUS_FAULTS = ("stuck_bus", "wrong_channel", "mux_reset", "stall")
+"""Faults of all: somebody holds a wire; the multiplexer takes no order; forgets the last; the program is not run."""
+FAULTS = (*CHIP_FAULTS, *BUS_FAULTS)
+MOMENTARY = ("reset", "torn", "mux_reset")
+TRIADS = ("frozen", "stale", "start_up")
+OWN_KEYS = MappingProxyType(
+    {
+        "until_set_up": TRIADS,
+        "channel": ("wrong_channel",),
+        "reads_right": ("wrong_channel",),
+        "bias": ("start_up",),
+    }
+)
+FOR_GOOD_S = 1e9
+KEYS = ("kind", "sensor", "at_s", "for_s", "every_s", "times", *OWN_KEYS)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One table of the file."""
+
+    kind: str
+    times: Times
+    sensor: str = ""
+    until_set_up: bool = False
+    channel: int | None = None
+    reads_right: bool = False
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def read_faults(path: str, array: ArrayLike) -> tuple[Fault, ...]:
+    """The faults in the file at `path`; ValueError, one line, for what can't be read or can't happen to this array."""
+    try:
+        with Path(path).open("rb") as file:
+            tables = tomllib.load(file)
+    except OSError as error:
+        raise ValueError(f"faults={path}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ValueError(f"faults={path}: no TOML: {error}") from None
+    return faults_from(tables, array)
+
+
+def faults_from(tables: Mapping[str, Any], array: ArrayLike) -> tuple[Fault, ...]:
+    """The faults of a parsed file; ValueError as `read_faults`."""
+    listed = tables.get("fault", [])
+    if set(tables) - {"fault"} or not isinstance(listed, list) or not all(isinstance(one, dict) for one in listed):
+        raise ValueError("faults: allowed are tables [[fault]] only")
+    found = []
+    for number, table in enumerate(listed, 1):
+        try:
+            found.append(_fault(table, array))
+        except ValueError as error:
+            raise ValueError(f"fault {number}: {error}") from None
+    return tuple(found)
+
+
+def _fault(table: Mapping[str, Any], array: ArrayLike) -> Fault:
+    kind = table.get("kind")
+    if kind not in FAULTS:
+        raise ValueError(f"kind {kind!r}; allowed are {', '.join(FAULTS)}")
+    for key in table:
+        if key not in KEYS or kind not in OWN_KEYS.get(key, (kind,)):
+            allowed = [known for known in KEYS if kind in OWN_KEYS.get(known, (kind,))]
+            raise ValueError(f"{key}: no such key of {kind}; allowed are {', '.join(allowed)}")
+    sensor = _sensor(kind, table.get("sensor", ""), array)
+    if kind in ("wrong_channel", "mux_reset") and array.mux is None:
+        raise ValueError(f"{kind}: array {array.name} has no multiplexer")
+    length_s = 0.0 if kind in MOMENTARY else _seconds(table, "for_s", FOR_GOOD_S if kind == "start_up" else None)
+    every_s = _seconds(table, "every_s", 0.0)
+    times = _whole(table, "times", 0 if every_s else 1, 1_000_000_000)
+    return Fault(
+        kind,
+        Times(round(_seconds(table, "at_s", 0.0) * 1e9), round(length_s * 1e9), round(every_s * 1e9), times),
+        sensor,
+        _switch(table, "until_set_up"),
+        _whole(table, "channel", 0, 3) if "channel" in table else None,
+        _switch(table, "reads_right"),
+        _triple(table.get("bias", [0.0, 0.0, 0.0])),
+    )
+
+
+def _sensor(kind: str, name: Any, array: ArrayLike) -> str:
+    if kind in BUS_FAULTS:
+        if name:
+            raise ValueError(f"sensor: {kind} is of all of them")
+        return ""
+    chips = {sensor.name: sensor.chip for sensor in array.sensors}
+    able = TEARS if kind == "torn" else LAYOUTS if kind in TRIADS else set(chips.values())
+    allowed = [known for known, chip in chips.items() if chip in able]
+    if name not in allowed:
+        raise ValueError(f"sensor {name!r} for {kind}; allowed are {', '.join(allowed) or 'none of this array'}")
+    return str(name)
+
+
+def _seconds(table: Mapping[str, Any], key: str, default: float | None) -> float:
+    value = table.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= FOR_GOOD_S:
+        raise ValueError(f"{key} = {value!r}; wanted are seconds")
+    return float(value)
+
+
+def _whole(table: Mapping[str, Any], key: str, default: int, most: int) -> int:
+    value = table.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
+        raise ValueError(f"{key} = {value!r}; allowed is a whole number up to {most}")
+    return value
+
+
+def _switch(table: Mapping[str, Any], key: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise ValueError(f"{key} = {value!r}; allowed are true and false")
+    return value
+
+
+def _triple(value: Any) -> tuple[float, float, float]:
+    if not (isinstance(value, list) and len(value) == 3 and all(isinstance(one, int | float) for one in value)):
+        raise ValueError(f"bias = {value!r}; wanted are three numbers")
+    return float(value[0]), float(value[1]), float(value[2])

@@ -1,0 +1,103 @@
+"""A board on which faults happen by the clock (`firmware_emulator.faults`); its parts are another board's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from firmware_emulator.board import MUXES, Board, named
+from firmware_emulator.chip import Chip, Element, Target
+from firmware_emulator.clock import Clock
+from firmware_emulator.faults import BUS_FAULTS, CHIP_FAULTS, Fault
+from firmware_emulator.faulty_bus import FaultyMux, FaultyWires
+from firmware_emulator.faulty_parts import ChipFault, FaultyDevice, ShiftedElement, Times
+from firmware_emulator.mux import Pca9544a
+from firmware_emulator.wire import Wire
+from firmware_emulator.world import Delayed
+
+if TYPE_CHECKING:
+    from firmware_emulator.array import BoardKind, SensorLike
+
+
+def with_faults(board: BoardKind, faults: Sequence[Fault]) -> BoardKind:
+    """That board, on which these faults happen."""
+
+    def faulty(name: str, world: Any, seed: int) -> FaultyBoard:
+        return FaultyBoard(board(name, world, seed), faults)
+
+    return faulty
+
+
+class FaultyBoard(Board):
+    """Another board with faults; `chip_faults` by sensor."""
+
+    def __init__(self, inner: Board, faults: Sequence[Fault]) -> None:
+        super().__init__(inner.array, inner.world, inner.seed)
+        self._inner = inner
+        self._powered_on_ns = inner.world.start_ns if isinstance(inner.world, Delayed) else 0
+        self.chip_faults: dict[str, list[ChipFault]] = {}
+        by_kind: dict[str, list[Times]] = {kind: [] for kind in BUS_FAULTS}
+        self._orders: list[tuple[Times, int | None, bool]] = []
+        for fault in faults:
+            if fault.kind == "wrong_channel":
+                self._orders.append((fault.times, fault.channel, fault.reads_right))
+            elif fault.kind in by_kind:
+                by_kind[fault.kind].append(fault.times)
+            else:
+                action = ChipFault(CHIP_FAULTS[fault.kind], fault.times, fault.until_set_up, fault.bias)
+                self.chip_faults.setdefault(fault.sensor, []).append(action)
+        self._places: dict[tuple[int, str], list[ChipFault]] = {}
+        self._wires = FaultyWires(by_kind["stuck_bus"], by_kind["stall"], by_kind["mux_reset"], self._powered_on_ns)
+        held = any(fault.action == "hangs" for faults in self.chip_faults.values() for fault in faults)
+        self._interfering = held or any(by_kind[kind] for kind in ("stuck_bus", "stall", "mux_reset"))
+        self._switching = bool(self._orders or by_kind["mux_reset"])
+
+    def wire(self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
+        """The other board's, interfered with."""
+        wire = self._inner.wire(clock, bit_rate_hz, nack_errno, host_ns)
+        if self._interfering:
+            wire.interference = self._wires
+        return wire
+
+    def router(self, chip: str, address: int, channels: Mapping[int, Sequence[Target]], powered_on_ns: int) -> Pca9544a:
+        """One that takes wrong orders, if it does; a mechanism's own is then left out."""
+        if not self._switching:
+            return self._inner.router(chip, address, channels, powered_on_ns)
+        named(chip, MUXES, "mux")
+        self._wires.mux = FaultyMux(address, channels, powered_on_ns, self._orders)
+        return self._wires.mux
+
+    def element(self, sensor: SensorLike) -> Element:
+        """The other board's, with another bias if it starts up so."""
+        element = self._inner.element(sensor)
+        shifts = [fault for fault in self.chip_faults.get(sensor.name, []) if fault.action == "start_up"]
+        return ShiftedElement(element, shifts, self._powered_on_ns) if shifts else element
+
+    def kind(self, sensor: SensorLike) -> Callable[..., Chip]:
+        """The other board's."""
+        return self._inner.kind(sensor)
+
+    def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
+        """The other board's."""
+        return self._inner.switches(sensor)
+
+    def generator_key(self, sensor: SensorLike) -> str:
+        """The other board's."""
+        return self._inner.generator_key(sensor)
+
+    def device(self, sensor: SensorLike, chip: Chip) -> Target:
+        """The other board's, with its faults."""
+        device = self._inner.device(sensor, chip)
+        faults = self.chip_faults.get(sensor.name, [])
+        owned = [fault for fault in faults if fault.action == "owned"]
+        self._places.setdefault((sensor.address, sensor.bus or ""), []).extend(owned)
+        return FaultyDevice(device, chip, sensor.chip, faults, self._powered_on_ns) if faults else device
+
+    def owned(self, address: int, bus: str, clock: Clock) -> bool:
+        """Whether a driver of the kernel has that address now."""
+        since_ns = clock.now_ns() - self._powered_on_ns
+        return any(fault.active(since_ns) for fault in self._places.get((address, bus), []))
+
+    def host_clock(self, clock: Clock) -> Clock:
+        """The other board's."""
+        return self._inner.host_clock(clock)

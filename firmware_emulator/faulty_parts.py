@@ -1,0 +1,212 @@
+"""Parts that fail at given times: a chip behind its pins, a sensing element.
+
+Instants are in ns since power-on. What a fault does to a chip happens when the chip is next addressed, as of the
+instant at which it was due.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
+
+from firmware_emulator.chip import Chip, Element, Target, Triple
+from imuarray.facts import bma180, l3g4200d
+
+
+@dataclass(frozen=True)
+class Times:
+    """When a fault is there: from `begin_ns` on for `length_ns`, and again every `period_ns` (0: never), `count` times
+    (0: for ever).
+    """
+
+    begin_ns: int
+    length_ns: int
+    period_ns: int = 0
+    count: int = 0
+
+    def begun(self, at_ns: int) -> int:
+        """How often it has begun by then."""
+        if at_ns < self.begin_ns:
+            return 0
+        number = (at_ns - self.begin_ns) // self.period_ns + 1 if self.period_ns else 1
+        return min(number, self.count) if self.count else number
+
+    def start_ns(self, number: int) -> int:
+        """When it began for that time, counted from 1."""
+        return self.begin_ns + (number - 1) * self.period_ns
+
+    def during(self, at_ns: int) -> bool:
+        """Whether it is there."""
+        number = self.begun(at_ns)
+        return number > 0 and at_ns - self.start_ns(number) < self.length_ns
+
+    def ended(self, at_ns: int) -> int:
+        """How often it has ended by then."""
+        return self.begun(at_ns - self.length_ns)
+
+
+class Layout(NamedTuple):
+    """Where a chip keeps its triad; which bits of which register, and of which bytes of the triad, say it is new."""
+
+    first: int
+    ready: int
+    ready_mask: int
+    inside: tuple[int, ...] = ()
+
+
+LAYOUTS = MappingProxyType(
+    {
+        "adxl345": Layout(0x32, 0x30, 0x80),  # ADX-27, ADX-50
+        "bma180": Layout(0x02, -1, 0, (0, 2, 4)),  # BMA-12, BMA-62
+        "l3g4200d": Layout(0x28, 0x27, 0x0F),  # L3G-44, L3G-52
+        "hmc5883": Layout(0x03, -1, 0),  # HMC-15
+        "hmc5883l": Layout(0x03, -1, 0),
+    }
+)
+TRIAD = 6
+
+
+@dataclass
+class ChipFault:
+    """One fault of one chip: `action` is a key of `firmware_emulator.faults.CHIP_FAULTS`.
+
+    With `until_set_up` it is over when the chip is next written to. `bias` is of a start-up fault.
+    """
+
+    action: str
+    times: Times
+    until_set_up: bool = False
+    bias: Triple = (0.0, 0.0, 0.0)
+    done: int = 0
+    cured: int = 0
+    held: bytes = b""
+
+    def active(self, at_ns: int) -> bool:
+        """Whether it is there and has not been cured."""
+        return self.times.during(at_ns) and self.times.begun(at_ns) > self.cured
+
+
+class FaultyDevice:
+    """A chip of that `kind` with its faults, in place of `device`, which is the chip or what stands before it."""
+
+    def __init__(
+        self, device: Target, chip: Chip, kind: str, faults: Sequence[ChipFault], powered_on_ns: int = 0
+    ) -> None:
+        self._device, self._chip, self._kind = device, chip, kind
+        self._faults = faults
+        self._powered_on_ns = powered_on_ns
+        self._pointer = 0
+
+    @property
+    def address(self) -> int:
+        """The chip's."""
+        return self._device.address
+
+    @address.setter
+    def address(self, value: int) -> None:
+        self._device.address = value
+
+    def hangs(self, at_ns: int) -> bool:
+        """Whether it holds the clock for good when it is addressed."""
+        return any(fault.action == "hangs" and fault.active(at_ns - self._powered_on_ns) for fault in self._faults)
+
+    def write(self, data: bytes, at_ns: int, byte_ns: int) -> int:
+        """As the device, unless it is deaf or gone; what was due happens first."""
+        since_ns = at_ns - self._powered_on_ns
+        for fault in self._faults:
+            self._catch_up(fault, since_ns)
+            if fault.action in ("silent", "unplugged") and fault.active(since_ns):
+                return 0 if data else -1
+            if len(data) > 1 and fault.until_set_up and fault.active(since_ns):
+                fault.cured = fault.times.begun(since_ns)
+        if data:
+            self._pointer = data[0] & 0x7F
+        return self._device.write(data, at_ns, byte_ns)
+
+    def read(self, count: int, at_ns: int, byte_ns: int) -> bytes:
+        """As the device, but that a triad may stand still."""
+        sent = self._device.read(count, at_ns, byte_ns)
+        since_ns = at_ns - self._powered_on_ns
+        for fault in self._faults:
+            if fault.action in ("frozen", "stale"):
+                sent = self._standing(fault, sent, since_ns)
+        return sent
+
+    def stop(self, at_ns: int) -> None:
+        """As the device."""
+        self._device.stop(at_ns)
+
+    def _catch_up(self, fault: ChipFault, since_ns: int) -> None:
+        """What happened to the chip while nobody looked."""
+        plugged_in = fault.action == "unplugged"
+        number = fault.times.ended(since_ns) if plugged_in else fault.times.begun(since_ns)
+        if number <= fault.done or fault.action not in ("unplugged", "reset", "torn"):
+            return
+        fault.done = number
+        when_ns = self._powered_on_ns + fault.times.start_ns(number) + plugged_in * fault.times.length_ns
+        if fault.action == "torn":
+            TEARS[self._kind](self._chip, when_ns)
+        else:
+            self._chip.power_on(when_ns)
+
+    def _standing(self, fault: ChipFault, sent: bytes, since_ns: int) -> bytes:
+        if not fault.active(since_ns):
+            fault.held = b""
+            return sent
+        layout, fresh = LAYOUTS[self._kind], fault.action == "frozen"
+        shown = bytearray(sent)
+        ready, triad = layout.ready - self._pointer, layout.first - self._pointer
+        if 0 <= ready < len(shown):
+            shown[ready] = shown[ready] & ~layout.ready_mask | layout.ready_mask * fresh
+        while 0 <= triad <= len(shown) - TRIAD:
+            fault.held = fault.held or sent[triad : triad + TRIAD]
+            shown[triad : triad + TRIAD] = fault.held
+            for index in layout.inside:
+                shown[triad + index] = shown[triad + index] & ~1 | fresh
+            triad += TRIAD
+        return bytes(shown)
+
+
+def _unshadow(chip: Chip, at_ns: int) -> None:
+    """The bit that keeps low and high byte together flips (BMA-99)."""
+    control = chip.page[bma180.CTRL_REG0.address]
+    chip.store(bma180.CTRL_REG0.address, control | bma180.EE_W.mask, at_ns)
+    chip.store(bma180.GAIN_Y.address, chip.page[bma180.GAIN_Y.address] | bma180.SHADOW_DIS.mask, at_ns)
+    chip.store(bma180.CTRL_REG0.address, control, at_ns)
+
+
+def _update_at_once(chip: Chip, at_ns: int) -> None:
+    """The bit that keeps low and high byte together flips (L3G-50)."""
+    control = chip.page[l3g4200d.CTRL_REG4.address]
+    chip.store(l3g4200d.CTRL_REG4.address, control & ~l3g4200d.BLOCK_DATA_UPDATE.mask, at_ns)
+
+
+TEARS: MappingProxyType[str, Callable[[Chip, int], None]] = MappingProxyType(
+    {"bma180": _unshadow, "l3g4200d": _update_at_once}
+)
+"""How readings come to be torn, by chip; the others have no such bit (ADX-49, HMC-33)."""
+
+
+class ShiftedElement:
+    """A sensing element whose bias is another one while a start-up fault is there."""
+
+    def __init__(self, element: Element, faults: Sequence[ChipFault], powered_on_ns: int) -> None:
+        self._element, self._faults, self._powered_on_ns = element, faults, powered_on_ns
+
+    def sample(self, at_ns: int, full_scale: float, bandwidth_hz: float) -> Triple:
+        """As the element, plus the biases of the faults that are there."""
+        x, y, z = self._element.sample(at_ns, full_scale, bandwidth_hz)
+        for fault in self._faults:
+            if fault.active(at_ns - self._powered_on_ns):
+                x, y, z = x + fault.bias[0], y + fault.bias[1], z + fault.bias[2]
+        return x, y, z
+
+    def temperature(self, at_ns: int) -> float:
+        """As the element."""
+        return self._element.temperature(at_ns)
+
+    def pressure(self, at_ns: int) -> float:
+        """As the element."""
+        return self._element.pressure(at_ns)
