@@ -1,11 +1,13 @@
 """Readings of one sensor on their way from the bus to the log: kept raw, decoded many at a time, written once trusted.
 
 A row is written only when the chip's configuration has been seen to be right *after* it was read: a chip that fell back
-to its defaults is noticed later than it happened, and what it said in between must not stand in the log as good.
+to its defaults is noticed later than it happened, and what it said in between must not stand in the log as good. So
+it is with a chip whose reading no longer changes: that takes a while to be told from chance.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,13 +15,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.stations import Station
+from imuarray.array import SensorConfig
 from imuarray.drivers import FifoDriver
-from imuarray.log.format import LOST_BEFORE, OVERRUN, STALE, SUSPECT
+from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 from imuarray.log.writer import Block
 
 _NEXT_FRAME = 1.1e9
 """A frame later, in ns at 1 Hz, with a margin for the way there and back."""
+_FROZEN_READINGS = 24
+_FROZEN_S = 1.0
+_FROZEN_BANDWIDTHS = 30.0
+"""A reading that stands still for so many readings, seconds and correlation times is no chance: at half a code of noise
+rms on a single axis, three in four readings repeat the code before."""
+_FROZEN_LONGEST = 64 * _FROZEN_READINGS
 
 
 @dataclass
@@ -27,37 +37,55 @@ class Pending:
     """Bursts of one station that wait to be written; row numbers count from the oldest one that waits."""
 
     station: Station
+    rate_hz: float
+    """Frames per second."""
     times_ns: list[int] = field(default_factory=list)
     bursts: bytearray = field(default_factory=bytearray)
     lost_before: list[int] = field(default_factory=list)
     overrun: list[int] = field(default_factory=list)
+    reconfigured: list[int] = field(default_factory=list)
     suspect: list[tuple[int, int | None]] = field(default_factory=list)
     """Stretches of rows [first, last) in which the configuration was wrong; last None: still is."""
     missing: bool = False
+    set_up_again: bool = False
+    condemned: bool = False
+    """Nothing that it says is to be trusted any more."""
+    recovery: Recovery | None = None
+    silent_since_ns: int | None = None
     _last: npt.NDArray[Any] | None = None
 
     def __post_init__(self) -> None:
         self.driver = self.station.driver
+        self.clocks = 9 * (self.driver.burst + 3)  # BUS-02
         self._visited_ns = -(1 << 62)
         self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
-
-    def due(self, now_ns: int, rate_hz: float) -> bool:
-        """False for a chip so slow that the next frame is soon enough for its next sample; none is missed for it."""
         sensor = self.station.sensor
-        if self.queue is not None or sensor.spec.on_demand or sensor.chip_rate_hz >= rate_hz:
+        own_pace = self.queue is not None or sensor.spec.on_demand
+        self.always_due = own_pace or sensor.chip_rate_hz >= self.rate_hz
+        self.row_rate_hz = sensor.chip_rate_hz if own_pace else min(self.rate_hz, sensor.chip_rate_hz)
+        self._frozen_rows = max(_FROZEN_READINGS, math.ceil(_frozen_s(sensor) * self.row_rate_hz))
+        self.frozen_rows = self._frozen_rows
+        self.frozen_reading: bytes | None = None
+        self._since_set_up = self._still = 0
+        self._watch_still = False
+
+    def due(self, now_ns: int) -> bool:
+        """False for a chip so slow that the next frame is soon enough for its next sample; none is missed for it."""
+        if self.always_due:
             return True
-        if now_ns + _NEXT_FRAME / rate_hz <= self._visited_ns + 1e9 / sensor.chip_rate_hz:
+        if now_ns + _NEXT_FRAME / self.rate_hz <= self._visited_ns + 1e9 / self.station.sensor.chip_rate_hz:
             return False
         self._visited_ns = now_ns
         return True
 
     def add(self, burst: bytes, at_ns: int) -> None:
         """One fetch: a reading taken at `at_ns`, or as many as a queue held."""
-        if not burst:
-            return
         if self.missing:
             self.lost_before.append(len(self.times_ns))
             self.missing = False
+        if self.set_up_again:
+            self.reconfigured.append(len(self.times_ns))
+            self.set_up_again = False
         if self.queue is None:
             self.times_ns.append(at_ns)
         else:
@@ -66,47 +94,122 @@ class Pending:
             self.times_ns += self.queue.drained
         self.bursts += burst
 
+    def cut(self, row: int) -> int:
+        """Throw away rows from `row` on, and how many they were: another chip's readings."""
+        count = max(len(self.times_ns) - row, 0)
+        if count:
+            self.missing = True
+            self.set_up_again |= any(index >= row for index in self.reconfigured)
+            del self.times_ns[row:], self.bursts[row * self.driver.burst :]
+            self.lost_before = [index for index in self.lost_before if index < row]
+            self.overrun = [index for index in self.overrun if index < row]
+            self.reconfigured = [index for index in self.reconfigured if index < row]
+            self.suspect = [(min(first, row), None if last is None else min(last, row)) for first, last in self.suspect]
+            self._still = min(self._still, row)
+        return count
+
     def distrust(self, row: int) -> None:
         """Rows from `row` on are suspect, until `trust`."""
         self.suspect.append((max(row, 0), None))
 
     def trust(self) -> None:
         """Rows from now on are good again."""
-        self.suspect = [(first, len(self.times_ns) if last is None else last) for first, last in self.suspect]
+        if not self.condemned:
+            self.suspect = [(first, len(self.times_ns) if last is None else last) for first, last in self.suspect]
 
-    def take(self, count: int, epoch_ns: int, rate_hz: float) -> Block:
+    def begin_anew(self) -> None:
+        """The chip was set up: its next reading says so, and may be what its last one was."""
+        self.set_up_again = True
+        self._since_set_up = self._still = len(self.times_ns)
+        self._watch_still = self.frozen_reading is not None
+
+    def frozen_since(self) -> int | None:
+        """The row from which on the reading has not changed, if that is no longer chance; None otherwise."""
+        rows, enough = len(self.times_ns), self.frozen_rows
+        if rows - self._since_set_up < enough:
+            return None
+        reading = self._reading(rows - 1)
+        if self._reading(rows - 1 - enough // 2) != reading or self._reading(rows - enough) != reading:
+            return None
+        first = rows - 1
+        while first > self._since_set_up and self._reading(first - 1) == reading:
+            first -= 1
+        return first if rows - first >= enough else None
+
+    def thaw(self) -> None:
+        """It was found frozen. If a set-up did not change that, it is given longer before the next: it may be quiet."""
+        self.frozen_rows = min(2 * self.frozen_rows, _FROZEN_LONGEST) if self._watch_still else self._frozen_rows
+        self.frozen_reading = self._reading(len(self.times_ns) - 1)
+
+    def flag_what_is_frozen_still(self) -> None:
+        """Rows after a set-up that say what the frozen chip said before it are no better."""
+        while self._watch_still and self._still < len(self.times_ns):
+            self._watch_still = self._reading(self._still) == self.frozen_reading
+            if self._watch_still:
+                self.suspect.append((self._still, self._still + 1))
+                self._still += 1
+
+    def _reading(self, row: int) -> bytes:
+        start, part = row * self.driver.burst, self.driver.reading
+        return bytes(self.bursts[start + part.start : start + part.stop])
+
+    def counts(self) -> npt.NDArray[Any]:
+        """What waits since the chip was set up, as counts."""
+        return self.driver.decode(self._bytes(len(self.times_ns))).counts[self._since_set_up :]
+
+    def _bytes(self, count: int) -> npt.NDArray[np.uint8]:
+        size = self.driver.burst
+        return np.frombuffer(bytes(self.bursts[: count * size]), np.uint8).reshape(count, size)
+
+    def take(self, count: int, epoch_ns: int) -> Block:
         """Decode the oldest `count` rows, and forget them.
 
         A chip that is polled more slowly than it measures overruns by design; only where every sample was meant to be
-        read, at `rate_hz` frames a second or by its queue, is that worth a flag.
+        read, frame by frame or by its queue, is that worth a flag.
         """
-        size = count * self.driver.burst
-        decoded = self.driver.decode(np.frombuffer(self.bursts[:size], np.uint8).reshape(count, self.driver.burst))
+        decoded = self.driver.decode(self._bytes(count))
         status = decoded.status.copy()
-        if self.station.sensor.chip_rate_hz > rate_hz:
+        if self.station.sensor.chip_rate_hz > self.rate_hz:
             status &= ~np.uint16(OVERRUN)
-        status[[row for row in self.lost_before if row < count]] |= LOST_BEFORE
-        status[[row for row in self.overrun if row < count]] |= OVERRUN
+        for rows, flag in (
+            (self.lost_before, LOST_BEFORE),
+            (self.overrun, OVERRUN),
+            (self.reconfigured, RECONFIGURED),
+        ):
+            if rows:
+                status[[row for row in rows if row < count]] |= flag
         for first, last in self.suspect:
             status[first:last] |= SUSPECT
         if not self.driver.tells_fresh:
             status |= self._repeated(decoded.counts)
         times = np.array(self.times_ns[:count], np.int64) - epoch_ns
-        del self.times_ns[:count], self.bursts[:size]
+        self._forget(count)
+        return Block(times, decoded.counts, status, decoded.temperature_counts, decoded.compensated)
+
+    def _forget(self, count: int) -> None:
+        del self.times_ns[:count], self.bursts[: count * self.driver.burst]
         self.lost_before = _later(self.lost_before, count)
         self.overrun = _later(self.overrun, count)
+        self.reconfigured = _later(self.reconfigured, count)
+        self._since_set_up = max(self._since_set_up - count, 0)
+        self._still = max(self._still - count, 0)
         self.suspect = [
             (max(first - count, 0), None if last is None else last - count)
             for first, last in self.suspect
             if last is None or last > count
         ]
-        return Block(times, decoded.counts, status, decoded.temperature_counts, decoded.compensated)
 
     def _repeated(self, counts: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
         """STALE where a triad equals the one before it; all that a chip without a ready bit lets us know."""
         before = np.concatenate([counts[:1] - 1 if self._last is None else self._last, counts[:-1]])
         self._last = counts[-1:]
         return np.where((counts == before).all(axis=1), STALE, 0).astype(np.uint16)
+
+
+def _frozen_s(sensor: SensorConfig) -> float:
+    """How long a reading must stand still before the sensor is taken for frozen."""
+    bandwidth_hz = sensor.chip_bandwidth_hz
+    return max(_FROZEN_S, _FROZEN_BANDWIDTHS / bandwidth_hz if bandwidth_hz else 0.0)
 
 
 def _later(rows: Sequence[int], count: int) -> list[int]:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
+from imuarray.acquire.channels import mark_twins
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.bus.mux import Pca9544a
 from imuarray.bus.protocol import Bus, OpenBus
 from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
 from imuarray.errors import BusUrlError, SensorError
+
+
+def _nobody_asks() -> None:
+    """A bus that can't tell whose an address is."""
 
 
 @dataclass(frozen=True)
@@ -19,11 +26,14 @@ class Station:
     sensor: SensorConfig
     driver: Driver
     segment: int | str | None
+    claim: Callable[[], None] = _nobody_asks
+    """SensorError when a driver of the kernel has the sensor's address now."""
 
 
 def route(array: ArrayConfig, bus: OpenBus) -> list[Station]:
     """A station for every sensor of `array`; nothing is sent yet."""
     mux = Pca9544a(bus, array.mux.address) if array.mux else None
+    ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
     stations = []
     for sensor in array.sensors:
         segment: Bus = bus
@@ -33,7 +43,8 @@ def route(array: ArrayConfig, bus: OpenBus) -> list[Station]:
             segment = mux.channel(sensor.channel)
         drivers = FIFO_DRIVERS if sensor.fifo else DRIVERS
         driver = drivers[sensor.chip](segment, sensor, bus.clock)
-        stations.append(Station(sensor, driver, sensor.bus or sensor.channel))
+        claim = _nobody_asks if ask is None else partial(_claim, ask, sensor)
+        stations.append(Station(sensor, driver, sensor.bus or sensor.channel, claim))
     return stations
 
 
@@ -47,12 +58,15 @@ def _channel_bus(bus: OpenBus, path: str, name: str) -> Bus:
 
 def connect(array: ArrayConfig, bus: OpenBus) -> list[Station]:
     """Identify and configure every sensor; SensorError names the first that belongs to somebody else, is missing, wrong
-    or refuses its configuration.
+    or refuses its configuration, or has lost it by the time that the last one is configured.
     """
     stations = route(array, bus)
-    _claim(array, bus)
+    _claim_mux(array, bus)
+    for station in stations:
+        station.claim()
     for station in stations:
         station.driver.identify()
+    mark_twins(stations)
     for station in stations:
         try:
             station.driver.configure()
@@ -64,20 +78,27 @@ def connect(array: ArrayConfig, bus: OpenBus) -> list[Station]:
     return stations
 
 
-def _claim(array: ArrayConfig, bus: OpenBus) -> None:
-    """Where the bus can tell who else drives an address, ask for each that will be driven: SensorError for a chip of
-    the kernel's own (LNX-12). Behind a multiplexer the root bus is asked.
+def _claim_mux(array: ArrayConfig, bus: OpenBus) -> None:
+    """Where the bus can tell who else drives an address, ask for the multiplexer's: SensorError for one of the kernel's
+    own (LNX-12).
     """
-    claim: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
-    if claim is None:
-        return
-    if array.mux is not None:
-        claim(array.mux.address, None)
-    for sensor in array.sensors:
-        try:
-            claim(sensor.address, sensor.bus)
-        except SensorError as error:
-            raise SensorError(f"{sensor.name} ({sensor.chip}): {error}") from error
+    ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
+    if ask is not None and array.mux is not None:
+        ask(array.mux.address, None)
+
+
+def _claim(ask: Callable[[int, str | None], None], sensor: SensorConfig) -> None:
+    """Behind a multiplexer the root bus is asked."""
+    try:
+        ask(sensor.address, sensor.bus)
+    except SensorError as error:
+        raise SensorError(f"{sensor.name} ({sensor.chip}): {error}") from error
+    except OSError as error:
+        if error.errno != errno.EBUSY:
+            raise
+        raise SensorError(
+            f"{sensor.name} ({sensor.chip}): {sensor.place} belongs to a driver of the kernel; unbind that driver"
+        ) from error
 
 
 def there_and_back(stations: Sequence[Station]) -> tuple[list[list[Station]], list[list[Station]]]:

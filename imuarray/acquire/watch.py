@@ -2,29 +2,38 @@
 
 A chip that was reset by a glitch on its supply goes on measuring with other settings and says nothing (the paper's
 BMA1, run 10). Each watched register is read at least once in `SWEEP_S`, so that such a chip is noticed within a second;
-the rows since its last good check are flagged, and an event says what was found. Checks ride on the segment of the bus
-that is selected anyway: they cost one read, never a switch.
+the rows since its last good check are flagged, and an event says what was found. A bit that keeps the two bytes of a
+reading together is such a setting too. Checks ride on the segment of the bus that is selected anyway: they cost one
+read, never a switch; those that also tell which channel is connected (`imuarray.acquire.channels`) are read anyway and
+take no turn. Once a sweep each address is asked whether a driver of the kernel has taken it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from imuarray.acquire.channels import Witness
 from imuarray.acquire.pending import Pending
+from imuarray.errors import SensorError
 from imuarray.facts.registers import Setting
 
 SWEEP_S = 0.85
 """Longest time between two reads of the same register; a wrong one is read again in the next frame."""
 
 
+def frames_of(rate_hz: float) -> int:
+    """Frames in a sweep, at least one."""
+    return max(1, math.floor(SWEEP_S * rate_hz))
+
+
 @dataclass
 class _Check:
-    """One register of one chip."""
+    """One register of one chip; without a `setting`, whose its address is."""
 
     pending: Pending
-    setting: Setting
+    setting: Setting | None
     good_rows: int = 0
     """Rows that were waiting when this register was last right."""
     wrong: int = 0
@@ -34,65 +43,118 @@ class _Check:
 class Watch:
     """The checks of all stations, and whose turn it is."""
 
-    def __init__(self, pending: Sequence[Pending], rate_hz: float, report: Callable[[Pending, str], None]) -> None:
-        """`pending` in visiting order; `report` is told when a chip has lost its configuration and when it is back."""
-        self._checks = [_Check(item, setting) for item in pending for setting in item.driver.watched]
+    def __init__(
+        self,
+        pending: Sequence[Pending],
+        rate_hz: float,
+        report: Callable[[Pending, str, str], None],
+        witnesses: Iterable[Witness] = (),
+    ) -> None:
+        """`pending` in visiting order; `report` (sensor, kind of event, message) is told when a chip has lost its
+        configuration or its address; the registers of `witnesses` are read by others, who say what they saw.
+        """
+        self._checks = [_Check(item, setting) for item in pending for setting in (*item.driver.watched, None)]
         self._of = {id(item): [check for check in self._checks if check.pending is item] for item in pending}
+        self._by_setting = {
+            (id(check.pending.station), check.setting): check for check in self._checks if check.setting is not None
+        }
+        elsewhere = {(id(witness.station), witness.setting) for witness in witnesses}
+        self._in_turn = [check for check in self._checks if (id(check.pending.station), check.setting) not in elsewhere]
         self._report = report
         self._next = 0
-        frames = max(1.0, SWEEP_S * rate_hz)
-        self.per_frame = math.ceil(len(self._checks) / frames)
+        reads = sum(check.setting is not None for check in self._in_turn)
+        self.per_frame = math.ceil(reads / frames_of(rate_hz))
 
     def due(self) -> list[_Check]:
         """This frame's checks: those that were wrong last time first, then the next in turn."""
-        if not self._checks:
-            return []
-        again = [check for check in self._checks if check.wrong == 1]
-        turn = [self._checks[(self._next + index) % len(self._checks)] for index in range(self.per_frame)]
-        self._next = (self._next + self.per_frame) % len(self._checks)
-        return again + [check for check in turn if check.wrong != 1]
+        again = [check for check in self._checks if check.wrong == 1 and check.pending.recovery is None]
+        turn: list[_Check] = []
+        reads, index, count = 0, self._next, len(self._in_turn)
+        for _ in range(count):
+            check = self._in_turn[index]
+            if check.setting is not None and reads == self.per_frame:
+                break
+            reads += check.setting is not None
+            index = (index + 1) % count
+            if check.wrong != 1 and check.pending.recovery is None:
+                turn.append(check)
+        self._next = index
+        return again + turn
+
+    def saw(self, witness: Witness) -> None:
+        """Somebody has read that register, and it is right."""
+        check = self._by_setting[id(witness.station), witness.setting]
+        check.wrong = 0
+        check.good_rows = len(check.pending.times_ns)
+
+    def doubts(self, witness: Witness) -> None:
+        """Somebody has read that register, and it is not as configured."""
+        check = self._by_setting[id(witness.station), witness.setting]
+        check.wrong = max(check.wrong, 1)
 
     def run(self, check: _Check) -> None:
         """Read one register back; a bus that fails says nothing about it."""
+        if check.setting is None:
+            self._ask(check)
+            return
         registers = check.pending.driver.registers
         try:
             found = registers.peek(check.setting.register)[0]
         except OSError:
             return
         if found & check.setting.mask == check.setting.value:
-            self._right(check)
+            check.wrong = 0
+            check.good_rows = len(check.pending.times_ns)
         else:
-            self._wrong(check, found)
+            address, wanted = check.setting.register.address, check.setting.into(found)
+            text = f"register {address:#04x} reads {found:#04x}, configured {wanted:#04x}"
+            self._wrong(check, "configuration", text)
 
-    def _right(self, check: _Check) -> None:
-        was_wrong, check.wrong = check.wrong, 0
+    def _ask(self, check: _Check) -> None:
+        """Whose is the address? One answer is enough."""
+        try:
+            check.pending.station.claim()
+        except SensorError as error:
+            check.wrong = 1
+            self._wrong(check, "taken", str(error))
+            return
+        except OSError:
+            return
+        check.wrong = 0
         check.good_rows = len(check.pending.times_ns)
-        if was_wrong > 1 and not any(other.wrong > 1 for other in self._of[id(check.pending)]):
-            check.pending.trust()
-            self._report(check.pending, "its configuration is right again")
 
-    def _wrong(self, check: _Check, found: int) -> None:
+    def _wrong(self, check: _Check, kind: str, message: str) -> None:
         check.wrong += 1
         if check.wrong == 2:
-            known = any(other.wrong > 1 for other in self._of[id(check.pending)] if other is not check)
             check.pending.distrust(check.good_rows)
-            if not known:  # one reset spoils several registers; it is one event
-                address, wanted = check.setting.register.address, check.setting.into(found)
-                self._report(check.pending, f"register {address:#04x} reads {found:#04x}, configured {wanted:#04x}")
-        if check.wrong > 1:
-            check.good_rows = len(check.pending.times_ns)  # flagged already; nothing to hold back for
+            self._report(check.pending, kind, message)
+
+    def restart(self, pending: Pending) -> None:
+        """All of its registers have just been seen to be right, or it was set up."""
+        for check in self._of[id(pending)]:
+            check.wrong = 0
+            check.good_rows = len(pending.times_ns)
 
     def finish(self) -> None:
-        """Check everything once more (twice where it is wrong), so that no row is left in doubt."""
+        """Check everything once more (twice where it is wrong), and flag what can't be: no row stays in doubt."""
         for check in self._checks:
-            self.run(check)
-            if check.wrong == 1:
+            if check.pending.recovery is None:
                 self.run(check)
+                if check.wrong == 1:
+                    self.run(check)
+        for checks in self._of.values():
+            self.give_up(checks[0].pending)
+
+    def give_up(self, pending: Pending) -> None:
+        """Nobody can vouch for the rows that wait: flag them."""
+        trusted = self.trusted_rows(pending)
+        if trusted < len(pending.times_ns):
+            pending.suspect.append((trusted, len(pending.times_ns)))
+            self.restart(pending)
 
     def trusted_rows(self, pending: Pending) -> int:
         """How many of the waiting rows have been vouched for by a later check of every register."""
-        checks = self._of[id(pending)]
-        return min((check.good_rows for check in checks), default=len(pending.times_ns))
+        return min(check.good_rows for check in self._of[id(pending)])
 
     def taken(self, pending: Pending, count: int) -> None:
         """The oldest `count` rows were written and are gone."""

@@ -97,7 +97,7 @@ def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> 
     the calibrating runs, and nothing is said of accelerometers but a wrong range.
     """
     means = _first_means(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])
-    found = _in_this_pose(state_of(means, calibration, ranges=ranges), calibration)
+    found = in_this_pose(state_of(means, calibration, ranges=ranges), calibration)
     sensors = dict(calibration.sensors)
     for name, start in found.items():
         known = sensors[name].turn_on
@@ -136,7 +136,7 @@ def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:
     return means
 
 
-def _in_this_pose(found: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
+def in_this_pose(found: dict[str, StartUp], calibration: Calibration) -> dict[str, StartUp]:
     """Without accelerometers that are merely far off, if most are: the box lies another way."""
     feel = [name for name in found if calibration.sensors[name].quantity == "specific_force"]
     far = [name for name in feel if found[name].fault]

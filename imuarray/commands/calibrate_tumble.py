@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from imuarray.printable import printable
 from imuarray.units import READABLE
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def print_report(report: dict[str, Any]) -> None:
     _print_turns([row for row in report["sensors"] if "turns" in row])
     _print_residuals(report)
     for each in report["left_out"]:
-        click.echo(f"left out: {each['phase']}: {each['reason']}")
+        click.echo(printable(f"left out: {each['phase']}: {each['reason']}"))
     _print_cancellation(report["cancellation"])
 
 
@@ -149,7 +150,7 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
             f"{told if turns['untold'] else ''}"
         )
         for each in turns["left_out"]:
-            click.echo(f"{'':14} left out: {each['phase']}: {each['reason']}")
+            click.echo(printable(f"{'':14} left out: {each['phase']}: {each['reason']}"))
 
 
 def _print_residuals(report: dict[str, Any]) -> None:

@@ -4,21 +4,39 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from imuarray.commands.options import bus_option, find_config, json_option, print_json
+from imuarray.printable import printable
+
+if TYPE_CHECKING:
+    from imuarray.array import ArrayConfig
+
+_USUAL_RATE_HZ = 50.0
+"""Frames a second of `imuarray log`, if nothing else is said."""
+_SENSOR_ADVICE = "look at its supply, its wires and its address pin, and whether CONFIG has the right channel"
 
 
 @click.command("detect")
 @click.argument("config", required=False, type=click.Path(path_type=Path))
 @bus_option
 @click.option("--self-test", is_flag=True, help="let each chip test itself; its settings are lost")
+@click.option("--doctor", is_flag=True, help="say why the bus does not work, and what to do: permission, drivers, room")
+@click.option(
+    "--logs",
+    type=click.Path(path_type=Path),
+    default=Path(),
+    metavar="FOLDER",
+    help="where logs will go, for --doctor (default: here)",
+)
 @json_option
-def command(config: Path | None, bus_url: str | None, self_test: bool, as_json: bool) -> int:
+def command(config: Path | None, bus_url: str | None, self_test: bool, doctor: bool, logs: Path, as_json: bool) -> int:
     """What answers on the bus, and is it what CONFIG says; without CONFIG, what answers on --bus.
 
-    Exits 2 if a sensor is missing, another chip sits in its place, or it fails its self-test.
+    Exits 2 if a sensor is missing, another chip sits in its place, or it fails its self-test; with --doctor 1 if
+    anything is not well.
     """
     from imuarray.acquire import detect, explore
     from imuarray.array import load_array
@@ -30,6 +48,10 @@ def command(config: Path | None, bus_url: str | None, self_test: bool, as_json: 
         )
     array = load_array(find_config(config or Path("martin2013")))
     url = bus_url or array.bus or "emulated:"
+    if doctor:
+        if config is None:
+            raise click.UsageError("--doctor wants a CONFIG: it says whose addresses are meant")
+        return _doctor(array, url, logs, as_json)
     with open_bus(url, array) as bus:
         found = explore(bus) if config is None else detect(array, bus, self_test=self_test)
         source = bus.source
@@ -48,3 +70,30 @@ def command(config: Path | None, bus_url: str | None, self_test: bool, as_json: 
     if name:
         click.echo(f"{sum(bool(line.expected) for line in found) - len(wrong)} as configured, {len(wrong)} not")
     return 2 if wrong else 0
+
+
+def _doctor(array: ArrayConfig, url: str, logs: Path, as_json: bool) -> int:
+    """Every check; 0 if all is well, 1 otherwise."""
+    from imuarray.acquire import detect
+    from imuarray.acquire.doctor import Check, examine
+    from imuarray.bus import open_bus
+
+    def talk() -> list[Check]:
+        with open_bus(url, array) as bus:
+            found = [line for line in detect(array, bus) if line.expected]
+        silent = [
+            Check("sensor", False, f"{line.sensor} ({line.expected}) at {line.place}: {line.found}", _SENSOR_ADVICE)
+            for line in found
+            if not line.ok
+        ]
+        return silent or [Check("sensors", True, f"all {len(found)} answer")]
+
+    checks = examine(array, url, logs, _USUAL_RATE_HZ, talk=talk)
+    well = all(check.ok for check in checks)
+    if as_json:
+        print_json({"array": array.name, "bus": url, "ok": well, "checks": [check._asdict() for check in checks]})
+        return 0 if well else 1
+    for check in checks:
+        advice = f" -> {check.advice}" if check.advice else ""
+        click.echo(printable(f"  {'ok ' if check.ok else 'NO '} {check.name:14} {check.found}{advice}"))
+    return 0 if well else 1

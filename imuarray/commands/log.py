@@ -11,6 +11,7 @@ import click
 
 from imuarray.axes import UP_AXES, face_up
 from imuarray.commands.options import (
+    Duration,
     bus_option,
     config_argument,
     find_config,
@@ -24,8 +25,6 @@ from imuarray.errors import ConfigError
 
 if TYPE_CHECKING:
     from imuarray.acquire import Summary
-    from imuarray.array import ArrayConfig
-    from imuarray.log.writer import Block
 
 
 @click.command("log")
@@ -56,7 +55,15 @@ if TYPE_CHECKING:
     "--calibration",
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
-    help="of `calibrate turn-on`: say after the first seconds at rest which sensor came up wrong",
+    help="of `calibrate turn-on`: tell from the first seconds at rest which sensor came up wrong, flag its readings and"
+    " set it up again",
+)
+@click.option(
+    "--rotate",
+    "rotate_s",
+    type=Duration(),
+    metavar="1h",
+    help="begin a new log every so often: RUN_001.h5, RUN_002.h5, ... (30s, 10min, 1h, 1d)",
 )
 @force_option
 @json_option
@@ -71,6 +78,7 @@ def command(
     transcript: Path | None,
     only: str | None,
     calibration: Path | None,
+    rotate_s: float | None,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -82,6 +90,7 @@ def command(
     from imuarray.array import load_array
     from imuarray.bus import open_bus
     from imuarray.bus.transcript import RecordingBus
+    from imuarray.log.rotate import part_of
 
     if up and not phase:
         raise click.UsageError("--up says which way the box stood in a phase: name it with --phase")
@@ -93,12 +102,18 @@ def command(
         )
     if only:
         array = array.only(tuple(only.split(",")))
-    refuse_existing(output, force)
-    first = _FirstSeconds(array, calibration) if calibration else None
+    refuse_existing(output if rotate_s is None else part_of(output, 1), force)
+    judge, recorder = None, None
+    if calibration:
+        from imuarray.commands.start_up import StartUpJudge
+
+        judge = StartUpJudge(array, calibration)
     with ExitStack() as stack:
         bus = stack.enter_context(open_bus(url, array))
         if transcript:
-            bus = stack.enter_context(RecordingBus(bus, transcript, force=force))
+            bus = recorder = stack.enter_context(RecordingBus(bus, transcript, force=force))
+            if recorder.remark:
+                click.echo(f"imuarray: {recorder.remark}", err=True)
         if bus.source == "emulated":
             click.echo("imuarray: recording the emulated array, no hardware", err=True)
         stop = stack.enter_context(_Interruptible())
@@ -112,13 +127,15 @@ def command(
             phases=() if phase else getattr(bus, "phases", ()),
             phase=phase,
             up=up or face_up(phase),
+            rotate_s=rotate_s,
             stopped=lambda: stop.asked,
             progress=done,
-            observe=first.observe if first else lambda sensor, block: None,
+            judge=judge,
             force=force,
         )
-    said = first.say() if first else []
-    _tell(summary, output, said, as_json)
+    if recorder is not None and recorder.failed:
+        click.echo(f"imuarray: {recorder.failed}", err=True)
+    _tell(summary, output, judge.said if judge else [], as_json)
 
 
 def _tell(summary: Summary, output: Path, start_up: list[str], as_json: bool) -> None:
@@ -128,8 +145,11 @@ def _tell(summary: Summary, output: Path, start_up: list[str], as_json: bool) ->
         print_json(
             {
                 "log": str(output),
+                "logs": [str(path) for path in summary.logs],
                 "frames": summary.frames,
                 "late": summary.late,
+                "missed": summary.missed,
+                "uncertain": summary.uncertain,
                 "lost": lost,
                 "seconds": summary.seconds,
                 "start_up": start_up,
@@ -137,56 +157,14 @@ def _tell(summary: Summary, output: Path, start_up: list[str], as_json: bool) ->
         )
         return
     rate = summary.frames / summary.seconds if summary.seconds else 0.0
-    click.echo(f"{output}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
+    where = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
+    click.echo(f"{where}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
+    if summary.missed:
+        click.echo(f"  {summary.missed} frames missed: the array can't be read so fast, or this machine was busy")
+    if summary.uncertain:
+        click.echo(f"  {summary.uncertain} readings whose time is uncertain by a millisecond or more")
     for name, count in lost.items():
-        click.echo(f"  {name}: {count} readings lost (see events: imuarray info {output})")
-
-
-class _FirstSeconds:
-    """Collects the first seconds of every sensor and says how they came up, once, while the log goes on."""
-
-    SECONDS = 10.0
-
-    def __init__(self, array: ArrayConfig, calibration: Path) -> None:
-        from imuarray.calibrate import load_calibration
-
-        self._array = array
-        self._calibration = load_calibration(calibration)
-        self._blocks: dict[str, list[Block]] = {sensor.name: [] for sensor in array.sensors if sensor.spec.sensitivity}
-        self._said: list[str] | None = None
-
-    def observe(self, sensor: str, block: Block) -> None:
-        """Rows that were written."""
-        if self._said is None and sensor in self._blocks:
-            self._blocks[sensor].append(block)
-            if all(parts and parts[-1].time[-1] >= self.SECONDS * 1e9 for parts in self._blocks.values()):
-                self.say()
-
-    def say(self) -> list[str]:
-        """What there is to say, on standard error the first time."""
-        from imuarray.calibrate.start_up import state_of
-
-        if self._said is None:
-            means = {name: _mean(parts, self.SECONDS) for name, parts in self._blocks.items() if parts}
-            ranges = {sensor.name: sensor.spec.sensitivity for sensor in self._array.sensors}
-            found = state_of(means, self._calibration, ranges=ranges)
-            texts = [start.sentence(name, self._calibration) for name, start in found.items()]
-            self._said = [text for text in texts if text]
-            usual = (
-                f"{len(found)} sensors came up as ever" if found else "the calibration does not say how sensors come up"
-            )
-            for text in self._said or [usual]:
-                click.echo(f"imuarray: {text}", err=True)
-        return self._said
-
-
-def _mean(parts: list[Block], seconds: float) -> Any:
-    """Mean counts (3,) of the first seconds."""
-    import numpy as np
-
-    time = np.concatenate([part.time for part in parts])
-    counts = np.concatenate([part.counts for part in parts])
-    return counts[time <= time[0] + seconds * 1e9].mean(axis=0)
+        click.echo(f"  {name}: {count} readings lost (see events: imuarray info {summary.logs[-1]})")
 
 
 class _Interruptible:

@@ -7,10 +7,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import click
 
@@ -23,7 +23,7 @@ bus_option = click.option(
     "--bus",
     "bus_url",
     metavar="URL",
-    help="i2c:/dev/i2c-1, replay:T.jsonl or emulated: (default: the configuration's bus)",
+    help="i2c:/dev/i2c-1, serial:/dev/ttyACM0, replay:T.jsonl or emulated: (default: the configuration's bus)",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object instead of text")
 force_option = click.option("--force", is_flag=True, help="overwrite the output if it exists")
@@ -37,6 +37,24 @@ workers_option = click.option(
 
 
 _USUAL = (signal.default_int_handler,)
+
+
+class Duration(click.ParamType[float]):
+    """A length of time as 30s, 10min, 1h or 1d; a number alone is seconds. In s."""
+
+    name = "duration"
+    _SECONDS: ClassVar[Mapping[str, float]] = {"": 1, "s": 1, "min": 60, "h": 3600, "d": 86400}
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Seconds; a usage error says what is allowed."""
+        number = str(value).rstrip("abcdefghijklmnopqrstuvwxyz")
+        try:
+            seconds = float(number) * self._SECONDS[str(value)[len(number) :]]
+        except (ValueError, KeyError):
+            seconds = 0.0
+        if not 0 < seconds < float("inf"):
+            self.fail(f"{value!r} is no length of time; write 30s, 10min, 1h or 1d", param, ctx)
+        return seconds
 
 
 def find_config(name: Path) -> Path:

@@ -7,7 +7,7 @@ There is no reset (ADX-31), so every register that matters is written. Full reso
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, flagged, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, flagged, registers_for, saturated
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import adxl345 as facts
 from imuarray.facts.registers import Setting
@@ -36,6 +36,7 @@ class Adxl345:
 
     burst: ClassVar[int] = 8
     tells_fresh: ClassVar[bool] = True
+    reading: ClassVar[slice] = slice(2, 8)
     fifo_mode: ClassVar[int] = _BYPASS
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
@@ -61,9 +62,21 @@ class Adxl345:
         self.registers.expect(facts.DEVID)
 
     def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
         """Standby, settings, measure; wait for the first sample (1/ODR + 1.1 ms, ADX-38)."""
-        self.registers.set(facts.POWER_CTL[7:0](0), *self.settings, self.power)
-        sleep_for(self.clock, 1 / self.rate_hz + 1.1e-3)
+        for setting in (facts.POWER_CTL[7:0](0), *self.settings, self.power):
+            self.registers.set(setting)
+            yield 0.0
+        yield 1 / self.rate_hz + 1.1e-3
+
+    def mark(self, code: int) -> bool:
+        """In the threshold of taps, which nobody asks for (ADX-11)."""
+        setting = facts.THRESH_TAP[7:0](code)
+        self.settings, self.watched = (*self.settings, setting), (*self.watched, setting)
+        return True
 
     def self_test(self) -> SelfTest:
         """Deflection with SELF_TEST set, against the limits of ADX-58 from 2.5 V to 3.3 V."""
@@ -117,15 +130,16 @@ class Adxl345Fifo(Adxl345):
     """The same chip with its queue of 32 sets drained: one transaction counts them, one more fetches each."""
 
     burst: ClassVar[int] = 6
+    reading: ClassVar[slice] = slice(0, 6)
     fifo_mode: ClassVar[int] = _STREAM
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
         self.queue = FifoClock(self.rate_hz)
 
-    def configure(self) -> None:
+    def steps(self) -> Iterator[float]:
         """As without the queue; its clock starts anew."""
-        super().configure()
+        yield from super().steps()
         self.queue.restart()
 
     def fetch(self) -> bytes:

@@ -7,7 +7,7 @@ written (BMA-55). Codes have 14 bits, left-justified, with a new-data flag in bi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, registers_for, saturated
 from imuarray.facts import bma180 as facts
 from imuarray.facts.registers import Setting
 from imuarray.log.format import STALE
@@ -43,11 +43,12 @@ class Bma180:
 
     burst: ClassVar[int] = 7
     tells_fresh: ClassVar[bool] = True
+    reading: ClassVar[slice] = slice(0, 6)
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         self.registers = registers_for(sensor, bus)
         self.clock = clock
-        self.settings = (
+        self.settings: tuple[Setting, ...] = (
             facts.BANDWIDTH(_BANDWIDTH_CODES[sensor.chip_bandwidth_hz]),
             facts.MODE_CONFIG(0b00),  # low noise: BMA-96
             facts.SHADOW_DIS(0),  # low and high byte of an axis from one conversion: BMA-99
@@ -61,24 +62,36 @@ class Bma180:
         self.registers.expect(facts.CHIP_ID)
 
     def configure(self) -> None:
-        """Reset, wait for the EEPROM download, unlock, change, read back, lock, let the filter settle."""
-        self._set_up(self.settings)
-        self.registers.change(facts.EE_W(0))
-        sleep_for(self.clock, _SLOWEST_SETTLING_S)
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
 
-    def _set_up(self, settings: Sequence[Setting]) -> None:
+    def steps(self) -> Iterator[float]:
+        """Reset, wait for the EEPROM download, unlock, change, read back, lock, let the filter settle."""
+        yield from self._set_up(self.settings)
+        self.registers.change(facts.EE_W(0))
+        yield _SLOWEST_SETTLING_S
+
+    def _set_up(self, settings: Sequence[Setting]) -> Iterator[float]:
         """From any state to these settings, read back; the image stays unlocked."""
         self.registers.poke(facts.RESET, _SOFT_RESET)
-        sleep_for(self.clock, _EEPROM_DOWNLOAD_S)
+        yield _EEPROM_DOWNLOAD_S
         self.registers.change(facts.EE_W(1))
         for setting in settings:
             self.registers.change(setting)
+            yield 0.0
         for setting in settings:
             self.registers.verify(setting)
+            yield 0.0
+
+    def mark(self, code: int) -> bool:
+        """In cd1, a byte that the chip leaves to its customer (BMA-35); the EEPROM keeps what it had."""
+        self.settings = self.watched = (*self.settings, facts.CD1[7:0](code))
+        return True
 
     def self_test(self) -> SelfTest:
         """The largest deflection while st0 is set, at 2 g and 1200 Hz: more than 200 counts on every axis (BMA-104)."""
-        self._set_up((facts.BANDWIDTH(_BANDWIDTH_CODES[1200.0]), facts.RANGE(_RANGE_CODES[2.0]) | facts.SMP_SKIP(0)))
+        quick = (facts.BANDWIDTH(_BANDWIDTH_CODES[1200.0]), facts.RANGE(_RANGE_CODES[2.0]) | facts.SMP_SKIP(0))
+        carry_out(self.clock, self._set_up(quick))
         sleep_for(self.clock, 0.005)
         rest = np.mean([self._counts() for _ in range(8)], axis=0)
         self.registers.change(facts.SELF_TEST_0(1))

@@ -8,7 +8,7 @@ its words mean in degrees and pascals is in `imuarray.barometer`.
 from __future__ import annotations
 
 import errno
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from imuarray.array import SensorConfig
 from imuarray.barometer import Words, compensate
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, registers_for
 from imuarray.errors import SensorError
 from imuarray.facts import bmp180 as facts
 from imuarray.facts.registers import Setting
@@ -37,6 +37,7 @@ class Bmp180:
     """Driver of one BMP180; one reading is an uncompensated temperature and an uncompensated pressure."""
 
     burst: ClassVar[int] = 5
+    reading: ClassVar[slice] = slice(0, 5)
     tells_fresh: ClassVar[bool] = True
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
@@ -55,9 +56,13 @@ class Bmp180:
         self.registers.expect(facts.CHIP_ID)
 
     def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
         """Reset, then read the eleven calibration words; SensorError if one is 0 or 0xFFFF (BMP-31)."""
         self.registers.poke(facts.SOFT_RESET, _SOFT_RESET)
-        sleep_for(self.clock, _START_UP_S)
+        yield _START_UP_S
         block = self.registers.peek(facts.CALIBRATION, 2 * len(facts.CALIBRATION_WORDS))
         self.words = calibration_words(block)
         if bad := [name for name, word in self.words.items() if word in (0, 0xFFFF, -1)]:
@@ -65,6 +70,10 @@ class Bmp180:
                 f"{self.registers.label}: calibration word {bad[0]} reads {self.words[bad[0]]}: no BMP180"
             )
         self._due_ns, self._converting = self.clock.now_ns(), 0
+
+    def mark(self, code: int) -> bool:
+        """It has no byte to spare."""
+        return False
 
     def self_test(self) -> SelfTest:
         """It has none: one conversion, whose temperature and pressure must lie within the operating range (BMP-70)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
-from imuarray.clock import Clock
+from imuarray.clock import Clock, sleep_for
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.drivers.registers import Registers
 from imuarray.facts.registers import Setting
@@ -50,6 +50,8 @@ class Driver(Protocol):
     """Length of one fetched burst in bytes."""
     tells_fresh: ClassVar[bool]
     """True if the burst says whether the reading is new; otherwise the logger compares with the reading before."""
+    reading: ClassVar[slice]
+    """Where in a burst the reading itself is, status and temperature left out: two bursts can be compared raw."""
 
     watched: tuple[Setting, ...]
     registers: Registers
@@ -59,8 +61,20 @@ class Driver(Protocol):
     def identify(self) -> None:
         """SensorError unless this very chip answers."""
 
+    def steps(self) -> Iterator[float]:
+        """Set the chip up from any state, and read back, piece by piece: each time the seconds to wait before going on.
+
+        A poll loop goes on with other chips meanwhile. SensorError if the chip does not keep what it was told.
+        """
+
     def configure(self) -> None:
-        """Set the chip up from any state, and read back; SensorError if it does not keep what it was told."""
+        """All `steps`, waiting in between."""
+
+    def mark(self, code: int) -> bool:
+        """From the next `steps` on leave `code`, 1 ... 31, in a register on which nothing depends, and watch it.
+
+        It tells this chip from its twin at the same address of another channel. False if there is no such register.
+        """
 
     def self_test(self) -> SelfTest:
         """Let the chip deflect its own elements, judge the answer by the data sheet, and configure it again."""
@@ -83,6 +97,12 @@ class FifoDriver(Protocol):
     """A driver whose `fetch` drains a queue: any number of bursts, whose times `queue` works out."""
 
     queue: FifoClock
+
+
+def carry_out(clock: Clock, steps: Iterator[float]) -> None:
+    """All steps of a set-up, with their waits."""
+    for seconds in steps:
+        sleep_for(clock, seconds)
 
 
 def registers_for(sensor: SensorConfig, bus: Bus) -> Registers:

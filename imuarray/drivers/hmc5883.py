@@ -7,7 +7,7 @@ high byte first (HMC-31); -4096 means that the converter overflowed (HMC-32). Th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, registers_for, saturated
 from imuarray.facts import hmc5883 as facts
 from imuarray.facts.registers import Setting
 
@@ -32,6 +32,7 @@ class Hmc5883:
     """Driver of one HMC5883 or HMC5883L."""
 
     burst: ClassVar[int] = 6
+    reading: ClassVar[slice] = slice(0, 6)
     tells_fresh: ClassVar[bool] = False  # the status register sits behind a wrap that data sheets dispute: HMC-06
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
@@ -53,16 +54,26 @@ class Hmc5883:
         self.registers.expect(facts.IDENTITY_A, facts.IDENTITY_B, facts.IDENTITY_C)
 
     def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
         """Rate, gain, continuous mode, read back; the first set still has the old gain and is thrown away (HMC-36).
 
         Reading the mode register locks the data registers of the L until all six have been read (HMC-34).
         """
-        sleep_for(self.clock, _READY_S)
-        self.registers.set(*self.settings, self.mode)
+        yield _READY_S
+        for setting in (*self.settings, self.mode):
+            self.registers.set(setting)
+            yield 0.0
         self.fetch()
-        sleep_for(self.clock, 3 / self.rate_hz)
+        yield 3 / self.rate_hz
         self.fetch()
-        sleep_for(self.clock, 1 / self.rate_hz)
+        yield 1 / self.rate_hz
+
+    def mark(self, code: int) -> bool:
+        """It has no byte to spare."""
+        return False
 
     def self_test(self) -> SelfTest:
         """Answer to the chip's own field at gain code 5; the chip subtracts the earth's by itself (HMC-41, HMC-42)."""

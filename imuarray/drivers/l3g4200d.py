@@ -7,7 +7,7 @@ temperature, status and the triad, 0x26 ... 0x2D.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, flagged, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, flagged, registers_for, saturated
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
 from imuarray.facts.registers import Register, Setting
@@ -36,6 +36,7 @@ class L3g4200d:
 
     burst: ClassVar[int] = 8
     tells_fresh: ClassVar[bool] = True
+    reading: ClassVar[slice] = slice(2, 8)
     fifo: ClassVar[bool] = False
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
@@ -53,7 +54,7 @@ class L3g4200d:
             | facts.POWER_ON(1)
             | facts.AXES_ON(0b111)
         )
-        self.settings = (
+        self.settings: tuple[Setting, ...] = (
             facts.HIGH_PASS_MODE(0) | facts.HIGH_PASS_CUTOFF(0),
             facts.CTRL_REG3[7:0](0),
             facts.BLOCK_DATA_UPDATE(1)
@@ -70,9 +71,22 @@ class L3g4200d:
         self.registers.expect(facts.WHO_AM_I)
 
     def configure(self) -> None:
+        """All `steps`."""
+        carry_out(self.clock, self.steps())
+
+    def steps(self) -> Iterator[float]:
         """There is no reset: every control register is written, then the power bit; wait out the turn-on."""
-        self.registers.set(*self.settings, self.power)
-        sleep_for(self.clock, _TURN_ON_S)
+        for setting in (*self.settings, self.power):
+            self.registers.set(setting)
+            yield 0.0
+        yield _TURN_ON_S
+
+    def mark(self, code: int) -> bool:
+        """In the watermark of the queue, which nobody waits for (L3G-20)."""
+        queue = self.settings[-1]
+        marked = Setting(queue.register, queue.mask, queue.value | facts.FIFO_WATERMARK(code).value)
+        self.settings, self.watched = (*self.settings[:-1], marked), (*self.watched[:-1], marked)
+        return True
 
     def self_test(self) -> SelfTest:
         """Output change with the self-test on, positive sign: a third to three times the typical one (L3G-62)."""
@@ -130,15 +144,16 @@ class L3g4200dFifo(L3g4200d):
     """
 
     burst: ClassVar[int] = 6
+    reading: ClassVar[slice] = slice(0, 6)
     fifo: ClassVar[bool] = True
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         super().__init__(bus, sensor, clock)
         self.queue = FifoClock(self.rate_hz)
 
-    def configure(self) -> None:
+    def steps(self) -> Iterator[float]:
         """As without the queue, then through bypass, which empties it (L3G-54); its clock starts anew."""
-        super().configure()
+        yield from super().steps()
         self.registers.set(facts.FIFO_MODE(_BYPASS), self.settings[-1])
         self.queue.restart()
 

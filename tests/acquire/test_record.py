@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
+from imuarray.acquire.service import Service
 from imuarray.acquire.stations import route, there_and_back
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
@@ -51,13 +52,15 @@ def test_switches_a_frame(
     assert abs(len(selects) - 100 * switches) <= 2 * len(channels)  # the first frame finds its way, the last looks back
     assert all(call.write[0] in (4, 5, 6, 7) and len(call.write) == 1 and call.read == 0 for call in selects)
     assert len([call for call in polled if call.read > 1]) == 100 * len(channels)
-    assert len([call for call in polled if call.read == 1]) <= 110 + 10 * len(
-        channels
-    )  # one register a frame is checked
+    # One register a frame is checked, and one in each visit of a channel on which twins could be taken for each other.
+    visits = 100 * len(channels) if len(channels) > 1 else 0
+    assert len([call for call in polled if call.read == 1]) <= visits + 110 + 10 * len(channels)
 
 
 def test_scl_clocks_of_a_frame_of_the_papers_array(tmp_path: Path) -> None:
-    """A burst a sensor, one switch, a register or two read back: 9 (n + 3) clocks, 18 for a switch (BUS-02, BUS-04)."""
+    """A burst a sensor, one switch, a register of each channel and up to two more read back: 9 (n + 3) clocks, 18 for
+    a switch (BUS-02, BUS-04).
+    """
     array = load_array(SHIPPED)
     array = array.only(tuple(sensor.name for sensor in array.sensors if sensor.chip not in ("bmp180", "hmc5883")))
     with open_bus("emulated:", array) as bus:
@@ -71,7 +74,7 @@ def test_scl_clocks_of_a_frame_of_the_papers_array(tmp_path: Path) -> None:
             stopped=lambda: bool(marks.append(bus.wire.scl_clocks)),
         )
     bursts = 4 * 90 + 5 * 99 + 18  # 4 BMA180 of 7 bytes, 2 ADXL345 and 3 L3G4200D of 8
-    assert set(np.diff(marks[1:])) <= {bursts, bursts + 36, bursts + 2 * 36}
+    assert set(np.diff(marks[1:])) <= {bursts + 2 * 36, bursts + 3 * 36, bursts + 4 * 36}
 
 
 def test_a_steady_rate_and_every_reading(
@@ -297,6 +300,7 @@ def test_late_frames_are_counted_and_not_skipped(
     done = record(array, tapped(array, "bit_rate=10000"), tmp_path / "r.h5", rate_hz=100, seconds=1)
     assert 25 <= done.frames <= 35
     assert done.frames - 1 <= done.late <= done.frames
+    assert done.frames + done.missed == pytest.approx(100, abs=2)
     for name in "ABG":
         assert len(logged(tmp_path / "r.h5", name)[0]) == done.frames
 
@@ -325,7 +329,7 @@ def test_stopped_before_the_first_frame_is_an_empty_log(
 def test_progress(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
     array, told = an_array(A=0), list[int]()
     record(array, tapped(array), tmp_path / "r.h5", rate_hz=800, seconds=3, progress=told.append)
-    assert told == [1024, 2048, 2400]
+    assert told == [800, 1600, 2400, 2400]
 
 
 def test_the_epoch_is_the_wall_time_of_the_start(
@@ -429,3 +433,74 @@ def test_an_error_in_the_midst_keeps_what_was_read(
         record(array, tapped(array), tmp_path / "r.h5", rate_hz=800, stopped=stop)
     assert len(logged(tmp_path / "r.h5", "A")[0]) > 1000
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_clocks_are_in_the_log(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+    array = an_array(A=0)
+    start = datetime(2026, 3, 1, tzinfo=UTC)
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=10, seconds=25, wall_time=start)
+    with open_log(tmp_path / "r.h5") as log:
+        assert log.clocks is not None
+        np.testing.assert_allclose(log.clocks.time[:] * 1e-9, [0.2, 10.2, 20.2], atol=0.11)
+        wall = log.clocks.realtime[:] - log.clocks.time[:]
+        np.testing.assert_array_equal(wall, 1_772_323_200 * 10**9)  # date -d 2026-03-01T00:00:00Z +%s
+        np.testing.assert_array_equal(np.diff(log.clocks.monotonic[:]), np.diff(log.clocks.time[:]))
+
+
+def test_a_log_in_parts_is_the_log(an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path) -> None:
+    array = an_array(A=0, G=1)
+    whole = record(array, tapped(array), tmp_path / "w.h5", rate_hz=50, seconds=5, phase="static", up="+Z")
+    parts = record(array, tapped(array), tmp_path / "p.h5", rate_hz=50, seconds=5, phase="static", up="+Z", rotate_s=2)
+    assert [path.name for path in whole.logs] == ["w.h5"]
+    assert [path.name for path in parts.logs] == ["p_001.h5", "p_002.h5", "p_003.h5"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["p_001.h5", "p_002.h5", "p_003.h5", "w.h5"]
+    for name in "AG":
+        together = [
+            np.concatenate(columns) for columns in zip(*(logged(path, name) for path in parts.logs), strict=True)
+        ]
+        for column, expected in zip(together, logged(tmp_path / "w.h5", name), strict=True):
+            np.testing.assert_array_equal(column, expected)
+    for number, path in enumerate(parts.logs):
+        with open_log(path) as log:
+            ((start_ns, end_ns, phase, up),) = log.phases
+            assert (start_ns, phase, up) == (number * 2_000_000_000, "static", "+Z")
+            assert end_ns == (number + 1) * 2_000_000_000 if number < 2 else end_ns > 4_970_000_000
+
+
+def test_a_log_that_is_cut_short_has_its_phase(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array, seen = an_array(A=0), list[Any]()
+
+    def look(frames: int) -> None:
+        with open_log(tmp_path / "r.h5") as log:
+            truth_ns = int(log.truth.time[-1]) if log.truth else 0
+            seen.append((log.state, log.phases, truth_ns))
+
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, seconds=3, phase="room", up="-Y", progress=look)
+    state, phases, last_ns = seen[-2]
+    assert state == "being written"
+    assert phases == (() if last_ns == 0 else (Phase(0, last_ns + 1, "room", "-Y"),))
+    assert last_ns > 1_000_000_000
+
+
+def test_the_service_manager_hears_of_rows_that_are_stored(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    class Manager(Service):
+        def __init__(self) -> None:
+            super().__init__({})
+            self.heard: list[Any] = []
+
+        def stored(self, rows: int) -> None:
+            self.heard.append(rows)
+
+        def stopping(self, status: str = "") -> None:
+            self.heard.append("stopping")
+
+    array, manager = an_array(A=0), Manager()
+    record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, seconds=5, service=manager)
+    *rows, last = manager.heard
+    assert last == "stopping"
+    assert rows == sorted(rows)
+    assert 0 < rows[-1] <= 500

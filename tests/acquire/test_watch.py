@@ -1,4 +1,4 @@
-"""A chip that loses its configuration mid-log is noticed, flagged back to its last good check, and reported."""
+"""A chip that loses its configuration mid-log is noticed, flagged back to its last good check, and set up again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from imuarray import load_array, open_bus, open_log
 from imuarray.acquire import record
-from imuarray.log.format import SUSPECT
+from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
@@ -78,7 +78,12 @@ def test_a_reset_chip_is_seen_within_a_second_and_nothing_it_said_stands_as_good
         sensor = log[name]
         time, status = np.asarray(sensor.time), np.asarray(sensor.status)
         suspect = (status & SUSPECT) != 0
-        assert suspect[time > reset_ns].all()
+        (again,) = np.flatnonzero(status & RECONFIGURED)
+        assert status[again] & LOST_BEFORE
+        assert reset_ns < time[again] < reset_ns + 2_000_000_000
+        assert suspect[(time > reset_ns) & (time < time[again])].all()
+        assert not suspect[again:].any()
+        assert [event.kind for event in log.events] == ["configuration", "reconfigured"]
         # Flagged from its last good check on, which was at most a sweep earlier; the rest of the log is untouched.
         assert not suspect[time < reset_ns - 1_000_000_000].any()
         for other in log.sensors.values():

@@ -27,6 +27,9 @@ SOURCES = (
     "allan_speed",
     "spectrum_speed",
     "gap_cost",
+    "serial_rate",
+    "storage_cost",
+    "hostile_files",
 )
 """Files beside this one; each has a function `rows() -> list[Row]`."""
 

@@ -1,0 +1,70 @@
+"""The clocks of the machine beside each other, now and then: samples are timed by one that never steps.
+
+A single-board computer has no clock that survives a night without power: its wall clock is set some time after it has
+started, and may be set again. From rows of (monotonic, wall) the wall time of every sample can be had afterwards, and
+the steps seen. CLOCK_MONOTONIC is slewed with the network's time, CLOCK_MONOTONIC_RAW is not: their quotient is the
+crystal's error. CLOCK_BOOTTIME also counts what the machine slept.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from datetime import datetime
+
+from imuarray.acquire.trouble import Tell
+from imuarray.clock import Clock, MonotonicClock
+from imuarray.log.format import ClockRow
+
+PERIOD_NS = 10_000_000_000
+STEP_NS = 10_000_000
+"""From here on a change of the wall clock against the monotonic one is an event; slewing changes it by less in 10 s."""
+
+
+Read = Callable[[], tuple[int, int, int, int]]
+"""CLOCK_MONOTONIC, CLOCK_MONOTONIC_RAW, CLOCK_BOOTTIME and CLOCK_REALTIME in ns."""
+
+
+def machine_clocks() -> tuple[int, int, int, int]:
+    """The machine's four clocks."""
+    return (
+        time.clock_gettime_ns(time.CLOCK_MONOTONIC),
+        time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW),
+        time.clock_gettime_ns(time.CLOCK_BOOTTIME),
+        time.clock_gettime_ns(time.CLOCK_REALTIME),
+    )
+
+
+def clocks_beside(clock: Clock, start_ns: int, wall_time: datetime) -> Read:
+    """The machine's clocks for a bus that obeys them; for an emulated one, four clocks that agree with its own."""
+    if isinstance(clock, MonotonicClock):
+        return machine_clocks
+    wall_ns = round(wall_time.timestamp() * 1e6) * 1000 - start_ns
+
+    def read() -> tuple[int, int, int, int]:
+        now_ns = clock.now_ns()
+        return now_ns, now_ns, now_ns, now_ns + wall_ns
+
+    return read
+
+
+class Clocks:
+    """Reads the clocks every 10 s and hands the row to `keep`; `tell` hears of steps of the wall clock."""
+
+    def __init__(self, read: Read, epoch_ns: int, keep: Callable[[ClockRow], None], tell: Tell) -> None:
+        self._read, self._epoch_ns, self._keep, self._tell = read, epoch_ns, keep, tell
+        self._due_ns = -(1 << 62)
+        self._wall_ns: int | None = None
+
+    def tick(self, now_ns: int) -> None:
+        """Read them if it is time."""
+        if now_ns < self._due_ns:
+            return
+        self._due_ns = now_ns + PERIOD_NS
+        clocks = self._read()
+        row = ClockRow(clocks[0] - self._epoch_ns, *clocks)
+        self._keep(row)
+        wall_ns = row.realtime_ns - row.monotonic_ns
+        if self._wall_ns is not None and abs(wall_ns - self._wall_ns) > STEP_NS:
+            self._tell(now_ns, "clock", f"the wall clock was set by {(wall_ns - self._wall_ns) * 1e-9:+.3f} s")
+        self._wall_ns = wall_ns

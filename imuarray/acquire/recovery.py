@@ -1,0 +1,66 @@
+"""A sensor's way back to good readings, a piece a frame, in its own place in the frame: nobody else waits for it.
+
+Ask whether it is there and ours, again and again, ever less often while it isn't; look whether it still is as it was
+configured; if not, set it up from the start, and let its filters settle while the others are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from imuarray.acquire.stations import Station
+from imuarray.errors import SensorError
+
+FIRST_PAUSE_NS = 100_000_000
+LONGEST_PAUSE_NS = 3_200_000_000
+"""Between two attempts to reach a sensor; doubled each time. A silent address costs 30 microseconds to ask."""
+
+
+class Recovery:
+    """One sensor's. `intact` once it is found as it was configured, `done` when it can be read again.
+
+    `look` tries for that; without it the chip is set up anew whatever it says.
+    """
+
+    def __init__(self, station: Station, now_ns: int, *, look: bool) -> None:
+        self.station = station
+        self.since_ns = now_ns
+        self.intact = False
+        self.done = False
+        self.failure: Exception | None = None
+        self._look = look
+        self._pause_ns = FIRST_PAUSE_NS
+        self._next_ns = now_ns
+        self._way: Iterator[float] | None = None
+
+    def waits(self, now_ns: int) -> bool:
+        """Whether the sensor is to be left alone for the moment."""
+        return now_ns < self._next_ns
+
+    def go_on(self, now_ns: int) -> None:
+        """One piece. What fails is kept in `failure`, and everything begins anew after a pause."""
+        self._way = self._way or self._steps()
+        self.failure = None
+        try:
+            self._next_ns = now_ns + round(next(self._way) * 1e9)
+        except StopIteration:
+            self.done = True
+        except (OSError, SensorError) as error:
+            cause = error.__cause__
+            self.failure = cause if isinstance(cause, OSError) else error
+            self._way = None
+            self._next_ns = now_ns + self._pause_ns
+            self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
+
+    def _steps(self) -> Iterator[float]:
+        driver = self.station.driver
+        self.station.claim()
+        driver.identify()
+        if self._look and driver.watched:
+            found = [(setting, driver.registers.peek(setting.register)[0]) for setting in driver.watched]
+            if all(byte & setting.mask == setting.value for setting, byte in found):
+                self.intact = True
+                return
+        self._look = False
+        yield 0.0
+        yield from driver.steps()

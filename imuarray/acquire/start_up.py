@@ -1,0 +1,71 @@
+"""In which state did each sensor come up? Its first seconds are held back until somebody who knows its states has said.
+
+Some chips start with another bias than last time (the paper's Gyro3 has two), or in another range, and say nothing.
+What is known of a sensor's states is in its calibration, which is not for this package to read: a `Judge` is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy.typing as npt
+
+from imuarray.acquire.pending import Pending
+
+SECONDS = 10.0
+ATTEMPTS = 3
+"""How often a sensor that came up wrong is set up again before nothing of it is trusted."""
+
+
+class Verdict(NamedTuple):
+    """What there is to say of a sensor's start: an empty `text` if nothing, `fault` if its readings can't be used."""
+
+    fault: bool
+    text: str = ""
+
+
+Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, Verdict]]
+"""From the counts (n, 3) of sensors' first seconds to verdicts by name; no entry for what can't be told."""
+
+
+class StartUp:
+    """The sensors that are still to be judged. `tell` hears each verdict that says something."""
+
+    def __init__(self, pending: Sequence[Pending], judge: Judge, now_ns: int) -> None:
+        self._judge = judge
+        self._since_ns = {id(item): now_ns for item in pending if item.station.sensor.sensitivity}
+        self._attempts: dict[int, int] = {}
+        self._pending = [item for item in pending if id(item) in self._since_ns]
+
+    def holds(self, pending: Pending) -> bool:
+        """Whether nothing of this sensor may be written yet."""
+        return id(pending) in self._since_ns
+
+    def again(self, pending: Pending, now_ns: int) -> None:
+        """It was set up anew because it had come up wrong: so it is judged again."""
+        if id(pending) in self._attempts:
+            self._since_ns[id(pending)] = now_ns
+
+    def verdicts(self, now_ns: int, *, last: bool = False) -> list[tuple[Pending, Verdict]]:
+        """Who came up how, of those whose first seconds are over (or at the end of the log, `last`)."""
+        ripe = [
+            item
+            for item in self._pending
+            if self.holds(item)
+            and (last or now_ns - self._since_ns[id(item)] >= SECONDS * 1e9)
+            and (last or item.recovery is None)
+        ]
+        heard = {item.station.sensor.name: item.counts() for item in ripe if item.times_ns}
+        readings = {name: counts for name, counts in heard.items() if len(counts)}
+        said = self._judge(readings) if readings else {}
+        found = [(item, said.get(item.station.sensor.name, Verdict(False))) for item in ripe]
+        for item, verdict in found:
+            del self._since_ns[id(item)]
+            if verdict.fault:
+                self._attempts[id(item)] = self._attempts.get(id(item), 0) + 1
+        return found
+
+    def hopeless(self, pending: Pending) -> bool:
+        """Whether it was set up often enough."""
+        return self._attempts.get(id(pending), 0) >= ATTEMPTS

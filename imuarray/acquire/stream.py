@@ -1,0 +1,235 @@
+"""Recording an array on a microcontroller: it polls by itself, and is listened to.
+
+The host tells it once what to read in which frame (`stream_plan`), takes what comes in bulk, and decodes it with the
+drivers that configured the chips (`stream_rows`). A row is written once every register of its chip was read back right
+after it (`stream_health`). To set a chip up again the stream is stopped for a moment, which costs the others a few
+readings; so it is when the microcontroller falls silent or its port disappears.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+
+from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.pending import Pending
+from imuarray.acquire.start_up import Judge, StartUp
+from imuarray.acquire.stations import Station
+from imuarray.acquire.stream_health import Health
+from imuarray.acquire.stream_plan import plan
+from imuarray.acquire.stream_rows import LINK, Rows
+from imuarray.acquire.summary import Summary
+from imuarray.acquire.trouble import Trouble
+from imuarray.bus.mux import MuxChannel
+from imuarray.bus.protocol import OpenBus
+from imuarray.bus.serial_bus import Samples, SerialBus
+from imuarray.bus.serial_link import LinkError
+from imuarray.errors import BusUrlError
+from imuarray.log.format import Event
+from imuarray.log.rotate import Writer
+from imuarray.log.writer import Block
+
+WRITE_NS = 1_000_000_000
+"""Between two writes."""
+SILENCE_NS = 2_000_000_000
+"""A microcontroller that has sent nothing for so long was reset, or is gone."""
+PAUSE_NS = 3_000_000_000
+"""Between two attempts to set chips up again, or to find the microcontroller."""
+
+
+def streams(bus: OpenBus, stations: Sequence[Station]) -> bool:
+    """Whether `Streaming` records these stations: on a microcontroller, and no queue among them, whose chip keeps the
+    time itself and can be polled through the link.
+    """
+    return isinstance(bus, SerialBus) and not any(station.sensor.fifo for station in stations)
+
+
+class Streaming:
+    """One recording of `stations` on `bus` into `log`: `run` it, then read its `summary`. Arguments as of `Poll`."""
+
+    def __init__(
+        self,
+        stations: Sequence[Station],
+        bus: OpenBus,
+        log: Writer,
+        rate_hz: float,
+        epoch_ns: int,
+        progress: Callable[[int], None] = lambda frames: None,
+        observe: Callable[[str, Block], None] = lambda sensor, block: None,
+        *,
+        wall_time: datetime | None = None,
+        judge: Judge | None = None,
+    ) -> None:
+        if not isinstance(bus, SerialBus):
+            raise TypeError(f"{type(bus).__name__} can't stream")
+        self._bus, self._log, self._epoch_ns, self._rate_hz = bus, log, epoch_ns, rate_hz
+        self._progress, self._observe = progress, observe
+        self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
+        self._plan = plan(stations, rate_hz)
+        self._rows = [
+            Rows(Pending(station, rate_hz), places) for station, places in zip(stations, self._plan.visits, strict=True)
+        ]
+        now_ns = bus.clock.now_ns()
+        start_up = StartUp([rows.pending for rows in self._rows], judge, now_ns) if judge else None
+        self._health = Health(self._rows, self._plan.watched, start_up, self._note)
+        self._troubles = {id(rows): Trouble("lost", "readings lost", self._teller(rows)) for rows in self._rows}
+        self._link = Trouble("link", "attempts", self._event_of(""))
+        read = clocks_beside(bus.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
+        self._clocks = Clocks(read, epoch_ns, log.clocks, self._event_of(""))
+        self._frames: int | None = None  # how many are wanted
+        self._begun = 0  # frames before the stream was last started
+        self._newest = -1  # number of the newest frame since
+        self._heard_ns = self._written_ns = now_ns
+        self._tried_ns = now_ns - PAUSE_NS
+
+    def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
+        """Record for `seconds` of frames, or until `stopped()`."""
+        clock = self._bus.clock
+        self._frames = None if seconds is None else max(1, round(seconds * self._rate_hz))
+        end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + SILENCE_NS
+        self._start()
+        self._log.keep()
+        try:
+            while (self._frames is None or self._begun + self._newest + 1 < self._frames) and not stopped():
+                if end_ns is not None and clock.now_ns() > end_ns:
+                    break
+                self._step()
+        finally:
+            self._finish()
+
+    def _start(self) -> None:
+        try:
+            self._bus.start(self._plan.lists, round(1e6 / self._rate_hz))
+        except OSError as error:
+            raise BusUrlError(f"serial: the stream can't be started: {error.strerror or error}") from error
+        self._heard_ns = self._bus.clock.now_ns()
+
+    def _step(self) -> None:
+        """Listen once; see to whoever is ill, and write, when it is time to."""
+        try:
+            if not self._bus.streaming:
+                raise LinkError("it does not answer")
+            self._take(self._bus.receive())
+            now_ns = self._bus.clock.now_ns()
+            if now_ns - self._heard_ns > SILENCE_NS:
+                self._find_link("it sends nothing")
+            elif self._health.ill and now_ns - self._tried_ns > PAUSE_NS:
+                self._set_up_again()
+        except OSError as error:
+            self._find_link(str(error.strerror or error))
+        now_ns = self._bus.clock.now_ns()
+        if now_ns - self._written_ns > WRITE_NS:
+            self._clocks.tick(now_ns)
+            self._health.tick(now_ns)
+            self._write()
+
+    def _take(self, came: Mapping[int, Samples]) -> None:
+        """Put what came where it belongs; frames after the last that is wanted are left out."""
+        if not came:
+            return
+        self._heard_ns = self._bus.clock.now_ns()
+        self._newest = max(self._newest, *(int(samples.numbers[-1]) for samples in came.values()))
+        if self._frames is not None:
+            left = self._frames - self._begun
+            self._newest = min(self._newest, left - 1)
+            came = {number: _until(samples, left) for number, samples in came.items()}
+        self.summary.frames = self._begun + self._newest + 1
+        for rows in self._rows:
+            missing, why = rows.take(came, self._bus.fit.rate)
+            if missing or rows.missing(self._newest) > 1:
+                self._lost(rows, missing, why or LINK)
+        self._health.look(came, self._bus.fit.rate)
+
+    def _lost(self, rows: Rows, count: int, why: str) -> None:
+        """Readings of one sensor are missing: `count` that are now known to be, or more and more."""
+        self._count_lost(rows, count)
+        self._troubles[id(rows)].happened(self._bus.clock.now_ns(), f"no reading: {why}", count)
+
+    def _set_up_again(self) -> None:
+        """Stop, set up who is ill, and go on."""
+        self._bus.stop()
+        self._take(self._bus.receive())
+        self._repair()
+
+    def _find_link(self, why: str) -> None:
+        """Look for the microcontroller, and set everything up: its supply may have been the chips'."""
+        self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {why}")
+        try:
+            self._bus.reconnect(patience_s=PAUSE_NS * 1e-9)
+            self._health.doubt_everything()
+            self._repair()
+        except OSError:
+            self._bus.clock.sleep_until(self._bus.clock.now_ns() + PAUSE_NS // 10)
+
+    def _repair(self) -> None:
+        """The stream is stopped: set up who is ill, count what was left out meanwhile, and start."""
+        self._tried_ns = self._bus.clock.now_ns()
+        self._forget_channels()
+        self._health.set_up_again(self._tried_ns)
+        self._begun += self._newest + 1
+        for rows in self._rows:
+            self._count_lost(rows, rows.missing(self._newest))
+            rows.pending.missing = True
+            rows.restart()
+        self._newest = -1
+        self._bus.start(self._plan.lists, round(1e6 / self._rate_hz))
+        now_ns = self._bus.clock.now_ns()
+        left_out = max(0, round((now_ns - self._heard_ns) * 1e-9 * self._rate_hz))
+        for rows in self._rows:
+            self._count_lost(rows, left_out // rows.places[-1].every)
+        self._begun += left_out
+        self._heard_ns = now_ns
+
+    def _count_lost(self, rows: Rows, count: int) -> None:
+        self.summary.lost[rows.pending.station.sensor.name] += count
+
+    def _forget_channels(self) -> None:
+        """The microcontroller has switched the multiplexer since a driver last did."""
+        for rows in self._rows:
+            bus = rows.pending.driver.registers.bus
+            if isinstance(bus, MuxChannel):
+                bus.mux.selected = None
+
+    def _finish(self) -> None:
+        """Take what is left, vouch for it or flag it, and write it all."""
+        try:
+            self._bus.stop()
+            self._take(self._bus.receive())
+        except OSError as error:
+            self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {error.strerror or error}")
+        self._link.close()
+        self._forget_channels()
+        self._health.finish(self._bus.clock.now_ns())
+        for rows in self._rows:
+            self._count_lost(rows, rows.missing(self._newest))
+            self._troubles[id(rows)].close()
+        self._write(last=True)
+
+    def _write(self, *, last: bool = False) -> None:
+        """Decode and write what is trusted."""
+        self._written_ns = self._bus.clock.now_ns()
+        for rows in self._rows:
+            count = len(rows.pending.times_ns) if last else self._health.trusted_rows(rows)
+            if count:
+                block = rows.pending.take(count, self._epoch_ns)
+                self._log.append(rows.pending.station.sensor.name, block)
+                self._observe(rows.pending.station.sensor.name, block)
+                self._health.written(rows, count)
+            self._troubles[id(rows)].settle(self._written_ns)
+        self._link.settle(self._written_ns)
+        self._progress(self.summary.frames)
+
+    def _note(self, rows: Rows, kind: str, text: str) -> None:
+        self._teller(rows)(self._bus.clock.now_ns(), kind, text)
+
+    def _teller(self, rows: Rows) -> Callable[[int, str, str], None]:
+        return self._event_of(rows.pending.station.sensor.name)
+
+    def _event_of(self, sensor: str) -> Callable[[int, str, str], None]:
+        return lambda at_ns, kind, text: self._log.event(Event(at_ns - self._epoch_ns, sensor, kind, text))
+
+
+def _until(samples: Samples, number: int) -> Samples:
+    """Frames before `number`."""
+    count = int((samples.numbers < number).sum())
+    return Samples(samples.numbers[:count], samples.sent_ns[:count], samples.payload[:count])

@@ -1,0 +1,146 @@
+"""What a microcontroller is told to do in which frame, and where in its answers each sensor's bytes are.
+
+Sensors that are read in the same frames share a list; a chip slower than the frames is read as often as it has
+something new. Every list selects the channels that it needs by itself: a lost switch spoils one list. Registers
+are read back in turn, each twice in `SWEEP_S`, so that two wrong reads in a row are no more than a second apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imuarray.acquire.stations import Station
+from imuarray.bus.mux import MuxChannel
+from imuarray.bus.serial_link import PollList, Request
+from imuarray.drivers.unattended import Visit, visits_of
+from imuarray.facts import pca9544a
+from imuarray.facts.registers import Setting
+
+SWEEP_S = 0.84
+_SLACK = 1.1
+"""By how much a chip's own clock may be fast without its readings getting lost between ours."""
+_SLACK_NS = 500_000
+"""How much closer than a frame two visits may come when a request is tried twice."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """One visit in the answers of list `number`: there in frames `offset`, `offset` + `every`, ...
+
+    Positions of bytes: `ages` of the requests that must have been answered, `age` of the one that times the reading,
+    and `start` to `stop`, its part of the burst; `busy` are bits that may not be set in byte `first`.
+    """
+
+    number: int
+    every: int
+    offset: int
+    ages: tuple[int, ...]
+    age: int
+    first: int
+    start: int
+    stop: int
+    busy: int = 0
+
+
+@dataclass(frozen=True)
+class WatchPlace:
+    """Where one register of one station is read back."""
+
+    station: Station
+    setting: Setting
+    place: Place
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Lists for the microcontroller, and where to look: the visits of each station, in order, and the registers."""
+
+    lists: tuple[PollList, ...]
+    visits: tuple[tuple[Place, ...], ...]
+    watched: tuple[WatchPlace, ...]
+
+
+class _Lists:
+    """Lists that grow, by (every, offset)."""
+
+    def __init__(self) -> None:
+        self._asked: dict[tuple[int, int], list[Request]] = {}
+        self._numbers: dict[tuple[int, int], int] = {}
+        self._sizes: dict[tuple[int, int], int] = {}
+        self._selected: dict[tuple[int, int], tuple[int, int, int]] = {}
+
+    def visit(self, station: Station, visit: Visit, every: int, offset: int) -> Place:
+        """Put a visit at the end of its list, behind a switch to its channel if another is selected there."""
+        key = every, offset
+        number = self._numbers.setdefault(key, len(self._numbers))
+        ages = [self._select(key, station)] if isinstance(station.driver.registers.bus, MuxChannel) else []
+        own = [self._ask(key, request) for request in visit.requests]
+        first = own[0] + 2
+        stop = first + visit.requests[0].read
+        return Place(
+            number, every, offset, (*ages, *own), own[0], first, min(first + visit.skipped, stop), stop, visit.busy
+        )
+
+    def _select(self, key: tuple[int, int], station: Station) -> int:
+        """Where it is told whether the channel of `station` could be selected."""
+        bus = station.driver.registers.bus
+        if not isinstance(bus, MuxChannel):
+            raise TypeError(f"{station.sensor.name} is behind no multiplexer")
+        address, channel, age = self._selected.get(key, (-1, -1, -1))
+        if (address, channel) != (bus.mux.address, bus.number):
+            setting = pca9544a.ENABLE(1) | pca9544a.CHANNEL(bus.number)
+            age = self._ask(key, Request(bus.mux.address, bytes([setting.value]), 0))
+            self._selected[key] = bus.mux.address, bus.number, age
+        return age
+
+    def _ask(self, key: tuple[int, int], request: Request) -> int:
+        """Position of the age of this request."""
+        position = self._sizes.get(key, 0)
+        self._asked.setdefault(key, []).append(request)
+        self._sizes[key] = position + 2 + request.read
+        return position
+
+    def finished(self) -> tuple[PollList, ...]:
+        """All of them, by number."""
+        return tuple(PollList(*key, tuple(self._asked[key])) for key in self._numbers)
+
+
+def plan(stations: Sequence[Station], rate_hz: float) -> Plan:
+    """The plan for reading `stations` in `rate_hz` frames a second; ValueError for one whose queue is drained."""
+    lists = _Lists()
+    places: dict[int, tuple[Place, ...]] = {}
+    segments = list(dict.fromkeys(station.segment for station in stations))
+    ordered = sorted(stations, key=lambda station: segments.index(station.segment))
+    for station in ordered:
+        visits = visits_of(station.sensor)
+        offsets, every = _rhythm(station, visits, rate_hz)
+        places[id(station)] = tuple(
+            lists.visit(station, visit, every, offset) for visit, offset in zip(visits, offsets, strict=True)
+        )
+    wanted = [(station, setting) for station in ordered for setting in station.driver.watched]
+    sweep = max(1, math.floor(SWEEP_S / 2 * rate_hz))
+    watched = tuple(
+        WatchPlace(
+            station, setting, lists.visit(station, _read_back(station, setting), sweep, index * sweep // len(wanted))
+        )
+        for index, (station, setting) in enumerate(wanted)
+    )
+    return Plan(lists.finished(), tuple(places[id(station)] for station in stations), watched)
+
+
+def _read_back(station: Station, setting: Setting) -> Visit:
+    address = station.driver.registers.address
+    return Visit((Request(address, bytes([setting.register.address]), 1),))
+
+
+def _rhythm(station: Station, visits: Sequence[Visit], rate_hz: float) -> tuple[list[int], int]:
+    """In which frame after the first each visit is, and after how many frames it all begins anew."""
+    frame_ns = 1e9 / rate_hz
+    waits = [math.ceil((visit.wait_ns + _SLACK_NS) / frame_ns) if visit.wait_ns else 0 for visit in visits]
+    offsets = [sum(waits[: index + 1]) for index in range(len(waits))]
+    chip_rate_hz = station.sensor.chip_rate_hz
+    if len(visits) > 1:
+        return offsets, max(offsets[-1] + 1, math.ceil(rate_hz / chip_rate_hz))
+    return offsets, max(1, math.floor(rate_hz / (_SLACK * chip_rate_hz)))

@@ -1,0 +1,74 @@
+"""How the sensors of a log that is being recorded came up, by a calibration's known states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.acquire.start_up import Verdict
+from imuarray.array import ArrayConfig
+from imuarray.calibrate import load_calibration
+from imuarray.calibrate.start_up import StartUp, in_this_pose, state_of
+
+PARTS = 10
+_RESTLESS = 25.0
+"""At rest the means of parts scatter as their noise lets expect, five times as much with a wandering bias."""
+
+
+class StartUpJudge:
+    """Says of sensors' first readings how they came up (`imuarray.acquire.start_up.Judge`), and echoes it.
+
+    `said` keeps every sentence. A box that was moved meanwhile tells nothing.
+    """
+
+    def __init__(self, array: ArrayConfig, calibration: Path) -> None:
+        self.said: list[str] = []
+        self._calibration = load_calibration(calibration)
+        self._ranges = {sensor.name: sensor.spec.sensitivity for sensor in array.sensors if sensor.spec.sensitivity}
+        self._means: dict[str, npt.NDArray[Any]] = {}
+
+    def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, Verdict]:
+        """Verdicts by sensor; a sensor that is judged again is seen beside what the others read at first."""
+        known = {name: counts for name, counts in readings.items() if name in self._calibration.sensors}
+        if known and np.median([_restlessness(counts) for counts in known.values()]) > _RESTLESS:
+            self._say("the box was moved in the first seconds: how the sensors came up is not known")
+            return {}
+        self._means.update((name, counts.mean(axis=0)) for name, counts in readings.items())
+        found = state_of(self._means, self._calibration, ranges=self._ranges)
+        starts = {name: start for name, start in in_this_pose(found, self._calibration).items() if name in readings}
+        verdicts = {name: self._verdict(name, start) for name, start in starts.items()}
+        if not any(verdict.text for verdict in verdicts.values()):
+            usual = f"{len(starts)} sensors came up as ever"
+            self._echo(usual if found else "the calibration does not say how sensors come up")
+        return verdicts
+
+    def _verdict(self, name: str, start: StartUp) -> Verdict:
+        text = start.sentence(name, self._calibration)
+        if text:
+            self._say(text)
+        return Verdict(start.fault, text)
+
+    def _say(self, text: str) -> None:
+        if text not in self.said:
+            self.said.append(text)
+            self._echo(text)
+
+    def _echo(self, text: str) -> None:
+        click.echo(f"imuarray: {text}", err=True)
+
+
+def _restlessness(counts: npt.NDArray[Any]) -> float:
+    """How much more than by white noise the means of parts of (n, 3) counts vary, as a ratio of variances: the largest
+    of the axes.
+    """
+    if len(counts) < 4 * PARTS:
+        return 0.0
+    length = len(counts) // PARTS
+    parts = counts[: PARTS * length].reshape(PARTS, length, -1).astype(float)
+    noise = parts.var(axis=1, ddof=1).mean(axis=0) + 1 / 12  # a code is a rounded value
+    return float((parts.mean(axis=1).var(axis=0, ddof=1) / (noise / length)).max())

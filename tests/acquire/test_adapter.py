@@ -1,0 +1,97 @@
+"""When a burst was on the wire, and when a bus hangs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.acquire import record
+from imuarray.acquire.adapter import Adapter
+from imuarray.log import open_log
+
+MS = 1_000_000
+
+
+def test_a_burst_starts_when_it_was_asked_for_if_nothing_came_between() -> None:
+    """90 clocks at 400 kHz are 225 us; the machine adds 50 to 300 us."""
+    adapter = Adapter()
+    for index, extra_us in enumerate((300, 50, 120)):
+        begun_ns = index * 20 * MS
+        assert adapter.start_of(begun_ns, begun_ns + (225 + extra_us) * 1000, 90) == (begun_ns, True)
+
+
+@given(st.integers(0, 20 * MS), st.integers(0, 20 * MS))
+def test_after_an_interruption_the_error_is_half_of_it_at_most(before_ns: int, after_ns: int) -> None:
+    """Whether the program was interrupted before the burst or after it can't be known."""
+    adapter = Adapter()
+    adapter.start_of(0, 225_000, 90)
+    true_ns = 50 * MS + before_ns
+    start_ns, certain = adapter.start_of(50 * MS, true_ns + 225_000 + after_ns, 90)
+    slack_ns = before_ns + after_ns
+    assert certain == (slack_ns <= 1 * MS)
+    assert abs(start_ns - true_ns) <= (slack_ns if certain else slack_ns / 2 + 1)
+
+
+def test_a_quick_chip_tells_what_a_clock_takes_for_a_slow_one_too() -> None:
+    adapter = Adapter()
+    adapter.start_of(0, 250_000, 100)  # 2.5 us a clock
+    assert adapter.start_of(10 * MS, 12 * MS + 250_000, 100) == (11 * MS, False)
+
+
+def test_two_time_outs_in_a_row_are_the_bus() -> None:
+    adapter = Adapter()
+    assert not adapter.timed_out(0)
+    assert adapter.timed_out(30 * MS)
+    assert adapter.hangs
+    assert adapter.silent_until_ns == 80 * MS
+    assert not adapter.timed_out(110 * MS)  # it is known
+    assert adapter.silent_until_ns == 210 * MS  # and asked half as often
+    for at_ms in range(1000, 2000, 100):
+        adapter.timed_out(at_ms * MS)
+    assert adapter.silent_until_ns == 1900 * MS + 400 * MS
+    assert adapter.answered()
+    assert not adapter.answered()
+    assert not adapter.timed_out(5000 * MS)
+
+
+class Dawdling:
+    """An open bus whose program is interrupted for 8 ms after some readings of one chip, before it can look at the
+    clock.
+    """
+
+    def __init__(self, bus: Any, address: int) -> None:
+        self.bus, self.clock, self.source, self.address = bus, bus.clock, bus.source, address
+        self.starts: list[int] = []
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        start_ns = self.clock.now_ns()
+        answer: bytes = self.bus.transfer(address, write, read)
+        if address == self.address and read > 1:
+            self.starts.append(start_ns)
+            if len(self.starts) % 10 == 0:
+                self.clock.sleep_until(self.clock.now_ns() + 8 * MS)
+        return answer
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.bus, name)
+
+
+def test_interrupted_readings_are_counted_and_their_times_are_within_half(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0, G=0)
+    bus = Dawdling(tapped(array).bus, 0x68)
+    done = record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=4)  # type: ignore[arg-type]
+    assert done.uncertain == 20
+    assert (done.late, done.missed) == (0, 0)
+    with open_log(tmp_path / "r.h5") as log:
+        error_ns = np.asarray(log["G"].time) - (np.array(bus.starts) - bus.starts[0] + log["G"].time[0])
+        assert np.count_nonzero(error_ns) == 20
+        assert np.abs(error_ns).max() == pytest.approx(4 * MS, rel=0.05)
+        assert (np.diff(np.asarray(log["A"].time)) == 20 * MS).all()

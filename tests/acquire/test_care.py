@@ -1,0 +1,209 @@
+"""Sensors that are unwell are told of, and looked after in their own place of the frame; the others lose no reading."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imuarray.acquire import record
+from imuarray.acquire.start_up import Verdict
+from imuarray.acquire.trouble import Trouble
+from imuarray.array import parse_array
+from imuarray.bus import open_bus
+from imuarray.cli import main
+from imuarray.errors import SensorError
+from imuarray.log import open_log
+from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
+
+SECOND = 1_000_000_000
+MS = 1_000_000
+
+
+@pytest.fixture
+def bad_night(an_array: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:
+    """``bad_night(toml, seconds, A=0, B=1)``: what `record` counted, and the log."""
+
+    def make(toml: str, seconds: float, *, rate_hz: float = 50.0, judge: Any = None, **channels: int | None) -> Any:
+        array = an_array(**channels)
+        (tmp_path / "night.toml").write_text(toml)
+        path = tmp_path / "r.h5"
+        with open_bus(f"emulated:?faults={tmp_path / 'night.toml'}", array) as bus:
+            done = record(array, bus, path, rate_hz=rate_hz, seconds=seconds, judge=judge, force=True)
+        return done, open_log(path)
+
+    return make
+
+
+def events_of(log: Any) -> list[tuple[str, str]]:
+    return [(event.sensor, event.kind) for event in log.events]
+
+
+def test_an_unplugged_sensor_is_looked_for_ever_less_often(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A=0, B=0)
+    bus = tapped(array, "", lambda call: call.address == 0x40 and call.at_ns > 5 * SECOND)
+    done = record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=60)
+    times = np.array([call.at_ns for call in bus.failed])
+    gaps = np.diff(times) / SECOND
+    gaps = gaps[gaps > 0.05]  # at first it is read in every frame, and once more
+    np.testing.assert_allclose(gaps[:6], [0.1, 0.2, 0.4, 0.8, 1.6, 3.2], atol=0.05)
+    np.testing.assert_allclose(gaps[6:], 3.2, atol=0.05)
+    with open_log(tmp_path / "r.h5") as log:
+        assert len(log["A"]) == done.frames
+        assert events_of(log) == [("B", "lost"), ("B", "lost")]
+        assert log.events[1].message.startswith(f"in all {done.lost['B']} readings lost in ")
+
+
+def test_what_was_only_silent_goes_on_as_it_was(bad_night: Callable[..., Any]) -> None:
+    table = '[[fault]]\nkind="no_acknowledge"\nsensor="B"\nat_s=3.0\nfor_s=0.8\n'
+    done, log = bad_night(table, 6, A=0, B=0)
+    with log:
+        status = np.asarray(log["B"].status)
+        assert events_of(log) == [("B", "lost"), ("B", "back")]
+        assert not (status & (RECONFIGURED | SUSPECT)).any()
+        assert np.count_nonzero(status & LOST_BEFORE) == 1
+        assert len(status) + done.lost["B"] == done.frames
+
+
+def test_a_reset_queue_starts_anew(bad_night: Callable[..., Any], tmp_path: Path) -> None:
+    array = parse_array(
+        '[array]\nname="a"\n[[sensor]]\nname="Q"\nchip="l3g4200d"\naddress=0x68\nrange=250\nrate_hz=800\n'
+        "bandwidth_hz=110\nfifo=true\n"
+    )
+    (tmp_path / "n.toml").write_text('[[fault]]\nkind="reset"\nsensor="Q"\nat_s=3.0\n')
+    with open_bus(f"emulated:?faults={tmp_path / 'n.toml'}", array) as bus:
+        record(array, bus, tmp_path / "q.h5", rate_hz=40, seconds=8)
+    with open_log(tmp_path / "q.h5") as log:
+        time, status = np.asarray(log["Q"].time), np.asarray(log["Q"].status)
+        (again,) = np.flatnonzero(status & RECONFIGURED)
+        assert time[again] < 5 * SECOND
+        assert not (status[again:] & SUSPECT).any()
+        assert np.median(np.diff(time[again:])) == pytest.approx(1.25 * MS, rel=0.02)
+
+
+def test_a_sensor_that_stands_still_for_good_is_set_up_ever_less_often(bad_night: Callable[..., Any]) -> None:
+    table = '[[fault]]\nkind="frozen"\nsensor="B"\nat_s=3.0\nfor_s=1000\n'
+    _, log = bad_night(table, 63, A=0, B=0)
+    with log:
+        time, status = np.asarray(log["B"].time), np.asarray(log["B"].status)
+        first = np.searchsorted(time, 3 * SECOND)
+        assert (status[first + 1 :] & SUSPECT).all()
+        again = np.flatnonzero(status & RECONFIGURED)
+        assert 3 <= len(again) <= 6
+        assert (np.diff(time[again][1:]) > 1.5 * np.diff(time[again][:-1])).all()
+        assert not np.asarray(log["A"].status).any()
+
+
+def test_at_the_end_nothing_unseen_is_called_good(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    """From 4 s on nobody can read a configuration register back, though readings arrive."""
+    array = an_array(B=0)
+    bus = tapped(array, "", lambda call: call.read == 1 and call.at_ns > 4 * SECOND)
+    record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=30)
+    with open_log(tmp_path / "r.h5") as log:
+        time, status = np.asarray(log["B"].time), np.asarray(log["B"].status)
+        assert len(time) == 1500
+        assert (status[time > 4 * SECOND] & SUSPECT).all()
+        assert not (status[time < 2 * SECOND] & SUSPECT).any()
+
+
+def test_a_bus_of_its_own_goes_on_while_another_hangs(tmp_path: Path) -> None:
+    array = parse_array(
+        '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=800\n'
+        '[[sensor]]\nname="B"\nchip="bma180"\naddress=0x40\nrange=2\nbus="/dev/i2c-11"\n'
+    )
+
+    class Hanging:
+        def __init__(self, bus: Any) -> None:
+            self.bus, self.clock, self.source = bus, bus.clock, bus.source
+
+        def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+            if 3 * SECOND < self.clock.now_ns() < 6 * SECOND:
+                self.clock.sleep_until(self.clock.now_ns() + 30 * MS)
+                raise TimeoutError(110, "Connection timed out")
+            answer: bytes = self.bus.transfer(address, write, read)
+            return answer
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self.bus, name)
+
+    with open_bus("emulated:", array) as bus:
+        done = record(array, Hanging(bus), tmp_path / "r.h5", rate_hz=20, seconds=8)  # type: ignore[arg-type]
+    with open_log(tmp_path / "r.h5") as log:
+        assert done.lost["B"] == done.missed == 0
+        assert len(log["B"]) == done.frames == 160
+        assert 60 <= done.lost["A"] <= 70
+        assert not np.asarray(log["B"].status).any()
+
+
+def test_an_address_that_a_kernel_driver_has_is_refused_at_the_start(bad_night: Callable[..., Any]) -> None:
+    with pytest.raises(SensorError, match=r"^B \(bma180\): channel 1 address 0x40 belongs to a driver of the kernel"):
+        bad_night('[[fault]]\nkind="kernel_driver"\nsensor="B"\nfor_s=1\n', 1, A=0, B=1)
+
+
+def test_missed_frames_are_lost_readings_of_what_is_polled(bad_night: Callable[..., Any]) -> None:
+    done, log = bad_night('[[fault]]\nkind="stall"\nat_s=3.0\nfor_s=0.1\n', 4, A=0, B=1)
+    with log:
+        assert (done.late, done.missed, done.frames) == (1, 4, 196) or (done.missed, done.frames) == (5, 195)
+        assert events_of(log) == [("", "late")]
+        for name in "AB":
+            time, status = np.asarray(log[name].time), np.asarray(log[name].status)
+            (after,) = np.flatnonzero(status & LOST_BEFORE)
+            assert time[after] - time[after - 2] > 100 * MS  # the reading in the midst of it has an uncertain time
+
+
+def test_a_sensor_that_comes_up_wrong_for_good_is_trusted_no_more(bad_night: Callable[..., Any]) -> None:
+    def judge(readings: Any) -> dict[str, Verdict]:
+        return {"G": Verdict(bool(readings["G"].mean() > 1000), "too much")} if "G" in readings else {}
+
+    table = '[[fault]]\nkind="start_up"\nsensor="G"\nbias=[90.0, 90.0, 90.0]\n'
+    _, log = bad_night(table, 45, rate_hz=20, judge=judge, A=0, G=0)
+    with log:
+        assert (np.asarray(log["G"].status) & SUSPECT).all()
+        assert [kind for sensor, kind in events_of(log)] == ["start_up", "reconfigured"] * 2 + ["start_up"]
+        assert not np.asarray(log["A"].status).any()
+
+
+def test_troubles_are_told_when_they_begin_and_when_they_lasted() -> None:
+    told = list[Any]()
+    trouble = Trouble("lost", "readings lost", lambda *event: told.append(event))
+    for at_ms in range(0, 500, 20):
+        trouble.happened(at_ms * MS, "gone")
+    trouble.settle(1000 * MS)
+    assert told == [(0, "lost", "gone")]
+    trouble.happened(1400 * MS, "gone")  # less than a second later: the same trouble
+    trouble.settle(2401 * MS)
+    trouble.settle(9000 * MS)
+    assert told[1:] == [(1400 * MS, "lost", "in all 26 readings lost in 1.4 s")]
+    trouble.happened(9500 * MS, "gone")
+    trouble.close()
+    assert told[2:] == [(9500 * MS, "lost", "gone")]
+
+
+def test_a_bad_night_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.toml").write_text(
+        '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\nrate_hz=800\n'
+    )
+    (tmp_path / "night.toml").write_text('[[fault]]\nkind="reset"\nsensor="A"\nat_s=2.0\n')
+    run = str(tmp_path / "r.h5")
+    url = f"emulated:?faults={tmp_path / 'night.toml'}"
+    assert main(["log", str(tmp_path / "a.toml"), "--bus", url, "--seconds", "5", "-o", run, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["missed"] == told["uncertain"] == 0
+    assert 1 <= told["lost"]["A"] <= 20
+    assert main(["info", run, "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert [(event["sensor"], event["kind"]) for event in info["events"]] == [
+        ("A", "configuration"),
+        ("A", "reconfigured"),
+    ]
+    assert info["sensors"][0]["flags"]["reconfigured"] == 1
+    assert main(["log", str(tmp_path / "a.toml"), "--bus", "emulated:?faults=none.toml", "-o", f"{run}x"]) == 2
+    assert "faults=none.toml: No such file or directory" in capsys.readouterr().err

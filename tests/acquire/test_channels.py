@@ -1,0 +1,105 @@
+"""Twins on two channels are told apart, marked where they are configured alike, and never taken for each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imuarray.acquire import connect, record
+from imuarray.acquire.channels import channel_of
+from imuarray.acquire.stations import route, there_and_back
+
+
+@pytest.fixture
+def connected(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> Callable[..., Any]:
+    """``connected(A=0, B=1)``: the bus, and the `Channel` of each segment."""
+
+    def make(**channels: int | None) -> tuple[Any, list[Any]]:
+        array = an_array(**channels)
+        bus = tapped(array)
+        stations = connect(array, bus)
+        return bus, [channel_of(part, stations, 40) for part in there_and_back(stations)[0]]
+
+    return make
+
+
+def test_without_twins_there_is_nothing_to_ask(connected: Callable[..., Any]) -> None:
+    _, channels = connected(A=0, B=1, G=None)
+    assert channels == [None, None, None]
+
+
+@pytest.mark.parametrize(
+    ("kind", "address", "register", "marks"),
+    [("A", 0x53, 0x1D, (1, 2)), ("B", 0x40, 0x2C, (1, 2)), ("G", 0x68, 0x2E, (1, 2))],
+)
+def test_twins_that_are_configured_alike_are_marked(
+    connected: Callable[..., Any], kind: str, address: int, register: int, marks: tuple[int, int]
+) -> None:
+    """Threshold of taps (ADX-11), customer byte (BMA-35), watermark of the queue (L3G-20): none acts on readings."""
+    bus, channels = connected(**{f"{kind}1": 0, f"{kind}2": 1})
+    for order, channel, mark in ((b"\x04", channels[0], marks[0]), (b"\x05", channels[1], marks[1])):
+        bus.transfer(0x70, order)
+        assert bus.transfer(address, bytes([register]), 1) == bytes([mark])
+        assert channel.right()
+        assert not channels[2 - mark].right()  # the other one
+
+
+def test_a_sensor_without_a_twin_is_not_marked(connected: Callable[..., Any]) -> None:
+    bus, _ = connected(A=0, B=1)
+    bus.transfer(0x70, b"\x04")
+    assert bus.transfer(0x53, b"\x1d", 1) == b"\x00"
+
+
+def test_where_no_register_can_tell_another_chip_can(connected: Callable[..., Any]) -> None:
+    """Two magnetometers look alike; the accelerometer beside the first is on its channel alone."""
+    bus, (first, second) = connected(M1=0, A=0, M2=1)
+    bus.transfer(0x70, b"\x04")
+    assert first.right()
+    assert not second.right()  # its own witness is the multiplexer's control byte
+    bus.transfer(0x70, b"\x05")
+    assert second.right()
+    assert not first.right()
+
+
+def test_a_chip_that_was_reset_or_is_gone_does_not_make_its_channel_wrong(connected: Callable[..., Any]) -> None:
+    bus, (first, _) = connected(B1=0, G1=0, B2=1, G2=1)
+    bus.transfer(0x70, b"\x04")
+    for name in ("B1", "G1"):
+        bus.chips[name].power_on(bus.clock.now_ns())
+        bus.clock.sleep_until(bus.clock.now_ns() + 50_000_000)
+        assert all(first.right() for _ in range(4))
+    bus.fails = lambda call: call.address in (0x40, 0x68)
+    assert all(first.right() for _ in range(4))
+
+
+def test_it_asks_without_selecting(connected: Callable[..., Any]) -> None:
+    bus, (first, _) = connected(A1=0, A2=1)
+    bus.transfer(0x70, b"\x05")
+    before = len(bus.calls)
+    assert not first.right()
+    assert [call for call in bus.calls[before:] if call.address == 0x70 and call.write] == []
+
+
+def test_witnesses_take_turns_and_say_what_they_saw(connected: Callable[..., Any]) -> None:
+    bus, (first, _) = connected(B1=0, A=0, B2=1)
+    bus.transfer(0x70, b"\x04")
+    seen = {(first.right(), first.seen.station.sensor.name)[1] for _ in range(len(first.witnesses))}
+    assert seen == {"A", "B1"}
+
+
+def test_nothing_is_lost_to_the_question(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path
+) -> None:
+    array = an_array(A1=0, B1=0, G1=0, A2=1, B2=1, G2=1)
+    done = record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, seconds=3)
+    assert sum(done.lost.values()) == done.late == done.missed == 0
+
+
+def test_route_alone_changes_nothing(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
+    array = an_array(A1=0, A2=1)
+    bus = tapped(array)
+    route(array, bus)
+    assert bus.calls == []

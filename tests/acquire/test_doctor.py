@@ -1,0 +1,272 @@
+"""Why a bus does not work, on machines made up of a few files."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from imuarray.acquire.doctor import Check, Machine, examine
+from imuarray.acquire.doctor_i2c import frame_clocks
+from imuarray.array import ArrayConfig, parse_array
+from imuarray.cli import main
+from imuarray.errors import BusUrlError
+from imuarray.log.journal import JournalLock, journal_of
+
+PLAIN_I2C = 0x0EFF0009
+"""What i2c-bcm2835 says: I2C, 10-bit addresses no, SMBus emulated."""
+SMBUS_ONLY = 0x0EFF0008
+I2C_GROUP = 998
+USER = os.getuid() + 1000
+
+ARRAY = """
+[array]
+name = "a"
+mux = {chip = "pca9544a", address = 0x70}
+[[sensor]]
+name = "A"
+chip = "adxl345"
+channel = 0
+address = 0x53
+range = 4
+[[sensor]]
+name = "P"
+chip = "bmp180"
+channel = 1
+address = 0x77
+rate_hz = 8
+"""
+
+
+@pytest.fixture
+def array() -> ArrayConfig:
+    return parse_array(ARRAY)
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    """A Raspberry Pi with one bus at 400 kHz, and a user who may use it."""
+    root = tmp_path / "root"
+    bus = root / "sys/bus/i2c/devices/i2c-1"
+    (bus / "of_node").mkdir(parents=True)
+    (bus / "name").write_text("bcm2835 (i2c@7e804000)\n")
+    (bus / "of_node/clock-frequency").write_bytes((400_000).to_bytes(4, "big"))
+    (root / "sys/class/i2c-dev").mkdir(parents=True)
+    (root / "dev").mkdir()
+    (root / "dev/i2c-1").touch()
+    (root / "dev/i2c-1").chmod(0o660)
+    if os.getuid() == 0:
+        os.chown(root / "dev/i2c-1", 0, I2C_GROUP)
+    (root / "etc").mkdir()
+    group = (root / "dev/i2c-1").stat().st_gid
+    (root / "etc/group").write_text(f"daemon:x:1:\ni2c:x:{group}:pi\n")
+    return Machine(root, USER, frozenset({USER, group}), lambda device: PLAIN_I2C, lambda folder: 1 << 36)
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    return folder
+
+
+def wrong(checks: list[Check]) -> list[tuple[str, str, str]]:
+    assert all(len(check.found.splitlines()) == 1 and check.found.isprintable() for check in checks)
+    assert all(check.advice for check in checks if not check.ok)
+    return [(check.name, check.found, check.advice) for check in checks if not check.ok]
+
+
+def only(checks: list[Check]) -> tuple[str, str, str]:
+    (found,) = wrong(checks)
+    return found
+
+
+URL = "i2c:/dev/i2c-1"
+
+
+def test_all_is_well(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    checks = examine(array, URL, logs, 50, machine=machine, talk=lambda: [Check("sensors", True, "all 2 answer")])
+    assert wrong(checks) == []
+    said = {check.name: check.found for check in checks}
+    assert said["adapter"] == "/dev/i2c-1: bcm2835 (i2c@7e804000)"
+    assert "group i2c, mode 0660" in said["permission"]
+    assert said["bus clock"].startswith("400 kHz: at most ")
+    assert "bcm2835" in said["quirks"]
+    assert said["sensors"] == "all 2 answer"
+
+
+def test_clocks_of_a_frame(array: ArrayConfig) -> None:
+    """BUS-04: 9 (n + 3) clocks for n bytes, 8 and 5 of them; BUS-02: 18 for each of two switches."""
+    assert frame_clocks(array) == 9 * 11 + 9 * 8 + 2 * 18
+
+
+def test_no_bus_at_all(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    shutil.rmtree(machine.root / "sys")
+    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, found) == ("adapter", "this machine has no I2C bus")
+    assert "dtparam=i2c_arm=on" in advice
+
+
+def test_the_module_is_not_loaded(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    (machine.root / "sys/class/i2c-dev").rmdir()
+    (machine.root / "dev/i2c-1").unlink()
+    name, _, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert name == "module i2c-dev"
+    assert "modprobe i2c-dev" in advice
+
+
+def test_another_bus_is_there(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    name, found, _ = only(examine(array, "i2c:/dev/i2c-7", logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, found) == ("adapter", "/dev/i2c-7; there are /dev/i2c-1")
+
+
+@pytest.mark.parametrize(("mode", "said"), [(0o660, "sudo adduser $USER i2c"), (0o600, "udev rule")])
+def test_no_permission(array: ArrayConfig, machine: Machine, logs: Path, mode: int, said: str) -> None:
+    (machine.root / "dev/i2c-1").chmod(mode)
+    stranger = replace(machine, groups=frozenset({USER}))
+    name, _, advice = only(examine(array, URL, logs, 50, machine=stranger, talk=pytest.fail))
+    assert name == "permission"
+    assert said in advice
+    assert wrong(examine(array, URL, logs, 50, machine=replace(stranger, user=0))) == []
+
+
+def test_a_bus_that_is_too_slow(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    clock = machine.root / "sys/bus/i2c/devices/i2c-1/of_node/clock-frequency"
+    clock.write_bytes((10_000).to_bytes(4, "big"))
+    name, found, advice = only(examine(array, URL, logs, 50, machine=machine))
+    assert (name, found) == ("bus clock", "10 kHz: at most 48 frames of this array a second")  # 10000 / 207
+    assert "i2c_arm_baudrate" in advice
+    clock.unlink()
+    assert wrong(examine(array, URL, logs, 50, machine=machine)) == []  # not told is not wrong
+
+
+def test_an_adapter_that_speaks_smbus_only(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    smbus = replace(machine, functionality=lambda device: SMBUS_ONLY)
+    name, found, _ = only(examine(array, URL, logs, 50, machine=smbus, talk=pytest.fail))
+    assert (name, found) == ("abilities", "/dev/i2c-1: SMBus only")
+
+
+def bind(machine: Machine, place: str, driver: str) -> Path:
+    device = machine.root / "sys/bus/i2c/devices" / place
+    device.mkdir()
+    (machine.root / "sys/bus/i2c/drivers" / driver).mkdir(parents=True)
+    (device / "driver").symlink_to(f"../../drivers/{driver}")
+    return device
+
+
+def test_a_driver_of_the_kernel_has_a_sensor(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    bind(machine, "1-0053", "adxl34x")
+    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, found) == ("kernel driver", "/dev/i2c-1 0x53 (A) belongs to adxl34x")
+    assert advice == "echo 1-0053 | sudo tee /sys/bus/i2c/drivers/adxl34x/unbind"
+
+
+def test_a_driver_of_the_kernel_has_the_multiplexer(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    mux = bind(machine, "1-0070", "pca954x")
+    for channel in range(2):
+        (mux / f"channel-{channel}").symlink_to(f"../i2c-{11 + channel}")
+    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, found) == ("kernel driver", "/dev/i2c-1 0x70 (the multiplexer) belongs to pca954x")
+    assert "channel-0 is /dev/i2c-11, channel-1 is /dev/i2c-12" in advice
+
+
+def test_a_multiplexer_at_the_barometers_address(machine: Machine, logs: Path) -> None:
+    text = (
+        ARRAY.replace("0x70", "0x77").replace('chip = "bmp180"', 'chip = "adxl345"').replace("rate_hz = 8", "range = 2")
+    )
+    array = parse_array(text.replace("address = 0x77\nrange", "address = 0x1D\nrange"))
+    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=pytest.fail))
+    assert (name, found) == ("address 0x77", "the multiplexer has the BMP180's address")
+    assert "0x70 to 0x76" in advice
+
+
+def test_a_kernels_multiplexer_at_the_barometers_address(machine: Machine, logs: Path) -> None:
+    array = parse_array('[array]\nname="a"\n[[sensor]]\nname="P"\nchip="bmp180"\nbus="/dev/i2c-11"\naddress=0x77\n')
+    devices = machine.root / "sys/bus/i2c/devices"
+    (devices / "i2c-11").mkdir()
+    (devices / "i2c-11/mux_device").symlink_to("../1-0077")
+    (machine.root / "dev/i2c-11").touch()
+    (machine.root / "dev/i2c-11").chmod(0o666)
+    name, found, _ = only(examine(array, "i2c:", logs, 5, machine=machine, talk=pytest.fail))
+    assert (name, found) == ("address 0x77", "P: the multiplexer before it has its address")
+
+
+def test_what_the_sensors_say(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    def locked() -> list[Check]:
+        raise BusUrlError("i2c:/dev/i2c-1: another program has locked this bus")
+
+    def hung() -> list[Check]:
+        raise OSError(110, "Connection timed out")
+
+    assert only(examine(array, URL, logs, 50, machine=machine, talk=locked))[0] == "opening"
+    name, found, advice = only(examine(array, URL, logs, 50, machine=machine, talk=hung))
+    assert (name, found) == ("talking", "Connection timed out (errno 110)")
+    assert "holds a wire low" in advice
+
+
+def test_a_serial_port(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    url = "serial:/dev/ttyACM0?baud=921600"
+    assert only(examine(array, url, logs, 50, machine=machine, talk=pytest.fail))[:2] == (
+        "port",
+        "/dev/ttyACM0; there are none",
+    )
+    shutil.copy2(machine.root / "dev/i2c-1", machine.root / "dev/ttyACM0")
+    (machine.root / "dev/ttyACM0").chmod(0o666)
+    assert wrong(examine(array, url, logs, 50, machine=machine, talk=list)) == []
+    (machine.root / "proc/77").mkdir(parents=True)
+    (machine.root / "proc/77/comm").write_text("ModemManager\n")
+    assert only(examine(array, url, logs, 50, machine=machine))[0] == "ModemManager"
+
+
+def test_the_disk(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    nearly_full = replace(machine, free_bytes=lambda folder: 70 << 20)
+    name, found, _ = only(examine(array, URL, logs, 50, machine=nearly_full))
+    assert name == "disk"
+    # 50 rows of 8 + 6 + 2 bytes and 8 of 8 + 8 + 2 + 16, twice: 2144 bytes/s; 70 - 64 - 1 MiB are for them
+    assert found == f"70 MiB free: about {5 * 2**20 / 2144 / 3600:.1f} h at 50 frames a second"
+    assert only(examine(array, URL, logs / "none", 50, machine=machine))[0] == "folder"
+
+
+def test_what_an_earlier_night_left(array: ArrayConfig, machine: Machine, logs: Path) -> None:
+    (logs / "old.h5").touch()
+    (logs / "old.h5.journal").write_bytes(b"x")
+    (logs / ".new.h5.4711.part").touch()
+    (logs / f".now.h5.{os.getpid()}.part").touch()
+    (machine.root / "proc" / str(os.getpid())).mkdir(parents=True)
+    lock = JournalLock(logs / "now.h5", create=True)
+    assert [(name, advice) for name, _, advice in wrong(examine(array, URL, logs, 50, machine=machine))] == [
+        ("journal", f"imuarray recover {logs / 'old.h5'}"),
+        ("draft", f"rm {logs / '.new.h5.4711.part'}"),
+    ]
+    lock.close()
+    journal_of(logs / "now.h5").unlink()
+
+
+def test_the_command(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["detect", "martin2013", "--bus", "emulated:", "--doctor", "--logs", str(logs)]
+    free = os.statvfs(logs).f_bavail * os.statvfs(logs).f_frsize
+    if free < 8 << 30:
+        pytest.skip("this disk is nearly full")
+    assert main(asked) == 0
+    assert "all 13 answer" in capsys.readouterr().out
+    (logs / "old.h5.journal").write_bytes(b"x")
+    assert main([*asked, "--json"]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert said["ok"] is False
+    assert [check["name"] for check in said["checks"] if not check["ok"]] == ["journal"]
+    assert main(["detect", "--bus", "emulated:", "--doctor"]) == 2
+
+
+def test_the_command_names_a_silent_sensor(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "board.toml").write_text(ARRAY)
+    (tmp_path / "mine.toml").write_text(ARRAY.replace("0x53", "0x1D"))
+    bus = f"emulated:?board={tmp_path / 'board.toml'}"
+    assert main(["detect", str(tmp_path / "mine.toml"), "--bus", bus, "--doctor", "--logs", str(logs)]) == 1
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  NO ")]
+    assert len(said) == 1
+    assert "A (adxl345) at channel 0 address 0x1d" in said[0]
+    assert "address pin" in said[0]

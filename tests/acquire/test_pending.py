@@ -1,0 +1,117 @@
+"""Rows that wait keep their flags, whatever is added, thrown away, doubted and written in between."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.acquire.pending import Pending
+from imuarray.acquire.stations import route
+from imuarray.array import parse_array
+from imuarray.bus import open_bus
+from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
+
+ARRAY = parse_array('[array]\nname="a"\n[[sensor]]\nname="B"\nchip="bma180"\naddress=0x40\nrange=2\nbandwidth_hz=150\n')
+KINDS = ("add", "add", "add", "add", "miss", "cut", "distrust", "trust", "set up", "take")
+STEPS = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 7)), max_size=80)
+
+
+def pending() -> Pending:
+    (station,) = route(ARRAY, open_bus("emulated:", ARRAY))
+    return Pending(station, 50.0)
+
+
+def burst_of(code: int) -> bytes:
+    """A BMA180 reading, new on all axes, of `code` in x (BMA-12, BMA-60, BMA-62)."""
+    return ((code << 2 | 1) & 0xFFFF).to_bytes(2, "little") + b"\x01\x00\x01\x00" + b"\x00"
+
+
+class Plain:
+    """The same, kept as one list of rows with a set of flags each."""
+
+    def __init__(self) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self.doubt = self.missing = self.anew = False
+
+    def add(self, at_ns: int) -> None:
+        flags = LOST_BEFORE * self.missing | RECONFIGURED * self.anew | SUSPECT * self.doubt
+        self.rows.append({"at": at_ns, "flags": flags})
+        self.missing = self.anew = False
+
+    def cut(self, row: int) -> None:
+        gone = self.rows[row:]
+        self.missing |= bool(gone)
+        self.anew |= any(each["flags"] & RECONFIGURED for each in gone)
+        del self.rows[row:]
+
+    def distrust(self, row: int) -> None:
+        self.doubt = True
+        for each in self.rows[row:]:
+            each["flags"] |= SUSPECT
+
+
+@settings(max_examples=300, deadline=None)
+@given(STEPS)
+def test_flags_stay_with_their_rows(steps: list[tuple[str, int]]) -> None:
+    ours, plain, now_ns = pending(), Plain(), 0
+    for step, number in steps:
+        row = max(len(plain.rows) - number, 0)
+        if step == "add":
+            now_ns += 1000
+            ours.add(burst_of(now_ns // 1000 % 8000), now_ns)
+            plain.add(now_ns)
+        elif step == "miss":
+            ours.missing = plain.missing = True
+        elif step == "cut":
+            ours.cut(row)
+            plain.cut(row)
+        elif step == "distrust":
+            ours.distrust(row)
+            plain.distrust(row)
+        elif step == "trust":
+            ours.trust()
+            plain.doubt = False
+        elif step == "set up":
+            ours.begin_anew()
+            plain.anew = True
+        elif step == "take" and row:
+            block = ours.take(row, 0)
+            assert block.time.tolist() == [each["at"] for each in plain.rows[:row]]
+            assert block.status.tolist() == [each["flags"] for each in plain.rows[:row]]
+            assert block.counts[:, 0].tolist() == [each["at"] // 1000 % 8000 for each in plain.rows[:row]]
+            del plain.rows[:row]
+    assert ours.times_ns == [each["at"] for each in plain.rows]
+
+
+def test_a_reading_that_stands_still_is_told_from_one_that_hardly_moves() -> None:
+    """24 equal readings, a second's worth of a slow poll; at 50 Hz it takes the second."""
+    ours = pending()
+    for index in range(200):
+        ours.add(burst_of(index // 20), index)  # a step every twenty readings
+    assert ours.frozen_since() is None
+    for index in range(200, 249):
+        ours.add(burst_of(77), index)
+    assert ours.frozen_since() is None
+    ours.add(burst_of(77), 249)
+    assert ours.frozen_since() == 200
+
+
+def test_a_frozen_chip_that_a_set_up_did_not_change_is_flagged_from_its_first_reading_on() -> None:
+    ours = pending()
+    for index in range(60):
+        ours.add(burst_of(5), index)
+    assert ours.frozen_since() == 0
+    ours.thaw()
+    ours.distrust(0)
+    ours.trust()
+    ours.begin_anew()
+    for index in range(60, 70):
+        ours.add(burst_of(5), index)
+    for index in range(70, 80):
+        ours.add(burst_of(6), index)
+    ours.flag_what_is_frozen_still()
+    status = ours.take(80, 0).status
+    np.testing.assert_array_equal((status & SUSPECT) != 0, np.arange(80) < 70)

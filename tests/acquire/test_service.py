@@ -1,0 +1,176 @@
+"""What a service manager hears, at a socket by path and at an abstract one; and the unit itself."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from imuarray.acquire.service import Service
+from imuarray.commands.log import command
+
+UNIT = Path(__file__).parents[2] / "configs" / "imuarray-log@.service"
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="systemd is Linux's")
+
+
+class Manager:
+    """The service manager's end."""
+
+    def __init__(self, address: str) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
+        self.socket.setblocking(False)
+        self.address = address
+
+    def heard(self) -> list[str]:
+        """One string a datagram."""
+        found = []
+        while True:
+            try:
+                found.append(self.socket.recv(4096).decode())
+            except BlockingIOError:
+                return found
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
+    address = str(tmp_path / "notify") if request.param == "path" else f"@imuarray-test-{os.getpid()}"
+    found = Manager(address)
+    yield found
+    found.socket.close()
+
+
+class Time:
+    now_ns = 0
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+def service(manager: Manager, time: Time, **more: str) -> Service:
+    return Service({"NOTIFY_SOCKET": manager.address, **more}, time, 77)
+
+
+def test_the_first_rows_make_it_ready(manager: Manager) -> None:
+    told = service(manager, Time())
+    told.stored(0)
+    assert manager.heard() == []
+    told.stored(13)
+    told.stored(26)
+    assert manager.heard() == ["READY=1\nSTATUS=recording, 13 rows stored"]
+    told.stopping()
+    assert manager.heard() == ["STOPPING=1\nSTATUS=finishing the log"]
+
+
+def test_the_watchdog_is_fed_by_rows_alone(manager: Manager) -> None:
+    time = Time()
+    told = service(manager, time, WATCHDOG_USEC="30000000", WATCHDOG_PID="77")
+    rows, fed = 0, []
+    for second in range(100):
+        time.now_ns = second * 1_000_000_000
+        rows += 500 if second < 40 or second > 90 else 0  # for 50 s nothing is stored
+        told.stored(rows)
+        fed += [second] * any("WATCHDOG=1" in words for words in manager.heard())
+    assert fed == [0, 15, 30, 91]  # half of the allowed 30 s apart, and not while nothing came
+
+
+@pytest.mark.parametrize(
+    "more",
+    [{}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_USEC": "1", "WATCHDOG_PID": "78"}],
+)
+def test_nobody_watches(manager: Manager, more: dict[str, str]) -> None:
+    service(manager, Time(), **more).stored(5)
+    assert manager.heard() == ["READY=1\nSTATUS=recording, 5 rows stored"]
+
+
+def test_status_every_ten_seconds(manager: Manager) -> None:
+    time = Time()
+    told = service(manager, time)
+    for second in range(25):
+        time.now_ns = second * 1_000_000_000
+        told.stored(second + 1)
+    assert [words.splitlines()[-1] for words in manager.heard()] == [
+        f"STATUS=recording, {rows} rows stored" for rows in (1, 11, 21)
+    ]
+
+
+@pytest.mark.parametrize("address", ["", "/no/such/socket", "@nobody-is-there", "vsock:2:9999", "notify", "@"])
+def test_nobody_is_there(address: str) -> None:
+    told = Service({"NOTIFY_SOCKET": address})
+    told.stored(5)
+    told.stopping()
+    Service({}).stored(5)
+
+
+def test_a_manager_that_does_not_listen_holds_nobody_up(manager: Manager) -> None:
+    time = Time()
+    told = service(manager, time, WATCHDOG_USEC="2")
+    for rows in range(1, 2000):  # its queue is full long before
+        time.now_ns += 1_000_000
+        told.stored(rows)
+
+
+def test_a_status_is_one_line(manager: Manager) -> None:
+    service(manager, Time()).stopping("no room\nREADY=1")
+    assert manager.heard() == ["STOPPING=1\nSTATUS=no room READY=1"]
+
+
+WANTED = {
+    "Type": "notify",
+    "User": "imuarray",
+    "SupplementaryGroups": "i2c dialout",
+    "DevicePolicy": "closed",
+    "PrivateNetwork": "yes",
+    "ProtectSystem": "strict",
+    "StateDirectory": "imuarray",
+    "NoNewPrivileges": "yes",
+    "MemoryDenyWriteExecute": "yes",
+}
+
+
+def test_the_unit_says_what_it_should() -> None:
+    lines = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if "=" in line and line[0] not in "#;"]
+    said = dict(line.split("=", 1) for line in lines)
+    assert {name: said.get(name) for name in WANTED} == WANTED
+    assert "char-i2c rw" in [line.split("=", 1)[1] for line in lines if line.startswith("DeviceAllow=")]
+    assert int(said["WatchdogSec"].removesuffix("s")) >= 20
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
+def test_systemd_takes_the_unit(tmp_path: Path) -> None:
+    """No complaint about a line of it; and by systemd's own measure it exposes little."""
+    unit = tmp_path / "imuarray-log@martin2013.service"
+    text = UNIT.read_text(encoding="utf-8").replace("/opt/imuarray/bin/imuarray", sys.executable)
+    unit.write_text(text, encoding="utf-8")
+    done = subprocess.run(["systemd-analyze", "verify", "--man=no", unit], capture_output=True, text=True, timeout=30)
+    assert [line for line in done.stderr.splitlines() if "imuarray-log" in line] == []
+    offline = ["systemd-analyze", "security", "--offline=yes", "--threshold=20", "--no-pager", unit]
+    done = subprocess.run(offline, capture_output=True, text=True, timeout=30)
+    assert done.returncode == 0, done.stdout[-500:]
+
+
+def test_the_units_command_is_one_that_the_program_takes(tmp_path: Path) -> None:
+    """Its shell line with what systemd puts in (systemd.service(5): $$, %%, %i), and a program that tells its words."""
+    (line,) = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if line.startswith("ExecStart=")]
+    program = tmp_path / "imuarray"
+    program.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    program.chmod(0o755)
+    line = line.replace("%%", "%").replace("%i", "bench").replace("$$", "$")
+    line = line.replace("/opt/imuarray/bin/imuarray", str(program))
+    shell, option, script = shlex.split(line.removeprefix("ExecStart="))
+    told = {"RATE_HZ": "50", "ROTATE": "1h", "STATE_DIRECTORY": "/var/lib/imuarray", "PATH": os.environ["PATH"]}
+    done = subprocess.run([shell, option, script], capture_output=True, text=True, env=told, timeout=20)
+    *words, output = done.stdout.splitlines()
+    assert words == ["log", "/etc/imuarray/bench.toml", "--rate-hz", "50", "--rotate", "1h", "-o"]
+    assert re.fullmatch(r"/var/lib/imuarray/bench-\d{8}T\d{6}Z\.h5", output)
+    known = {name for option in command.params for name in option.opts}
+    assert {"--rate-hz", "--rotate", "-o"} <= known

@@ -1,0 +1,440 @@
+"""An array that a microcontroller streams: the log equals what went over its wire, whatever happens on the line.
+
+What is expected is decoded here from the bytes on the emulated wire, as the data sheets say (ADX-45, BMA-60, L3G-60,
+HMC-31, BMP-47), and timed by the emulated clock.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_emulator import serial_firmware
+from imuarray.acquire import connect
+from imuarray.acquire.poll import Summary
+from imuarray.acquire.start_up import Verdict
+from imuarray.acquire.stream import Streaming, streams
+from imuarray.acquire.stream_plan import plan
+from imuarray.array import ArrayConfig, load_array, parse_array
+from imuarray.bus.serial_bus import SerialBus
+from imuarray.errors import BusUrlError
+from imuarray.log import open_log
+from imuarray.log.headers import header_of
+from imuarray.log.writer import LogWriter
+from tests.bus.serial_bench import Bench
+
+MS, S = 1_000_000, 1_000_000_000
+SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
+STALE, OVERRUN, LOST, RECONFIGURED, SUSPECT = 1, 2, 8, 16, 32
+
+
+def stream(
+    bench: Bench,
+    array: ArrayConfig,
+    path: Path,
+    *,
+    rate_hz: float = 100.0,
+    seconds: float | None = 3.0,
+    at: Mapping[float, Callable[[], Any]] | None = None,
+    **further: Any,
+) -> tuple[Summary, int]:
+    """Record, doing things at times (s of the recording) on the way; the summary, and when it started."""
+    todo = sorted((at or {}).items())
+    with bench.bus() as bus:
+        stations = connect(array, bus)
+        assert streams(bus, stations)
+        bench.taps.clear()
+        start_ns = bench.now_ns()
+
+        def stopped() -> bool:
+            while todo and bench.now_ns() - start_ns >= todo[0][0] * S:
+                if todo.pop(0)[1]() is StopIteration:
+                    return True
+            return False
+
+        headers = [header_of(station.sensor, station.driver.header()) for station in stations]
+        with LogWriter(path, headers, source=bus.source, epoch="1970-01-01T00:00:00Z") as log:
+            recording = Streaming(stations, bus, log, rate_hz, start_ns, **further)
+            recording.run(seconds, stopped)
+    return recording.summary, start_ns
+
+
+def words(code: str, data: bytes) -> tuple[int, ...]:
+    return struct.unpack(code, data)
+
+
+DECODED: dict[str, tuple[int, int, Callable[[bytes], tuple[int, ...]]]] = {
+    # register that the burst begins with, bytes, and what they say
+    "adxl345": (0x30, 8, lambda data: words("<3h", data[2:])),
+    "bma180": (0x02, 7, lambda data: tuple(word >> 2 for word in words("<3h", data[:6]))),
+    "l3g4200d": (0xA6, 8, lambda data: words("<3h", data[2:])),
+    "hmc5883": (0x03, 6, lambda data: tuple(words(">3h", data)[index] for index in (0, 2, 1))),
+}
+
+
+def on_the_wire(bench: Bench, array: ArrayConfig, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times (ns) and counts of every reading of one sensor that its chip gave."""
+    sensor = array[name]
+    register, size, decoded = DECODED[sensor.chip]
+    times, counts, channel = [], [], None
+    for tap in bench.taps:
+        if array.mux and tap.address == array.mux.address and tap.answer is not None:
+            channel = tap.write[0] & 3 if tap.write[0] & 4 else None
+        ours = sensor.channel is None or sensor.channel == channel
+        if ours and (tap.address, tap.write) == (sensor.address, bytes([register])) and len(tap.answer or b"") == size:
+            times.append(tap.at_ns)
+            counts.append(decoded(tap.answer or b""))
+    return np.array(times), np.array(counts)
+
+
+def logged(path: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    with open_log(path) as log:
+        sensor = log[name]
+        return sensor.time[:], sensor.counts[:], np.asarray(sensor.status[:])
+
+
+def events(path: Path) -> list[tuple[str, str, str]]:
+    with open_log(path) as log:
+        return [(event.sensor, event.kind, event.message) for event in log.events]
+
+
+def test_the_papers_array_is_logged_as_it_went_over_the_wire(tmp_path: Path) -> None:
+    array = load_array(SHIPPED)
+    bench = Bench(array, "world=shaking&still_s=0.5&motion_s=5", drift=2e-3, counter_us=(1 << 32) - 4_000_000)
+    summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=200, seconds=4)
+    assert (summary.frames, set(summary.lost.values())) == (800, {0})
+    for sensor in array.sensors:
+        if sensor.chip == "bmp180":
+            continue
+        time, counts, status = logged(tmp_path / "r.h5", sensor.name)
+        wire_time, wire_counts = on_the_wire(bench, array, sensor.name)
+        np.testing.assert_array_equal(counts, wire_counts[: len(counts)])
+        assert len(wire_counts) - len(counts) <= 5  # frames that began before the microcontroller heard STOP
+        assert np.abs(time + start_ns - wire_time[: len(time)]).max() < 20_000
+        assert not (status & (LOST | SUSPECT | RECONFIGURED | OVERRUN)).any()
+    assert len(logged(tmp_path / "r.h5", "Gyro3")[0]) == 800
+    assert len(logged(tmp_path / "r.h5", "HMC1")[0]) == pytest.approx(4 * 200 / 12, abs=1)  # 15 Hz, and not missed
+    assert events(tmp_path / "r.h5") == []
+
+
+def test_the_barometer_is_asked_in_its_turn(tmp_path: Path) -> None:
+    array = load_array(SHIPPED).only(("BMP180", "ADXL1"))
+    bench = Bench(array, "world=heating&scale=0.01")
+    summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=150, seconds=3)
+    time, counts, status = logged(tmp_path / "r.h5", "BMP180")
+    asked = [tap for tap in bench.taps if tap.address == 0x77 and tap.at_ns >= start_ns]
+    temperatures = [tap for tap in asked if tap.write == b"\xf4" and len(tap.answer or b"") == 4]
+    pressures = [tap for tap in asked if tap.write == b"\xf4" and len(tap.answer or b"") == 5]
+    assert len(counts) == 12  # four a second
+    for row, (warm, high) in enumerate(zip(temperatures, pressures, strict=False)):
+        if row < len(counts):
+            assert warm.answer is not None and high.answer is not None
+            assert warm.answer[0] & 0x20 == high.answer[0] & 0x20 == 0  # the conversion was over (BMP-46)
+            assert counts[row].tolist() == [
+                int.from_bytes(warm.answer[2:], "big"),
+                int.from_bytes(high.answer[2:], "big") >> 5,
+            ]
+            assert abs(time[row] + start_ns - high.at_ns) < 20_000
+    assert not status.any()
+    assert summary.lost == {"BMP180": 0, "ADXL1": 0}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_bad_line_costs_readings_and_never_makes_any(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int
+) -> None:
+    array = an_array(A=0, G=1, B=None)
+    bench = Bench(array, "world=shaking&still_s=0.2&motion_s=5", drift=-1e-3)
+    draw = np.random.default_rng(seed)
+
+    def spoiled(piece: bytes) -> bytes:
+        if piece[4] != 0xD0 or draw.random() > 0.1:
+            return piece
+        at = int(draw.integers(len(piece)))
+        return [
+            b"",
+            piece[:at],
+            bytes(draw.bytes(30)) + piece,
+            piece[:at] + bytes([piece[at] ^ 1 << int(draw.integers(8))]) + piece[at + 1 :],
+            b"\xa5\x5a\xff\x00" + piece,
+        ][int(draw.integers(5))]
+
+    bench.delivered = spoiled
+    summary, start_ns = stream(bench, array, tmp_path / "r.h5", seconds=3)
+    assert all(5 < lost < 60 for lost in summary.lost.values())
+    for name in "AGB":
+        time, counts, status = logged(tmp_path / "r.h5", name)
+        wire_time, wire_counts = on_the_wire(bench, array, name)
+        nearest = np.abs(time[:, None] + start_ns - wire_time[None, :]).argmin(axis=1)
+        assert np.abs(time + start_ns - wire_time[nearest]).max() < 200_000
+        np.testing.assert_array_equal(counts, wire_counts[nearest])
+        np.testing.assert_array_equal((status & LOST) != 0, np.diff(nearest, prepend=-1) > 1)
+        assert len(time) + summary.lost[name] == 300
+    assert {kind for _, kind, _ in events(tmp_path / "r.h5")} == {"lost"}
+
+
+def test_a_sensor_that_is_unplugged_for_a_while(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0, G=0)
+    bench = Bench(array)
+
+    def unplug(gone: bool) -> None:
+        bench.fails = lambda address, write: gone and address == 0x68
+
+    summary, _ = stream(bench, array, tmp_path / "r.h5", at={1.0: lambda: unplug(True), 1.5: lambda: unplug(False)})
+    assert 45 <= summary.lost["G"] <= 56
+    assert summary.lost["A"] == 0
+    assert len(logged(tmp_path / "r.h5", "A")[0]) == 300
+    time, _, status = logged(tmp_path / "r.h5", "G")
+    gap = int(np.diff(time).argmax())
+    assert np.flatnonzero(status & LOST).tolist() == [gap + 1]
+    assert np.diff(time).max() / S == pytest.approx(0.5, abs=0.06)
+    ours = [(kind, text) for sensor, kind, text in events(tmp_path / "r.h5") if sensor == "G"]
+    assert ours[0] == ("lost", "no reading: nobody acknowledges (errno 121)")
+
+
+def test_a_lost_channel_spoils_what_is_behind_it_and_is_told(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
+    array = an_array(A0=0, A1=1)
+    bench = Bench(array)
+    fail = iter([False] * 400 + [True] * 6 + [False] * 100_000)
+    bench.fails = lambda address, write: address == 0x70 and write == b"\x05" and next(fail)
+    summary, _ = stream(bench, array, tmp_path / "r.h5", seconds=6)
+    for name in ("A0", "A1"):
+        _, counts, _ = logged(tmp_path / "r.h5", name)
+        wire_counts = on_the_wire(bench, array, name)[1]
+        assert {tuple(row) for row in counts} <= {tuple(row) for row in wire_counts}
+    assert 0 < summary.lost["A1"] <= 6
+    assert summary.lost["A0"] == 0
+
+
+def test_a_chip_that_lost_its_settings_is_flagged_and_set_up_again(
+    tmp_path: Path,
+) -> None:
+    array = load_array(SHIPPED).only(("ADXL1", "BMA3"))
+    bench = Bench(array)
+
+    def reset() -> None:  # as a glitch on the supply would: its soft reset (BMA-53)
+        bench.emulated.transfer(0x70, b"\x05")
+        bench.emulated.transfer(0x40, b"\x10\xb6")
+
+    reset_s = 2.0
+    summary, _ = stream(bench, array, tmp_path / "r.h5", seconds=6, at={reset_s: reset})
+    time, _, status = logged(tmp_path / "r.h5", "BMA3")
+    suspect = np.flatnonzero(status & SUSPECT)
+    (again,) = np.flatnonzero(status & RECONFIGURED)
+    assert time[suspect[0]] <= (reset_s + 0.05) * S  # from the last good check on
+    assert time[again] <= (reset_s + 1.5) * S
+    assert suspect[-1] == again - 1
+    np.testing.assert_array_equal(suspect, np.arange(suspect[0], again))
+    assert not (status[again:] & SUSPECT).any()
+    told = [(kind, text) for sensor, kind, text in events(tmp_path / "r.h5") if sensor == "BMA3"]
+    assert told[0][0] == "configuration"
+    assert ("reconfigured", "set up again") in told
+    other, _, other_status = logged(tmp_path / "r.h5", "ADXL1")
+    assert not (other_status & SUSPECT).any()
+    assert np.diff(other).max() < 0.3 * S  # while the other was set up
+    assert len(other) + summary.lost["ADXL1"] == summary.frames == 600
+
+
+def test_when_a_reset_is_noticed(tmp_path: Path) -> None:
+    array = load_array(SHIPPED)
+    bench = Bench(array)
+    noticed: list[int] = []
+
+    def reset() -> None:
+        bench.emulated.transfer(0x70, b"\x04")
+        bench.emulated.transfer(0x41, b"\x10\xb6")
+        noticed.append(bench.now_ns())
+
+    _, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=48, seconds=4, at={2.0: reset})
+    with open_log(tmp_path / "r.h5") as log:
+        (event,) = [event for event in log.events if event.kind == "configuration"]
+    assert event.sensor == "BMA2"
+    assert event.time_ns + start_ns - noticed[0] < 1.0 * S
+
+
+def test_the_microcontroller_is_reset(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0, G=0)
+    bench = Bench(array, counter_us=2_000_000_000)
+
+    def reset() -> None:
+        bench.firmware.__init__(bench, bench.clock)  # type: ignore[misc]  # another life, counting from 0
+
+    summary, start_ns = stream(bench, array, tmp_path / "r.h5", seconds=8, at={2.0: reset})
+    time, counts, status = logged(tmp_path / "r.h5", "G")
+    wire_time, wire_counts = on_the_wire(bench, array, "G")
+    nearest = np.abs(time[:, None] + start_ns - wire_time[None, :]).argmin(axis=1)
+    assert np.abs(time + start_ns - wire_time[nearest]).max() < 200_000
+    np.testing.assert_array_equal(counts, wire_counts[nearest])
+    (again,) = np.flatnonzero(status & RECONFIGURED)
+    assert status[again] & LOST
+    assert 2 * S < np.diff(time).max() < 4 * S
+    assert not (status[again:] & SUSPECT).any()
+    assert ("", "link", "the microcontroller is lost: it sends nothing") in events(tmp_path / "r.h5")
+    assert summary.frames == 800
+    assert len(time) + summary.lost["G"] == pytest.approx(800, abs=2)
+
+
+def test_the_port_is_pulled_out_and_put_back(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0)
+    bench = Bench(array)
+
+    def put_back() -> None:
+        bench.unplugged = False
+
+    summary, _ = stream(bench, array, tmp_path / "r.h5", seconds=8, at={2.0: bench.unplug, 3.5: put_back})
+    time, _, status = logged(tmp_path / "r.h5", "A")
+    assert status[int(np.diff(time).argmax()) + 1] & (LOST | RECONFIGURED) == LOST | RECONFIGURED
+    assert len([text for _, kind, text in events(tmp_path / "r.h5") if kind == "link"]) <= 2
+    assert 1.4 * S < np.diff(time).max() < 3 * S
+    assert summary.frames == 800
+
+
+def test_pulled_out_for_good_it_still_ends(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0)
+    bench = Bench(array)
+    stream(bench, array, tmp_path / "r.h5", seconds=4, at={2.0: bench.unplug})
+    time, _, status = logged(tmp_path / "r.h5", "A")
+    assert 195 <= len(time) <= 205
+    assert status[-1] & SUSPECT  # nobody could vouch for the last rows
+    assert not status[0] & SUSPECT
+
+
+def test_until_it_is_told_to_stop(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0)
+    summary, _ = stream(Bench(array), array, tmp_path / "r.h5", seconds=None, at={1.0: lambda: StopIteration})
+    assert summary.frames == pytest.approx(100, abs=6)
+    assert len(logged(tmp_path / "r.h5", "A")[0]) == summary.frames
+
+
+def test_registers_that_nobody_can_read_back(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0, G=0)
+    bench = Bench(array)
+
+    def deaf() -> None:
+        bench.fails = lambda address, write: address == 0x53 and write != b"\x30"
+
+    stream(bench, array, tmp_path / "r.h5", rate_hz=50, seconds=30, at={5.0: deaf})
+    time, _, status = logged(tmp_path / "r.h5", "A")
+    assert len(time) == 1500  # not held back for ever, and not believed
+    suspect = time[(status & SUSPECT) != 0]
+    assert suspect[0] == pytest.approx(5.0 * S, abs=0.9 * S)
+    assert len(suspect) == (time >= suspect[0]).sum()
+    assert not (logged(tmp_path / "r.h5", "G")[2] & SUSPECT).any()
+
+
+def test_a_chip_whose_reading_stands_still(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0, G=0)
+    bench = Bench(array)
+    kept: list[bytes] = []
+
+    def freeze() -> None:
+        def answered(address: int, write: bytes, answer: bytes) -> bytes:
+            if address != 0x68 or write != b"\xa6":
+                kept.clear() if write == b"\x20\xdf" else None
+                return answer
+            kept.append(answer)
+            return kept[0]
+
+        bench.answered = answered
+
+    def thaw() -> None:
+        bench.answered = lambda address, write, answer: answer
+
+    stream(bench, array, tmp_path / "r.h5", seconds=10, at={3.0: freeze, 6.0: thaw})
+    time, counts, status = logged(tmp_path / "r.h5", "G")
+    same = np.flatnonzero((counts[1:] == counts[:-1]).all(axis=1)) + 1
+    assert len(same) > 100
+    assert (status[same[2] : same[-1] + 1] & SUSPECT).mean() > 0.9
+    assert ("G", "frozen") in {(sensor, kind) for sensor, kind, _ in events(tmp_path / "r.h5")}
+    assert not (status[time > 9 * S] & SUSPECT).any()
+
+
+def test_a_sensor_that_came_up_wrong(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0, G=0)
+    asked: list[int] = []
+
+    def judge(readings: Mapping[str, Any]) -> dict[str, Verdict]:
+        asked.extend(len(counts) for name, counts in readings.items() if name == "G")
+        return {"G": Verdict(len(asked) == 1, "came up in another state" if len(asked) == 1 else "")}
+
+    stream(Bench(array), array, tmp_path / "r.h5", rate_hz=50, seconds=25, judge=judge)
+    _, _, status = logged(tmp_path / "r.h5", "G")
+    (again,) = np.flatnonzero(status & RECONFIGURED)
+    assert 500 <= again <= 560  # after the first ten seconds
+    assert (status[:again] & SUSPECT).all()
+    assert not (status[again:] & SUSPECT).any()
+    assert ("G", "start_up", "came up in another state") in events(tmp_path / "r.h5")
+    assert len(asked) == 2
+
+
+def test_a_queue_is_not_streamed(an_array: Callable[..., ArrayConfig]) -> None:
+    text = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nfifo=true\n'
+    array = parse_array(text)
+    with Bench(array).bus() as bus:
+        stations = connect(array, bus)
+        assert not streams(bus, stations)
+        with pytest.raises(ValueError, match="sensor A: a queue is drained by its driver"):
+            plan(stations, 50)
+
+
+def test_no_room_for_so_many_lists(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_firmware, "LISTS", 3)
+    array = an_array(A=0, G=1)
+    with pytest.raises(BusUrlError, match=r"the stream can't be started: \d+ lists .* has room for 3 with 1536"):
+        stream(Bench(array), array, tmp_path / "r.h5")
+    assert not (tmp_path / "r.h5").exists()
+
+
+@pytest.mark.slow
+def test_until_both_counters_have_wrapped_by_themselves(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
+    array = an_array(A=0)
+    bench = Bench(array, drift=5e-4)
+    summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=25, seconds=4500)  # 2^32 us are 4295 s
+    assert (summary.frames, summary.lost) == (112_500, {"A": 0})
+    time, counts, status = logged(tmp_path / "r.h5", "A")
+    wire_time, wire_counts = on_the_wire(bench, array, "A")
+    np.testing.assert_array_equal(counts, wire_counts[: len(counts)])
+    assert np.abs(time + start_ns - wire_time[: len(time)]).max() < 20_000
+    assert not (status & (LOST | SUSPECT)).any()
+
+
+class TestPlan:
+    def the(self, rate_hz: float) -> tuple[Any, SerialBus, ArrayConfig]:
+        array = load_array(SHIPPED)
+        bus = Bench(array).bus()
+        return plan(connect(array, bus), rate_hz), bus, array
+
+    @pytest.mark.parametrize("rate_hz", [1.0, 48.0, 100.0, 200.0, 400.0])
+    def test_fits_into_the_papers_microcontroller(self, rate_hz: float) -> None:
+        found, bus, _ = self.the(rate_hz)
+        bus.start(found.lists, round(1e6 / rate_hz))
+
+    def test_one_list_for_all_that_is_read_in_every_frame(self) -> None:
+        found, _, _ = self.the(50.0)
+        assert [len(found.lists[0].requests), found.lists[0].every] == [9 + 2, 1]
+        # list number, ages, 4 BMA180 of 7 bytes, 2 ADXL345 and 3 L3G4200D of 8
+        assert found.lists[0].size == 1 + 2 * 11 + 4 * 7 + 5 * 8
+
+    def test_every_register_twice_within_a_second(self) -> None:
+        found, _, _ = self.the(48.0)
+        places = [watched.place for watched in found.watched]
+        assert all(2 * place.every / 48.0 < 1 for place in places)
+        per_frame = [sum(frame % place.every == place.offset for place in places) for frame in range(places[0].every)]
+        assert max(per_frame) - min(per_frame) <= 1
+
+    def test_conversions_have_their_time(self) -> None:
+        for rate_hz in (1.0, 30.0, 100.0, 200.0, 1000.0):
+            found, _, array = self.the(rate_hz)
+            start, temperature, pressure = found.visits[[sensor.name for sensor in array.sensors].index("BMP180")]
+            assert (temperature.offset - start.offset) / rate_hz > 4.5e-3  # BMP-40
+            assert (pressure.offset - temperature.offset) / rate_hz > 25.5e-3  # BMP-44
+            assert pressure.offset < start.every

@@ -1,0 +1,248 @@
+"""Each fault a thousand times: every one is flagged and told, no bad reading is stored as good, the others go on."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.acquire.start_up import Verdict
+from imuarray.array import ArrayConfig
+from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
+
+sys.path.insert(0, str(Path(__file__).parent))
+from night import Memory, Night, array_of, night
+
+TIMES = [pytest.param(20, id="20"), pytest.param(1000, id="1000", marks=pytest.mark.slow)]
+SECOND = 1_000_000_000
+FIRST_S = 8.0
+
+Times = npt.NDArray[np.int64]
+
+
+class Faults:
+    """A night of `count` faults of one kind, one every `every_s`, and where they lie in its log."""
+
+    def __init__(
+        self,
+        array: ArrayConfig,
+        count: int,
+        every_s: float,
+        table: dict[str, Any],
+        *,
+        rate_hz: float = 10.0,
+        also: Any = (),
+    ) -> None:
+        fault = {"at_s": FIRST_S, "every_s": every_s, "times": count, **table}
+        self.count, self.rate_hz = count, rate_hz
+        self.night: Night = night(array, [fault, *also], FIRST_S + every_s * count, rate_hz=rate_hz)
+        self.log: Memory = self.night.log
+        first_ns = round(FIRST_S * SECOND) + self.night.powered_on_ns
+        self.begin: Times = first_ns + np.arange(count) * round(every_s * SECOND)
+        self.end: Times = self.begin + round(table.get("for_s", 0.0) * SECOND)
+
+    def rows(self, sensor: str) -> tuple[Times, npt.NDArray[np.uint16]]:
+        """Times and status."""
+        return self.log.of(sensor, "time"), self.log.of(sensor, "status")
+
+    def next_with(self, sensor: str, flag: int) -> Times:
+        """For each fault the first row after its begin with that flag; it must come before the next fault."""
+        time, status = self.rows(sensor)
+        flagged = time[(status & flag) != 0]
+        index = np.searchsorted(flagged, self.begin)
+        assert (index < len(flagged)).all()
+        found: Times = flagged[index]
+        assert (found[:-1] < self.begin[1:]).all()
+        return found
+
+    def told(self, kind: str, sensor: str = "") -> Times:
+        """For each fault the delay in ns until an event of that kind; it must come before the next fault."""
+        at = self.log.times_of(kind, sensor)
+        index = np.searchsorted(at, self.begin)
+        assert (index < len(at)).all()
+        assert (at[index][:-1] < self.begin[1:]).all()
+        delay: Times = at[index] - self.begin
+        return delay
+
+    def good_between(self, sensor: str, begin: Times, end: Times) -> int:
+        """Rows in [begin, end) of some fault that are flagged neither suspect nor stale."""
+        time, status = self.rows(sensor)
+        good = time[(status & (SUSPECT | STALE)) == 0]
+        return int((np.searchsorted(good, end) - np.searchsorted(good, begin)).sum())
+
+    def undisturbed(self, sensor: str) -> None:
+        """Every frame's reading is there, without a flag."""
+        _, status = self.rows(sensor)
+        assert len(status) == self.night.summary.frames
+        assert not status.any()
+        assert self.night.summary.missed == 0
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_no_acknowledge(count: int) -> None:
+    faults = Faults(array_of(A=0, C=0), count, 2.013, {"kind": "no_acknowledge", "sensor": "C", "for_s": 0.31})
+    time, _ = faults.rows("C")
+    assert (np.searchsorted(time, faults.end) == np.searchsorted(time, faults.begin)).all()  # nothing made up
+    assert (faults.next_with("C", LOST_BEFORE) - faults.end < SECOND).all()
+    assert (faults.told("lost", "C") < 0.2 * SECOND).all()
+    faults.undisturbed("A")
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_unplugged_and_plugged_in_again(count: int) -> None:
+    faults = Faults(array_of(A=0, C=0), count, 4.017, {"kind": "unplugged", "sensor": "C", "for_s": 0.7})
+    again = faults.next_with("C", RECONFIGURED)
+    assert faults.good_between("C", faults.begin, again) == 0
+    assert (again - faults.end < 2 * SECOND).all()
+    np.testing.assert_array_equal(again, faults.next_with("C", LOST_BEFORE))
+    faults.told("lost", "C")
+    faults.told("reconfigured", "C")
+    faults.undisturbed("A")
+
+
+@pytest.mark.parametrize("count", TIMES)
+@pytest.mark.parametrize(("kind", "sensor"), [("reset", "C"), ("torn", "C"), ("torn", "G")])
+def test_lost_configuration(count: int, kind: str, sensor: str) -> None:
+    """Within a second of array time it is told; nothing that the chip said meanwhile stands as good."""
+    faults = Faults(array_of(A=0, **{sensor: 0}), count, 3.017, {"kind": kind, "sensor": sensor})
+    again = faults.next_with(sensor, RECONFIGURED)
+    assert faults.good_between(sensor, faults.begin, again) == 0
+    assert faults.told("configuration", sensor).max() < SECOND
+    faults.told("reconfigured", sensor)
+    time, status = faults.rows(sensor)
+    assert not (status[time < faults.begin[0] - SECOND] & SUSPECT).any()
+    assert np.mean((status & SUSPECT) == 0) > 0.3  # most of the time it was well
+    faults.undisturbed("A")
+
+
+@pytest.mark.parametrize("count", TIMES)
+@pytest.mark.parametrize("cured", [True, False])
+def test_frozen(count: int, cured: bool) -> None:
+    table = {"kind": "frozen", "sensor": "C", "for_s": 3.2, "until_set_up": cured}
+    faults = Faults(array_of(A=0, C=0), count, 6.017, table)
+    time, _ = faults.rows("C")
+    first = time[np.searchsorted(time, faults.begin)]  # the reading at which it froze was a good one
+    again = faults.next_with("C", RECONFIGURED)
+    assert faults.good_between("C", first + 1, again if cured else faults.end) == 0
+    faults.told("frozen", "C")
+    faults.undisturbed("A")
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_stale(count: int) -> None:
+    faults = Faults(array_of(A=0, C=0), count, 3.013, {"kind": "stale", "sensor": "C", "for_s": 0.5})
+    time, status = faults.rows("C")
+    inside = (np.searchsorted(faults.begin, time, "right") - np.searchsorted(faults.end, time, "right")) == 1
+    assert inside.sum() >= 4 * count
+    np.testing.assert_array_equal(inside, (status & STALE) != 0)
+    faults.told("stale", "C")
+    faults.undisturbed("A")
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_queue_overrun(count: int) -> None:
+    """The program is not run for 0.5 s; 32 sets at 100 Hz last 0.32 s. What is polled has lost its readings too."""
+    faults = Faults(array_of(A=0, Q=0), count, 2.013, {"kind": "stall", "for_s": 0.5})
+    faults.next_with("Q", OVERRUN)
+    faults.told("overrun", "Q")
+    faults.told("late")
+    faults.next_with("A", LOST_BEFORE)
+    assert faults.night.summary.missed >= 3 * count
+    _, status = faults.rows("Q")
+    assert np.count_nonzero(status & OVERRUN) == count
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_stuck_bus(count: int) -> None:
+    faults = Faults(array_of(A=0, C=1), count, 4.013, {"kind": "stuck_bus", "for_s": 0.4})
+    assert faults.told("bus").max() < 0.3 * SECOND
+    for sensor in "AC":
+        time, _ = faults.rows(sensor)
+        assert (np.searchsorted(time, faults.end) == np.searchsorted(time, faults.begin)).all()
+        assert (faults.next_with(sensor, LOST_BEFORE) - faults.end < SECOND).all()
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_a_sensor_that_holds_the_clock(count: int) -> None:
+    """It costs everybody a time-out now and then, and the others no reading besides."""
+    faults = Faults(array_of(A=0, C=0), count, 3.013, {"kind": "clock_held", "sensor": "C", "for_s": 0.5})
+    time, _ = faults.rows("C")
+    assert (np.searchsorted(time, faults.end) == np.searchsorted(time, faults.begin)).all()
+    assert (faults.next_with("C", LOST_BEFORE) - faults.end < SECOND).all()
+    faults.told("lost", "C")
+    assert not len(faults.log.times_of("bus"))
+    faults.undisturbed("A")
+
+
+@pytest.mark.parametrize("count", TIMES)
+@pytest.mark.parametrize("reads_right", [True, False])
+def test_wrong_channel(count: int, reads_right: bool) -> None:
+    """Two BMA180 at one address, at 2 g and at 16 g, at rest: 4096 and 512 counts per g (BMA-72, BMA-76)."""
+    table = {"kind": "wrong_channel", "for_s": 0.25, "reads_right": reads_right}
+    faults = Faults(array_of(A=0, B=0, C=1), count, 2.013, table)
+    faults.told("channel")
+    for sensor, low, high in (("B", 3000, 5000), ("C", 350, 700)):
+        z = faults.log.of(sensor, "counts")[:, 2]
+        assert ((z > low) & (z < high)).all()
+    lost = [np.searchsorted(time[(status & LOST_BEFORE) != 0], faults.begin) for time, status in map(faults.rows, "BC")]
+    assert (np.diff(lost[0]) + np.diff(lost[1]) > 0).all()  # in each night's window one of the two lost a reading
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_wrong_channel_of_twins_that_are_configured_alike(count: int) -> None:
+    """The second of two equal gyroscopes came up 50 dps off, so that the readings themselves can be told apart."""
+    off = {"kind": "start_up", "sensor": "H", "bias": [50.0, 0.0, 0.0]}
+    table = {"kind": "wrong_channel", "for_s": 0.25, "reads_right": True}
+    faults = Faults(array_of(G=0, H=1), count, 2.013, table, also=[off])
+    faults.told("channel")
+    assert (np.abs(faults.log.of("G", "counts")[:, 0]) < 2000).all()
+    assert (faults.log.of("H", "counts")[:, 0] > 4000).all()  # 50 dps are 5714 counts (L3G-40)
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_multiplexer_that_forgets(count: int) -> None:
+    faults = Faults(array_of(A=0, B=0, C=1), count, 1.513, {"kind": "mux_reset"})
+    for sensor, low, high in (("B", 3000, 5000), ("C", 350, 700)):
+        z = faults.log.of(sensor, "counts")[:, 2]
+        assert ((z > low) & (z < high)).all()
+        _, status = faults.rows(sensor)  # asked again in the same frame, unless it forgot in the midst of a visit
+        assert len(z) == faults.night.summary.frames - faults.night.summary.lost[sensor]
+        assert np.count_nonzero(status & LOST_BEFORE) == faults.night.summary.lost[sensor] < 0.02 * count
+
+
+@pytest.mark.parametrize("count", TIMES)
+def test_an_address_that_a_kernel_driver_takes(count: int) -> None:
+    faults = Faults(array_of(A=0, C=0), count, 5.017, {"kind": "kernel_driver", "sensor": "C", "for_s": 1.1})
+    again = faults.next_with("C", RECONFIGURED)
+    assert faults.good_between("C", faults.begin, again) == 0
+    assert faults.told("taken", "C").max() < SECOND
+    faults.told("reconfigured", "C")
+    faults.undisturbed("A")
+
+
+@pytest.mark.parametrize("count", [pytest.param(5, id="5"), TIMES[1]])
+def test_start_up_in_another_state(count: int) -> None:
+    """Known are -2 (the emulated unit's own) and 1 dps; it comes up elsewhere, and well once it was set up again."""
+    sensitivity = 1 / 0.00875  # L3G-40
+    random = np.random.default_rng(8)
+
+    def judge(readings: Any) -> dict[str, Verdict]:
+        rate_dps = readings["G"].mean(axis=0)[0] / sensitivity
+        fault = bool(min(abs(rate_dps + 2.0), abs(rate_dps - 1.0)) > 1.0)
+        return {"G": Verdict(fault, f"{rate_dps:.1f} dps" if fault else "")}
+
+    for _ in range(count):
+        bias = float(random.uniform(5.0, 20.0))
+        fault = {"kind": "start_up", "sensor": "G", "bias": [bias, 0.0, 0.0], "until_set_up": True, "at_s": 1.0}
+        log = night(array_of(G=0), [fault], 24.0, rate_hz=4.0, judge=judge).log
+        status, counts = log.of("G", "status"), log.of("G", "counts")[:, 0]
+        wrong = counts > 2.0 * sensitivity
+        assert wrong.sum() > 30
+        (again,) = np.flatnonzero(status & RECONFIGURED)
+        assert (status[wrong] & SUSPECT).all()
+        assert not (status[again:] & SUSPECT).any()
+        assert [event.kind for event in log.events] == ["start_up", "reconfigured"]
