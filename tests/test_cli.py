@@ -126,7 +126,7 @@ def test_only_some_sensors_and_a_transcript(run: Run, here: Path) -> None:
         assert list(log.sensors) == ["A"]
         first = log["A"].counts[:]
     lines = [json.loads(line) for line in (here / "t.jsonl").read_text().splitlines()]
-    assert {line["to"] for line in lines} == {"53"}
+    assert {line.get("to") or line.get("claim") for line in lines} == {"53"}
     assert run("log", "one.toml", "--bus", "replay:t.jsonl", "-o", "again.h5", "--seconds", "1", "--only", "A")[0] == 0
     with open_log(here / "again.h5") as log:
         assert (log["A"].counts[:] == first).all()
@@ -273,7 +273,7 @@ def interrupted(here: Path, number: int, *more: str) -> tuple[subprocess.Complet
     ]
     process = subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 20
-    while not list(here.glob(".r.h5*")) and time.monotonic() < deadline and process.poll() is None:
+    while not (here / "r.h5").exists() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.01)
     time.sleep(0.3)
     asked = time.monotonic()
@@ -295,9 +295,9 @@ def test_an_interrupt_ends_a_log_cleanly(here: Path, number: int) -> None:
 
 
 def test_an_interrupt_of_a_slow_log_is_heard_soon(here: Path) -> None:
-    done, took_s = interrupted(here, signal.SIGINT, "--rate-hz", "0.5")
+    done, took_s = interrupted(here, signal.SIGINT, "--rate-hz", "0.05")  # a frame in 20 s
     assert done.returncode == 0
-    assert took_s < 1
+    assert took_s < 10
 
 
 def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -322,3 +322,22 @@ def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
     assert told["sensors"][0]["rows"] == 95
     assert told["sensors"][0]["flags"] == {"lost_before": 1}
     assert "A lost: no reading: Remote I/O error (errno 121)" in run("info", "r.h5")[1]
+
+
+def test_a_log_in_parts(run: Run, here: Path) -> None:
+    arguments = ("log", "one.toml", "--bus", "emulated:", "-o", "n.h5", "--seconds", "3")
+    code, out, _ = run(*arguments, "--rotate", "1s", "--json")
+    assert code == 0
+    assert json.loads(out)["logs"] == ["n_001.h5", "n_002.h5", "n_003.h5"]
+    code, _, err = run(*arguments, "--rotate", "1s")
+    assert (code, err) == (2, ["imuarray: n_001.h5: exists already; choose another name or say --force"])
+    code, _, err = run(*arguments, "--rotate", "1 week")
+    assert code == 2
+    assert "write 30s, 10min, 1h or 1d" in err[-1]
+
+
+def test_a_full_disk_has_an_exit_code_of_its_own(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imuarray.log.live.free_bytes", lambda path: 0)
+    code, _, err = run("log", "one.toml", "--bus", "emulated:", "-o", "n.h5", "--seconds", "1")
+    assert code == 3
+    assert err[-1].startswith("imuarray: n.h5: less than ")

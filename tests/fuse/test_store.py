@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from imuarray.errors import FusionError, OutputExistsError
-from imuarray.fuse import FusedBlock, write_fused
+from imuarray.errors import FusionError, LogError, OutputExistsError
+from imuarray.fuse import FusedBlock, read_fused, write_fused
 from tests.fuse.conftest import EPOCH
 
 
@@ -72,3 +72,11 @@ def test_nothing_is_left_after_an_exception(tmp_path: Path, failure: BaseExcepti
         write_fused(path, failing(), epoch=EPOCH, technique="mean", log="run.h5", force=True)
     assert [entry.name for entry in tmp_path.iterdir()] == ["fused.h5"]
     assert path.read_text() == "mine"
+
+
+def test_a_file_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "f.h5", "w") as file:
+        file["fused/time"] = np.arange(3)
+        file["fused/A"] = h5py.ExternalLink("/etc/passwd", "/x")
+    with pytest.raises(LogError, match="fused/A: a link that leads elsewhere"):
+        list(read_fused(tmp_path / "f.h5"))
