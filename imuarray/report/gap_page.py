@@ -114,8 +114,8 @@ def _causes(diagnosis: Diagnosis) -> Section:
     words = (
         "Effects that the simulation needs so that it looks like the recordings, most probable first; several can be "
         "true at once, each has a probability of its own. Closes: the share of these sensors' gap that goes with it "
-        "alone, on data to which it was not fitted (unless only both parts of the data show it), with 95 % interval. An "
-        "origin that isn't the sensor means that the environment, or what the log says of itself, is to blame."
+        "alone, on data to which it was not fitted (unless only both parts of the data show it), with 95 % interval. "
+        "An origin that isn't the sensor means that the environment, or what the log says of itself, is to blame."
     )
     each = tables.each_table(diagnosis.causes)
     return Section("Causes", words, [tables.causes_table(diagnosis.causes), *([each] if each else [])])
@@ -131,8 +131,8 @@ def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
             else "held-out data, to which nothing was fitted"
         )
         words = (
-            f"Scores of the statistics that differ, on {data}; closed is the share of the squared excess over the floor "
-            "that is gone, with 95 % interval."
+            f"Scores of the statistics that differ, on {data}; closed is the share of the squared excess over the "
+            "floor that is gone, with 95 % interval."
         )
     if uses:
         words += " Figures in units of use say what the difference means to who works with the sensors."
