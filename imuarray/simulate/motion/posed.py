@@ -93,6 +93,10 @@ class Posed:
         return upright_from([attitude.up_box for attitude in self.attitudes])
 
 
+_LEAST_SINE = float(np.finfo(float).tiny)
+"""Of smaller numbers too few digits are left for a direction."""
+
+
 def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Floats:
     """(k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from upright
     (half a turn goes about X).
@@ -100,5 +104,6 @@ def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Floats:
     ups = np.asarray(up_box, float)
     sines = np.hypot(ups[:, 0], ups[:, 1])
     axes = np.stack([ups[:, 1], -ups[:, 0], np.zeros(len(ups))], axis=1)
-    units = np.divide(axes, sines[:, None], out=np.tile([1.0, 0.0, 0.0], (len(ups), 1)), where=sines[:, None] > 0)
+    sure = sines[:, None] > _LEAST_SINE
+    units = np.divide(axes, sines[:, None], out=np.tile([1.0, 0.0, 0.0], (len(ups), 1)), where=sure)
     return np.asarray(Rotation.from_rotvec(units * np.arctan2(sines, ups[:, 2])[:, None]).as_matrix())
