@@ -26,8 +26,8 @@ TEMPER = 0.3
 LEAST_RIGHT, MOST_RIGHT, _STEEP = 0.23, 0.89, 4
 """How often a cause without a rival is right if all causes of its sensors together close nothing of their gap, and if
 they close all of it; and the power of the share by which it goes from one to the other. What is at work in a sensor
-need not be in the library, nor have the form that it has there: of 28 causes told in 27 cases of physical mechanisms, of
-the development half, 17 were right, 14 of the 17 that nothing else came near (`imuarray.validation.calibration`).
+need not be in the library, nor have the form that it has there: of 28 causes told in 27 cases of physical mechanisms,
+of the development half, 17 were right, 14 of the 17 that nothing else came near (`imuarray.validation.calibration`).
 """
 
 ALTERNATIVE = 0.1
