@@ -1,4 +1,4 @@
-"""Where models of sensors are tried: the recorded campaign simulated with them, in part or whole, and its statistics.
+"""Where models of sensors are tried: statistics of the recorded campaign, and of what is simulated in its place.
 
 A statistic of a part of the campaign is of what the fit to its training part leaves, in the recording and in every
 simulation alike: levels of the held-out part are told from the bias that the training part had.
@@ -6,66 +6,29 @@ simulation alike: levels of the held-out part are told from the bias that the tr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, lru_cache
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.base_model import Base, Fitted, fit, replicate_seed, residual
-from imuarray.gap.campaign import Campaign, Layout, LogSummary, is_at_rest, summarise_logs
+from imuarray.gap.base_model import Base, Fitted, fit, residual
+from imuarray.gap.campaign import Campaign
 from imuarray.gap.pairs import Pairs, pairs_of
 from imuarray.gap.probes import PROBES, CrossProbe, Probe
 from imuarray.gap.probes.probe import ArrayProbe
-from imuarray.gap.recordings import Experiment, temperature_of
-from imuarray.gap.source import Source, simulated_sources
+from imuarray.gap.recordings import Experiment
 from imuarray.gap.split import Split
+from imuarray.gap.stage import Asked, Models, Stage
 from imuarray.gap.statistics import Key, Replicated, replicated_statistics, statistics
 from imuarray.gap.use import Uses, uses_of
-from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.posed import Posed
-from imuarray.simulate.simulation import Simulation
-from imuarray.simulate.streams import CHUNK
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
-
-ORDINARY = frozenset({"white_noise", "bias", "thermal_bias"})
-"""Kinds of effect whose parameters are fitted to every recording and every replicate."""
-
-
-@dataclass(frozen=True)
-class Modelled:
-    """What one sensor has: the ordinary parameters, effects added to those of the base model, kinds taken out of it."""
-
-    fitted: Fitted
-    added: tuple[Effect, ...] = ()
-    removed: frozenset[str] = frozenset()
-
-
-Models = Mapping[str, Modelled]
-"""By sensor."""
-
-Effects = Mapping[str, tuple[Effect, ...]]
-
-Asked = tuple[Models, int]
-"""A replicate: its models and its number."""
-
-TOGETHER = 8
-"""So many replicates are simulated in one job, where there are many: what all have in common is done once, and there
-are enough jobs for many workers.
-"""
-
-_ROWS = 8 * CHUNK
-"""Of a sensor in all replicates of a log that are in work together; of so many rows each, it keeps four chunks."""
-
-_KEPT = 64
-"""Simulated sensors of logs in which the box moves: eight replicates of eight sensors."""
 
 
 @dataclass(frozen=True)
@@ -80,25 +43,14 @@ class Values:
 
 
 @dataclass(frozen=True)
-class Bench:
-    """A campaign as it was recorded: how its logs were looked at (`kinds`, `layouts` of every phase of the split), what
-    happened in them, how they are split, the base model, and the keys of its statistics: those of the training part,
-    `of_train` of them, then those of the held-out part.
+class Bench(Stage):
+    """The stage of a recorded campaign, and the keys of its statistics: those of the training part, `of_train` of them,
+    then those of the held-out part. `resolutions` (n,): the least difference that means anything in each.
     """
 
-    kinds: tuple[str, ...]
-    split: Split
-    layouts: tuple[tuple[Layout, ...], ...]
-    experiments: tuple[Experiment, ...]
-    base: Base
     keys: tuple[Key, ...]
     of_train: int
     resolutions: Floats = field(repr=False)
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        """What the box did in each log."""
-        return tuple(experiment.motion for experiment in self.experiments)
 
     @cached_property
     def held_out(self) -> Bools:
@@ -146,86 +98,33 @@ class Bench:
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
         return np.array([f"{key.probe} {key.axis} {kinds[out][key.log] if key.log >= 0 else ''}" for key, out in sides])
 
-    def models(self) -> dict[str, Modelled]:
-        """Every sensor as the base model has it."""
-        return {name: Modelled(fitted) for name, fitted in self.base.fitted.items()}
-
-    def simulated(
-        self, models: Models, number: int, *, held_out: bool = True, company: Models = MappingProxyType({})
-    ) -> Campaign:
-        """Replicate `number` of these sensors: of all that is looked at, or (`held_out` False) the training part.
-        Sensors beside them are as `company` has them, or as the base model.
-        """
-        (found,) = self.campaigns([(models, number)], held_out=held_out, company=company)
-        return found
-
-    def campaigns(
-        self,
-        asked: Sequence[Asked],
-        *,
-        held_out: bool = True,
-        company: Models = MappingProxyType({}),
-        logs: Collection[int] | None = None,
-    ) -> list[Campaign]:
-        """`simulated`, of several replicates of the same sensors, each with its models and its number; only these
-        `logs` (None: all), the others without phases.
-        """
-        chosen = range(len(self.kinds)) if logs is None else logs
-        effects = [self._effects({**company, **models}, number) for models, number in asked]
-        parts = [
-            self._replicated(at, asked, effects, held_out) if at in chosen else [LogSummary(kind, ())] * len(asked)
-            for at, kind in enumerate(self.kinds)
-        ]
-        return [Campaign(replicate) for replicate in zip(*parts, strict=True)]
-
-    def _replicated(
-        self, log: int, asked: Sequence[Asked], effects: Sequence[Effects], held_out: bool
-    ) -> list[LogSummary]:
-        """One log in several replicates, as many at a time as memory is for."""
-        kind, (plan, motion) = self.kinds[log], self.experiments[log]
-        phases = self.split.phases(None if held_out else False)[log]
-        rows = max((line.rows for _, line in plan.sensors.values()), default=0)
-        at_once = max(_ROWS // max(rows, 1), 1)
-        found: list[LogSummary] = []
-        for first in range(0, len(asked), at_once):
-            some = slice(first, first + at_once)
-            replicates = [self._sources(log, *one, own) for one, own in zip(asked[some], effects[some], strict=True)]
-            found += summarise_logs(kind, replicates, phases, temperature_of(motion), self._layouts(log, held_out))
-        return found
-
-    def _sources(self, log: int, models: Models, number: int, effects: Effects) -> dict[str, Source]:
-        """One replicate of a log: these sensors, and where the box moves all others, as many models have in common."""
-        plan, motion = self.experiments[log]
-        wanted = [name for name in plan.sensors if name in (effects if self._moves[log] else models)]
-        swapped = [name for name in wanted if any(effect.name == ChannelSwap.name for effect in effects[name])]
-        seed = replicate_seed(self.base.seed, number)
-        array = simulated_sources(Simulation(plan, motion, effects, seed=seed, boot=log)) if swapped else {}
-        return {
-            name: array[name]
-            if name in swapped
-            else (self._alone if name in models else self._company)(log, name, effects[name], seed)
-            for name in wanted
-        }
+    @cached_property
+    def is_of_motion(self) -> Bools:
+        """(n,) which keys tell how a sensor moves beside the others."""
+        probes = [PROBES[key.probe] for key in self.keys]
+        return np.array([isinstance(probe, CrossProbe) and probe.in_motion for probe in probes], bool)
 
     @cached_property
-    def _company(self) -> Callable[[int, str, tuple[Effect, ...], int], Source]:
-        """`_alone`, the same one as long as it is kept."""
-        return lru_cache(maxsize=_KEPT)(self._alone)
-
-    def _alone(self, log: int, name: str, effects: tuple[Effect, ...], seed: int) -> Source:
-        """A sensor that needs no other."""
-        plan, motion = self.experiments[log]
-        own = replace(plan, sensors={name: plan.sensors[name]})
-        return simulated_sources(Simulation(own, motion, {name: effects}, seed=seed, boot=log))[name]
+    def _index(self) -> tuple[dict[Key, int], dict[Key, int]]:
+        train: dict[Key, int] = {}
+        held_out: dict[Key, int] = {}
+        for at, key in enumerate(self.keys):
+            (train if at < self.of_train else held_out)[key] = at
+        return train, held_out
 
     @cached_property
-    def _drawn(self) -> Callable[[int], Effects]:
-        """What isn't fitted, by the replicate's number."""
-        return lru_cache(maxsize=_KEPT)(self.base.drawn)
+    def _is_cross(self) -> Bools:
+        """Which keys tell, at rest, what sensors share; in motion all are simulated, since all feel it."""
+        return np.array([_is_shared(PROBES[key.probe]) for key in self.keys], bool)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Without what was worked out, and is again where it is wanted."""
-        return {item.name: getattr(self, item.name) for item in fields(self)}
+    @cached_property
+    def _of_sensor(self) -> Mapping[str, npt.NDArray[np.intp]]:
+        names = np.array([key.sensor for key in self.keys])
+        return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
+
+    def _places(self, sensors: frozenset[str]) -> npt.NDArray[np.intp]:
+        """Of all keys of these sensors, ascending."""
+        return np.sort(np.concatenate([np.zeros(0, np.intp), *(self._of_sensor[name] for name in sorted(sensors))]))
 
     def replicate(
         self, models: Models, number: int, *, held_out: bool = True, company: Models = MappingProxyType({})
@@ -286,21 +185,6 @@ class Bench:
         needed = {name for name, header in self.base.headers.items() if header.quantity == "specific_force"}
         return self.motions if needed <= there else tuple(map(_known, self.motions))
 
-    def _effects(self, models: Models, number: int) -> Effects:
-        """Of every sensor, those of the base model where nothing else is said."""
-        found = {}
-        for name, drawn in self._drawn(number).items():
-            model = models.get(name) or Modelled(self.base.fitted[name])
-            kept = (effect for effect in drawn if effect.name not in model.removed)
-            found[name] = (*kept, *model.fitted.effects(), *model.added)
-        return found
-
-    def _layouts(self, log: int, held_out: bool) -> tuple[Layout, ...]:
-        share = self.split.shares[log]
-        return tuple(
-            layout for layout, out in zip(self.layouts[log], share.held_out, strict=True) if held_out or not out
-        )
-
     def _put(self, values: Floats, found: Replicated, part: int) -> None:
         """Write statistics (r, m) of one part in their places (r, n); what is new in a simulation has none."""
         own = slice(self.of_train, None) if part else slice(self.of_train)
@@ -310,39 +194,6 @@ class Bench:
         places = np.array([self._index[part].get(key, -1) for key in found.keys], np.intp)
         known = places >= 0
         values[:, places[known]] = found.values[:, known]
-
-    @cached_property
-    def _index(self) -> tuple[dict[Key, int], dict[Key, int]]:
-        train: dict[Key, int] = {}
-        held_out: dict[Key, int] = {}
-        for at, key in enumerate(self.keys):
-            (train if at < self.of_train else held_out)[key] = at
-        return train, held_out
-
-    @cached_property
-    def _is_cross(self) -> Bools:
-        """Which keys tell, at rest, what sensors share; in motion all are simulated, since all feel it."""
-        return np.array([_is_shared(PROBES[key.probe]) for key in self.keys], bool)
-
-    @cached_property
-    def is_of_motion(self) -> Bools:
-        """(n,) which keys tell how a sensor moves beside the others."""
-        probes = [PROBES[key.probe] for key in self.keys]
-        return np.array([isinstance(probe, CrossProbe) and probe.in_motion for probe in probes], bool)
-
-    @cached_property
-    def _moves(self) -> tuple[bool, ...]:
-        """In which logs the box moves while it is looked at."""
-        return tuple(not all(map(is_at_rest, share.phases)) for share in self.split.shares)
-
-    @cached_property
-    def _of_sensor(self) -> Mapping[str, npt.NDArray[np.intp]]:
-        names = np.array([key.sensor for key in self.keys])
-        return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
-
-    def _places(self, sensors: frozenset[str]) -> npt.NDArray[np.intp]:
-        """Of all keys of these sensors, ascending."""
-        return np.sort(np.concatenate([np.zeros(0, np.intp), *(self._of_sensor[name] for name in sorted(sensors))]))
 
 
 def _known(motion: Motion) -> Motion:

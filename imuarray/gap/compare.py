@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.base_model import fit, headers_in
-from imuarray.gap.bench import TOGETHER, Asked, Bench, Models, Values, bench_of
+from imuarray.gap.bench import Bench, Values, bench_of
 from imuarray.gap.campaign import Campaign, summarise_log
 from imuarray.gap.judgement import Judged, judged
 from imuarray.gap.pairs import Pairs, scores_by_others
 from imuarray.gap.recordings import Recording, sources_of, temperature_of
 from imuarray.gap.significance import Located, located
 from imuarray.gap.split import Split, split_of
+from imuarray.gap.stage import TOGETHER, Asked, Models
 from imuarray.gap.workers import Run
 from imuarray.simulate.model import Model
 

@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.base_model import Fitted, residual
-from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.bench import Bench
 from imuarray.gap.campaign import runs_in
 from imuarray.gap.cross import Cross
 from imuarray.gap.runs import Runs
 from imuarray.gap.split import Side
+from imuarray.gap.stage import Modelled
 from imuarray.gap.statistics import Key
 from imuarray.gap.summary import Summary
 from imuarray.log.format import SensorHeader

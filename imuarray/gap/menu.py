@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import Bench, Models, bench_of
+from imuarray.gap.bench import Bench, bench_of
 from imuarray.gap.campaign import Layout, layout_of
 from imuarray.gap.candidates.candidate import Kind
 from imuarray.gap.diagnosis import Cause, Unshown, Where
@@ -25,6 +25,7 @@ from imuarray.gap.rounds import Searched
 from imuarray.gap.search import Confirmed, Round
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.split import split_of
+from imuarray.gap.stage import Models, Stage
 from imuarray.gap.workers import Run
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
@@ -246,8 +247,8 @@ def _laid_out(bench: Bench, wanted: _Wanted) -> Bench:
     experiments = [Experiment(_plan(bench, wanted.models, motion.seconds), motion) for motion in motions]
     kinds = (wanted.kind,) * len(motions)
     layouts = tuple(_layouts(*one) for one in zip(experiments, split.phases(), strict=True))
-    draft = Bench(kinds, split, layouts, tuple(experiments), base, (), 0, np.zeros(0))
-    return bench_of(draft.simulated(wanted.models, _FIRST), split, experiments, base)
+    stage = Stage(kinds, split, layouts, tuple(experiments), base)
+    return bench_of(stage.simulated(wanted.models, _FIRST), split, experiments, base)
 
 
 def _replicates(_: Bench, asked: _Asked) -> Floats:

@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.characterise.codes import Histogram
-from imuarray.gap.bench import TOGETHER, Bench, Models
+from imuarray.gap.bench import Bench
 from imuarray.gap.campaign import Campaign
 from imuarray.gap.diagnosis import Overlay, Where
+from imuarray.gap.stage import TOGETHER, Models
 from imuarray.gap.summary import Summary
 from imuarray.gap.workers import Run
 from imuarray.units import READABLE

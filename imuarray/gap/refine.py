@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import Bench, Models, Values
+from imuarray.gap.bench import Bench, Values
 from imuarray.gap.candidates import Trial
 from imuarray.gap.factors import Factor, active_axes, factors_of, moved, without
 from imuarray.gap.likeness import FREEDOM, Likeness
+from imuarray.gap.stage import Models
 from imuarray.gap.standing import LOOKS, NUMBERS, Came, Standing, compared, gains_of
 from imuarray.gap.statistics import AXES
 

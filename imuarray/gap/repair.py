@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from imuarray.gap.bench import ORDINARY, Bench, Modelled, Models
+from imuarray.gap.bench import Bench
+from imuarray.gap.stage import ORDINARY, Modelled, Models
 from imuarray.gap.usual_model import own_unit, usual_model
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import Modelled
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.compare import Compared
 from imuarray.gap.evidence import Evidence, Scored, evidence_of
@@ -18,6 +17,7 @@ from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.pairs import scorer_of
 from imuarray.gap.search import Confirmed, Round, guesses_of, placebo_of, replicated, searched
 from imuarray.gap.split import Side
+from imuarray.gap.stage import Modelled
 from imuarray.gap.standing import Standing, Unit, compared, reads_another
 from imuarray.gap.workers import Run
 from imuarray.log.format import SensorHeader

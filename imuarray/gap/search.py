@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import TOGETHER, Bench, Values
+from imuarray.gap.bench import Bench, Values
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.evidence import Evidence
 from imuarray.gap.factors import factors_of
 from imuarray.gap.likeness import independent_share
 from imuarray.gap.refine import Tried, looks, refine
+from imuarray.gap.stage import TOGETHER
 from imuarray.gap.standing import LOOKS, NUMBERS, Standing, Unit, compared, gains_of
 from imuarray.gap.workers import Run
 from imuarray.simulate.effects.tone import Tone

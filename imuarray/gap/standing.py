@@ -10,9 +10,9 @@ import numpy.typing as npt
 from scipy.stats import f as f_distribution
 
 from imuarray.gap.base_model import Fitted
-from imuarray.gap.bench import Modelled, Models
 from imuarray.gap.candidates import Trial
 from imuarray.gap.likeness import FORM, FREEDOM, Likeness, likeness_of
+from imuarray.gap.stage import Modelled, Models
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 

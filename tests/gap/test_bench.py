@@ -13,12 +13,13 @@ import pytest
 
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.gap.base_model import fit
-from imuarray.gap.bench import Bench, Modelled, bench_of
+from imuarray.gap.bench import Bench, bench_of
 from imuarray.gap.campaign import Campaign, summarise_log
 from imuarray.gap.probes import PROBES
 from imuarray.gap.recordings import Experiment
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.split import split_of
+from imuarray.gap.stage import Modelled
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
@@ -131,14 +132,6 @@ def test_several_replicates_are_the_same_as_one_by_one(both: tuple[Bench, Campai
         alone = replace(bench).replicate(models, number)
         np.testing.assert_allclose(found.values, alone.values, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(found.fitted["G1"].rms, alone.fitted["G1"].rms, rtol=1e-9)
-
-
-def test_only_the_logs_that_are_wanted_are_simulated(both: tuple[Bench, Campaign]) -> None:
-    bench, _ = both
-    whole, (part,) = bench.simulated(bench.models(), 0), bench.campaigns([(bench.models(), 0)], logs=[1])
-    assert [len(log.phases) for log in part.logs] == [0, len(whole.logs[1].phases)]
-    for one, other in zip(whole.logs[1].phases, part.logs[1].phases, strict=True):
-        np.testing.assert_array_equal(one.sensors["G1"].segments.mean, other.sensors["G1"].segments.mean)
 
 
 def test_what_is_only_kept_goes_nowhere(both: tuple[Bench, Campaign]) -> None:

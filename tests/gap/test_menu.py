@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from imuarray.gap import menu
-from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.diagnosis import Cause, Unshown
 from imuarray.gap.likeness import Likeness
@@ -21,6 +21,7 @@ from imuarray.gap.probes import PROBES
 from imuarray.gap.refine import Tried
 from imuarray.gap.rounds import Searched
 from imuarray.gap.search import Confirmed, Round
+from imuarray.gap.stage import Modelled
 from imuarray.gap.standing import Standing
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias

@@ -12,11 +12,11 @@ import pytest
 
 from imuarray.array import parse_array
 from imuarray.gap.base_model import fit
-from imuarray.gap.bench import Bench, bench_of, temperature_of
+from imuarray.gap.bench import Bench, bench_of
 from imuarray.gap.campaign import Campaign, summarise_log
 from imuarray.gap.diagnosis import Overlay, Where
 from imuarray.gap.overlays import Curve, bands, curves_of, drawn, overlays_of
-from imuarray.gap.recordings import Experiment
+from imuarray.gap.recordings import Experiment, temperature_of
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.split import split_of
 from imuarray.simulate import plan_of

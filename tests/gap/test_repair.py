@@ -12,7 +12,7 @@ import pytest
 from imuarray.array import parse_array
 from imuarray.gap.at_rest import Fitted
 from imuarray.gap.base_model import Base
-from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.bench import Bench
 from imuarray.gap.campaign import summarise_phase
 from imuarray.gap.candidates import CANDIDATES
 from imuarray.gap.diagnose import diagnose
@@ -21,6 +21,7 @@ from imuarray.gap.repair import repaired
 from imuarray.gap.search import Run
 from imuarray.gap.source import simulated_sources
 from imuarray.gap.split import Split
+from imuarray.gap.stage import Modelled
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate import Simulation

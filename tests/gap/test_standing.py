@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from imuarray.gap.at_rest import Fitted
-from imuarray.gap.bench import Modelled
 from imuarray.gap.candidates import Trial
 from imuarray.gap.likeness import FORM, FREEDOM, Likeness
+from imuarray.gap.stage import Modelled
 from imuarray.gap.standing import LOOKS, NUMBERS, REPLICATES, Standing, compared, gains_of
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias
