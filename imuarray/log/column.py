@@ -78,3 +78,10 @@ class LiveGroup:
 
     def __contains__(self, name: object) -> bool:
         return name in self._columns
+
+
+GROUP = (h5py.Group, LiveGroup)
+"""What a group of a log is an instance of."""
+
+DATASET = (h5py.Dataset, Column)
+"""And a column."""

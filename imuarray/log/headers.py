@@ -7,7 +7,7 @@ from typing import cast
 
 from imuarray.array import SensorConfig
 from imuarray.log.format import SensorHeader
-from imuarray.log.reader import SensorLog
+from imuarray.log.sensor_log import SensorLog
 from imuarray.units import Quantity
 
 

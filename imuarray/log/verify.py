@@ -11,7 +11,8 @@ import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.log.guard import DAMAGE
-from imuarray.log.reader import Log, SensorLog
+from imuarray.log.reader import Log
+from imuarray.log.sensor_log import SensorLog
 
 _ROWS = 1 << 16
 

@@ -14,7 +14,8 @@ import numpy.typing as npt
 from imuarray.axes import UP_AXES
 from imuarray.errors import LogError
 from imuarray.log.format import Phase
-from imuarray.log.reader import Log, Track
+from imuarray.log.reader import Log
+from imuarray.log.tracks import Track
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting, standing_on
 from imuarray.simulate.motion.felt import Felt, Integers
 from imuarray.simulate.motion.recorded import Recorded

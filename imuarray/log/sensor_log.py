@@ -1,0 +1,189 @@
+"""One sensor's part of a log that is read: what it says of itself, checked, and its columns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from operator import getitem
+from pathlib import Path
+from typing import Any, Protocol, cast
+from weakref import ref
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import orientation_of
+from imuarray.errors import LogError
+from imuarray.log.column import DATASET, LiveGroup
+from imuarray.units import QUANTITIES, SI_PER_UNIT
+
+_EDGE_ROWS = 4096
+
+
+class Opened(Protocol):
+    """An open log, as its sensors know it."""
+
+    path: Path
+
+    def __getitem__(self, name: str, /) -> SensorLog: ...
+
+
+class SensorLog:
+    """One sensor's part of a log. `time`, `counts`, ... are HDF5 datasets: slice them, or `numpy.asarray` them
+    whole. Pickled, it is its log's path and its name.
+    """
+
+    def __init__(
+        self, group: h5py.Group | LiveGroup, where: str, log: Opened, opened: Callable[[Path], Opened]
+    ) -> None:
+        """Check the group; LogError. `where` is what it is called in errors; `opened` opens the log at a path, in the
+        process that the sensor is sent to.
+        """
+        self._group = group
+        self._opened = opened
+        self._log, self._path = ref(log), log.path  # no cycle: a log that nobody has any more is closed at once
+        self.name = str(group.name).rsplit("/", 1)[-1]
+        self.where = where
+        self.chip = self._text("chip")
+        self.quantity = self._text("quantity", QUANTITIES)
+        self.unit = self._text("unit", tuple(SI_PER_UNIT))
+        self.range = self._number("range")
+        self.sensitivity = self._number("sensitivity")
+        self.rate_hz = self._number("rate_hz", 0.0)
+        self.bandwidth_hz = self._number("bandwidth_hz", 0.0)
+        self.axes = self._text("axes")
+        self.position_mm = self._numbers("position_mm", np.zeros(3))
+        self.orientation = self._orientation()
+        self._check_columns()
+
+    def _text(self, attribute: str, allowed: tuple[str, ...] = ()) -> str:
+        value = self._group.attrs.get(attribute)
+        value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+        if not isinstance(value, str) or (allowed and value not in allowed):
+            choice = f"; allowed are {', '.join(allowed)}" if allowed else ""
+            raise LogError(
+                f"{self.where}: attribute {attribute} is {'missing' if value is None else repr(value)}{choice}"
+            )
+        return value
+
+    def _number(self, attribute: str, default: float | None = None) -> float:
+        value = self._group.attrs.get(attribute, default)
+        try:
+            number = float(cast(Any, value))
+        except (TypeError, ValueError):
+            raise LogError(f"{self.where}: attribute {attribute} is {value!r}, a number is wanted") from None
+        if not np.isfinite(number):
+            raise LogError(f"{self.where}: attribute {attribute} is {number}, a finite number is wanted")
+        return number
+
+    def _numbers(self, attribute: str, default: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """An attribute of several numbers, shaped as its default."""
+        value = self._group.attrs.get(attribute, default)
+        try:
+            numbers = np.asarray(value, float)
+        except (TypeError, ValueError):
+            numbers = np.array([])
+        if numbers.shape != default.shape or not np.isfinite(numbers).all():
+            kind = "a 3x3 rotation" if default.ndim == 2 else "three finite numbers"
+            raise LogError(f"{self.where}: attribute {attribute} is not {kind}")
+        return numbers
+
+    def _orientation(self) -> npt.NDArray[np.float64]:
+        """The stored matrix if there is one (a fused or foreign log may have finer ones), else that of `axes`."""
+        try:
+            named = np.array(orientation_of(self.axes))
+        except ValueError as error:
+            raise LogError(f"{self.where}: {error}") from None
+        stored = self._numbers("orientation", named)
+        if not np.allclose(stored @ stored.T, np.eye(3), atol=1e-6) or np.linalg.det(stored) < 0:
+            raise LogError(f"{self.where}: attribute orientation is not a 3x3 rotation")
+        return stored
+
+    def _check_columns(self) -> None:
+        kinds = {"time": "iu", "counts": "iu", "status": "u", "temperature_counts": "iu"}
+        for name, kind in kinds.items():
+            dataset = self._group.get(name)
+            if dataset is None:
+                if name in ("time", "counts"):
+                    raise LogError(f"{self.where}: column {name} is missing")
+                continue
+            if not isinstance(dataset, DATASET) or dataset.dtype.kind not in kind:
+                raise LogError(f"{self.where}: column {name} is no column of whole numbers")
+            if dataset.shape[:1] != self._group["time"].shape[:1]:
+                raise LogError(f"{self.where}: column {name} has another length than time")
+        if self.counts.ndim != 2 or (self.is_triad and self.counts.shape[1] != 3):
+            raise LogError(f"{self.where}: column counts is no (n, 3) table")
+        for edge in (self.time[:_EDGE_ROWS], self.time[-_EDGE_ROWS:]):  # all of it is for `verify` to read
+            if (np.diff(edge) <= 0).any():
+                raise LogError(f"{self.where}: column time does not increase")
+
+    @property
+    def is_triad(self) -> bool:
+        """True for an inertial or magnetic sensor: three axes."""
+        return self.quantity in ("specific_force", "angular_rate", "magnetic_field")
+
+    @property
+    def time(self) -> h5py.Dataset:
+        """(n,) int64 ns since the log's epoch."""
+        return self._group["time"]
+
+    @property
+    def counts(self) -> h5py.Dataset:
+        """(n, 3) raw counts of a triad; chip-specific columns otherwise."""
+        return self._group["counts"]
+
+    @property
+    def temperature_counts(self) -> h5py.Dataset | None:
+        """(n,) raw counts of the chip's thermometer, if it has one."""
+        return self._group.get("temperature_counts")
+
+    @property
+    def status(self) -> h5py.Dataset | npt.NDArray[np.uint16]:
+        """(n,) flags of `imuarray.log.format`; zeros in a log that has none."""
+        dataset = self._group.get("status")
+        return np.zeros(len(self), np.uint16) if dataset is None else dataset
+
+    def compensated(self, name: str) -> h5py.Dataset:
+        """A column in physical units that the chip's own calibration gave ("temperature" degC, "pressure" Pa);
+        LogError.
+        """
+        dataset = self._group.get(name)
+        if not isinstance(dataset, DATASET) or dataset.shape != self.time.shape:
+            raise LogError(f"{self.where}: column {name} is missing")
+        return dataset
+
+    @property
+    def attributes(self) -> Mapping[str, Any]:
+        """All attributes as they stand in the file."""
+        return cast(Mapping[str, Any], self._group.attrs)
+
+    def __len__(self) -> int:
+        return int(self.time.shape[0])
+
+    def __reduce__(self) -> tuple[Callable[..., SensorLog], tuple[Any, ...]]:
+        if (log := self._log()) is not None:
+            return getitem, (log, self.name)
+        return _again, (self._opened, self._path.absolute(), self.name)
+
+    def blocks(self, rows: int = 1 << 16) -> Iterator[slice]:
+        """Slices that cover the log, `rows` at a time."""
+        return (slice(start, min(start + rows, len(self))) for start in range(0, len(self), rows))
+
+    def between(self, start_ns: int, end_ns: int) -> slice:
+        """The rows whose time lies in [start_ns, end_ns), found without reading the column."""
+        return slice(first_at(self.time, start_ns), first_at(self.time, end_ns))
+
+
+def _again(opened: Callable[[Path], Opened], path: Path, name: str) -> SensorLog:
+    return opened(path)[name]
+
+
+def first_at(time: h5py.Dataset, at_ns: int) -> int:
+    """The first row of an increasing column whose time is `at_ns` or later; by bisection, reading one chunk at the
+    end.
+    """
+    low, high = 0, int(time.shape[0])
+    while high - low > 4096:
+        middle = (low + high) // 2
+        low, high = (middle, high) if time[middle] < at_ns else (low, middle)
+    return low + int(np.searchsorted(time[low:high], at_ns))
