@@ -16,7 +16,7 @@ from imuarray.gap.causes import causes_of, judged_of
 from imuarray.gap.closure import deviating, deviating_in_either
 from imuarray.gap.compare import Compared, compared_with_base, observed, prepared
 from imuarray.gap.described import changes_alike, lines_left
-from imuarray.gap.diagnosis import Cause, Diagnosis, Gap, Recorded, Unshown, is_told_by_both
+from imuarray.gap.diagnosis import Cause, Diagnosis, Gap, Recorded, Unshown, Where, is_told_by_both
 from imuarray.gap.judgement import Judged, Told, floor_of, gap_of, judged, map_of, unknown_of, verdict_of, where_of
 from imuarray.gap.labels import Mislabelled, cause_of, corrected, mislabelled
 from imuarray.gap.menu import next_experiment
@@ -141,24 +141,20 @@ def library(without: Collection[str]) -> dict[str, Candidate]:
 def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, briefly: bool) -> Diagnosis:
     """Everything that follows from the search."""
     found, noted, bench, names, run = case.found, case.noted, case.found.bench, case.names, case.run
-    is_gap, pairs = noted.located.is_gap, found.pairs
+    is_gap = noted.located.is_gap
     shared = environment_of(found.campaign) if is_gap else ()
     causes = with_origins(causes_of(bench, searched.rounds, case.seed), bench.base.headers, shared)
     came = _repaired(searched, run) if causes else found.replicates
-    made = np.array([one.values for one in came])
-    floor = np.fmax(bench.resolutions, least_scale(found.judged.likeness))
-    after = judged(pairs, found.real.values, made, floor) if causes else found.judged
+    after = _after(found, came) if causes else found.judged
     lines = lines_of(causes, bench.base.headers)
     causes = tuple(sorted((*map(cause_of, case.wrong), *causes), key=lambda one: -one.probability))
-    told = Told(bench, found.campaign, pairs, names)
-    as_noted = told if noted is found else Told(noted.bench, noted.campaign, pairs, names)
+    told = Told(bench, found.campaign, found.pairs, names)
+    as_noted = told if noted is found else Told(noted.bench, noted.campaign, found.pairs, names)
     where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
     gap = _gap(case, after, causes)
     unexplained = where_of(told, after, _left(after), {}) if is_gap else ()
     verdict = verdict_of(is_gap, gap, after, causes)
-    unseen = {name: one for name, one in candidates.items() if name not in {cause.effect for cause in causes}}
-    hidden = unshown(set(bench.kinds), facts_of(found.campaign), unseen, bench.base.headers)
-    untold = hidden if is_gap else (*hidden, *_unsure(found, told))
+    untold = _untold(case, candidates, causes, told)
     in_use = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
     model = case.model.name if case.model else "data sheets"
     return Diagnosis(
@@ -174,12 +170,11 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
         untold,
         in_use,
         judged_of(searched.rounds),
-        map_of(pairs, noted.judged, after, tuple(bench.base.headers)),
+        map_of(found.pairs, noted.judged, after, tuple(bench.base.headers)),
         () if briefly else overlays_of(bench, found.campaign, where, bench.models(), searched.models, run, names=names),
         tuple(map(_recorded, case.recordings)),
         (
-            *lines_left(found.campaign, unexplained, names),
-            *(_shared(found) if is_gap else ()),
+            *_described(case, unexplained),
             *notes_of(lines, shared),
             *(f"{one.name}: {note}" for one in case.recordings for note in one.notes),
         ),
@@ -192,10 +187,30 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
     )
 
 
-def _shared(found: Compared) -> tuple[str, ...]:
-    """Changes of bias from log to log that units of a chip share."""
-    bench = found.bench
-    return changes_alike(bench.keys, found.real.values, bench.held_out.tolist(), bench.base.headers)
+def _after(found: Compared, came: Sequence[Values]) -> Judged:
+    """The recording judged by replicates of the model with the causes in."""
+    floor = np.fmax(found.bench.resolutions, least_scale(found.judged.likeness))
+    return judged(found.pairs, found.real.values, np.array([one.values for one in came]), floor)
+
+
+def _untold(
+    case: Begun, candidates: Mapping[str, Candidate], causes: Sequence[Cause], told: Told
+) -> tuple[Unshown, ...]:
+    """Which candidates beside the causes the recordings can't show; without a gap, also where one is not excluded."""
+    found, headers = case.found, case.found.bench.base.headers
+    unseen = {name: one for name, one in candidates.items() if name not in {cause.effect for cause in causes}}
+    hidden = unshown(set(found.bench.kinds), facts_of(found.campaign), unseen, headers)
+    return hidden if case.noted.located.is_gap else (*hidden, *_unsure(found, told))
+
+
+def _described(case: Begun, unexplained: Sequence[Where]) -> tuple[str, ...]:
+    """Lines of the spectrum that are left, and changes of bias from log to log that units of a chip share."""
+    found, bench = case.found, case.found.bench
+    lines = lines_left(found.campaign, unexplained, case.names)
+    if not case.noted.located.is_gap:
+        return lines
+    alike = changes_alike(bench.keys, found.real.values, bench.held_out.tolist(), bench.base.headers)
+    return (*lines, *alike)
 
 
 def _repaired(searched: Searched, run: Run) -> list[Values]:
