@@ -75,9 +75,8 @@ def record(
         finally:
             told.stopping()
         end_ns = bus.clock.now_ns() - start_ns
-        for part in named:
-            if part.start_ns < end_ns:
-                log.phase(part._replace(end_ns=min(part.end_ns, end_ns)))
+        for part in _until(named, end_ns):
+            log.phase(part)
     recording.summary.seconds = end_ns * 1e-9
     recording.summary.logs = list(log.paths)
     return recording.summary
@@ -97,6 +96,11 @@ def _since(phases: Sequence[Phase], start_ns: int) -> list[Phase]:
         for part in phases
         if part.end_ns > start_ns
     ]
+
+
+def _until(phases: Sequence[Phase], end_ns: int) -> list[Phase]:
+    """Phases of a log that ended at `end_ns`, without what would have been after it."""
+    return [part._replace(end_ns=min(part.end_ns, end_ns)) for part in phases if part.start_ns < end_ns]
 
 
 def _iso(moment: datetime) -> str:
