@@ -25,6 +25,10 @@ from imuarray.errors import ConfigError
 
 if TYPE_CHECKING:
     from imuarray.acquire import Summary
+    from imuarray.array import ArrayConfig
+    from imuarray.bus.protocol import OpenBus
+    from imuarray.bus.transcript import RecordingBus
+    from imuarray.commands.start_up import StartUpJudge
 
 
 @click.command("log")
@@ -87,35 +91,15 @@ def command(
     The bus is --bus or the configuration's; with neither, nothing is recorded.
     """
     from imuarray.acquire import record
-    from imuarray.array import load_array
-    from imuarray.bus import open_bus
-    from imuarray.bus.transcript import RecordingBus
     from imuarray.log.rotate import part_of
 
     if up and not phase:
         raise click.UsageError("--up says which way the box stood in a phase: name it with --phase")
-    array = load_array(find_config(config))
-    url = bus_url or array.bus
-    if url is None:
-        raise ConfigError(
-            f"{config}: no bus: say --bus i2c:/dev/i2c-1 (or --bus emulated: to rehearse), or give [array] a bus"
-        )
-    if only:
-        array = array.only(tuple(only.split(",")))
+    array, url = _array_and_bus(config, bus_url, only)
     refuse_existing(output if rotate_s is None else part_of(output, 1), force)
-    judge, recorder = None, None
-    if calibration:
-        from imuarray.commands.start_up import StartUpJudge
-
-        judge = StartUpJudge(array, calibration)
+    judge = _judge(array, calibration) if calibration else None
     with ExitStack() as stack:
-        bus = stack.enter_context(open_bus(url, array))
-        if transcript:
-            bus = recorder = stack.enter_context(RecordingBus(bus, transcript, force=force))
-            if recorder.remark:
-                click.echo(f"imuarray: {recorder.remark}", err=True)
-        if bus.source == "emulated":
-            click.echo("imuarray: recording the emulated array, no hardware", err=True)
+        bus, recorder = _connected(stack, url, array, transcript, force)
         stop = stack.enter_context(_Interruptible())
         done = stack.enter_context(progress(int((seconds or 0) * rate_hz), str(output)))
         summary = record(
@@ -136,6 +120,44 @@ def command(
     if recorder is not None and recorder.failed:
         click.echo(f"imuarray: {recorder.failed}", err=True)
     _tell(summary, output, judge.said if judge else [], as_json)
+
+
+def _array_and_bus(config: Path, bus_url: str | None, only: str | None) -> tuple[ArrayConfig, str]:
+    """The sensors that are to be read, and the URL of their bus; ConfigError if there is none."""
+    from imuarray.array import load_array
+
+    array = load_array(find_config(config))
+    url = bus_url or array.bus
+    if url is None:
+        raise ConfigError(
+            f"{config}: no bus: say --bus i2c:/dev/i2c-1 (or --bus emulated: to rehearse), or give [array] a bus"
+        )
+    return array.only(tuple(only.split(","))) if only else array, url
+
+
+def _judge(array: ArrayConfig, calibration: Path) -> StartUpJudge:
+    """What says how sensors came up."""
+    from imuarray.commands.start_up import StartUpJudge
+
+    return StartUpJudge(array, calibration)
+
+
+def _connected(
+    stack: ExitStack, url: str, array: ArrayConfig, transcript: Path | None, force: bool
+) -> tuple[OpenBus, RecordingBus | None]:
+    """The bus, open as long as `stack` is, and what writes its transcript, if one is wanted."""
+    from imuarray.bus import open_bus
+    from imuarray.bus.transcript import RecordingBus
+
+    bus: OpenBus = stack.enter_context(open_bus(url, array))
+    recorder = None
+    if transcript:
+        bus = recorder = stack.enter_context(RecordingBus(bus, transcript, force=force))
+        if recorder.remark:
+            click.echo(f"imuarray: {recorder.remark}", err=True)
+    if bus.source == "emulated":
+        click.echo("imuarray: recording the emulated array, no hardware", err=True)
+    return bus, recorder
 
 
 def _tell(summary: Summary, output: Path, start_up: list[str], as_json: bool) -> None:
