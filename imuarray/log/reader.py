@@ -50,9 +50,9 @@ class Log:
             raise LogError(f"{path}: {error}") from None
         try:
             self._check()
+            groups = list(self._file["sensors"].items())  # at once: a refusal midway would keep h5py's lock
             self.sensors: Mapping[str, SensorLog] = {
-                name: SensorLog(group, f"{path}, sensor {name}", self, _shared)
-                for name, group in self._file["sensors"].items()
+                name: SensorLog(group, f"{path}, sensor {name}", self, _shared) for name, group in groups
             }
         except BaseException as error:
             self._file.close()

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from h5py._hl.base import phil
 
 from imuarray.errors import LogError
 from imuarray.log import open_log
@@ -207,6 +209,22 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
 def test_malformed(small: Path, spoil: Spoil, said: str) -> None:
     message = refusal(spoilt(small, spoil))
     assert re.search(said, message), message
+
+
+def test_as_long_as_a_refusal_is_kept_other_threads_can_read(small: Path) -> None:
+    """The traceback keeps what was being done, and with it h5py's lock if that was held."""
+
+    def is_free() -> bool:
+        free: bool = phil.acquire(blocking=False)
+        if free:
+            phil.release()
+        return free
+
+    with pytest.raises(LogError) as refused:
+        open_log(spoilt(small, delete("sensors/Acc/time")))
+    with ThreadPoolExecutor(1) as other:
+        assert other.submit(is_free).result()
+    assert refused.tb is not None
 
 
 def test_a_sensor_that_is_a_table_with_attributes(small: Path) -> None:
