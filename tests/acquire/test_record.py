@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -498,8 +499,10 @@ def test_the_service_manager_hears_of_rows_that_are_stored(
         def stopping(self, status: str = "") -> None:
             self.heard.append("stopping")
 
-    array, manager = an_array(A=0), Manager()
-    record(array, tapped(array), tmp_path / "r.h5", rate_hz=100, seconds=5, service=manager)
+    array, manager = an_array(A=0), Manager()  # rows are stored by a thread, which is given the time for it
+    record(
+        array, tapped(array), tmp_path / "r.h5", rate_hz=100, seconds=5, service=manager, progress=lambda _: sleep(0.1)
+    )
     *rows, last = manager.heard
     assert last == "stopping"
     assert rows == sorted(rows)
