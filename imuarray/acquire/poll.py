@@ -26,7 +26,7 @@ from imuarray.acquire.trouble import Trouble
 from imuarray.acquire.watch import Watch
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event
-from imuarray.log.rotate import Writer
+from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, Stimulus
 
 BATCH = 1024
@@ -107,9 +107,11 @@ class Poll:
         is counted missed.
         """
         period_ns = round(1e9 / self.rate_hz)
-        due_ns = self.clock.now_ns()
-        end_ns = None if seconds is None else due_ns + round(seconds * 1e9)
         self.log.keep()
+        due_ns = self.clock.now_ns()  # files take time, which no frame has missed
+        end_ns = None if seconds is None else due_ns + round(seconds * 1e9)
+        if isinstance(self.log, RotatingWriter):
+            self.log.starts(due_ns - self.epoch_ns)
         for pending in self.pending.values():
             if pending.queue is not None:  # its queue ran over while the others were configured
                 with contextlib.suppress(OSError):

@@ -1,12 +1,15 @@
 """A long recording cut into parts of equal time: `RUN_001.h5`, `RUN_002.h5`, ..., logs of their own with one epoch.
 
-A part is finished, in the background, as soon as every sensor has rows behind its end; nothing is lost in between.
+A part is begun in the background, shortly before it is wanted, and finished there as soon as every sensor has rows
+behind its end: files take time, and sensors don't wait. Nothing is lost in between.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
 from os import PathLike
@@ -19,9 +22,13 @@ import numpy.typing as npt
 
 from imuarray.errors import ImuArrayError
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
+from imuarray.log.journal import journal_of
 from imuarray.log.layout import Begun, Notes
 from imuarray.log.room import WATERMARK
 from imuarray.log.writer import SYNC_S, Block, LogWriter, Stimulus
+
+_LEAD_NS = 5_000_000_000
+"""How long before its time a part is begun, at most; rows come a second or two after theirs."""
 
 
 def part_of(path: Path, number: int) -> Path:
@@ -67,6 +74,9 @@ class RotatingWriter:
         self._keep = False
         self._open: dict[int, LogWriter] = {}
         self._first = 0
+        self._origin_ns = 0
+        self._ahead: dict[int, Future[LogWriter]] = {}
+        self._beginning = ThreadPoolExecutor(1, f"begin parts of {self.path.name}")
         self._last_ns = {header.name: -(2**63) for header in sensors}
         """How far every sensor came, and every stimulus that there is."""
         self._phases: list[Phase] = []
@@ -82,15 +92,47 @@ class RotatingWriter:
         """The part of this number, counted from 0; where it is finished already, the oldest that is not."""
         number = max(number, self._first)
         if number not in self._open:
-            part = self._make(part_of(self.path, number + 1))
+            ahead = self._ahead.pop(number, None)
+            part = self._make(part_of(self.path, number + 1)) if ahead is None else ahead.result()
             self._open[number] = part
             self.paths.append(part.path)
             self._parts.append(part)
-            if self._keep:
+            if self._keep and ahead is None:
                 part.keep()
             for phase in self._begun:
                 self._begin(phase, number, part)
         return self._open[number]
+
+    def starts(self, time_ns: int) -> None:
+        """The first frame is at this time: the first part lasts `every_s` from here on."""
+        self._origin_ns = time_ns
+
+    def _number(self, time_ns: int) -> int:
+        """Of the part in which this time lies."""
+        return (time_ns - self._origin_ns) // self._every_ns
+
+    def _span_ns(self, number: int) -> tuple[int, int]:
+        """Start and end of a part; what was before the first frame is the first part's."""
+        start_ns = self._origin_ns + number * self._every_ns
+        return start_ns if number else min(start_ns, 0), start_ns + self._every_ns
+
+    def _look_ahead(self, time_ns: int) -> None:
+        """Begin the part behind this time, if it will be wanted soon. One that would replace an older log (`force`)
+        is begun when it is wanted and not before: maybe it never is.
+        """
+        number = max(self._number(time_ns), self._first) + 1
+        lead_ns = min(_LEAD_NS, self._every_ns)
+        known = number in self._open or number in self._ahead
+        if not self._keep or known or self._span_ns(number)[0] - time_ns > lead_ns:
+            return
+        path = part_of(self.path, number + 1)
+        if not (path.exists() or journal_of(path).exists()):
+            self._ahead[number] = self._beginning.submit(self._begun_ahead, path)
+
+    def _begun_ahead(self, path: Path) -> LogWriter:
+        part = self._make(path)
+        part.keep()
+        return part
 
     def append(self, sensor: str, block: Block) -> None:
         """Add rows of one sensor, to the parts in whose time they lie. ValueError, DiskFullError, LogError."""
@@ -101,6 +143,7 @@ class RotatingWriter:
             part = Block(block.time[rows], block.counts[rows], block.status[rows], temperature, compensated)
             self._part(number).append(sensor, part)
             self._last_ns[sensor] = int(part.time[-1])
+            self._look_ahead(self._last_ns[sensor])
         self._turn()
 
     def stimulus(self, name: str, rows: Stimulus) -> None:
@@ -116,19 +159,20 @@ class RotatingWriter:
         """Number of a part, and the rows that belong to it."""
         if len(time) == 0:
             return []
-        parts = time // self._every_ns
+        parts = (time - self._origin_ns) // self._every_ns
         edges = [0, *(np.flatnonzero(np.diff(parts)) + 1).tolist(), len(time)]
         return [(int(parts[start]), slice(start, end)) for start, end in pairwise(edges)]
 
     def event(self, event: Event) -> None:
         """Note that something happened, in the part of that time."""
         self._raise()
-        self._part(event.time_ns // self._every_ns if self._open else 0).event(event)
+        self._part(self._number(event.time_ns) if self._open else 0).event(event)
 
     def clocks(self, row: ClockRow) -> None:
         """Note what the machine's clocks say, in the part of that time."""
         self._raise()
-        self._part(row.time_ns // self._every_ns if self._open else 0).clocks(row)
+        self._part(self._number(row.time_ns) if self._open else 0).clocks(row)
+        self._look_ahead(row.time_ns)
 
     def phase(self, phase: Phase) -> None:
         """Name a stretch of time."""
@@ -141,26 +185,28 @@ class RotatingWriter:
             self._begin(phase, number, part)
 
     def _begin(self, phase: Phase, number: int, part: LogWriter) -> None:
-        start_ns, end_ns = number * self._every_ns, (number + 1) * self._every_ns
+        start_ns, end_ns = self._span_ns(number)
         if phase.start_ns < end_ns and phase.end_ns > start_ns:
             part.begins(phase._replace(start_ns=max(phase.start_ns, start_ns)))
 
     def _turn(self) -> None:
         """Finish the first part if everybody has left it, or a third one has begun (somebody has been silent)."""
         while len(self._open) > 1 and (
-            len(self._open) > 2 or min(self._last_ns.values()) >= (self._first + 1) * self._every_ns
+            len(self._open) > 2 or min(self._last_ns.values()) >= self._span_ns(self._first)[1]
         ):
             number = min(self._open)
             part = self._open.pop(number)
             self._first = min(self._open)
             self._name_phases(number, part)
+            for passed in [ahead for ahead in self._ahead if ahead < self._first]:
+                self._beginning.submit(_abandon, self._ahead.pop(passed))
             thread = threading.Thread(target=self._finish, args=(part,), name=f"finish {part.path.name}")
             thread.start()
             self._finishing = [one for one in self._finishing if one.is_alive()] + [thread]
 
     def _name_phases(self, number: int, part: LogWriter) -> None:
         """Each part's share of the phases; those that are not over go on to its end."""
-        start_ns, end_ns = number * self._every_ns, (number + 1) * self._every_ns
+        start_ns, end_ns = self._span_ns(number)
         end_ns = min(end_ns, max(self._last_ns.values()) + 1)
         for phase in Notes(self._phases, begun=[Begun(*phase) for phase in self._begun]).phases_until(end_ns):
             if phase.start_ns < end_ns and phase.end_ns > start_ns:
@@ -204,6 +250,8 @@ class RotatingWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         failed: BaseException | None = None
+        for ahead in self._ahead.values():
+            self._beginning.submit(_abandon, ahead)
         for number, part in sorted(self._open.items()):
             try:
                 if kind is None or self._keep:
@@ -211,11 +259,18 @@ class RotatingWriter:
                 part.__exit__(kind, error, trace)
             except ImuArrayError as failure:
                 failed = failed or failure
+        self._beginning.shutdown()
         for thread in self._finishing:
             thread.join()
         failed = failed or self._error
         if failed is not None and failed is not error:
             raise failed
+
+
+def _abandon(ahead: Future[LogWriter]) -> None:
+    """A part that nobody wanted goes without a trace; nobody cares whether it could have been begun."""
+    with contextlib.suppress(ImuArrayError, OSError):
+        ahead.result().abandon()
 
 
 Writer = LogWriter | RotatingWriter

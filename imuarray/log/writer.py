@@ -179,6 +179,18 @@ class LogWriter:
         for note in noted:
             live.put(len(self._groups) - 1, note_columns(note))
 
+    def abandon(self) -> None:
+        """A log that got no rows goes without a trace. OSError."""
+        if self._live is None:
+            self._draft.discard()
+            return
+        try:
+            self._live.close()
+            self.path.unlink(missing_ok=True)
+            self._live.lock.remove()
+        finally:
+            self._live.lock.close()
+
     def __enter__(self) -> Self:
         return self
 

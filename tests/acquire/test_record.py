@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -19,6 +20,7 @@ from imuarray.bus import open_bus
 from imuarray.errors import OutputExistsError, SensorError
 from imuarray.log import open_log
 from imuarray.log.format import Phase
+from imuarray.log.writer import LogWriter
 
 MS = 1_000_000
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
@@ -466,6 +468,31 @@ def test_a_log_in_parts_is_the_log(an_array: Callable[..., Any], tapped: Callabl
             ((start_ns, end_ns, phase, up),) = log.phases
             assert (start_ns, phase, up) == (number * 2_000_000_000, "static", "+Z")
             assert end_ns == (number + 1) * 2_000_000_000 if number < 2 else end_ns > 4_970_000_000
+
+
+@pytest.mark.parametrize("rotate_s", [None, 1.0])
+def test_files_that_take_their_time_cost_no_frame(
+    an_array: Callable[..., Any],
+    tapped: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    rotate_s: float | None,
+) -> None:
+    """Whoever makes a file in the sampling thread stands still for 0.2 s: that is before the first frame, once."""
+    array, real = an_array(A=0), LogWriter.keep
+    bus = tapped(array)
+
+    def slow(self: LogWriter) -> None:
+        if threading.current_thread() is threading.main_thread():
+            bus.clock.sleep_until(bus.clock.now_ns() + 200 * MS)
+        real(self)
+
+    monkeypatch.setattr(LogWriter, "keep", slow)
+    done = record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=3, rotate_s=rotate_s)
+    assert (done.late, done.missed, done.frames) == (0, 0, 150)
+    assert len(done.logs) == (3 if rotate_s else 1)
+    assert sorted(tmp_path.iterdir()) == done.logs
+    assert [len(logged(path, "A")[0]) for path in done.logs] == ([50, 50, 50] if rotate_s else [150])
 
 
 def test_a_log_that_is_cut_short_has_its_phase(

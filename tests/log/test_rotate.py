@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from imuarray.errors import OutputExistsError
-from imuarray.log import Block, RotatingWriter, Stimulus, open_log
+from imuarray.errors import DiskFullError, OutputExistsError
+from imuarray.log import Block, LogWriter, RotatingWriter, Stimulus, open_log
 from imuarray.log.format import Event, Phase, SensorHeader
 
 HEADERS = tuple(SensorHeader(name, "l3g4200d", "angular_rate", "dps", 250.0, 114.3) for name in ("A", "B"))
@@ -101,3 +103,91 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert (tmp_path / "run_002.h5").read_text() == "precious"
     with pytest.raises(ValueError, match="a positive length"):
         rotating(tmp_path / "x.h5", 0)
+
+
+def parts_made_by(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, bool]]:
+    """Name of each file that is made, and whether who appends rows had to wait for it."""
+    made: list[tuple[str, bool]] = []
+    real = LogWriter.keep
+
+    def noted(self: LogWriter) -> None:
+        made.append((self.path.name, threading.current_thread() is threading.main_thread()))
+        real(self)
+
+    monkeypatch.setattr(LogWriter, "keep", noted)
+    return made
+
+
+def test_who_appends_does_not_wait_for_the_next_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = parts_made_by(monkeypatch)
+    with rotating(tmp_path / "run.h5") as log:
+        log.keep()
+        for first in range(30):
+            log.append("A", rows(first, 1))
+            log.append("B", rows(first, 1, 3))
+    assert made == [("run_001.h5", True)] + [(f"run_00{number}.h5", False) for number in (2, 3, 4)]
+    assert sorted(tmp_path.iterdir()) == log.paths  # the fourth was never needed
+    assert [path.name for path in log.paths] == ["run_001.h5", "run_002.h5", "run_003.h5"]
+
+
+def test_a_part_that_could_not_be_begun_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its error comes when the part is wanted, and not where it never is."""
+    real = LogWriter.keep
+
+    def full(self: LogWriter) -> None:
+        if self.path.name == "run_002.h5":
+            raise DiskFullError(self.path, "no room")
+        real(self)
+
+    monkeypatch.setattr(LogWriter, "keep", full)
+    for count in (10, 11):
+        with ExitStack() as stack:
+            if count == 11:
+                stack.enter_context(pytest.raises(DiskFullError, match=r"run_002\.h5: no room"))
+            log = stack.enter_context(rotating(tmp_path / "run.h5", force=True))
+            log.keep()
+            for first in range(count):
+                log.append("A", rows(first, 1))
+        with open_log(tmp_path / "run_001.h5") as first_part:
+            assert len(first_part["A"]) == 10
+
+
+def test_an_older_log_is_replaced_when_its_part_begins_and_not_before(tmp_path: Path) -> None:
+    for name in ("run_002.h5", "run_003.h5"):
+        (tmp_path / name).write_text("older")
+    with rotating(tmp_path / "run.h5", force=True) as log:
+        log.keep()
+        for first in range(19):
+            log.append("A", rows(first, 1))
+    with open_log(tmp_path / "run_002.h5") as part:
+        assert len(part["A"]) == 9
+    assert (tmp_path / "run_003.h5").read_text() == "older"
+
+
+def test_a_part_that_time_passed_by(tmp_path: Path) -> None:
+    """Nobody had a row in the second part, which was begun; it is not there, and later ones are."""
+    with rotating(tmp_path / "run.h5") as log:
+        log.keep()
+        for first in (8, 20, 30, 40):
+            log.append("A", rows(first, 2))
+            log.append("B", rows(first, 2, 3))
+    assert [path.name for path in log.paths] == ["run_001.h5", "run_003.h5", "run_004.h5", "run_005.h5"]
+    assert sorted(tmp_path.iterdir()) == log.paths
+
+
+def test_parts_are_counted_from_the_first_frame(tmp_path: Path) -> None:
+    with rotating(tmp_path / "run.h5") as log:
+        log.keep()
+        log.starts(SECOND // 4)
+        log.phase(Phase(0, 10**15, "static"))
+        log.event(Event(1, "A", "note", "before it"))
+        for first in range(20):
+            log.append("A", rows(first, 1, SECOND // 4))
+            log.append("B", rows(first, 1, SECOND // 4))
+    assert [path.name for path in log.paths] == ["run_001.h5", "run_002.h5"]
+    spans = []
+    for path in log.paths:
+        with open_log(path) as part:
+            assert len(part["A"]) == 10
+            spans += [(phase.start_ns, phase.end_ns) for phase in part.phases]
+    assert spans == [(0, 5 * SECOND // 4), (5 * SECOND // 4, 2_150_000_001)]
