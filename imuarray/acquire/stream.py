@@ -26,13 +26,15 @@ from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import LinkError
 from imuarray.errors import BusUrlError
 from imuarray.log.format import Event
-from imuarray.log.rotate import Writer
+from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block
 
 WRITE_NS = 1_000_000_000
 """Between two writes."""
 SILENCE_NS = 2_000_000_000
 """A microcontroller that has sent nothing for so long was reset, or is gone."""
+QUIET_S = 0.5
+"""Nothing for so long before the end, and two frames more, is no pause between two frames."""
 PAUSE_NS = 3_000_000_000
 """Between two attempts to set chips up again, or to find the microcontroller."""
 
@@ -88,6 +90,8 @@ class Streaming:
         self._frames = None if seconds is None else max(1, round(seconds * self._rate_hz))
         end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + SILENCE_NS
         self._start()
+        if isinstance(self._log, RotatingWriter):
+            self._log.starts(self._heard_ns - self._epoch_ns)
         self._log.keep()
         try:
             while (self._frames is None or self._begun + self._newest + 1 < self._frames) and not stopped():
@@ -192,18 +196,34 @@ class Streaming:
 
     def _finish(self) -> None:
         """Take what is left, vouch for it or flag it, and write it all."""
+        lost = not self._bus.streaming
         try:
             self._bus.stop()
             self._take(self._bus.receive())
         except OSError as error:
             self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {error.strerror or error}")
+            lost = True
         self._link.close()
+        self._count_silence(lost)
         self._forget_channels()
         self._health.finish(self._bus.clock.now_ns())
         for rows in self._rows:
             self._count_lost(rows, rows.missing(self._newest))
             self._troubles[id(rows)].close()
         self._write(last=True)
+
+    def _count_silence(self, lost: bool) -> None:
+        """Frames that should have come since something was last heard are lost too, if the link is (`lost`, or so long
+        silent that it must be).
+        """
+        silent_s = (self._bus.clock.now_ns() - self._heard_ns) * 1e-9
+        if not lost and silent_s <= QUIET_S + 2 / self._rate_hz:
+            return
+        silent = round(silent_s * self._rate_hz)
+        if self._frames is not None:
+            silent = min(silent, self._frames - self._begun - self._newest - 1)
+        self._newest += max(silent, 0)
+        self.summary.frames = self._begun + self._newest + 1
 
     def _write(self, *, last: bool = False) -> None:
         """Decode and write what is trusted."""

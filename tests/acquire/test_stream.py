@@ -299,11 +299,24 @@ def test_the_port_is_pulled_out_and_put_back(an_array: Callable[..., ArrayConfig
 def test_pulled_out_for_good_it_still_ends(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
     array = an_array(A=0)
     bench = Bench(array)
-    stream(bench, array, tmp_path / "r.h5", seconds=4, at={2.0: bench.unplug})
+    summary, _ = stream(bench, array, tmp_path / "r.h5", seconds=4, at={2.0: bench.unplug})
     time, _, status = logged(tmp_path / "r.h5", "A")
+    assert len(time) + summary.lost["A"] == summary.frames == 400
     assert 195 <= len(time) <= 205
     assert status[-1] & SUSPECT  # nobody could vouch for the last rows
     assert not status[0] & SUSPECT
+
+
+def test_stopped_while_it_is_pulled_out_what_it_missed_is_counted(
+    an_array: Callable[..., ArrayConfig], tmp_path: Path
+) -> None:
+    array = an_array(A=0)
+    bench = Bench(array)
+    summary, _ = stream(
+        bench, array, tmp_path / "r.h5", seconds=None, at={2.0: bench.unplug, 7.0: lambda: StopIteration}
+    )
+    assert len(logged(tmp_path / "r.h5", "A")[0]) + summary.lost["A"] == summary.frames
+    assert summary.frames == pytest.approx(700, abs=40)  # it looks now and then whether it is to stop
 
 
 def test_until_it_is_told_to_stop(an_array: Callable[..., ArrayConfig], tmp_path: Path) -> None:
