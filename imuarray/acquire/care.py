@@ -69,11 +69,10 @@ class Care:
     def lost(self, pending: Pending, at_ns: int, error: OSError | None) -> None:
         """A reading did not arrive; None: it was not even asked for, the bus hangs."""
         patient = self._patients[id(pending)]
-        self._lost[patient.name] += 1
-        pending.missing = True
+        count = self._count(pending, at_ns)
         if error is None:
             return
-        patient.lost.happened(at_ns, f"no reading: {error.strerror or error} (errno {error.errno})")
+        patient.lost.happened(at_ns, f"no reading: {error.strerror or error} (errno {error.errno})", count)
         if pending.silent_since_ns is None:
             pending.silent_since_ns = at_ns
         elif error.errno in HUNG or at_ns - pending.silent_since_ns >= AWAY_NS:
@@ -83,16 +82,29 @@ class Care:
         """In place of a reading: a piece of the way back. What the bus said, if it failed."""
         recovery = pending.recovery
         patient = self._patients[id(pending)]
-        self._lost[patient.name] += 1
-        pending.missing = True
-        if patient.lost.count:
-            patient.lost.happened(now_ns, "")
+        count = self._count(pending, now_ns)
+        if patient.lost.on:
+            patient.lost.happened(now_ns, "", count)
         if recovery is None or recovery.waits(now_ns):
             return None
         recovery.go_on(now_ns)
         if recovery.done:
             self._recovered(pending, recovery, patient, now_ns)
         return recovery.failure if isinstance(recovery.failure, OSError) else None
+
+    def arrived(self, pending: Pending, at_ns: int) -> None:
+        """The first reading after a visit that failed, before it is added: what it came too late for is lost."""
+        patient = self._patients[id(pending)]
+        count = self._count(pending, at_ns)
+        if patient.lost.on:
+            patient.lost.count += count
+
+    def _count(self, pending: Pending, at_ns: int) -> int:
+        """Readings that are now known to be lost."""
+        count = pending.overdue(at_ns)
+        self._lost[self._patients[id(pending)].name] += count
+        pending.missing |= count > 0
+        return count
 
     def _recovered(self, pending: Pending, recovery: Recovery, patient: _Patient, now_ns: int) -> None:
         took_s = (now_ns - recovery.since_ns) * 1e-9

@@ -30,6 +30,8 @@ _FROZEN_BANDWIDTHS = 30.0
 """A reading that stands still for so many readings, seconds and correlation times is no chance: at half a code of noise
 rms on a single axis, three in four readings repeat the code before."""
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
+_VISITS = 3
+"""One reading on demand takes: temperature asked for, pressure asked for, both there."""
 
 
 @dataclass
@@ -47,6 +49,8 @@ class Pending:
     suspect: list[tuple[int, int | None]] = field(default_factory=list)
     """Stretches of rows [first, last) in which the configuration was wrong; last None: still is."""
     missing: bool = False
+    failed: bool = False
+    """A visit has failed since the last reading of a sensor that converts when it is asked to."""
     set_up_again: bool = False
     condemned: bool = False
     """Nothing that it says is to be trusted any more."""
@@ -60,6 +64,10 @@ class Pending:
         self._visited_ns = -(1 << 62)
         self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
         sensor = self.station.sensor
+        self._on_demand = sensor.spec.on_demand
+        self._pace_ns = 1e9 * max(1 / sensor.chip_rate_hz, _VISITS / self.rate_hz)
+        self._awaited_ns: int | None = None
+        self._overdue = 0
         own_pace = self.queue is not None or sensor.spec.on_demand
         self.always_due = own_pace or sensor.chip_rate_hz >= self.rate_hz
         self.row_rate_hz = sensor.chip_rate_hz if own_pace else min(self.rate_hz, sensor.chip_rate_hz)
@@ -78,6 +86,18 @@ class Pending:
         self._visited_ns = now_ns
         return True
 
+    def overdue(self, at_ns: int) -> int:
+        """A visit at `at_ns` gave nothing: how many readings are lost that were not yet, at the last such visit. One a
+        visit, but of a sensor that converts when it is asked to only what its pace had promised since its last reading.
+        """
+        if not self._on_demand:
+            return 1
+        self.failed = True
+        if self._awaited_ns is None:
+            self._awaited_ns = at_ns
+        before, self._overdue = self._overdue, max(math.floor((at_ns - self._awaited_ns) / self._pace_ns + 0.5), 0)
+        return max(self._overdue - before, 0)
+
     def add(self, burst: bytes, at_ns: int) -> None:
         """One fetch: a reading taken at `at_ns`, or as many as a queue held."""
         if self.missing:
@@ -86,6 +106,8 @@ class Pending:
         if self.set_up_again:
             self.reconfigured.append(len(self.times_ns))
             self.set_up_again = False
+        if self._on_demand:
+            self._awaited_ns, self._overdue, self.failed = at_ns + round(self._pace_ns), 0, False
         if self.queue is None:
             self.times_ns.append(at_ns)
         else:

@@ -216,6 +216,8 @@ class Poll:
         start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), pending.clocks)
         self.summary.uncertain += not certain
         pending.silent_since_ns = None
+        if pending.failed:
+            self.care.arrived(pending, start_ns)
         pending.add(burst, start_ns)
 
     def tick(self) -> None:

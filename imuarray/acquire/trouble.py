@@ -16,6 +16,7 @@ class Trouble:
 
     def __init__(self, kind: str, unit: str, tell: Tell) -> None:
         self.kind = kind
+        self.on = False
         self.count = 0
         self._unit = unit
         self._tell = tell
@@ -23,20 +24,20 @@ class Trouble:
 
     def happened(self, at_ns: int, message: str, count: int = 1) -> None:
         """It happened, for the first time or again."""
-        if self.count == 0:
-            self._since_ns = at_ns
+        if not self.on:
+            self.on, self._since_ns = True, at_ns
             self._tell(at_ns, self.kind, message)
         self.count += count
         self.last_ns = at_ns
 
     def settle(self, now_ns: int) -> None:
         """Tell that it is over if it has not happened for a while, and lasted longer than that."""
-        if self.count and now_ns - self.last_ns > QUIET_NS:
+        if self.on and now_ns - self.last_ns > QUIET_NS:
             self.close()
 
     def close(self) -> None:
         """It is over, or the log is."""
         lasted_ns = self.last_ns - self._since_ns
-        if self.count and lasted_ns > QUIET_NS:
+        if self.on and lasted_ns > QUIET_NS:
             self._tell(self.last_ns, self.kind, f"in all {self.count} {self._unit} in {lasted_ns * 1e-9:.1f} s")
-        self.count = 0
+        self.on, self.count = False, 0

@@ -71,6 +71,24 @@ def test_what_was_only_silent_goes_on_as_it_was(bad_night: Callable[..., Any]) -
         assert len(status) + done.lost["B"] == done.frames
 
 
+@pytest.mark.parametrize("for_s", [0.08, 0.2, 0.7, 3.0, 20.0])
+def test_a_barometer_loses_readings_and_not_polls(bad_night: Callable[..., Any], for_s: float) -> None:
+    """Eight readings a second, asked for fifty times: rows and lost ones together are what its pace had promised."""
+    table = f'[[fault]]\nkind="no_acknowledge"\nsensor="P"\nat_s=3.0\nfor_s={for_s}\n'
+    done, log = bad_night(table, 30, P=0, A=1)
+    with log:
+        time, status = np.asarray(log["P"].time), np.asarray(log["P"].status)
+        gaps = np.rint(np.diff(time) * 8 / SECOND).astype(int)
+        assert done.lost["P"] == (gaps - 1).sum()
+        assert abs(done.lost["P"] - 8 * for_s) <= 26  # it is looked for every 3.2 s at the latest
+        np.testing.assert_array_equal(np.flatnonzero(status & LOST_BEFORE), np.flatnonzero(gaps > 1) + 1)
+        told = [event.message for event in log.events if event.kind == "lost"]
+        assert told[0].startswith("no reading")
+        if for_s > 2:
+            (count,) = [int(message.split()[2]) for message in told[1:]]
+            assert count == pytest.approx(done.lost["P"], abs=2)  # its way back takes one or two more
+
+
 def test_a_reset_queue_starts_anew(bad_night: Callable[..., Any], tmp_path: Path) -> None:
     array = parse_array(
         '[array]\nname="a"\n[[sensor]]\nname="Q"\nchip="l3g4200d"\naddress=0x68\nrange=250\nrate_hz=800\n'
