@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,8 +17,12 @@ from typing import Any
 import h5py
 import pytest
 
+from imuarray.acquire import Summary
 from imuarray.cli import COMMANDS, main
+from imuarray.commands.log import _Interruptible
+from imuarray.commands.log_screen import Screen
 from imuarray.log import open_log
+from imuarray.log.format import Event
 
 CONFIG = """
 [array]
@@ -282,16 +289,47 @@ def interrupted(here: Path, number: int, *more: str) -> tuple[subprocess.Complet
     return subprocess.CompletedProcess(command, process.returncode, out, err), time.monotonic() - asked
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupt_ends_a_log_cleanly(here: Path, number: int) -> None:
     done, took_s = interrupted(here, number, "--rate-hz", "50", "--json")
-    assert (done.returncode, done.stderr) == (0, NOTE + "\n")
+    first, *events = done.stderr.splitlines()
+    assert (done.returncode, first) == (0, NOTE)
+    assert all(" late: " in line for line in events)  # of a machine that was busy
     assert took_s < 5
     said = json.loads(done.stdout)
     with open_log(here / "r.h5") as log:
         assert len(log["A"]) == len(log["M"]) == said["frames"] > 3
         assert log.source == "emulated"
     assert sorted(path.name for path in here.iterdir()) == ["one.toml", "r.h5"]
+
+
+def test_a_hang_up_that_is_ignored_stays_so(here: Path) -> None:
+    """As nohup starts a program."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with _Interruptible() as stop:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert not stop.asked
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert stop.asked
+            assert not stop.hung_up
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_terminal_that_is_gone_does_not_end_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Gone(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+        def write(self, text: str, /) -> int:
+            raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(sys, "stderr", Gone())
+    screen = Screen("r.h5", 50, None)
+    screen.event(Event(0, "A", "lost", "no reading"))
+    screen.counted(Summary(frames=50))
+    screen.close()
 
 
 def test_an_interrupt_of_a_slow_log_is_heard_soon(here: Path) -> None:
@@ -313,8 +351,10 @@ def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
         return real(self, address, write, read)
 
     monkeypatch.setattr(Wire, "transfer", flaky)
-    code, out, _ = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "2")
+    code, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "2")
     assert code == 0
+    (told,) = err
+    assert re.fullmatch(r" +\d\.\d s  A lost: no reading: Remote I/O error \(errno 121\)", told)
     assert "  A: 5 readings lost (see events: imuarray info r.h5)" in out
     _, out, _ = run("info", "r.h5", "--json")
     told = json.loads(out)
@@ -334,6 +374,30 @@ def test_a_log_in_parts(run: Run, here: Path) -> None:
     code, _, err = run(*arguments, "--rotate", "1 week")
     assert code == 2
     assert "write 30s, 10min, 1h or 1d" in err[-1]
+
+
+def test_the_parts_with_the_events_are_named(run: Run, here: Path) -> None:
+    (here / "night.toml").write_text('[[fault]]\nkind="no_acknowledge"\nsensor="A"\nat_s=1.5\nfor_s=0.1\n')
+    url = "emulated:?faults=night.toml"
+    code, out, _ = run("log", "one.toml", "--bus", url, "-o", "n.h5", "--seconds", "4", "--rotate", "1s")
+    assert code == 0
+    assert re.search(r"  A: \d readings lost \(see events: imuarray info n_002\.h5\)$", out, re.MULTILINE)
+
+
+def test_how_far_it_is_stands_on_a_terminal(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("imuarray.commands.log_screen._PAUSE_S", 0)
+    _, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "3")
+    shown = "\n".join(err).split("\x1b[K")
+    assert "r.h5: 100 frames, 2 of 3 s, 0 readings lost" in [line.strip() for line in shown]
+    assert shown[-1] == ""
+    assert out.startswith("r.h5: 150 frames in 3.0 s")
+
+
+def test_a_log_is_named_as_one(run: Run, here: Path) -> None:
+    code, _, (line,) = run(*GOOD_LOG, "-o", "night")
+    assert (code, line) == (2, "imuarray: night: a log is an HDF5 file; name it night.h5")
+    assert [path.name for path in here.iterdir()] == ["one.toml"]
 
 
 def test_a_full_disk_has_an_exit_code_of_its_own(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,6 +28,7 @@ from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, Stimulus
+from imuarray.printable import counted
 
 BATCH = 1024
 """Frames between two writes, at most; `BATCH_S` seconds' worth otherwise."""
@@ -52,6 +53,7 @@ class Poll:
         *,
         wall_time: datetime | None = None,
         judge: Judge | None = None,
+        tell: Callable[[Event], None] = lambda event: None,
     ) -> None:
         self.clock = bus.clock
         self.log = log
@@ -59,6 +61,7 @@ class Poll:
         self.epoch_ns = epoch_ns
         self.progress = progress
         self.observe = observe
+        self.tell = tell
         self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
         self.pending = {id(station): Pending(station, rate_hz) for station in stations}
         items = list(self.pending.values())
@@ -134,7 +137,8 @@ class Poll:
         """So many frames were missed: what is polled has lost readings, what is queued has not."""
         if frames:
             self.summary.missed += frames
-            self.missed.happened(self.clock.now_ns(), f"{frames} frames missed: the one before ended too late", frames)
+            text = f"{counted(frames, 'frame')} missed: the one before ended too late"
+            self.missed.happened(self.clock.now_ns(), text, frames)
             for pending in self.pending.values():
                 pending.missing |= pending.queue is None and not pending.station.sensor.spec.on_demand
         return frames
@@ -230,7 +234,9 @@ class Poll:
 
     def event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
         """Note that something happened to a sensor, or to the array."""
-        self.log.event(Event(at_ns - self.epoch_ns, sensor, kind, text))
+        event = Event(at_ns - self.epoch_ns, sensor, kind, text)
+        self.log.event(event)
+        self.tell(event)
 
     def finish(self) -> None:
         """Vouch for what was read, or flag it; write it; end the stories that events began."""

@@ -15,7 +15,7 @@ from imuarray.acquire.stream import Streaming, streams
 from imuarray.acquire.summary import Summary
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
-from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.headers import header_of
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, LogWriter
@@ -38,6 +38,8 @@ def record(
     stopped: Callable[[], bool] = lambda: False,
     progress: Callable[[int], None] = lambda frames: None,
     observe: Callable[[str, Block], None] = lambda sensor, block: None,
+    tell: Callable[[Event], None] = lambda event: None,
+    counted: Callable[[Summary], None] = lambda summary: None,
     judge: Judge | None = None,
     service: Service | None = None,
     force: bool = False,
@@ -45,7 +47,8 @@ def record(
     """Record `array` on `bus` into a new log at `path`: `rate_hz` frames a second for `seconds`, or until `stopped()`.
 
     `phase` names the whole log, with `up` the box axis that points up; `phases` (times on the bus's clock) name parts
-    of it. `observe` sees every block of a sensor's rows as it is written. `judge` says how sensors came up; one that
+    of it. `observe` sees every block of a sensor's rows as it is written, `tell` every event, `counted` the summary so
+    far. `judge` says how sensors came up; one that
     came up wrong is flagged and set up again. `rotate_s` cuts the log into parts of so many seconds, each a log of its
     own (`imuarray.log.rotate`). `service` is told how it goes (None: the one that this process belongs to). `wall_time`
     is the UTC time of the start (None: read the wall clock, once).
@@ -64,9 +67,12 @@ def record(
 
         def written(frames: int) -> None:
             progress(frames)
+            counted(recording.summary)
             told.stored(sum(log.acknowledged.values()))
 
-        recording = loop(stations, bus, log, rate_hz, start_ns, written, observe, wall_time=epoch, judge=judge)
+        recording = loop(
+            stations, bus, log, rate_hz, start_ns, written, observe, wall_time=epoch, judge=judge, tell=tell
+        )
         named = [*([Phase(0, _OPEN_END_NS, phase, up)] if phase else []), *_since(phases, start_ns)]
         for part in named:  # at once: a log that is cut short has them too
             log.begins(part)

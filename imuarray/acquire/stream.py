@@ -61,11 +61,12 @@ class Streaming:
         *,
         wall_time: datetime | None = None,
         judge: Judge | None = None,
+        tell: Callable[[Event], None] = lambda event: None,
     ) -> None:
         if not isinstance(bus, SerialBus):
             raise TypeError(f"{type(bus).__name__} can't stream")
         self._bus, self._log, self._epoch_ns, self._rate_hz = bus, log, epoch_ns, rate_hz
-        self._progress, self._observe = progress, observe
+        self._progress, self._observe, self._tell = progress, observe, tell
         self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
         self._plan = plan(stations, rate_hz)
         self._rows = [
@@ -246,7 +247,12 @@ class Streaming:
         return self._event_of(rows.pending.station.sensor.name)
 
     def _event_of(self, sensor: str) -> Callable[[int, str, str], None]:
-        return lambda at_ns, kind, text: self._log.event(Event(at_ns - self._epoch_ns, sensor, kind, text))
+        def happened(at_ns: int, kind: str, text: str) -> None:
+            event = Event(at_ns - self._epoch_ns, sensor, kind, text)
+            self._log.event(event)
+            self._tell(event)
+
+        return happened
 
 
 def _until(samples: Samples, number: int) -> Samples:

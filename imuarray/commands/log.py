@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import signal
-from contextlib import ExitStack
+from collections.abc import Sequence
+from contextlib import ExitStack, closing, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +19,10 @@ from imuarray.commands.options import (
     force_option,
     json_option,
     print_json,
-    progress,
     refuse_existing,
 )
 from imuarray.errors import ConfigError
+from imuarray.printable import counted
 
 if TYPE_CHECKING:
     from imuarray.acquire import Summary
@@ -29,6 +30,11 @@ if TYPE_CHECKING:
     from imuarray.bus.protocol import OpenBus
     from imuarray.bus.transcript import RecordingBus
     from imuarray.commands.start_up import StartUpJudge
+
+_CARRIES = ("bus", "channel", "link")
+"""Kinds of events of no one sensor that cost readings."""
+_NAMED = 3
+_HANG_UP: int | None = getattr(signal, "SIGHUP", None)  # Windows has none
 
 
 @click.command("log")
@@ -88,20 +94,26 @@ def command(
 ) -> None:
     """Record the array of CONFIG into a log of raw counts. Interrupt (Ctrl-C) to end it cleanly.
 
+    What happens to a sensor meanwhile is told on standard error. Over ssh start it by the service, tmux or nohup: a
+    terminal that goes away ends the log.
+
     The bus is --bus or the configuration's; with neither, nothing is recorded.
     """
     from imuarray.acquire import record
+    from imuarray.commands.log_screen import Screen
     from imuarray.log.rotate import part_of
 
     if up and not phase:
         raise click.UsageError("--up says which way the box stood in a phase: name it with --phase")
     array, url = _array_and_bus(config, bus_url, only)
     refuse_existing(output if rotate_s is None else part_of(output, 1), force)
+    if output.suffix not in (".h5", ".hdf5"):
+        raise click.UsageError(f"{output}: a log is an HDF5 file; name it {output.name}.h5")
     judge = _judge(array, calibration) if calibration else None
     with ExitStack() as stack:
         bus, recorder = _connected(stack, url, array, transcript, force)
         stop = stack.enter_context(_Interruptible())
-        done = stack.enter_context(progress(int((seconds or 0) * rate_hz), str(output)))
+        screen = stack.enter_context(closing(Screen(str(output), rate_hz, seconds)))
         summary = record(
             array,
             bus,
@@ -113,13 +125,15 @@ def command(
             up=up or face_up(phase),
             rotate_s=rotate_s,
             stopped=lambda: stop.asked,
-            progress=done,
+            tell=screen.event,
+            counted=screen.counted,
             judge=judge,
             force=force,
         )
-    if recorder is not None and recorder.failed:
-        click.echo(f"imuarray: {recorder.failed}", err=True)
-    _tell(summary, output, judge.said if judge else [], as_json)
+    with suppress(OSError) if stop.hung_up else nullcontext():  # nobody is there to be told
+        if recorder is not None and recorder.failed:
+            click.echo(f"imuarray: {recorder.failed}", err=True)
+        _tell(summary, output, judge.said if judge else [], as_json)
 
 
 def _array_and_bus(config: Path, bus_url: str | None, only: str | None) -> tuple[ArrayConfig, str]:
@@ -182,25 +196,48 @@ def _tell(summary: Summary, output: Path, start_up: list[str], as_json: bool) ->
     where = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
     click.echo(f"{where}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
     if summary.missed:
-        click.echo(f"  {summary.missed} frames missed: the array can't be read so fast, or this machine was busy")
+        missed = counted(summary.missed, "frame")
+        click.echo(f"  {missed} missed: the array can't be read so fast, or this machine was busy")
     if summary.uncertain:
-        click.echo(f"  {summary.uncertain} readings whose time is uncertain by a millisecond or more")
+        click.echo(f"  {counted(summary.uncertain, 'reading')} whose time is uncertain by a millisecond or more")
     for name, count in lost.items():
-        click.echo(f"  {name}: {count} readings lost (see events: imuarray info {summary.logs[-1]})")
+        first, *further = _told_in(summary.logs, name)
+        more = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""
+        more += f" and {len(further) - _NAMED} more" if len(further) > _NAMED else ""
+        click.echo(f"  {name}: {counted(count, 'reading')} lost (see events: imuarray info {first}{more})")
+
+
+def _told_in(logs: Sequence[Path], sensor: str) -> list[Path]:
+    """The logs with events about a sensor, or about what carries its readings; all of them if there are none."""
+    from imuarray.log import open_log
+
+    if len(logs) == 1:
+        return list(logs)
+    found = []
+    for path in logs:
+        with open_log(path) as log:
+            if any(event.sensor == sensor or (not event.sensor and event.kind in _CARRIES) for event in log.events):
+                found.append(path)
+    return found or list(logs)
 
 
 class _Interruptible:
-    """SIGINT and SIGTERM end a log cleanly instead of breaking it off."""
+    """SIGINT, SIGTERM and SIGHUP (the terminal is gone) end a log cleanly instead of breaking it off; a SIGHUP that is
+    ignored (nohup) stays so.
+    """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked = self.hung_up = False
         self._before: dict[int, Any] = {}
 
     def _ask(self, number: int, frame: Any) -> None:
         self.asked = True
+        self.hung_up |= number == _HANG_UP
 
     def __enter__(self) -> _Interruptible:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, _HANG_UP):
+            if number is None or (number == _HANG_UP and signal.getsignal(number) == signal.SIG_IGN):
+                continue
             self._before[number] = signal.signal(number, self._ask)
         return self
 

@@ -9,6 +9,7 @@ import click
 
 from imuarray.commands.options import json_option, log_argument, print_json, progress
 from imuarray.errors import LogError
+from imuarray.printable import counted
 
 if TYPE_CHECKING:
     from imuarray.log.verify import Verdict
@@ -42,5 +43,5 @@ def _print(run: Path, verdict: Verdict) -> None:
     """For a person: every finding, then the sum."""
     for text in (*verdict.problems, *verdict.remarks):
         click.echo(f"  {text}")
-    found = f"{len(verdict.problems)} problems" if verdict.problems else "every block is good"
+    found = counted(len(verdict.problems), "problem") if verdict.problems else "every block is good"
     click.echo(f"{run}: {verdict.state}, {sum(verdict.rows.values())} rows of {len(verdict.rows)} sensors: {found}")

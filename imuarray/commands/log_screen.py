@@ -1,0 +1,60 @@
+"""What a person sees of a recording while it runs: every event, and on a terminal how far it is."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import click
+
+from imuarray.printable import printable
+
+if TYPE_CHECKING:
+    from imuarray.acquire import Summary
+    from imuarray.log.format import Event
+
+_PAUSE_S = 0.5
+"""Between two counter lines."""
+_CLEAR = "\r\x1b[K"
+
+
+class Screen:
+    """Standard error. A terminal that goes away (ssh drops) does not disturb the recording."""
+
+    def __init__(self, label: str, rate_hz: float, seconds: float | None) -> None:
+        self._label, self._rate_hz, self._seconds = label, rate_hz, seconds
+        self._terminal = sys.stderr.isatty()
+        self._counted_s = -_PAUSE_S
+        self._line = ""
+
+    def event(self, event: Event) -> None:
+        """One line: seconds of the log, sensor, kind, message."""
+        about = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
+        self._write(f"{self._clear()}{event.time_ns * 1e-9:9.1f} s  {printable(about)}\n{self._line}")
+
+    def counted(self, summary: Summary) -> None:
+        """How far it is, now and then: a line that is written over. Nobody watches what is no terminal."""
+        now_s = time.monotonic()
+        if not self._terminal or now_s - self._counted_s < _PAUSE_S:
+            return
+        self._counted_s = now_s
+        whole = "" if self._seconds is None else f" of {self._seconds:g}"
+        lasted_s = (summary.frames + summary.missed) / self._rate_hz
+        lost = sum(summary.lost.values())
+        self._line = f"{printable(self._label)}: {summary.frames} frames, {lasted_s:.0f}{whole} s, {lost} readings lost"
+        self._write(_CLEAR + self._line)
+
+    def close(self) -> None:
+        """The line of how far it is goes."""
+        if self._line:
+            self._write(_CLEAR)
+        self._line = ""
+
+    def _clear(self) -> str:
+        return _CLEAR if self._line else ""
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            click.echo(text, err=True, nl=False, color=self._terminal or None)
