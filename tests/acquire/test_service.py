@@ -158,6 +158,38 @@ def test_systemd_takes_the_unit(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout[-500:]
 
 
+def test_a_night_is_never_given_up() -> None:
+    lines = UNIT.read_text(encoding="utf-8").splitlines()
+    assert "StartLimitIntervalSec=0" in lines  # systemd.unit(5): no limit
+    assert "Restart=on-failure" in lines
+    assert not any(line.startswith("StartLimitBurst") for line in lines)
+
+
+def test_the_unit_recovers_what_was_left(tmp_path: Path) -> None:
+    """Each log of this array that has a journal beside it, though the first can't be; and nobody else's."""
+    (line,) = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if line.startswith("ExecStartPre=-")]
+    program, logs = tmp_path / "imuarray", tmp_path / "logs of arrays"
+    program.write_text('#!/bin/sh\necho "$@"\nexit 2\n')
+    program.chmod(0o755)
+    logs.mkdir()
+    line = line.replace("%%", "%").replace("%i", "bench").replace("$$", "$")
+    line = line.replace("/opt/imuarray/bin/imuarray", str(program))
+    told = {"STATE_DIRECTORY": str(logs), "PATH": os.environ["PATH"]}
+    command = shlex.split(line.removeprefix("ExecStartPre=-"))
+
+    def said() -> list[str]:
+        done = subprocess.run(command, capture_output=True, text=True, env=told, timeout=20)
+        assert done.stderr == ""
+        return done.stdout.splitlines()
+
+    assert said() == []
+    for name in ("bench-a_001.h5", "bench-a_002.h5", "other-a_001.h5"):
+        (logs / name).touch()
+        (logs / f"{name}.journal").touch()
+    (logs / "bench-a_003.h5").touch()
+    assert said() == [f"recover {logs}/bench-a_001.h5", f"recover {logs}/bench-a_002.h5"]
+
+
 def test_the_units_command_is_one_that_the_program_takes(tmp_path: Path) -> None:
     """Its shell line with what systemd puts in (systemd.service(5): $$, %%, %i), and a program that tells its words."""
     (line,) = [line for line in UNIT.read_text(encoding="utf-8").splitlines() if line.startswith("ExecStart=")]
