@@ -24,8 +24,8 @@ def examine(
     machine: Machine | None = None,
     talk: Callable[[], list[Check]] | None = None,
 ) -> list[Check]:
-    """All checks for `array` on the bus `url`, recorded into the folder `logs`. `talk` asks the sensors themselves; it
-    is left out where an earlier check says why it can't work.
+    """All checks for `array` on the bus `url` (empty: none is named), recorded into the folder `logs`. `talk` asks the
+    sensors themselves; it is left out where an earlier check says why it can't work.
     """
     machine = machine or Machine()
     scheme, _, rest = url.partition(":")
@@ -35,6 +35,9 @@ def examine(
         checks = serial_checks(machine, rest.partition("?")[0])
     elif scheme == "replay":
         checks = [Check("transcript", Path(rest).is_file(), rest, "name a file that `log --transcript` wrote")]
+    elif not url:
+        advice = "say --bus i2c:/dev/i2c-1 (or serial:/dev/ttyACM0), or give [array] a bus"
+        checks = [Check("bus", False, "none is named", advice)]
     else:
         checks = [Check("bus", scheme == "emulated", "emulated, no hardware" if scheme == "emulated" else url)]
     if talk is not None and scheme != "replay" and all(check.ok for check in checks):

@@ -33,9 +33,16 @@ def room(machine: Machine, array: ArrayConfig, folder: Path, rate_hz: float) -> 
     rate = sum(sensor_group(header_of(sensor, {})).row_bytes * row_rate for sensor, row_rate in rows) * _LIVE
     free = machine.free_bytes(folder)
     seconds = max(0.0, free - WATERMARK - RESERVE) / rate
-    found = f"{free / 2**20:.0f} MiB free: about {seconds / 3600:.1f} h at {rate_hz:g} frames a second"
+    found = f"{free / 2**20:.0f} MiB free: about {_about(seconds / 3600)} at {rate_hz:g} frames a second"
     advice = f"make room: a log ends itself when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
     return Check("disk", seconds >= NIGHT_S, found, advice)
+
+
+def _about(hours: float) -> str:
+    """As precisely as such a guess can be."""
+    if hours < 10:
+        return f"{hours:.1f} h"
+    return f"{hours:.0f} h" if hours < 48 else f"{hours / 24:.0f} days"
 
 
 def left_over(machine: Machine, folder: Path) -> Iterator[Check]:

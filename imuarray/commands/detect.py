@@ -27,12 +27,13 @@ _SENSOR_ADVICE = "look at its supply, its wires and its address pin, and whether
 @click.option(
     "--logs",
     type=click.Path(path_type=Path),
-    default=Path(),
     metavar="FOLDER",
     help="where logs will go, for --doctor (default: here)",
 )
 @json_option
-def command(config: Path | None, bus_url: str | None, self_test: bool, doctor: bool, logs: Path, as_json: bool) -> int:
+def command(
+    config: Path | None, bus_url: str | None, self_test: bool, doctor: bool, logs: Path | None, as_json: bool
+) -> int:
     """What answers on the bus, and is it what CONFIG says; without CONFIG, what answers on --bus.
 
     Exits 2 if a sensor is missing, another chip sits in its place, or it fails its self-test; with --doctor 1 if
@@ -46,12 +47,17 @@ def command(config: Path | None, bus_url: str | None, self_test: bool, doctor: b
         raise click.UsageError(
             "say what to look for (CONFIG), or where to look (--bus URL); --self-test wants a CONFIG"
         )
+    if logs is not None and not doctor:
+        raise click.UsageError("--logs is a place for --doctor to look at: say --doctor too")
     array = load_array(find_config(config or Path("martin2013")))
-    url = bus_url or array.bus or "emulated:"
+    url = bus_url or array.bus
     if doctor:
         if config is None:
             raise click.UsageError("--doctor wants a CONFIG: it says whose addresses are meant")
-        return _doctor(array, url, logs, as_json)
+        return _doctor(array, url or "", logs or Path(), as_json)
+    if url is None:
+        url = "emulated:"
+        click.echo(f"imuarray: {config}: no bus is named: asking the emulated array, no hardware", err=True)
     with open_bus(url, array) as bus:
         found = explore(bus) if config is None else detect(array, bus, self_test=self_test)
         source = bus.source

@@ -223,5 +223,8 @@ def test_a_bad_night_from_the_command_line(tmp_path: Path, capsys: pytest.Captur
         ("A", "reconfigured"),
     ]
     assert info["sensors"][0]["flags"]["reconfigured"] == 1
-    assert main(["log", str(tmp_path / "a.toml"), "--bus", "emulated:?faults=none.toml", "-o", str(tmp_path / "s.h5")]) == 2
+    assert (
+        main(["log", str(tmp_path / "a.toml"), "--bus", "emulated:?faults=none.toml", "-o", str(tmp_path / "s.h5")])
+        == 2
+    )
     assert "faults=none.toml: No such file or directory" in capsys.readouterr().err

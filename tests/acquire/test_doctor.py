@@ -228,6 +228,10 @@ def test_the_disk(array: ArrayConfig, machine: Machine, logs: Path) -> None:
     assert name == "disk"
     # 50 rows of 8 + 6 + 2 bytes and 8 of 8 + 8 + 2 + 16, twice: 2144 bytes/s; 70 - 64 - 1 MiB are for them
     assert found == f"70 MiB free: about {5 * 2**20 / 2144 / 3600:.1f} h at 50 frames a second"
+    for gigabytes, about in ((0.2, "19 h"), (9, "52 days")):  # less the 65 MiB, at 2144 bytes/s
+        plenty = replace(machine, free_bytes=lambda folder, free=gigabytes: int(free * 2**30))
+        found = {check.name: check.found for check in examine(array, URL, logs, 50, machine=plenty)}
+        assert f": about {about} at" in found["disk"]
     assert only(examine(array, URL, logs / "none", 50, machine=machine))[0] == "folder"
 
 
@@ -259,6 +263,20 @@ def test_the_command(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert said["ok"] is False
     assert [check["name"] for check in said["checks"] if not check["ok"]] == ["journal"]
     assert main(["detect", "--bus", "emulated:", "--doctor"]) == 2
+
+
+def test_no_bus_is_named(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The doctor is not content with an emulated one; plain detect asks it, and says so."""
+    mine = tmp_path / "mine.toml"
+    mine.write_text(ARRAY)
+    assert main(["detect", str(mine), "--doctor", "--logs", str(logs)]) == 1
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  NO  bus")]
+    assert len(said) == 1
+    assert "none is named -> say --bus i2c:/dev/i2c-1" in said[0]
+    assert main(["detect", str(mine)]) == 0
+    assert capsys.readouterr().err == f"imuarray: {mine}: no bus is named: asking the emulated array, no hardware\n"
+    assert main(["detect", str(mine), "--logs", str(logs)]) == 2
+    assert "say --doctor too" in capsys.readouterr().err
 
 
 def test_the_command_names_a_silent_sensor(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
