@@ -278,7 +278,11 @@ def interrupted(here: Path, number: int, *more: str) -> tuple[subprocess.Complet
         "r.h5",
         *more,
     ]
-    process = subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under nohup
+    try:
+        process = subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGHUP, before)
     deadline = time.monotonic() + 20
     while not (here / "r.h5").exists() and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.01)
