@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import CalibrationError, LogError
 from imuarray.log import Log, SensorLog
+from imuarray.log.column import NamedColumn
 from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
 
 Floats = npt.NDArray[np.float64]
@@ -91,7 +91,7 @@ def segment_means(
 
 
 def _means(
-    time: h5py.Dataset,
+    time: NamedColumn,
     values: Callable[[slice], Floats],
     sound: Callable[[slice], npt.NDArray[np.bool_]],
     width_s: float,
@@ -148,7 +148,7 @@ def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Thermomete
     return None
 
 
-def _read(kind: str, time: h5py.Dataset, column: h5py.Dataset, zero: float, step: float, width_s: float) -> Thermometer:
+def _read(kind: str, time: NamedColumn, column: NamedColumn, zero: float, step: float, width_s: float) -> Thermometer:
     """Segment means of a temperature column; values that are not finite don't count. CalibrationError if none are."""
 
     def values(rows: slice) -> Floats:

@@ -1,16 +1,74 @@
-"""Columns whose first rows stand in an HDF5 file and whose last ones are in memory, in the place of HDF5 datasets."""
+"""Columns in the place of HDF5 datasets: of a log that still grows (`Column`), and of any log, with a name
+(`NamedColumn`).
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.errors import LogError
+
 _TRIES = 3
+_UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
+"""What HDF5 raises on stored rows that it can't read; ValueError, TypeError and IndexError are of a bad slice."""
+
+
+class NamedColumn:
+    """An HDF5 dataset (or a `Column`) that knows whose it is: LogError where its rows are damaged, else the same."""
+
+    __slots__ = ("_column", "_where")
+
+    def __init__(self, column: h5py.Dataset | Column, where: str) -> None:
+        self._column, self._where = column, where
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._column, name)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows, and what a row holds."""
+        return cast(tuple[int, ...], self._column.shape)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of what is stored."""
+        return cast(np.dtype[Any], self._column.dtype)
+
+    def __len__(self) -> int:
+        return len(self._column)
+
+    def __iter__(self) -> Iterator[Any]:
+        return (self[row] for row in range(len(self)))
+
+    def __getitem__(self, key: Any) -> Any:
+        try:
+            return self._column[key]
+        except _UNREADABLE:
+            raise self._damaged(key) from None
+
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        return np.asarray(self[()] if self.shape == () else self[:], dtype)
+
+    def _damaged(self, key: Any) -> LogError:
+        """The rows that were asked for, in words."""
+        rows = key[0] if isinstance(key, tuple) and key else key
+        if isinstance(rows, slice):
+            start, stop, _ = rows.indices(len(self))
+        elif isinstance(rows, int | np.integer):
+            start = int(rows) % len(self)
+            stop = start + 1
+        else:
+            start, stop = 0, len(self)
+        which = f"row {start} is" if stop == start + 1 else f"rows {start} to {stop - 1} are"
+        return LogError(f"{self._where}: {which} damaged (imuarray verify tells all)")
 
 
 class Column:

@@ -87,7 +87,7 @@ def _columns(log: Log, group: Group) -> Mapping[str, Any] | None:
         track = {"truth": log.truth, "reference": log.reference, "clocks": log.clocks}[group.path]
         return None if track is None else track._asdict()
     sensor = log[group.path.removeprefix("sensors/")]
-    own = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
+    own: dict[str, Any] = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
     own["temperature_counts"] = sensor.temperature_counts
     return {name: own[name] if name in own else sensor.compensated(name) for name, _, _ in group.columns}
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.column import DATASET, LiveGroup
+from imuarray.log.column import DATASET, LiveGroup, NamedColumn
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
 _EDGE_ROWS = 4096
@@ -29,8 +29,8 @@ class Opened(Protocol):
 
 
 class SensorLog:
-    """One sensor's part of a log. `time`, `counts`, ... are HDF5 datasets: slice them, or `numpy.asarray` them
-    whole. Pickled, it is its log's path and its name.
+    """One sensor's part of a log. `time`, `counts`, ... are as HDF5 datasets: slice them, or `numpy.asarray` them
+    whole; LogError where they are damaged. Pickled, it is its log's path and its name.
     """
 
     def __init__(
@@ -123,34 +123,35 @@ class SensorLog:
         return self.quantity in ("specific_force", "angular_rate", "magnetic_field")
 
     @property
-    def time(self) -> h5py.Dataset:
+    def time(self) -> NamedColumn:
         """(n,) int64 ns since the log's epoch."""
-        return self._group["time"]
+        return NamedColumn(self._group["time"], f"{self.where}: time")
 
     @property
-    def counts(self) -> h5py.Dataset:
+    def counts(self) -> NamedColumn:
         """(n, 3) raw counts of a triad; chip-specific columns otherwise."""
-        return self._group["counts"]
+        return NamedColumn(self._group["counts"], f"{self.where}: counts")
 
     @property
-    def temperature_counts(self) -> h5py.Dataset | None:
+    def temperature_counts(self) -> NamedColumn | None:
         """(n,) raw counts of the chip's thermometer, if it has one."""
-        return self._group.get("temperature_counts")
+        dataset = self._group.get("temperature_counts")
+        return None if dataset is None else NamedColumn(dataset, f"{self.where}: temperature_counts")
 
     @property
-    def status(self) -> h5py.Dataset | npt.NDArray[np.uint16]:
+    def status(self) -> NamedColumn | npt.NDArray[np.uint16]:
         """(n,) flags of `imuarray.log.format`; zeros in a log that has none."""
         dataset = self._group.get("status")
-        return np.zeros(len(self), np.uint16) if dataset is None else dataset
+        return np.zeros(len(self), np.uint16) if dataset is None else NamedColumn(dataset, f"{self.where}: status")
 
-    def compensated(self, name: str) -> h5py.Dataset:
+    def compensated(self, name: str) -> NamedColumn:
         """A column in physical units that the chip's own calibration gave ("temperature" degC, "pressure" Pa);
         LogError.
         """
         dataset = self._group.get(name)
         if not isinstance(dataset, DATASET) or dataset.shape != self.time.shape:
             raise LogError(f"{self.where}: column {name} is missing")
-        return dataset
+        return NamedColumn(dataset, f"{self.where}: {name}")
 
     @property
     def attributes(self) -> Mapping[str, Any]:
@@ -178,7 +179,7 @@ def _again(opened: Callable[[Path], Opened], path: Path, name: str) -> SensorLog
     return opened(path)[name]
 
 
-def first_at(time: h5py.Dataset, at_ns: int) -> int:
+def first_at(time: NamedColumn, at_ns: int) -> int:
     """The first row of an increasing column whose time is `at_ns` or later; by bisection, reading one chunk at the
     end.
     """

@@ -2,45 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import h5py
-
 from imuarray.errors import LogError
-from imuarray.log.column import DATASET, GROUP
+from imuarray.log.column import DATASET, GROUP, NamedColumn
 from imuarray.log.layout import CLOCKS
 
 
 class Track(NamedTuple):
-    """`/truth` or `/reference`: datasets time (n,) ns, specific_force (n, 3) m/s2 and angular_rate (n, 3) rad/s in
+    """`/truth` or `/reference`: columns time (n,) ns, specific_force (n, 3) m/s2 and angular_rate (n, 3) rad/s in
     the box frame, temperature (n,) degC; None for what the log does not have.
     """
 
-    time: h5py.Dataset
-    specific_force: h5py.Dataset | None
-    angular_rate: h5py.Dataset | None
-    temperature: h5py.Dataset | None
+    time: NamedColumn
+    specific_force: NamedColumn | None
+    angular_rate: NamedColumn | None
+    temperature: NamedColumn | None
 
 
 class ClockTrack(NamedTuple):
-    """`/clocks`: datasets (n,) ns of the log's own time and of four clocks of the machine (`imuarray.log.format`)."""
+    """`/clocks`: columns (n,) ns of the log's own time and of four clocks of the machine (`imuarray.log.format`)."""
 
-    time: h5py.Dataset
-    monotonic: h5py.Dataset
-    monotonic_raw: h5py.Dataset
-    boottime: h5py.Dataset
-    realtime: h5py.Dataset
+    time: NamedColumn
+    monotonic: NamedColumn
+    monotonic_raw: NamedColumn
+    boottime: NamedColumn
+    realtime: NamedColumn
 
 
 def track_of(group: Any, where: str) -> Track:
     """The track that is a group of the file; LogError, with `where` it is, if it isn't one."""
     if not isinstance(group, GROUP) or "time" not in group:
         raise LogError(f"{where} has no time")
-    columns = [group.get(column) for column in ("specific_force", "angular_rate", "temperature")]
-    for column, tail in zip(columns, ((3,), (3,), ()), strict=True):
+    columns = [group.get(column) for column in Track._fields]
+    for column, tail in zip(columns, ((), (3,), (3,), ()), strict=True):
         if column is not None and column.shape != (*group["time"].shape, *tail):
             raise LogError(f"{where}: a column has another shape than time")
-    return Track(group["time"], *columns)
+    return Track(*_named(columns, where))
 
 
 def clocks_of(group: Any, where: str) -> ClockTrack:
@@ -50,4 +49,9 @@ def clocks_of(group: Any, where: str) -> ClockTrack:
         len({column.shape for column in columns}) != 1
     ):
         raise LogError(f"{where} lacks a column, or they differ in length")
-    return ClockTrack(*columns)
+    return ClockTrack(*_named(columns, where))
+
+
+def _named(columns: Sequence[Any], where: str) -> Iterator[Any]:
+    """The columns that there are, None for the others."""
+    return (None if one is None else NamedColumn(one, f"{where}: {one.name.rsplit('/', 1)[-1]}") for one in columns)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Protocol
 
-import h5py
 import numpy as np
 
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.log import SensorLog
+from imuarray.log.column import NamedColumn
 from imuarray.log.format import LOST_BEFORE
 from imuarray.simulate.signal import Integers
 
@@ -111,7 +111,7 @@ class Recorded:
         return {name: getattr(self, name) for name in ("_sensor", "rows", "rows_per_s")}
 
     @cached_property
-    def _time(self) -> h5py.Dataset:
+    def _time(self) -> NamedColumn:
         return self._sensor.time
 
     @cached_property
@@ -186,7 +186,7 @@ def filled(sensor: SensorLog) -> Recorded | Filled:
     return Filled(recorded, np.concatenate(before), np.concatenate(missing))
 
 
-def _holes(sensor: SensorLog, status: h5py.Dataset) -> Iterator[tuple[Integers, Integers]]:
+def _holes(sensor: SensorLog, status: NamedColumn) -> Iterator[tuple[Integers, Integers]]:
     """Rows before which others are missing, and how many, of each block that has such."""
     last, usual_ns = np.zeros(0, np.int64), 0.0
     for block in sensor.blocks():

@@ -8,11 +8,11 @@ from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
+from imuarray.log.column import NamedColumn
 from imuarray.simulate.motion.felt import Integers
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -50,8 +50,8 @@ class Recorded:
     whose times don't increase.
     """
 
-    time: h5py.Dataset
-    columns: tuple[h5py.Dataset, ...]
+    time: NamedColumn
+    columns: tuple[NamedColumn, ...]
     where: str
 
     def at(self, time_ns: Integers) -> tuple[Floats, Floats]:

@@ -1,0 +1,75 @@
+"""A column that can't be read says whose it is and which rows, wherever it is read; else it is as its dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from imuarray.cli import main
+from imuarray.errors import LogError
+from imuarray.log import open_log
+
+
+def flip_a_bit(path: Path, column: str) -> Path:
+    """In the middle of the first chunk of a column, behind whose back the check sum stands."""
+    with h5py.File(path, "r") as file:
+        chunk = file[column].id.get_chunk_info(0)
+    at = chunk.byte_offset + chunk.size // 2
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(content)
+    return path
+
+
+def test_it_is_as_the_dataset(small: Path) -> None:
+    with open_log(small) as log, h5py.File(small) as file:
+        ours, theirs = log["Acc"].counts, file["sensors/Acc/counts"]
+        assert (ours.shape, ours.dtype, ours.ndim, len(ours)) == (theirs.shape, theirs.dtype, theirs.ndim, len(theirs))
+        assert ours.chunks == theirs.chunks
+        np.testing.assert_array_equal(np.asarray(ours), theirs[:])
+        np.testing.assert_array_equal(np.asarray(ours, float), theirs[:].astype(float))
+        np.testing.assert_array_equal(list(ours), list(theirs))
+        for key in (0, -1, slice(1, 3), slice(None, None, 2), (slice(None), 1), np.array([0, 2]), ...):
+            np.testing.assert_array_equal(ours[key], theirs[key])
+        with pytest.raises(ValueError, match="[Ss]tep"):
+            ours[::-1]
+        with pytest.raises(IndexError):
+            ours[99]
+
+
+@pytest.mark.parametrize(
+    ("key", "rows"), [(slice(1, 4), "rows 1 to 3 are"), (2, "row 2 is"), (-1, "row 4 is"), (..., "rows 0 to 4 are")]
+)
+def test_damaged_rows_are_named(small: Path, key: object, rows: str) -> None:
+    with open_log(flip_a_bit(small, "sensors/Acc/counts")) as log, pytest.raises(LogError) as refused:
+        log["Acc"].counts[key]
+    assert str(refused.value) == f"{small}, sensor Acc: counts: {rows} damaged (imuarray verify tells all)"
+
+
+def test_so_are_those_of_the_truth(small: Path) -> None:
+    with open_log(flip_a_bit(small, "truth/specific_force")) as log, pytest.raises(LogError) as refused:
+        assert log.truth is not None
+        np.asarray(log.truth.specific_force)
+    assert f"{small}, group truth: specific_force: rows 0 to 4 are damaged" in str(refused.value)
+
+
+@pytest.mark.parametrize("command", ["fuse", "characterise", "calibrate noise", "calibrate tumble", "gap diagnose"])
+def test_commands_say_so_in_one_line(
+    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    flip_a_bit(small, "sensors/Acc/counts")
+    output = [] if command == "characterise" else ["-o", str(tmp_path / "output")]
+    assert main([*command.split(), str(small), *output]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len([line for line in lines if line.startswith("imuarray: ")]) == 1
+    assert "Traceback" not in "".join(lines)
+    assert not (tmp_path / "output").is_file()
+
+
+def test_verify_names_them(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["verify", str(flip_a_bit(small, "sensors/Acc/counts"))])
+    out, err = capsys.readouterr()
+    assert "sensor Acc: column counts: rows 0 to 4 are damaged" in out + err
