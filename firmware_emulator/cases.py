@@ -36,6 +36,7 @@ from firmware_emulator.mechanisms.query import checked, fitting_of, split
 from firmware_emulator.world import Phase, World
 from imuarray.acquire import record
 from imuarray.array import ArrayConfig, load_array
+from imuarray.atomic import write_text
 from imuarray.bus.protocol import OpenBus
 from imuarray.commands.options import find_config
 from imuarray.commands.program import run
@@ -101,7 +102,7 @@ class Case:
                 path = folder / experiment.file(index)
                 told.append(self._log(path, experiment, index, run=len(paths), force=force))
                 paths.append(path)
-        truth.write_text(json.dumps(self.truth(told), indent=1) + "\n")
+        write_text(truth, json.dumps(self.truth(told), indent=1) + "\n", force=True)
         return paths
 
     def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

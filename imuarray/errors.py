@@ -13,6 +13,7 @@
     +-- CalibrationError          data from which the wanted parameters can't be had, or a bad calibration file
     +-- FusionError               a technique that this array or this log can't feed
     +-- OutputExistsError         a file that would be overwritten (`--force` allows it)
+    +-- OutputError               a file that can't be written; exit code 3 if the disk is full
     +-- MissingExtraError         an optional package that a command needs is not installed
 
 A bus itself speaks `OSError` with the errno that Linux would give: 6 (ENXIO) or 121 (EREMOTEIO) for an address that
@@ -26,6 +27,9 @@ from os import PathLike
 
 NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})
 """The two errnos with which Linux adapters say that nobody acknowledged (LNX-40, LNX-41)."""
+
+NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""What a write says when there is no room: the disk, the user's quota, the longest file that is allowed."""
 
 
 class ImuArrayError(Exception):
@@ -84,6 +88,14 @@ class OutputExistsError(ImuArrayError):
 
     def __init__(self, path: str | PathLike[str]) -> None:
         super().__init__(f"{path}: exists already; choose another name or say --force")
+
+
+class OutputError(ImuArrayError):
+    """An output that can't be written, for what the system said; nothing is left of it."""
+
+    def __init__(self, path: str | PathLike[str], error: OSError) -> None:
+        super().__init__(f"{path}: can't be written: {error.strerror or error}")
+        self.exit_code = 3 if error.errno in NO_ROOM else 2
 
 
 class MissingExtraError(ImuArrayError):

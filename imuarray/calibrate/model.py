@@ -28,6 +28,7 @@ import numpy.typing as npt
 import tomli_w
 
 from imuarray import __version__
+from imuarray.atomic import write_text
 from imuarray.calibrate.entries import (
     Reader,
     covariance,
@@ -40,7 +41,7 @@ from imuarray.calibrate.entries import (
     to_table,
 )
 from imuarray.calibrate.stability import PROVENANCE, THERMAL, TURN_ON, Provenance, Thermal, TurnOn
-from imuarray.errors import CalibrationError, OutputExistsError
+from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.units import SI_PER_UNIT
 
@@ -201,12 +202,8 @@ class Calibration:
         return _LIST.sub(lambda found: found[0] if len(found[1]) > _SHORT else _on_a_line(found[1]), text)
 
     def save(self, path: str | PathLike[str], *, force: bool = False) -> None:
-        """Write the file; OutputExistsError if it is there."""
-        try:
-            with Path(path).open("w" if force else "x", encoding="utf-8") as file:
-                file.write(self.to_toml())
-        except FileExistsError:
-            raise OutputExistsError(path) from None
+        """Write the file; OutputExistsError if it is there, OutputError if it can't be written."""
+        write_text(path, self.to_toml(), force=force)
 
 
 def nominal(sensor: SensorLog) -> SensorCalibration:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imuarray.atomic import save_figure, write_text
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
 from imuarray.errors import ImuArrayError, MissingExtraError, OutputExistsError
 
@@ -140,9 +141,9 @@ def _write(result: dict[str, Any], output: Path) -> list[Path]:
     paths = [output / RESULT]
     try:
         output.mkdir(parents=True, exist_ok=True)
-        paths[0].write_text(json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        write_text(paths[0], json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n", force=True)
         for name, draw in FIGURES.items():
-            draw(result).savefig(output / name, metadata={"Software": None})
+            save_figure(output / name, draw(result), metadata={"Software": None})
             paths.append(output / name)
     except MissingExtraError as error:
         click.echo(f"imuarray: no figures: {error}", err=True)
@@ -157,6 +158,6 @@ def _write_kalibr(result: dict[str, Any], output: Path) -> list[Path]:
 
     paths = []
     for name, text in imu_files(result).items():
-        (output / name).write_text(text, encoding="utf-8")
+        write_text(output / name, text, force=True)
         paths.append(output / name)
     return paths

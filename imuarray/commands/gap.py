@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imuarray.atomic import write_text
 from imuarray.commands.gap_validate import validate
 from imuarray.commands.options import (
     find_model,
@@ -151,9 +152,9 @@ def _write(folder: Path, found: Diagnosis) -> None:
     from imuarray.report.gap_page import write_gap_page
 
     numbers, model, page = (folder / name for name in FILES)
-    numbers.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(numbers, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", force=True)
     if found.repaired is not None:
-        model.write_text(found.repaired.to_toml(), encoding="utf-8")
+        write_text(model, found.repaired.to_toml(), force=True)
     try:
         write_gap_page(page, found, force=True)
     except MissingExtraError as error:

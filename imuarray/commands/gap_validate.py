@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
+from imuarray.atomic import save_figure, write_text
 from imuarray.commands.options import json_option, print_json, progress, workers_option
 
 if TYPE_CHECKING:
@@ -128,9 +129,9 @@ def _write(folder: Path, found: Figures, command: str) -> None:
     write_json(folder / "figures.json", as_json(found))
     plots = plots_of(found) if find_spec("matplotlib") else {}
     for name, plot in plots.items():
-        plot.savefig(folder / f"{name}.svg", metadata={"Date": None})
+        save_figure(folder / f"{name}.svg", plot, metadata={"Date": None})
     files = {name.replace("-", " "): f"{name}.svg" for name in plots}
-    (folder / "results.md").write_text(markdown(found, date.today().isoformat(), command, files), encoding="utf-8")
+    write_text(folder / "results.md", markdown(found, date.today().isoformat(), command, files), force=True)
     try:
         write_validation_page(folder / "results.html", found, command=command, plots=plots, force=True)
     except MissingExtraError as error:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from imuarray.atomic import write_text
 from imuarray.commands.options import force_option, json_option, prepare_folder, print_json, progress
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def _gap(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
     result = found.as_json()
     if output:
         text = json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        (output / _GAP_FILE).write_text(text, encoding="utf-8")
+        write_text(output / _GAP_FILE, text, force=True)
     if as_json:
         print_json(result)
     else:
@@ -110,7 +111,7 @@ def _write_replica(folder: Path, found: Replica, observed: Observed) -> None:
     from imuarray.report.paper_page import write_paper_page
 
     numbers, page = (folder / name for name in _REPLICA_FILES)
-    numbers.write_text(json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(numbers, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", force=True)
     try:
         write_paper_page(page, found, curves_of(observed) if can_draw() else None, force=True)
     except MissingExtraError as error:

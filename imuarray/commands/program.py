@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import click
 
-from imuarray.errors import ImuArrayError
+from imuarray.errors import NO_ROOM, ImuArrayError
 from imuarray.printable import printable
 
 
 def run(command: click.Command, name: str, arguments: Sequence[str] | None = None) -> int:
     """Run a command as the program `name` (with `arguments`, else those of this process): what it returns is the exit
-    code, that of the error with one line (2 for bad input), 130 if it was interrupted.
+    code, that of the error with one line (2 for bad input, 3 for a full disk), 130 if it was interrupted.
     """
     try:
         given = None if arguments is None else list(arguments)
@@ -22,8 +22,17 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
     except (click.Abort, KeyboardInterrupt):
         click.echo(f"{name}: interrupted", err=True)
         return 130
-    except (click.ClickException, ImuArrayError) as error:
-        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        click.echo(printable(f"{name}: {' '.join(text.split())}"), err=True)
-        return error.exit_code if isinstance(error, ImuArrayError) else 2
+    except click.ClickException as error:
+        return _ended(name, error.format_message(), 2)
+    except ImuArrayError as error:
+        return _ended(name, str(error), error.exit_code)
+    except OSError as error:  # of a file or a bus that nobody had a better word for
+        place = f"{error.filename}: " if error.filename else ""
+        return _ended(name, f"{place}{error.strerror or error}", 3 if error.errno in NO_ROOM else 2)
     return result if isinstance(result, int) else 0
+
+
+def _ended(name: str, text: str, exit_code: int) -> int:
+    """One line on standard error."""
+    click.echo(printable(f"{name}: {' '.join(text.split())}"), err=True)
+    return exit_code

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable, Iterable, Iterator
 from os import PathLike
@@ -17,11 +18,15 @@ import h5py
 import numpy as np
 
 from imuarray import __version__
-from imuarray.errors import OutputExistsError
+from imuarray.atomic import whole_file
 from imuarray.fuse.fuse import FusedBlock
 from imuarray.log.guard import open_file
 from imuarray.log.heaps import Inspected
 from imuarray.log.inspection import refuse_hostile
+from imuarray.log.room import free_bytes
+
+_SLACK_BYTES = 1 << 18
+"""What HDF5 holds back or adds: a chunk of each column, and where they are."""
 
 UNITS = {"specific_force": "m s-2", "angular_rate": "rad s-1"}
 
@@ -38,26 +43,20 @@ def write_fused(
     progress: Callable[[int], None] = lambda frames: None,
 ) -> int:
     """Write blocks as they come, under a temporary name until all are there; the number of frames.
-    OutputExistsError.
+    OutputExistsError, OutputError.
     """
-    target = Path(path)
-    if target.exists() and not force:
-        raise OutputExistsError(path)
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        with h5py.File(part, "w") as file:
-            file.attrs.update(
-                format="imuarray-fused", format_version=1, epoch=epoch, technique=technique, log=log,
-                calibration=calibration, software=f"imuarray {__version__}",
-            )  # fmt: skip
-            frames = 0
-            for block in blocks:
-                _append(file.require_group("fused"), block, epoch)
-                frames += len(block.time)
-                progress(frames)
-        part.replace(target)
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(path, force=force) as draft, h5py.File(draft, "w") as file:
+        file.attrs.update(
+            format="imuarray-fused", format_version=1, epoch=epoch, technique=technique, log=log,
+            calibration=calibration, software=f"imuarray {__version__}",
+        )  # fmt: skip
+        frames = 0
+        for block in blocks:
+            _ask_for_room(draft, block)
+            _append(file.require_group("fused"), block, epoch)
+            file.flush()
+            frames += len(block.time)
+            progress(frames)
     return frames
 
 
@@ -71,6 +70,13 @@ def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[Fuse
             rows = slice(start, start + block)
             triads = {name: group[name][rows] for name in group if name != "time"}
             yield FusedBlock(group["time"][rows], triads)
+
+
+def _ask_for_room(path: Path, block: FusedBlock) -> None:
+    """OSError where there is no room for a block, before HDF5 runs into it: that it does not survive."""
+    wanted = _SLACK_BYTES + block.time.nbytes + sum(rows.nbytes for rows in block.triads.values())
+    if free_bytes(path) < wanted:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _append(group: h5py.Group, block: FusedBlock, epoch: str) -> None:

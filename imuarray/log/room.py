@@ -12,10 +12,9 @@ import errno
 import os
 from pathlib import Path
 
-from imuarray.errors import DiskFullError, LogError
+from imuarray.errors import NO_ROOM, DiskFullError, LogError
 
-FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""What a write says when there is no room: the disk, the user's quota, the longest file that is allowed."""
+FULL = NO_ROOM
 
 WATERMARK = 64 << 20
 """A log that is being recorded ends when less than this many bytes are free."""

@@ -13,6 +13,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from imuarray.atomic import save_figure
+
 Result = Mapping[str, Any]
 
 _ONE, _OTHER, _MEAN, _BAD = "#4477aa", "#66ccee", "#228833", "#cc3311"
@@ -20,7 +22,7 @@ _DPI = 130
 
 
 def _save(figure: Figure, path: Path) -> None:
-    figure.savefig(path, dpi=_DPI, metadata={"Software": None})
+    save_figure(path, figure, dpi=_DPI, metadata={"Software": None})
 
 
 def draw_pairs(result: Result, path: Path) -> None:

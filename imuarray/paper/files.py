@@ -13,6 +13,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from imuarray.atomic import write_text
 from imuarray.errors import ImuArrayError, OutputExistsError
 from imuarray.paper.results import TABLES
 
@@ -63,7 +64,7 @@ def _write_all(
         raise OutputExistsError(taken)
     directory.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
-        (directory / name).write_text(text, encoding="utf-8")
+        write_text(directory / name, text, force=True)
     for name, draw in drawings.items():
         draw(result, directory / name)
     return tuple(paths)

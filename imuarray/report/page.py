@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imuarray.errors import MissingExtraError, OutputExistsError
+from imuarray.atomic import write_text
+from imuarray.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -57,7 +57,7 @@ class Section:
 def write_page(
     path: str | PathLike[str], title: str, summary: Sequence[str], sections: Sequence[Section], *, force: bool = False
 ) -> None:
-    """Write the page; OutputExistsError if it is there, MissingExtraError without jinja2."""
+    """Write the page; OutputExistsError if it is there, OutputError, MissingExtraError without jinja2."""
     try:
         from jinja2 import Environment
     except ImportError:
@@ -66,8 +66,4 @@ def write_page(
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.tests["table"] = lambda part: isinstance(part, Table)
     page = environment.from_string(template).render(title=title, summary=summary, sections=sections)
-    try:
-        with Path(path).open("w" if force else "x", encoding="utf-8") as file:
-            file.write(page)
-    except FileExistsError:
-        raise OutputExistsError(path) from None
+    write_text(path, page, force=force)

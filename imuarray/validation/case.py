@@ -12,6 +12,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from imuarray.atomic import write_text
+
 Half = Literal["development", "sealed"]
 Kind = Literal["none", "single", "withheld", "unnamed", "pair", "removal"]
 """Nothing is wrong; one mechanism that the library of causes names; one whose names are withheld from the library; one
@@ -81,6 +83,4 @@ class Outcome:
 
 def write_json(path: Path, table: Any) -> None:
     """Whole or not at all: a file with this name is complete."""
-    draft = path.with_suffix(".part")
-    draft.write_text(json.dumps(table, indent=1) + "\n")
-    draft.replace(path)
+    write_text(path, json.dumps(table, indent=1) + "\n", force=True)

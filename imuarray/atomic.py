@@ -1,0 +1,65 @@
+"""Outputs that are whole or not there: written under a temporary name beside their own, which they take at the end.
+
+Whatever goes wrong, a full disk above all, leaves nothing behind, and a file that stood there before as it was.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from imuarray.errors import OutputError, OutputExistsError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@contextmanager
+def whole_file(path: str | PathLike[str], *, force: bool = False) -> Iterator[Path]:
+    """The path to write to: the file takes its name when the block ends well, else it is gone.
+
+    OutputExistsError if it is there and `force` is false, OutputError where it can't be written. What is no file (a
+    device, a pipe) is written to as it is.
+    """
+    target = Path(os.path.realpath(path))  # a link stays one
+    draft = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        there = target.exists()
+        if there and not force:
+            raise OutputExistsError(path)
+        if there and not target.is_file():
+            yield target
+            return
+        yield draft
+        if there:
+            shutil.copymode(target, draft)
+        _sync(draft)
+        draft.replace(target)
+    except OSError as error:
+        raise OutputError(path, error) from None
+    finally:
+        with suppress(OSError):
+            draft.unlink()
+
+
+def write_text(path: str | PathLike[str], text: str, *, force: bool = False) -> None:
+    """Write a file of text, UTF-8; errors as `whole_file`."""
+    with whole_file(path, force=force) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def save_figure(path: str | PathLike[str], figure: Figure, **options: Any) -> None:
+    """Write a figure, in the format of the name's suffix, over one that is there; OutputError."""
+    with whole_file(path, force=True) as draft:
+        figure.savefig(draft, format=Path(path).suffix.removeprefix("."), **options)
+
+
+def _sync(path: Path) -> None:
+    """What was written is on the disk when this returns: a power cut leaves the old file or the new one. OSError."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
