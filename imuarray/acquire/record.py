@@ -51,14 +51,18 @@ def record(
     far. `judge` says how sensors came up; one that
     came up wrong is flagged and set up again. `rotate_s` cuts the log into parts of so many seconds, each a log of its
     own (`imuarray.log.rotate`). `service` is told how it goes (None: the one that this process belongs to). `wall_time`
-    is the UTC time of the start (None: read the wall clock, once).
+    is the UTC time of the start (None: that of the transcript that is replayed, or the wall clock, read once).
 
     Raises SensorError before the first frame if a sensor is missing or wrong, OutputExistsError if the log exists,
     LogBusyError if it is being written, DiskFullError if it had to be ended early.
     """
     stations = connect(array, bus)
     start_ns = bus.clock.now_ns()
-    epoch = wall_time or datetime.now(UTC)
+    epoch = wall_time or getattr(bus, "epoch", None) or datetime.now(UTC)
+    if hasattr(bus, "begins"):  # a transcript notes when it was, and when it ends
+        bus.begins(epoch)
+    if hasattr(bus, "stopping"):
+        stopped = bus.stopping(stopped)
     headers = [header_of(station.sensor, station.driver.header()) for station in stations]
     told = service or Service()
     about = {"source": bus.source, "epoch": _iso(epoch), "config": array.text, "force": force}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 from collections import deque
+from collections.abc import Callable
+from datetime import datetime
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -44,7 +46,9 @@ class ReplayClock:
 
 
 class ReplayBus:
-    """A transcript played back: gives the recorded answers, refuses whatever was not asked then."""
+    """A transcript played back: gives the recorded answers, refuses whatever was not asked then. `epoch` is the wall
+    time at which its log began, once it has come to that; `stopped` whether it has come to where that was stopped.
+    """
 
     source = "replay"
 
@@ -53,6 +57,10 @@ class ReplayBus:
         self._clock = ReplayClock()
         self.clock: Clock = self._clock
         self._played = 0
+        self._at_line = 0
+        self._asked = 0
+        self.epoch: datetime | None = None
+        self.stopped = False
         self._failure: SensorError | BusUrlError | None = None
         try:
             self._file: IO[str] = self.path.open(encoding="utf-8")
@@ -68,14 +76,17 @@ class ReplayBus:
             self.claim = self._claim
 
     def _read(self) -> dict[str, Any] | None:
-        """The next line; None behind the last, empty for one that is no transaction."""
-        text = self._file.readline(LONGEST_LINE)
-        if not text:
-            return None
-        try:
-            return _parsed(json.loads(text))
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            return {}
+        """The next line, past an epoch, which is noted; None behind the last, empty for one that is no transaction."""
+        while text := self._file.readline(LONGEST_LINE):
+            self._at_line += 1
+            try:
+                line = json.loads(text)
+                if "epoch" not in line:
+                    return _parsed(line)
+                self.epoch = datetime.fromisoformat(line["epoch"])
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+                return {}
+        return None
 
     def _show_ahead(self, end_ns: int) -> None:
         self._clock.stand(end_ns, self._next.get("seen_ns", []) if self._next else [])
@@ -83,6 +94,19 @@ class ReplayBus:
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """See `Bus.transfer`; SensorError at the first transaction that differs from the recorded one."""
         return self._play("", address, write, read)
+
+    def stopping(self, stopped: Callable[[], bool]) -> Callable[[], bool]:
+        """`stopped`, or that the recorded program was stopped then."""
+
+        def asked() -> bool:
+            self._asked += 1
+            wanted = self._next.get("stopped") if self._next else None
+            if wanted is not None and self._next and self._asked >= wanted:
+                self._go_on(self._next["end_ns"])
+                self.stopped = True
+            return self.stopped or stopped()
+
+        return asked
 
     def channel_bus(self, path: str) -> Bus:
         """The replayed traffic of another bus that was recorded into the same transcript."""
@@ -118,15 +142,20 @@ class ReplayBus:
             raise SensorError(f"{self.path}: the transcript ends after {self._played} transactions, more was asked")
         self._played += 1
         if not recorded:
-            raise BusUrlError(f"{self.path}, line {self._played}: not a transaction of a transcript")
+            raise BusUrlError(f"{self.path}, line {self._at_line}: not a transaction of a transcript")
         if asked != recorded["words"]:
-            raise SensorError(f"{self.path}, line {self._played}: recorded {recorded['words']}, now {asked}")
+            raise SensorError(f"{self.path}, line {self._at_line}: recorded {recorded['words']}, now {asked}")
+        self._go_on(recorded["end_ns"])
+        return recorded
+
+    def _go_on(self, end_ns: int) -> None:
+        """To the next line, from one that ended then."""
+        self._asked = 0
         try:
             self._next = self._read()
         except (OSError, UnicodeDecodeError):
             self._next = {}
-        self._show_ahead(recorded["end_ns"])
-        return recorded
+        self._show_ahead(end_ns)
 
     def finished(self) -> None:
         """SensorError if part of the transcript was never asked for."""
@@ -163,6 +192,8 @@ def _parsed(line: dict[str, Any]) -> dict[str, Any]:
         "end_ns": _time(line.get("end_ns", at_ns)),
         "seen_ns": [at_ns - _time(one) for one in line.get("seen", [])],
     }
+    if "stopped" in line:
+        return found | {"stopped": _time(line["stopped"])}
     if "seen" in line and "to" not in line and "claim" not in line:
         return found
     path, number = line.get("bus", ""), int(line.get("errno", 0))

@@ -5,14 +5,18 @@ a transaction that failed has ``"errno": 121`` in place of ``"read"``, and ``"er
 for it. A question whose an address is (`claim`) is
 ``{"claim": "53", ...}``, with what was answered as ``"errno"`` or ``"error"`` if it was not "yours". ``"seen"`` are the
 times at which the program looked at the clock before that line, in ns before its ``at_ns``: what it decided by them it
-decides again. A replayed bus refuses the first transaction that differs, naming the line, so that a user's transcript
-can become a test.
+decides again. ``{"epoch": "2026-03-01T00:00:00+00:00"}`` is the wall time at which a log began;
+``{"stopped": 2, ...}`` says that the program was told to stop when it asked for the second time since the line before.
+A replayed bus refuses the first transaction that differs, naming the line, so that a user's transcript can become a
+test.
 """
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
+from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -94,6 +98,7 @@ class RecordingBus:
         self.source = bus.source
         self.path = Path(path)
         self.failed = ""
+        self._asked = 0
         try:
             self._file: IO[str] = open_output(self.path, force)
         except FileExistsError:
@@ -152,13 +157,38 @@ class RecordingBus:
         finally:
             self._write(line)
 
+    def begins(self, epoch: datetime) -> None:
+        """A log begins now, at this wall time."""
+        self._put({"epoch": epoch.astimezone(UTC).isoformat()})
+
+    def stopping(self, stopped: Callable[[], bool]) -> Callable[[], bool]:
+        """`stopped`; when it first says so is written down."""
+        inner = getattr(self.bus, "stopping", None)
+        stopped = inner(stopped) if inner else stopped
+        told = False
+
+        def asked() -> bool:
+            nonlocal told
+            self._asked += 1
+            if not told and stopped():
+                told = True
+                self._write({"stopped": self._asked, "at_ns": self.bus.clock.now_ns()})
+            return told
+
+        return asked
+
     def _write(self, line: dict[str, Any]) -> None:
-        """A line; a file that can't take it is no failure of the bus."""
+        """A line, and what was seen of the clock before it."""
         line["end_ns"] = self.bus.clock.now_ns()
         seen = self._notes.take(line["at_ns"])
         if seen:
             line["seen"] = seen
         self._notes.stand(line["end_ns"])
+        self._asked = 0
+        self._put(line)
+
+    def _put(self, line: dict[str, Any]) -> None:
+        """A line; a file that can't take it is no failure of the bus."""
         if self.failed:
             return
         try:

@@ -131,6 +131,8 @@ def command(
             force=force,
         )
     with suppress(OSError) if stop.hung_up else nullcontext():  # nobody is there to be told
+        if bus.source == "replay" and getattr(bus, "stopped", False):
+            click.echo("imuarray: the transcript ends here: the recorded program was stopped", err=True)
         if recorder is not None and recorder.failed:
             click.echo(f"imuarray: {recorder.failed}", err=True)
         _tell(summary, output, judge.said if judge else [], as_json)
@@ -171,6 +173,8 @@ def _connected(
             click.echo(f"imuarray: {recorder.remark}", err=True)
     if bus.source == "emulated":
         click.echo("imuarray: recording the emulated array, no hardware", err=True)
+    elif bus.source == "replay":
+        click.echo(f"imuarray: replaying {url.partition(':')[2]}", err=True)
     return bus, recorder
 
 

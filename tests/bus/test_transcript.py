@@ -473,3 +473,18 @@ def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, r
                 bus.transfer(0x53, b"\x00", 1)
     except (SensorError, BusUrlError) as refused:
         assert len(str(refused).splitlines()) == 1
+
+
+def test_a_stopped_log_replays_to_its_end_at_its_own_time(tmp_path: Path) -> None:
+    array = parse_array('[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=4\n')
+    start, frames = datetime(2026, 3, 1, 12, tzinfo=UTC), iter([False] * 37 + [True] * 9)
+    with RecordingBus(open_bus("emulated:", array), tmp_path / "t.jsonl") as bus:
+        live = record(array, bus, tmp_path / "live.h5", rate_hz=50, wall_time=start, stopped=lambda: next(frames, True))
+    with ReplayBus(tmp_path / "t.jsonl") as replay:
+        again = record(array, replay, tmp_path / "again.h5", rate_hz=50)
+        replay.finished()
+        assert replay.stopped
+    assert again.frames == live.frames == 37
+    with open_log(tmp_path / "live.h5") as one, open_log(tmp_path / "again.h5") as other:
+        assert other.epoch == one.epoch == "2026-03-01T12:00:00.000000Z"
+        np.testing.assert_array_equal(other["A"].time[:], one["A"].time[:])

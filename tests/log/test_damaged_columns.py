@@ -34,7 +34,7 @@ def test_it_is_as_the_dataset(small: Path) -> None:
         np.testing.assert_array_equal(list(ours), list(theirs))
         for key in (0, -1, slice(1, 3), slice(None, None, 2), (slice(None), 1), np.array([0, 2]), ...):
             np.testing.assert_array_equal(ours[key], theirs[key])
-        with pytest.raises(ValueError, match="[Ss]tep"):
+        with pytest.raises(ValueError, match=r"[Ss]tep"):
             ours[::-1]
         with pytest.raises(IndexError):
             ours[99]
