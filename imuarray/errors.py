@@ -63,12 +63,21 @@ class LogBusyError(LogError):
 
 
 class DiskFullError(LogError):
-    """The disk is full, or nearly so: what was acknowledged is kept, nothing more can be written."""
+    """The disk is full, or nearly so: nothing more can be written; of a log that was begun, what was acknowledged is
+    kept.
+    """
 
     exit_code = 3
 
-    def __init__(self, path: str | PathLike[str], why: str) -> None:
-        super().__init__(f"{path}: {why}; everything acknowledged until then is in the log")
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        why: str,
+        kept: str = "nothing was recorded; make room or choose another disk",
+    ) -> None:
+        """`kept` says what there is all the same."""
+        self.why = why
+        super().__init__(f"{path}: {why}; {kept}")
 
 
 class SourceError(ImuArrayError):

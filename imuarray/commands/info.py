@@ -34,6 +34,7 @@ def describe(log: Log) -> dict[str, Any]:
     return {
         "log": str(log.path),
         "state": log.state,
+        "losses": list(log.losses),
         "source": log.source,
         "epoch": log.epoch,
         "software": log.software,
@@ -83,7 +84,10 @@ def _print(summary: dict[str, Any]) -> None:
     _say(f"{summary['log']}: {summary['source']}{emulated}, from {summary['epoch']}, written by {summary['software']}")
     if summary["state"] != "finished":
         hint = f"; imuarray recover {summary['log']} finishes it" if summary["state"] == "interrupted" else ""
-        _say(f"  {summary['state']}: all that was acknowledged is shown{hint}")
+        shown = "what could be read" if summary["losses"] else "all that was acknowledged"
+        _say(f"  {summary['state']}: {shown} is shown{hint}")
+    for loss in summary["losses"]:
+        _say(f"  {loss}")
     for sensor in summary["sensors"]:
         scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else sensor["unit"]
         flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
+from imuarray.commands.options import json_option, log_argument, print_json, progress, refuse_existing
 
 
 @click.command("recover")
@@ -18,7 +18,7 @@ from imuarray.commands.options import force_option, json_option, log_argument, p
     metavar="FILE.h5",
     help="write the finished log here and leave RUN.h5 as it is (where its disk is full)",
 )
-@force_option
+@click.option("--force", is_flag=True, help="overwrite the output; finish a log without its journal")
 @json_option
 def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
     """Finish a log whose writing was cut short: every acknowledged row, compressed and checked, in its place.
@@ -33,10 +33,12 @@ def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
     with open_log(run) as log:
         rows = sum(len(sensor) for sensor in log.sensors.values())
     with progress(rows, str(run)) as done:
-        recovered = recover(run, output, done)
+        recovered = recover(run, output, done, force=force)
     if as_json:
         print_json({"log": str(output or run), **recovered._asdict()})
     elif recovered.changed:
         click.echo(f"{output or run}: recovered {sum(recovered.rows.values())} rows of {len(recovered.rows)} sensors")
+    elif output is not None:
+        click.echo(f"{run}: is finished, there is nothing to recover; {output} is a copy of it")
     else:
         click.echo(f"{run}: is finished, there is nothing to recover")

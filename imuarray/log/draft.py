@@ -45,16 +45,21 @@ class Draft:
         try:
             self.part.unlink(missing_ok=True)
             self.file = h5py.File(self.part, "w", libver="latest")
+            self._room = Allowance(self.part, path, allocate=durable)
         except OSError as error:
+            with contextlib.suppress(OSError):  # a full disk takes the name, and then not the first bytes
+                self.part.unlink(missing_ok=True)
             raise unwritable(path, error) from None
         self._durable = durable
-        self._room = Allowance(self.part, path, allocate=durable)
         try:
             self._room.ask(len(self.groups) * _EMPTY_BYTES + len(preamble.config) * 4)
             groups.begin(self.file, preamble)
             self.file.create_group("sensors")
             for header in preamble.sensors:
                 groups.create_sensor(self.file, header, preamble.epoch, chunk, groups.COMPRESSED)
+        except OSError as error:
+            self.discard()
+            raise unwritable(path, error) from None
         except BaseException:
             self.discard()
             raise

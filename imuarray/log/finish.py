@@ -5,20 +5,24 @@ row; then it takes the log's place and the journal goes. Whatever interrupts tha
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from imuarray.errors import LogError
+from imuarray.errors import DiskFullError, LogError
 from imuarray.log.draft import Draft
-from imuarray.log.journal import JournalLock
+from imuarray.log.format import Event
+from imuarray.log.journal import JournalLock, journal_of
 from imuarray.log.layout import BESIDE, NOTES, Group, Notes, groups_of
 from imuarray.log.reader import Log
 from imuarray.log.room import reserve_of, sync_folder, unwritable
 
 _ROWS = 1 << 16
+_LEFT = "the log is left as it was"
 
 
 class Recovered(NamedTuple):
@@ -28,8 +32,19 @@ class Recovered(NamedTuple):
     changed: bool
 
 
-def recover(path: Path, output: Path | None = None, progress: Callable[[int], None] = lambda rows: None) -> Recovered:
-    """Finish the interrupted log at `path`, in its place or as `output`; LogBusyError, DiskFullError, LogError."""
+def recover(
+    path: Path,
+    output: Path | None = None,
+    progress: Callable[[int], None] = lambda rows: None,
+    *,
+    force: bool = False,
+    now: datetime | None = None,
+) -> Recovered:
+    """Finish the interrupted log at `path`, in its place or as `output`; a finished one is copied to `output`.
+
+    One whose journal is not there is finished only with `force`. An event says when (`now`; None: this moment) and how
+    many rows. LogBusyError, DiskFullError, LogError.
+    """
     try:
         lock = JournalLock(path, create=False)
     except FileNotFoundError:
@@ -37,11 +52,18 @@ def recover(path: Path, output: Path | None = None, progress: Callable[[int], No
     try:
         with Log(path, thorough=True) as log:
             rows = {name: len(sensor) for name, sensor in log.sensors.items()}
-            changed = log.preamble is not None
+            changed, losses = log.preamble is not None, log.losses
             if changed:
-                _rewrite(log, output or path, progress)
+                if not log.has_journal and not force:
+                    raise LogError(
+                        f"{path}: {losses[0]}; copy {path.name} and {journal_of(path).name} together, or say --force"
+                        " to finish it without them"
+                    )
+                _rewrite(log, output or path, progress, (*_losses(log), _trace(log, now or datetime.now(UTC))))
         if output is None:
-            _sweep(path, lock)
+            _sweep(path, lock, keep=bool(losses))
+        elif not changed:
+            _copy(path, output)
     finally:
         if lock is not None:
             lock.close()
@@ -51,15 +73,49 @@ def recover(path: Path, output: Path | None = None, progress: Callable[[int], No
 def finish(path: Path, lock: JournalLock) -> None:
     """Finish the log at `path`, whose writer has closed it and holds its `lock`; DiskFullError, LogError."""
     with Log(path) as log:
-        _rewrite(log, path, lambda rows: None)
-    _sweep(path, lock)
+        losses = log.losses
+        _rewrite(log, path, lambda rows: None, _losses(log))
+    _sweep(path, lock, keep=bool(losses))
 
 
-def _rewrite(log: Log, target: Path, progress: Callable[[int], None]) -> None:
-    """A finished copy of an unfinished log takes the name `target`, once it is known to be equal."""
+def _end_ns(log: Log) -> int:
+    """The time of the last row of all."""
+    return max((int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)), default=0)
+
+
+def _losses(log: Log) -> tuple[Event, ...]:
+    """What of an unfinished log could not be had, for its events."""
+    return tuple(Event(_end_ns(log), "", "damaged", loss) for loss in log.losses)
+
+
+def _trace(log: Log, now: datetime) -> Event:
+    """That a log was cut short, for its events."""
+    rows = sum(len(sensor) for sensor in log.sensors.values())
+    when = now.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    return Event(_end_ns(log), "", "recovered", f"the log was cut short; its {rows} rows were recovered {when}")
+
+
+def _copy(path: Path, output: Path) -> None:
+    """A finished log under another name; LogError."""
+    part = output.with_name(f".{output.name}.{os.getpid()}.part")
+    try:
+        shutil.copyfile(path, part)
+        part.replace(output)
+    except OSError as error:
+        raise unwritable(output, error, _LEFT) from None
+    finally:
+        part.unlink(missing_ok=True)
+    sync_folder(output)
+
+
+def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tuple[Event, ...]) -> None:
+    """A finished copy of an unfinished log, and events `added`, takes the name `target` once it is known equal."""
     if log.preamble is None:
         raise LogError(f"{log.path}: is finished")
-    draft = Draft(target, log.preamble, durable=True)
+    try:
+        draft = Draft(target, log.preamble, durable=True)
+    except DiskFullError as error:
+        raise DiskFullError(target, error.why, _LEFT) from None
     try:
         done = 0
         for number, group in enumerate(draft.groups):
@@ -67,18 +123,18 @@ def _rewrite(log: Log, target: Path, progress: Callable[[int], None]) -> None:
                 draft.append(number, rows)
                 done += len(rows["time"])
                 progress(done)
-        draft.notes = Notes(list(log.phases), list(log.events))
+        draft.notes = Notes(list(log.phases), [*log.events, *added])
         draft.close()
         with Log(draft.part) as copy:
-            _compare(log, copy, groups_of(log.preamble.sensors))
+            _compare(log, copy, groups_of(log.preamble.sensors), added)
         draft.publish(target)
         sync_folder(target)
+    except DiskFullError as error:
+        raise DiskFullError(target, error.why, _LEFT) from None
     except OSError as error:
+        raise unwritable(target, error, _LEFT) from None
+    finally:
         draft.discard()
-        raise unwritable(target, error) from None
-    except BaseException:
-        draft.discard()
-        raise
 
 
 def _columns(log: Log, group: Group) -> Mapping[str, Any] | None:
@@ -101,19 +157,23 @@ def _stretches(log: Log, group: Group) -> Iterator[dict[str, Any]]:
         yield {name: np.asarray(column[start : start + _ROWS]) for name, column in columns.items()}
 
 
-def _compare(log: Log, copy: Log, groups: tuple[Group, ...]) -> None:
-    """LogError unless the copy holds, bit by bit, what the log holds."""
+def _compare(log: Log, copy: Log, groups: tuple[Group, ...], added: tuple[Event, ...]) -> None:
+    """LogError unless the copy holds, bit by bit, what the log holds, and the events `added`."""
     for group in groups:
         for ours, theirs in zip(_stretches(log, group), _stretches(copy, group), strict=True):
             if any(ours[name].tobytes() != theirs[name].tobytes() for name in ours):
                 raise LogError(f"{log.path}: its finished copy differs in /{group.path}; the log is left as it was")
-    if (log.phases, log.events) != (copy.phases, copy.events):
+    if (log.phases, (*log.events, *added)) != (copy.phases, copy.events):
         raise LogError(f"{log.path}: its finished copy differs in phases or events; the log is left as it was")
 
 
-def _sweep(path: Path, lock: JournalLock | None) -> None:
-    """Remove what a finished log does not need: journal, reserve, and the copies of processes that are gone."""
-    if lock is not None:
+def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> None:
+    """Remove what a finished log does not need: journal (put aside to `keep` it), reserve, and the copies of processes
+    that are gone.
+    """
+    if lock is not None and keep:
+        lock.put_aside()
+    elif lock is not None:
         lock.remove()
     reserve_of(path).unlink(missing_ok=True)
     for part in path.parent.glob(f".{path.name.replace('[', '[[]')}.*.part"):

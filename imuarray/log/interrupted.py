@@ -36,6 +36,8 @@ class LiveView:
         self._file = file
         self.attrs = file.attrs
         self.preamble = tail.preamble
+        self.losses = tail.losses
+        self.has_journal = tail.has_journal
         parts = {}
         for group, rows, columns in zip(groups_of(tail.preamble.sensors), tail.rows, tail.columns, strict=True):
             parts[group.path] = _joined(file[group.path], group, rows, columns)
@@ -71,6 +73,8 @@ class _Tail(NamedTuple):
     preamble: Preamble
     rows: tuple[int, ...]
     columns: list[Mapping[str, npt.NDArray[Any]]]
+    losses: tuple[str, ...]
+    has_journal: bool
 
 
 def _joined(group: h5py.Group, layout: Group, rows: int, tail: Columns) -> LiveGroup:
@@ -95,6 +99,8 @@ class Rebuilt(h5py.File):  # type: ignore[misc]  # h5py ships no types
     """A log made again from its journal, in a file that has no name any more."""
 
     preamble: Preamble
+    losses: tuple[str, ...]
+    has_journal = True
 
 
 def open_interrupted(path: Path, *, thorough: bool = False) -> LiveView | Rebuilt | None:
@@ -102,22 +108,29 @@ def open_interrupted(path: Path, *, thorough: bool = False) -> LiveView | Rebuil
 
     `thorough` looks at every commit, not only at the last: all of the file is read.
     """
+    journal, why = _journal(path)
     file = _open(path)
-    if file is not None and not _is_live(file):
-        file.close()
-        return None
     try:
-        journal = JournalReader(path)
-    except (OSError, LogError):
-        journal = None
-    try:
-        view = None if file is None else _view(path, file, journal, thorough)
+        if file is not None and not _is_live(file):
+            file.close()
+            return None
+        view = None if file is None else _view(path, file, journal, why, thorough)
         if view is None and journal is None:
             raise LogError(f"{path}: was not finished, and is damaged; its journal is missing or damaged too")
         return view or rebuilt(cast(JournalReader, journal))
     finally:
         if journal is not None:
             journal.close()
+
+
+def _journal(path: Path) -> tuple[JournalReader | None, str]:
+    """The journal of a log, None and why if it can't be had."""
+    try:
+        return JournalReader(path), ""
+    except FileNotFoundError:
+        return None, "is missing"
+    except (OSError, LogError):
+        return None, "is damaged"
 
 
 def _open(path: Path) -> h5py.File | None:
@@ -136,18 +149,20 @@ def _is_live(file: h5py.File) -> bool:
 def may_be_unfinished(path: Path) -> bool:
     """Whether a log should be looked at so: it says so, it has a journal, or HDF5 can't open it."""
     try:
-        return path.is_file() and (says_unclosed(path) or journal_of(path).is_file())
+        return journal_of(path).is_file() if not path.is_file() else says_unclosed(path) or journal_of(path).is_file()
     except OSError:
         return False
 
 
-def _view(path: Path, file: h5py.File, journal: JournalReader | None, thorough: bool) -> LiveView | None:
-    """The file as far as it is good, and the journal from there on; else None, and the file is closed."""
+def _view(path: Path, file: h5py.File, journal: JournalReader | None, why: str, thorough: bool) -> LiveView | None:
+    """The file as far as it is good, and the journal from there on (or `why` there is none); else None, and the file is
+    closed.
+    """
     view = None
     try:
         with h5py.File(Unclosed(path), "r") as inspected:
             refuse_hostile(file, inspected, str(path))
-        tail = _tail(file, journal, thorough)
+        tail = _tail(path, file, journal, why, thorough)
         view = None if tail is None else LiveView(file, tail)
     except LogError:
         if journal is None:
@@ -160,11 +175,11 @@ def _view(path: Path, file: h5py.File, journal: JournalReader | None, thorough: 
     return view
 
 
-def _tail(file: h5py.File, journal: JournalReader | None, thorough: bool) -> _Tail | None:
+def _tail(path: Path, file: h5py.File, journal: JournalReader | None, why: str, thorough: bool) -> _Tail | None:
     """How far the file is good, and what is in the journal behind that; None where the journal alone is better."""
     preamble = Preamble.from_json(str(file.attrs[PREAMBLE]))
     if journal is not None and journal.preamble != preamble:
-        journal = None
+        journal, why = None, "is another log's"
     groups = groups_of(preamble.sensors)
     commits = read_commits(file[COMMITS][:], preamble.identity, groups)
     good = _good(file, groups, commits, thorough)
@@ -172,10 +187,20 @@ def _tail(file: h5py.File, journal: JournalReader | None, thorough: bool) -> _Ta
         return None
     rows = commits[good - 1].rows if good else (0,) * len(groups)
     parts: list[list[Columns]] = [[] for _ in groups]
+    losses = [f"its journal {journal_of(path).name} {why}: rows since the last commit are not here"]
     if journal is not None:
-        for record in journal.records(commits[good - 1].mark if good else None):
+        for record in journal.records(commits[good - 1].mark if good else None, _newest_ns(file, groups, rows)):
             parts[record.group].append(groups[record.group].decode(record.payload, record.rows))
-    return _Tail(preamble, rows, [group.joined(some) for group, some in zip(groups, parts, strict=True)])
+        losses = journal.damage
+    joined: list[Columns] = [group.joined(some) for group, some in zip(groups, parts, strict=True)]
+    return _Tail(preamble, rows, joined, tuple(losses), journal is not None)
+
+
+def _newest_ns(file: h5py.File, groups: tuple[Group, ...], rows: tuple[int, ...]) -> dict[int, int]:
+    """The last times of sensors that have that many rows, by number."""
+    counted = zip(groups, rows, strict=True)
+    times = ((number, group.path, count) for number, (group, count) in enumerate(counted) if count)
+    return {number: int(file[path]["time"][count - 1]) for number, path, count in times if path.startswith("sensors/")}
 
 
 def _good(file: h5py.File, groups: tuple[Group, ...], commits: list[Commit], thorough: bool) -> int:
@@ -209,7 +234,7 @@ def rebuilt(journal: JournalReader) -> Rebuilt:
                 draft.append(record.group, journal.groups[record.group].decode(record.payload, record.rows))
             draft.close()
             file = Rebuilt(draft.part, "r")
-            file.preamble = journal.preamble
+            file.preamble, file.losses = journal.preamble, tuple(journal.damage)
             return file
         finally:
             draft.discard()

@@ -31,6 +31,7 @@ PREAMBLE = "preamble"
 QUEUE_BLOCKS = 1024
 """Blocks that may wait for a slow disk; then `put` waits too."""
 
+_KEPT = "everything acknowledged until then is in the log"
 _AT_ONCE = 256
 _COMMIT_ROWS = 64
 _EMPTY_BYTES = 1 << 14
@@ -252,6 +253,6 @@ class Live:
 
     def _stop(self, error: ImuArrayError) -> None:
         """Nothing more is written; what was, is on the disk as far as the disk can."""
-        self.error = error
+        self.error = DiskFullError(self.path, error.why, _KEPT) if isinstance(error, DiskFullError) else error
         with contextlib.suppress(OSError):
             self._journal.sync()

@@ -87,6 +87,16 @@ class Log:
         return "being written" if is_running(self.path) else "interrupted"
 
     @property
+    def losses(self) -> tuple[str, ...]:
+        """What of an unfinished log's acknowledged rows can't be had any more, a line each."""
+        return self._file.losses if isinstance(self._file, LiveView | Rebuilt) else ()
+
+    @property
+    def has_journal(self) -> bool:
+        """Whether an unfinished log has the journal that belongs to it; True for one that is finished."""
+        return not isinstance(self._file, LiveView) or self._file.has_journal
+
+    @property
     def is_rebuilt(self) -> bool:
         """Whether the HDF5 file of an unfinished log was of no use, and everything comes from its journal."""
         return isinstance(self._file, Rebuilt)

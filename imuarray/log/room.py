@@ -33,10 +33,10 @@ def free_bytes(path: Path) -> int:
     return room.f_bavail * room.f_frsize
 
 
-def unwritable(path: Path, error: OSError) -> LogError:
-    """The error of `path` for what the system said: DiskFullError where there is no room."""
+def unwritable(path: Path, error: OSError, *kept: str) -> LogError:
+    """The error of `path` for what the system said: DiskFullError where there is no room (and `kept` what there is)."""
     if error.errno in FULL:
-        return DiskFullError(path, "no room left on the disk")
+        return DiskFullError(path, "no room left on the disk", *kept)
     return LogError(f"{path}: can't be written: {os.strerror(error.errno) if error.errno else error}")
 
 

@@ -28,7 +28,7 @@ class Verdict(NamedTuple):
 def verify(path: Path, progress: Callable[[int], None] = lambda rows: None) -> Verdict:
     """Read all of the log at `path`; `progress` hears how many rows are done. LogError if it can't be opened."""
     with Log(path, thorough=True) as log:
-        problems: list[str] = []
+        problems = list(log.losses)
         done = 0
         for sensor in log.sensors.values():
             for read, found in _sensor(sensor):
@@ -107,6 +107,7 @@ def _holes(place: str, name: str, column: Any) -> list[str]:
 
 def _remarks(log: Log) -> Iterator[str]:
     if log.state == "interrupted":
-        yield f"it was not finished; all that was acknowledged is there: imuarray recover {log.path} finishes it"
+        there = "" if log.losses else "; all that was acknowledged is there"
+        yield f"it was not finished{there}: imuarray recover {log.path} finishes it"
     if log.is_rebuilt:
-        yield "its HDF5 file is damaged: all of it is had from its journal"
+        yield f"its HDF5 file is {'damaged' if log.path.exists() else 'gone'}: all of it is had from its journal"

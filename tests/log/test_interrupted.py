@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,12 @@ from hypothesis import strategies as st
 
 import imuarray.log.writer as writing
 from imuarray.cli import main
-from imuarray.errors import LogError
+from imuarray.errors import DiskFullError, LogError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.column import Column
 from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase, SensorHeader
-from imuarray.log.journal import journal_of
+from imuarray.log.journal import JournalReader, journal_of
 from imuarray.log.unclosed import Unclosed, says_unclosed
 from imuarray.log.verify import verify
 
@@ -96,7 +98,8 @@ def check(path: Path, rows: int = ROWS) -> None:
         assert log["Baro"].compensated("pressure")[:].tolist() == [99_000.0 + 10 * row for row in range(frames)]
         assert log["Baro"].attributes["AC1"] == 408
         assert log["Acc"].attributes["delay_ns"] == 7
-        assert log.events == (Event(3, "Acc", "lost", "no reading"),)
+        assert log.events[:1] == (Event(3, "Acc", "lost", "no reading"),)
+        assert [event.kind for event in log.events[1:]] == (["recovered"] if log.state == "finished" else [])
         assert (log.source, log.epoch, log.config) == ("emulated", "2026-01-01T00:00:00Z", "# t")
         if rows == ROWS:
             assert log.phases == (Phase(0, 10, "static", ""),)
@@ -139,8 +142,97 @@ def test_it_is_recovered_elsewhere(run: Path, tmp_path: Path) -> None:
 def test_without_its_journal_it_is_good_up_to_the_last_commit(run: Path) -> None:
     journal_of(run).unlink()
     check(run, 210)
+    recover(run, force=True)
+    check_damaged(run, 210)
+
+
+def check_damaged(path: Path, rows: int) -> None:
+    """A recovered log that says what it lost."""
+    with open_log(path) as log:
+        assert np.asarray(log["Acc"].counts[:]).tolist() == acc(0, rows).counts.tolist()
+        assert [event.kind for event in log.events] == ["lost", "damaged", "recovered"]
+
+
+def test_without_its_journal_it_is_not_called_whole(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    journal_of(run).unlink()
+    before = run.read_bytes()
+    missing = "its journal run.h5.journal is missing: rows since the last commit are not here"
+    assert main(["verify", str(run)]) == 2
+    assert missing in capsys.readouterr().err
+    assert main(["info", str(run)]) == 0
+    told = capsys.readouterr().out
+    assert missing in told
+    assert "all that was acknowledged" not in told
+    assert main(["recover", str(run)]) == 2
+    said = capsys.readouterr().err
+    assert "copy run.h5 and run.h5.journal together" in said
+    assert len(said.splitlines()) == 1
+    assert run.read_bytes() == before
+    assert main(["recover", str(run), "--force"]) == 0
+    check_damaged(run, 210)
+
+
+def test_with_a_flipped_bit_in_the_journal_the_rows_behind_it_are_saved(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = bytearray(journal_of(run).read_bytes())
+    with JournalReader(run) as journal:
+        blocks = [record for record in journal.records() if record.group == 0]
+    content[blocks[21].after.position - 4] ^= 1  # rows 210 to 219: two blocks are in no commit
+    journal_of(run).write_bytes(content)
+    assert main(["verify", str(run)]) == 2
+    assert "are damaged, rows are lost" in capsys.readouterr().err
+    assert main(["info", str(run)]) == 0
+    assert "are damaged, rows are lost" in capsys.readouterr().out
+    assert main(["recover", str(run)]) == 0
+    aside = run.with_name("run.h5.journal.damaged")
+    assert aside.read_bytes() == content
+    assert not journal_of(run).exists()
+    with open_log(run) as log:
+        rows = np.asarray(log["Acc"].counts[:])[:, 0].tolist()
+        assert rows == [*range(210), *range(220, ROWS)]
+        assert [event.kind for event in log.events] == ["lost", "damaged", "recovered"]
+
+
+@pytest.mark.parametrize("command", ["info", "verify", "recover"])
+def test_a_journal_alone_is_the_whole_log(run: Path, command: str) -> None:
+    run.unlink()
+    assert main([command, str(run)]) == 0
+    check(run)
+
+
+def test_a_journal_alone_that_is_none_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run.unlink()
+    journal_of(run).write_bytes(b"no journal")
+    assert main(["info", str(run)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_recovered_log_says_that_it_was_cut_short(run: Path) -> None:
+    recover(run, now=datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC))
+    with open_log(run) as log:
+        last_ns = int(log["Acc"].time[-1])
+        text = f"the log was cut short; its {ROWS + 23} rows were recovered 2026-01-02T03:04:05Z"
+        assert log.events[-1] == Event(last_ns, "", "recovered", text)
+
+
+def test_a_finished_log_is_copied_elsewhere(run: Path, tmp_path: Path) -> None:
     recover(run)
-    check(run, 210)
+    copy = tmp_path / "copy.h5"
+    assert main(["recover", str(run), "-o", str(copy)]) == 0
+    assert copy.read_bytes() == run.read_bytes()
+
+
+def test_no_room_to_recover_does_not_say_that_nothing_was_recorded(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {path: path.read_bytes() for path in run.parent.iterdir()}
+
+    def full(fd: int, start: int, length: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("imuarray.log.room._allocate", full)
+    with pytest.raises(DiskFullError, match=r"no room left on the disk; the log is left as it was$"):
+        recover(run)
+    assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
 
 
 def test_the_journal_of_another_log_is_not_believed(run: Path, tmp_path: Path) -> None:

@@ -117,11 +117,23 @@ def test_files_may_not_be_longer(tmp_path: Path) -> None:
 def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imuarray.log.live.free_bytes", lambda path: 10 * MIB)
     with (
-        pytest.raises(DiskFullError, match="less than 64 MiB are free"),
+        pytest.raises(
+            DiskFullError, match=r"less than 64 MiB are free; nothing was recorded; make room or choose another disk$"
+        ),
         LogWriter(tmp_path / "run.h5", rows.SENSORS, source="simulated", epoch=rows.EPOCH) as log,
     ):
         log.keep()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_takes_the_name_and_no_byte_keeps_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    no_byte = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))"
+    done = logged(folder, no_byte, watermark=0)
+    assert "nothing was recorded" in done.stderr
+    assert done.returncode == DiskFullError.exit_code
+    assert list(folder.iterdir()) == []
 
 
 def test_a_draft_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
