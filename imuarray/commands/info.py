@@ -37,6 +37,7 @@ def describe(log: Log) -> dict[str, Any]:
         "losses": list(log.losses),
         "source": log.source,
         "epoch": log.epoch,
+        **_span(log),
         "software": log.software,
         "sensors": [_sensor(sensor) for sensor in log.sensors.values()],
         "phases": [
@@ -49,6 +50,28 @@ def describe(log: Log) -> dict[str, Any]:
         ],
         "truth": log.truth is not None,
     }
+
+
+def _span(log: Log) -> dict[str, str | None]:
+    """When its first row and its last one were read, wall time: a part of a rotated log begins after its epoch."""
+    rows = [sensor for sensor in log.sensors.values() if len(sensor)]
+    first = min((int(sensor.time[0]) for sensor in rows), default=None)
+    last = max((int(sensor.time[-1]) for sensor in rows), default=None)
+    return {"begins": _wall_time(log.epoch, first), "ends": _wall_time(log.epoch, last)}
+
+
+def _wall_time(epoch: str, at_ns: int | None) -> str | None:
+    """ISO 8601 UTC, None for a log without rows or without a date."""
+    from datetime import UTC, datetime, timedelta
+
+    if at_ns is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(epoch) + timedelta(microseconds=at_ns // 1000)
+    except (ValueError, OverflowError):
+        return None
+    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def _sensor(sensor: SensorLog) -> dict[str, Any]:
@@ -82,6 +105,8 @@ def _print(summary: dict[str, Any]) -> None:
     """The same for a person."""
     emulated = " (no hardware)" if summary["source"] == "emulated" else ""
     _say(f"{summary['log']}: {summary['source']}{emulated}, from {summary['epoch']}, written by {summary['software']}")
+    if summary["begins"]:
+        _say(f"  rows from {summary['begins']} to {summary['ends']}")
     if summary["state"] != "finished":
         hint = f"; imuarray recover {summary['log']} finishes it" if summary["state"] == "interrupted" else ""
         shown = "what could be read" if summary["losses"] else "all that was acknowledged"

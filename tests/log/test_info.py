@@ -1,0 +1,30 @@
+"""What `imuarray info` says of when a log's rows were read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import pytest
+
+from imuarray.cli import main
+
+
+def test_rows_have_a_wall_time_of_their_own(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with h5py.File(small, "r+") as file:
+        for sensor in file["sensors"].values():
+            sensor["time"][:] += 3_600_000_000_000  # the second part of a log that began an hour before
+    assert main(["info", str(small), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["epoch"] == "2013-09-16T08:30:00.000000Z"
+    assert (told["begins"], told["ends"]) == ("2013-09-16T09:30:00.000Z", "2013-09-16T09:30:00.090Z")
+    assert main(["info", str(small)]) == 0
+    assert "rows from 2013-09-16T09:30:00.000Z to 2013-09-16T09:30:00.090Z" in capsys.readouterr().out
+
+
+def test_a_log_without_a_date_has_none(small: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with h5py.File(small, "r+") as file:
+        file.attrs["epoch"] = "then"
+    assert main(["info", str(small), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["begins"] is None
