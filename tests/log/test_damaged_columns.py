@@ -53,7 +53,7 @@ def test_so_are_those_of_the_truth(small: Path) -> None:
     with open_log(flip_a_bit(small, "truth/specific_force")) as log, pytest.raises(LogError) as refused:
         assert log.truth is not None
         np.asarray(log.truth.specific_force)
-    assert f"{small}, group truth: specific_force: rows 0 to 4 are damaged" in str(refused.value)
+    assert f"{small}: group truth: specific_force: rows 0 to 4 are damaged" in str(refused.value)
 
 
 @pytest.mark.parametrize("command", ["fuse", "characterise", "calibrate noise", "calibrate tumble", "gap diagnose"])
