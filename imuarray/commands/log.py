@@ -173,8 +173,6 @@ def _connected(
             click.echo(f"imuarray: {recorder.remark}", err=True)
     if bus.source == "emulated":
         click.echo("imuarray: recording the emulated array, no hardware", err=True)
-    elif bus.source == "replay":
-        click.echo(f"imuarray: replaying {url.partition(':')[2]}", err=True)
     return bus, recorder
 
 
