@@ -54,8 +54,8 @@ def left_over(machine: Machine, folder: Path) -> Iterator[Check]:
             yield Check("journal", True, f"{log.name} is being written")
         else:
             clean = False
-            advice = f"imuarray recover {log}" if log.exists() else f"its log is gone: move {journal} away"
-            yield Check("journal", False, f"{journal.name} is left over: its log was never finished", advice)
+            left = f"{journal.name} is left over: its log was never finished"
+            yield Check("journal", False, left, f"imuarray recover {log}")
     for part in sorted(folder.glob(".*.part")):
         process = part.name.split(".")[-2]
         if process.isdigit() and not machine.path(f"/proc/{process}").exists():
