@@ -23,6 +23,7 @@ nobody acknowledges, 110 (ETIMEDOUT) for a clock held too long (LNX-40 ... LNX-4
 from __future__ import annotations
 
 import errno
+import os
 from os import PathLike
 
 NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})
@@ -103,7 +104,8 @@ class OutputError(ImuArrayError):
     """An output that can't be written, for what the system said; nothing is left of it."""
 
     def __init__(self, path: str | PathLike[str], error: OSError) -> None:
-        super().__init__(f"{path}: can't be written: {error.strerror or error}")
+        why = os.strerror(error.errno) if error.errno else error  # HDF5's own words are a paragraph
+        super().__init__(f"{path}: can't be written: {why}")
         self.exit_code = 3 if error.errno in NO_ROOM else 2
 
 

@@ -63,6 +63,11 @@ def test_a_device_stays_one() -> None:
     assert Path("/dev/null").is_char_device()
 
 
+def test_the_words_of_hdf5_are_not_repeated() -> None:
+    told = OutputError("f.h5", OSError(errno.ENOSPC, "Unable to create file (file write failed: time = Sun ...)"))
+    assert str(told) == "f.h5: can't be written: No space left on device"
+
+
 def test_no_folder(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="No such file or directory") as refused:
         write_text(tmp_path / "none" / "a", "")
