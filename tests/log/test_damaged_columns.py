@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import h5py
@@ -73,3 +74,15 @@ def test_verify_names_them(small: Path, capsys: pytest.CaptureFixture[str]) -> N
     main(["verify", str(flip_a_bit(small, "sensors/Acc/counts"))])
     out, err = capsys.readouterr()
     assert "sensor Acc: column counts: rows 0 to 4 are damaged" in out + err
+
+
+def test_a_refused_log_does_not_keep_others_from_reading(small: Path) -> None:
+    with h5py.File(small, "r+") as file:
+        file["sensors/Acc/time"][:] = 0
+    with pytest.raises(LogError) as refused:  # kept, with everything that it stands in
+        open_log(small)
+    read: list[int] = []
+    other = threading.Thread(target=lambda: read.append(len(h5py.File(small)["sensors"])), daemon=True)
+    other.start()
+    other.join(20)
+    assert read == [3], refused

@@ -28,6 +28,37 @@ def gyro(first: int, count: int) -> Block:
     return Block(row * 1000 + 5, np.stack([row, -row, row % 7], axis=1).astype(np.int16), (row % 8).astype(np.uint16))
 
 
+OTHER_PROGRAM = """
+import sys, h5py, imuarray
+with h5py.File(sys.argv[1], swmr=True) as file:
+    print(len(file["sensors/Gyro/time"]), file["sensors/Gyro/time"][-1])
+with imuarray.open_log(sys.argv[1]) as log:
+    print(len(log["Gyro"]), log["Gyro"].time[-1])
+try:
+    h5py.File(sys.argv[1])
+except OSError as error:
+    print("h5clear" in str(error))
+"""
+
+
+def test_another_program_opens_it_as_the_readme_says(
+    tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "CHUNK", 64)
+    path = tmp_path / "run.h5"
+    with writer(path) as log:
+        log.keep()
+        for first in range(0, 100, 10):
+            log.append("Gyro", gyro(first, 10))
+            log.flush()
+        seen = subprocess.run([sys.executable, "-c", OTHER_PROGRAM, path], capture_output=True, text=True)
+        log.append("Gyro", gyro(100, 10))
+    assert seen.stderr == ""
+    assert seen.stdout.splitlines() == ["70 69005", "100 99005", "True"]
+    with open_log(path) as finished:
+        assert len(finished["Gyro"]) == 110
+
+
 def test_what_a_reader_sees_while_it_is_written(
     tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
