@@ -118,7 +118,8 @@ def main() -> int:
         begun_s = time.monotonic()
         let_in += read(path)
         slowest = max(slowest, time.monotonic() - begun_s)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
+    status = Path("/proc/self/status").read_text(encoding="ascii")  # ru_maxrss is at least that of who started this
+    peak = int(status.split("VmHWM:")[1].split()[0]) >> 10
     print(f"{count} logs: {let_in} let in, slowest {slowest:.3f} s, {peak} MiB")
     return 0
 
