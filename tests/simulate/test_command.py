@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -199,10 +201,17 @@ def test_what_a_model_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureF
     assert "its sensors Gyro7 are not in this array" in said
 
 
+@pytest.fixture
+def as_in_a_terminal() -> Iterator[None]:
+    """Ctrl-C as Python finds it, also where a shell has started the tests in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("as_in_a_terminal")
 def test_an_interrupt_that_python_loses_is_heeded_at_the_next_step() -> None:
     """An exception raised in a callback of the garbage collector is printed and forgotten: the next step ends it."""
-    import signal
-
     from imuarray.commands.options import progress
 
     with pytest.raises(KeyboardInterrupt), progress(10, "work") as done:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import tomli_w
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import ConfigError
@@ -149,7 +149,7 @@ def same(one: Effect, other: Effect) -> bool:
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-@settings(max_examples=40)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
 @given(data=st.data(), unit=st.sampled_from(UNITS))
 def test_there_and_back(name: str, data: st.DataObject, unit: str) -> None:
     effect = data.draw(effects(name))

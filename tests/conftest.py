@@ -1,0 +1,6 @@
+"""What holds for all tests."""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests run side by side: threads of BLAS would be in each other's way
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
