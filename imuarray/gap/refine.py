@@ -254,9 +254,17 @@ def _step(standing: Standing, seen: _Seen, slopes: Floats) -> Floats:
     scores = apart / scale
     weight = np.where(known, (FREEDOM + 1) / (FREEDOM + scores**2), 0.0) * standing.independent
     design = slopes / scale[:, None]
-    normal = design.T @ (weight[:, None] * design) + np.eye(slopes.shape[1]) / _PRIOR**2
-    steps = np.linalg.solve(normal, design.T @ (weight * scores))
-    return np.clip(steps, -_FURTHEST, _FURTHEST)
+    return np.clip(regressed(design, scores, weight), -_FURTHEST, _FURTHEST)
+
+
+def regressed(design: Floats, scores: Floats, weight: Floats) -> Floats:
+    """(k,) coefficients by weighted least squares of scores (n,) by a design (n, k), drawn towards 0 by a prior.
+
+    Columns that can't be told apart share what they explain, however large they are.
+    """
+    root, count = np.sqrt(weight), design.shape[1]
+    rows = np.vstack([root[:, None] * design, np.eye(count) / _PRIOR])
+    return np.asarray(np.linalg.lstsq(rows, np.append(root * scores, np.zeros(count)), rcond=None)[0])
 
 
 def _with_fitted(models: Models, settled: Models) -> Models:

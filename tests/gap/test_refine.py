@@ -13,7 +13,7 @@ from imuarray.gap.candidates import Trial
 from imuarray.gap.compare import Compared, compared_with_base
 from imuarray.gap.factors import Factor, factors_of
 from imuarray.gap.likeness import independent_share, likeness_of
-from imuarray.gap.refine import look, refine
+from imuarray.gap.refine import look, refine, regressed
 from imuarray.gap.search import replicated
 from imuarray.gap.standing import Standing
 from imuarray.simulate.effect import Effect
@@ -134,3 +134,13 @@ def test_what_can_not_be_simulated_is_no_model(tone: tuple[Bench, Standing]) -> 
     for job in (look, refine):
         found = job(bench, standing, Trial((ChannelSwap("G9"),)))
         assert (found.models, found.gain) == (None, -math.inf)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e12, 1e160])
+def test_columns_that_can_not_be_told_apart_share_what_they_explain(size: float) -> None:
+    """3 is explained by two columns of ones: with a prior of width 2, x = 3 n / (2 n + 1/4) each, for n = 4 rows of
+    weight 1; as columns grow it is half of 3 over their size.
+    """
+    found = regressed(np.full((4, 2), size), np.full(4, 3.0), np.ones(4))
+    expected = 12 / 8.25 if size == 1 else 1.5 / size
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
