@@ -134,9 +134,7 @@ def test_what_nobody_takes_is_dropped_whole(config: Path) -> None:
 def test_the_papers_array_from_another_process(tmp_path: Path) -> None:
     run, configs = tmp_path / "run.h5", Path(__file__).parents[2] / "configs"
     arguments = [str(configs / "martin2013.toml"), "--serial"]
-    in_a_terminal = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a shell's & doesn't
-    )
+    in_a_terminal = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a shell's & doesn't
     program = f"{in_a_terminal}; import sys; from firmware_emulator.__main__ import main; sys.exit(main({arguments!r}))"
     command = [sys.executable, "-c", program]
     with subprocess.Popen(
