@@ -16,8 +16,6 @@ from imuarray.gap.refine import Tried
 from imuarray.gap.search import ACCEPTED, Confirmed, Round, confirmed
 from imuarray.gap.standing import Standing, Unit
 
-_STAYS = 0.5
-
 
 def together(bench: Bench, asked: tuple[Standing, tuple[Confirmed, ...]]) -> Confirmed:
     """What the causes of single members make of the family as a whole."""
@@ -37,24 +35,13 @@ def shared_wins(family: Round, members: Confirmed, count: int = 1) -> Confirmed 
     return best if best is not None and best.gain + ACCEPTED * max(count - 1, 0) > members.gain else None
 
 
-def beside(bench: Bench, asked: tuple[Standing, Confirmed]) -> Confirmed:
-    """What a cause of one member gains where this one stands with the shared cause."""
-    member, own = asked
-    return confirmed(bench, member, Tried(own.trial, member.changed(own.trial), 0.0))
-
-
-def staying_beside(family: Round, members: Sequence[Confirmed], with_it: Sequence[Confirmed]) -> tuple[Confirmed, ...]:
-    """Causes of members that are something else than the shared one: `with_it` they gain half of what they do without
-    it, at least. One that wanders with all others gains as much by a wander of its own, and nothing more by it.
-    """
+def staying_beside(family: Round, members: Sequence[Confirmed]) -> tuple[Confirmed, ...]:
+    """Causes of members that are something else than the shared one, and gain more than their part of what it does."""
     best = family.taken
     if best is None:
         return ()
-    return tuple(
-        one
-        for one, more in zip(members, with_it, strict=True)
-        if more.gain > _STAYS * one.gain and one.trial.name != best.trial.name
-    )
+    part = best.gain / len(best.standing.unit)
+    return tuple(one for one in members if one.gain > part and one.trial.name != best.trial.name)
 
 
 def members_of(bench: Bench, family: Standing, standings: Mapping[Unit, Standing]) -> dict[Unit, Standing]:
@@ -68,7 +55,6 @@ def members_of(bench: Bench, family: Standing, standings: Mapping[Unit, Standing
             models={name: family.models[name]},
             likeness=family.likeness.of(own),
             values=family.values[:, own],
-            misfit=family.misfit / len(family.unit),
         )
     return found
 

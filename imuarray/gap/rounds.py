@@ -12,10 +12,10 @@ import numpy.typing as npt
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.compare import Compared
 from imuarray.gap.evidence import Evidence, Scored, evidence_of
-from imuarray.gap.families import beside, members_of, shared_wins, staying_beside, together, unlike
+from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.pairs import scorer_of
-from imuarray.gap.search import Confirmed, Round, guesses_of, placebo_of, replicated, searched
+from imuarray.gap.search import Round, guesses_of, placebo_of, replicated, searched
 from imuarray.gap.split import Side
 from imuarray.gap.stage import Modelled
 from imuarray.gap.standing import Standing, Unit, compared, reads_another
@@ -140,7 +140,7 @@ def _families(
     came = searched(families, trials, placebos, run, known)
     taken = {name: own[-1].taken for (name, *more), own in rounds.items() if not more}
     members = {family: [one for name in family if (one := taken.get(name)) is not None] for family in trials}
-    staying = {family: _staying(found, came[family], members[family], standings, run) for family in trials}
+    staying = {family: staying_beside(came[family], members[family]) for family in trials}
     several = {family: trials[family] for family in trials if staying[family]}
     asked = [(families[family], staying[family]) for family in several]
     families.update({one.standing.unit: one.standing for one in run(together, asked)})
@@ -161,17 +161,6 @@ def _families(
             rounds.pop((name,), None)
         rounds[family] = [came[family]]
         standings.update(members_of(found.bench, won[family].standing, standings))
-
-
-def _staying(
-    found: Compared, family: Round, members: Sequence[Confirmed], standings: Mapping[Unit, Standing], run: Run
-) -> tuple[Confirmed, ...]:
-    """The members' causes that gain something beside the shared one."""
-    if family.taken is None:
-        return ()
-    stand = members_of(found.bench, family.taken.standing, standings)
-    with_it = run(beside, [(stand[one.standing.unit], one) for one in members])
-    return staying_beside(family, members, with_it)
 
 
 def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Unit, list[Trial]]:
