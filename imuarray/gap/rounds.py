@@ -15,7 +15,7 @@ from imuarray.gap.evidence import Evidence, Scored, evidence_of
 from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.pairs import scorer_of
-from imuarray.gap.search import Round, guesses_of, placebo_of, replicated, searched
+from imuarray.gap.search import Confirmed, Round, guesses_of, placebo_of, replicated, searched
 from imuarray.gap.split import Side
 from imuarray.gap.stage import Modelled
 from imuarray.gap.standing import Standing, Unit, compared, reads_another

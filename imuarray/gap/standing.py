@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import f as f_distribution
 
 from imuarray.gap.base_model import Fitted
 from imuarray.gap.candidates import Trial
@@ -176,18 +175,17 @@ def gains_of(standing: Standing, likeness: Likeness, moved: Floats) -> Floats:
 def _kept(moved: Floats, probes: npt.NDArray[np.intp]) -> Floats:
     """(n,) how much of what each statistic moved by (r, n), in standard deviations, the change did.
 
-    Where a change makes noise fall otherwise, or wanders by itself, pairs differ by chance alone; what that adds to the
-    mean of r of them is told from their scatter, for all statistics of a probe together, and the rest by how far the
-    means are apart (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc. 68, 1973).
+    Where a change makes noise fall otherwise, pairs differ by chance alone; what that adds to the mean of r of them is
+    told from their scatter, for all statistics of a probe together, and the rest by how far the means are apart
+    (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc. 68, 1973).
     """
     known = np.isfinite(moved).all(axis=0)
     kept = np.ones(moved.shape[1])
     for probe in np.unique(probes[known]) if len(moved) > 1 else ():
         own = moved[:, known & (probes == probe)]
-        by_chance = float(own.var(axis=0, ddof=1).mean()) / len(own)
+        by_chance = min(float(own.var(axis=0, ddof=1).mean()), _INDEPENDENT) / len(own)
         square = float((own.mean(axis=0) ** 2).mean())
-        clear = float(f_distribution.ppf(_CLEAR, own.shape[1], own.shape[1] * (len(own) - 1)))
-        kept[probes == probe] = max(0.0, 1 - clear * by_chance / square) if square > 0 else 0.0
+        kept[probes == probe] = max(0.0, 1 - by_chance / square) if square > 0 else 0.0
     return kept
 
 
@@ -236,7 +234,7 @@ _PAIRS = 6
 _INDEPENDENT = 2.0
 """Variance of the difference of two independent readings of variance 1."""
 
-_LIKE_IT, _CLEAR = 4.0, 0.75
+_LIKE_IT = 4.0
 _UNSURE = 0.1
 _TINY = 1e-12
 _SAME = 1e-9

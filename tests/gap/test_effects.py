@@ -1,6 +1,6 @@
 """Each effect, strong, moves a probe of the domain that it belongs to; without effects nothing moves.
 
-Some effects are seen in one experiment only: what needs a motion (clock_error, own_clock, skew, jitter, size_effect),
+Some effects are seen in one experiment only: what needs a motion (clock_error, own_clock, skew, size_effect),
 several faces (scale, misalignment, axis_error, nonlinearity, g_sensitivity: on one face all of them look like a bias),
 warmth (thermal_bias, thermal_scale, thermal_lag) or several boots (turn_on_bias, bistable_bias, a range that is lost at
 a boot). What stays unseen is pinned too: at rest no instant matters.
@@ -73,7 +73,7 @@ CASES: Mapping[str, Case] = {
     "channel_swap": Case("static", "cross_sensor", ("G1",), {"sensor": "G2"}),
 }
 
-UNSEEN_AT_REST = ("clock_error", "own_clock", "skew", "jitter", "size_effect", "thermal_lag")
+UNSEEN_AT_REST = ("clock_error", "own_clock", "skew", "size_effect", "thermal_lag")
 """A box that stands still at one temperature feels the same at any instant, anywhere."""
 
 

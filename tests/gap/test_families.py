@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.bench import Bench, Modelled
+from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.compare import compared_with_base
 from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.refine import Tried
 from imuarray.gap.search import ACCEPTED, Confirmed, Round, confirmed
+from imuarray.gap.stage import Modelled
 from imuarray.gap.standing import Standing
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.tone import Tone

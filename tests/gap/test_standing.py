@@ -252,18 +252,6 @@ def test_noise_that_falls_otherwise_is_no_shift() -> None:
     np.testing.assert_allclose(likeness.branches[0, 300:], 0.4, rtol=1e-9)
 
 
-def test_what_wanders_by_itself_is_no_shift() -> None:
-    """300 statistics of one probe, each moved by draws of five standard deviations: two of these agree in sign as often
-    as not, and none of their means is where the next one will be.
-    """
-    without = drawn(300, 3)
-    walked = without[:2] + 5 * drawn(300, 4, rows=2)
-    _, all_moved = compared(standing([0.0] * 300, without), walked)
-    assert all_moved.std() == pytest.approx(5 / math.sqrt(2), rel=0.15)
-    _, moved = compared(replace(standing([0.0] * 300, without), probes=np.zeros(300, int)), walked)
-    assert np.abs(moved).max() < 1e-9
-
-
 def test_a_scatter_is_told_by_all_that_are_alike() -> None:
     """Moved by draws of ten standard deviations, of which two say next to nothing (the lower quartile of the root of
     chi-squared with one degree of freedom is 0.32): 200 that are alike say it within a third, and of others that move
