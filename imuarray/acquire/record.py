@@ -48,10 +48,10 @@ def record(
 
     `phase` names the whole log, with `up` the box axis that points up; `phases` (times on the bus's clock) name parts
     of it. `observe` sees every block of a sensor's rows as it is written, `tell` every event, `counted` the summary so
-    far. `judge` says how sensors came up; one that
-    came up wrong is flagged and set up again. `rotate_s` cuts the log into parts of so many seconds, each a log of its
-    own (`imuarray.log.rotate`). `service` is told how it goes (None: the one that this process belongs to). `wall_time`
-    is the UTC time of the start (None: that of the transcript that is replayed, or the wall clock, read once).
+    far. `judge` says how sensors came up; one that came up wrong is flagged and set up again. `rotate_s` cuts the log
+    into parts of so many seconds, each a log of its own (`imuarray.log.rotate`). `service` is told how it goes (None:
+    the one that this process belongs to). `wall_time` is the UTC time of the start (None: that of the transcript that
+    is replayed, or the wall clock, read once).
 
     Raises SensorError before the first frame if a sensor is missing or wrong, OutputExistsError if the log exists,
     LogBusyError if it is being written, DiskFullError if it had to be ended early.
