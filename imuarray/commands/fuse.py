@@ -71,6 +71,7 @@ def command(
                 technique=technique,
                 log=str(run),
                 calibration=str(calibration_file or ""),
+                sensors=_sensors(log, names),
                 force=force,
                 progress=done,
             )
@@ -134,6 +135,11 @@ def _thermal(log: Log, calibration: Calibration, names: Sequence[str]) -> list[s
             err=True,
         )
     return list(warm)
+
+
+def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
+    """The names of the sensors of each quantity that are fused."""
+    return {quantity: [s.name for s in log.of(quantity) if not names or s.name in names] for quantity in INERTIAL}
 
 
 def _inertial(log: Log) -> list[SensorLog]:

@@ -2,9 +2,10 @@
 techniques.
 """
 
-from imuarray.fuse.align import axes_of
+from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.evaluate import Error, errors_of, evaluate, quiet_noise
-from imuarray.fuse.fuse import FusedBlock, fuse
+from imuarray.fuse.frames import Estimate, Frames, FusedBlock
+from imuarray.fuse.fuse import fuse
 from imuarray.fuse.store import read_fused, write_fused
 from imuarray.fuse.techniques import NEEDS_NOISE, TECHNIQUES, changes
 from imuarray.fuse.thermal import element_temperatures, slopes_of
@@ -12,7 +13,10 @@ from imuarray.fuse.thermal import element_temperatures, slopes_of
 __all__ = [
     "NEEDS_NOISE",
     "TECHNIQUES",
+    "Axis",
     "Error",
+    "Estimate",
+    "Frames",
     "FusedBlock",
     "axes_of",
     "changes",

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import FusionError
-from imuarray.fuse.fuse import FusedBlock
+from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.splines import between_gaps
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase

@@ -3,31 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
 
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.segments import Thermometer
 from imuarray.errors import FusionError
-from imuarray.fuse.align import BLOCK, axes_of, frames
+from imuarray.fuse.align import BLOCK, frames
+from imuarray.fuse.axes import axes_of
+from imuarray.fuse.frames import Estimate, FusedBlock, Times, axis_bits
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.fuse.thermal import element_temperatures
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL
-
-Floats = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class FusedBlock:
-    """n frames: time (n,) ns and, per quantity, the fused triad (n, 3) in SI in the box frame (NaN where too few axes
-    were valid).
-    """
-
-    time: npt.NDArray[np.int64]
-    triads: Mapping[str, Floats]
 
 
 def fuse(
@@ -45,8 +31,15 @@ def fuse(
     reference = next(iter(groups.values()))[0]
     warm = element_temperatures(log, (sensor for sensors in groups.values() for sensor in sensors), calibration)
     streams = [_fuse_group(sensors, calibration, technique, reference, block, warm) for sensors in groups.values()]
+    axes = {quantity: axes_of(sensors, calibration) for quantity, sensors in groups.items()}
     for parts in zip(*streams, strict=True):
-        yield FusedBlock(parts[0][0], dict(zip(groups, (triad for _, triad in parts), strict=True)))
+        estimates = dict(zip(groups, (estimate for _, estimate in parts), strict=True))
+        yield FusedBlock(
+            parts[0][0],
+            {quantity: estimate.triad_box for quantity, estimate in estimates.items()},
+            {quantity: estimate.covariance_box for quantity, estimate in estimates.items()},
+            {quantity: axis_bits(estimate.used, axes[quantity]) for quantity, estimate in estimates.items()},
+        )
 
 
 def _fuse_group(
@@ -56,8 +49,8 @@ def _fuse_group(
     reference: SensorLog,
     block: int,
     temperatures: Mapping[str, Thermometer],
-) -> Iterator[tuple[npt.NDArray[np.int64], Floats]]:
-    """Time (n,) and fused triad (n, 3) of one quantity, block by block."""
+) -> Iterator[tuple[Times, Estimate]]:
+    """Time (n,) and estimate of one quantity, block by block."""
     fused = TECHNIQUES[technique](axes_of(sensors, calibration))
     for part in frames(sensors, calibration, reference, block, temperatures):
         yield part.time, fused(part)

@@ -9,9 +9,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from imuarray.fuse import TECHNIQUES, fuse
-from imuarray.fuse.align import Axis, Frames
-from imuarray.fuse.common_mode import OpposingGroup, Smoother, opposing_groups
+from imuarray.fuse import TECHNIQUES, Axis, Frames, fuse
+from imuarray.fuse.techniques.common_mode import OpposingGroup, Smoother, opposing_groups
 from imuarray.log import open_log
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined, pointing
 
@@ -87,7 +86,7 @@ def steady(errors: Floats) -> tuple[Floats, Floats]:
         for index, row in enumerate(pointing(way).tolist())
     ]
     frames = Frames(np.arange(2, dtype=np.int64) * 10_000_000, np.tile(errors.ravel(), (2, 1)), np.ones((2, 9), bool))
-    average, opposed = (TECHNIQUES[name](axes)(frames)[1] for name in ("mean", "opposed"))
+    average, opposed = (TECHNIQUES[name](axes)(frames).triad_box[1] for name in ("mean", "opposed"))
     return average, opposed
 
 

@@ -80,3 +80,21 @@ def test_a_file_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
         file["fused/A"] = h5py.ExternalLink("/etc/passwd", "/x")
     with pytest.raises(LogError, match="fused/A: a link that leads elsewhere"):
         list(read_fused(tmp_path / "f.h5"))
+
+
+def test_covariances_and_the_sensors_used_come_back(tmp_path: Path) -> None:
+    time = np.arange(4, dtype=np.int64)
+    covariance = np.arange(24.0).reshape(4, 6)
+    used = np.array([[7, 0], [7, 5], [0, 0], [3, 7]], np.uint8)
+    block = FusedBlock(
+        time, {"specific_force": np.ones((4, 3))}, {"specific_force": covariance}, {"specific_force": used}
+    )
+    path = tmp_path / "fused.h5"
+    write_fused(path, [block], epoch=EPOCH, technique="mean", log="run.h5", sensors={"specific_force": ["A", "B"]})
+    (back,) = read_fused(path)
+    assert (back.covariances["specific_force"] == covariance).all()
+    assert (back.used["specific_force"] == used).all()
+    assert list(back.triads) == ["specific_force"]
+    with h5py.File(path) as file:
+        assert list(file["fused/specific_force_used"].attrs["sensors"]) == ["A", "B"]
+        assert list(file["fused/specific_force_covariance"].attrs["columns"]) == ["xx", "yy", "zz", "xy", "xz", "yz"]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from imuarray.errors import FusionError
-from imuarray.fuse import NEEDS_NOISE, TECHNIQUES, fuse
-from imuarray.fuse.align import Axis, Frames
+from imuarray.fuse import NEEDS_NOISE, TECHNIQUES, Axis, Frames, fuse
 from imuarray.fuse.techniques import Technique
 from imuarray.log import open_log
 from tests.fuse.conftest import Floats, G, Motion, Part, WriteRun, calibration, joined, nothing, pointing
@@ -33,7 +32,7 @@ def at_once(values: Floats) -> Frames:
 def weights(technique: Technique, count: int) -> Floats:
     """(3, m) what each axis adds to each box axis: the answers to a small unit reading of every axis in turn."""
     small = 1e-3
-    return np.asarray(technique(at_once(small * np.eye(count))).T / small)
+    return np.asarray(technique(at_once(small * np.eye(count))).triad_box.T / small)
 
 
 def mixed(sigma: float) -> list[Part]:
@@ -59,7 +58,7 @@ def test_noiseless_sensors_give_the_truth(write_run: WriteRun, technique: str) -
 def test_sensors_of_one_kind_that_point_alike_give_their_mean(technique: str) -> None:
     values = np.random.default_rng(3).normal(0, 1, (200, 12))
     axes = [axis for name in "ABCD" for axis in triad(name, "+X+Y+Z", (1.0, 1.0, 1.0))]
-    fused = TECHNIQUES[technique](axes)(at_once(values))
+    fused = TECHNIQUES[technique](axes)(at_once(values)).triad_box
     assert fused == pytest.approx(values.reshape(200, 4, 3).mean(axis=1))
 
 
@@ -73,7 +72,7 @@ def test_weights_leave_a_constant_alone(technique: str) -> None:
     ]
     rows = np.array([axis.direction_box for axis in axes])
     truth = np.array([0.3, -0.7, 1.1])
-    fused = TECHNIQUES[technique](axes)(at_once(np.tile(rows @ truth, (3, 1))))
+    fused = TECHNIQUES[technique](axes)(at_once(np.tile(rows @ truth, (3, 1)))).triad_box
     assert fused == pytest.approx(np.tile(truth, (3, 1)))
 
 
@@ -81,7 +80,7 @@ def test_weights_leave_a_constant_alone(technique: str) -> None:
 def test_axes_in_one_plane_do_not_make_a_triad(technique: str) -> None:
     axes = triad("A", "+X+Y+Z", (1.0, 1.0, 1.0))
     flat = [axes[0], axes[1], Axis("A", "c", 2, (0.6, 0.8, 0.0), 1e3, 1.0)]
-    assert np.isnan(TECHNIQUES[technique](flat)(at_once(np.ones((5, 3))))).all()
+    assert np.isnan(TECHNIQUES[technique](flat)(at_once(np.ones((5, 3)))).triad_box).all()
 
 
 @pytest.mark.parametrize("technique", sorted(NEEDS_NOISE))
@@ -177,9 +176,9 @@ def low_share(level: float, axis: int = 0) -> float:
     )
     values = np.zeros((1, 6))
     values[0, axis] = 10.0 * level
-    before = technique(at_once(values))[0, 1]
+    before = technique(at_once(values)).triad_box[0, 1]
     values[0, 1] += 1e-6
-    return float((technique(at_once(values))[0, 1] - before) / 1e-6)
+    return float((technique(at_once(values)).triad_box[0, 1] - before) / 1e-6)
 
 
 def test_the_low_range_is_trusted_in_full_until_three_quarters_of_it() -> None:
@@ -226,11 +225,29 @@ def test_the_high_range_is_used_to_its_end() -> None:
     """Nothing comes after it: at 99 % of 16 g it carries on alone."""
     axes = [*triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), span=1.5), *triad("HIGH", "+X+Y+Z", (2.0, 2.0, 2.0), span=16.0)]
     values = np.tile([1.5, 0.0, 0.0, 15.84, 0.0, 0.0], (2, 1))
-    assert TECHNIQUES["ranges"](axes)(at_once(values))[0] == pytest.approx([15.84, 0.0, 0.0])
+    assert TECHNIQUES["ranges"](axes)(at_once(values)).triad_box[0] == pytest.approx([15.84, 0.0, 0.0])
 
 
 def test_two_low_sensors_and_no_high_one_are_not_faded() -> None:
     """A design with one range has nothing to hand over to."""
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0), *triad("B", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0)]
-    fused = TECHNIQUES["ranges"](axes)(at_once(np.full((1, 6), 9.9)))
+    fused = TECHNIQUES["ranges"](axes)(at_once(np.full((1, 6), 9.9))).triad_box
     assert fused == pytest.approx(np.full((1, 3), 9.9))
+
+
+def test_the_covariance_is_what_the_noise_makes_of_the_weights() -> None:
+    """Two axes of noise 1 and 2 along X: weighing alike (1 + 4) / 4, by inverse variance 1 / (1 + 1/4)."""
+    axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 2.0)), *triad("B", "+Z+Y+X", (1.0, 1.0, 2.0))]
+    frames = at_once(np.zeros((2, 6)))
+    assert TECHNIQUES["mean"](axes)(frames).covariance_box[1] == pytest.approx([1.25, 0.5, 1.25, 0, 0, 0])
+    assert TECHNIQUES["planes"](axes)(frames).covariance_box[1] == pytest.approx([0.8, 0.5, 0.8, 0, 0, 0])
+
+
+def test_a_covariance_is_unknown_where_a_noise_in_use_is() -> None:
+    axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.0)), *triad("B", "+X+Y+Z", None)]
+    frames = at_once(np.zeros((2, 6)))
+    frames.valid[1, 3:] = False
+    estimate = TECHNIQUES["mean"](axes)(frames)
+    assert np.isnan(estimate.covariance_box[0, :3]).all()
+    assert estimate.covariance_box[1] == pytest.approx([1, 1, 1, 0, 0, 0])
+    assert estimate.used.tolist() == [[True] * 6, [True] * 3 + [False] * 3]

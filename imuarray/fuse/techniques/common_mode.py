@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from imuarray.fuse.align import Axis, directions
+from imuarray.fuse.axes import Axis, directions
 
 Floats = npt.NDArray[np.float64]
 

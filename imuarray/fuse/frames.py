@@ -1,0 +1,87 @@
+"""What techniques are given and what they give: aligned readings, and estimates with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse.axes import Axis
+
+Floats = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
+"""Columns of a covariance as it is kept: the six entries that differ."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """n frames of m axes: time (n,) ns, values (n, m) in SI along each axis, valid (n, m): there is a reading, no
+    flag throws doubt on it, and its triad is off the ends of its range (a clipped reading is a bound, not a
+    value).
+
+    `clipped` (n, m) is +1 where an axis stands at the upper end of its range, -1 at the lower one, else 0; `stale`
+    (n, m) where the chip had nothing newer than the reading before. None: nowhere.
+    """
+
+    time: Times
+    values: Floats
+    valid: Flags
+    clipped: npt.NDArray[np.int8] | None = None
+    stale: Flags | None = None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """n frames of one quantity in SI in the box frame.
+
+    `triad_box` (n, 3), NaN where the axes used don't span space; `covariance_box` (n, 6), the entries `ENTRIES` of its
+    error's covariance, NaN where a noise is not known; `used` (n, m): which axes went into it.
+    """
+
+    triad_box: Floats
+    covariance_box: Floats
+    used: Flags
+
+
+@dataclass(frozen=True)
+class FusedBlock:
+    """n frames: time (n,) ns and, per quantity, the fused triad (n, 3) in SI in the box frame (NaN where too few axes
+    were valid).
+
+    `covariances` (n, 6), per quantity, are the entries `ENTRIES` of its error's covariance; `used` (n, s), per
+    quantity, says which axes of each of its s sensors went into it: 1 x, 2 y, 4 z. Both are missing where nobody
+    worked them out.
+    """
+
+    time: Times
+    triads: Mapping[str, Floats]
+    covariances: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
+    used: Mapping[str, npt.NDArray[np.uint8]] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def entries(covariance_box: Floats) -> Floats:
+    """(..., 6) the entries `ENTRIES` of covariances (..., 3, 3)."""
+    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    return np.asarray(covariance_box[..., rows, columns])
+
+
+def matrices(covariance_entries: Floats) -> Floats:
+    """(..., 3, 3) covariances from their entries (..., 6)."""
+    return np.asarray(covariance_entries[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]])
+
+
+def axis_bits(used: Flags, axes: Sequence[Axis]) -> npt.NDArray[np.uint8]:
+    """(n, s) from (n, m): for every sensor of `axes`, in order, the sum of 1 x, 2 y, 4 z over its axes in use."""
+    sensors = list(dict.fromkeys(axis.sensor for axis in axes))
+    table = np.zeros((len(axes), len(sensors)), np.uint8)
+    for index, axis in enumerate(axes):
+        table[index, sensors.index(axis.sensor)] = 1 << axis.index
+    if len(used) and (used == used[0]).all():
+        return np.broadcast_to(used[0].astype(np.uint8) @ table, (len(used), len(sensors)))
+    return np.asarray(used.astype(np.uint8) @ table)

@@ -1,0 +1,37 @@
+"""How the axes of an array become one triad: the simple average and the paper's three techniques, each alone.
+
+All of them solve ``values = directions @ truth_box`` by weighted least squares, frame by frame. `opposed` corrects
+the values before, the others choose the weights. None of them, the average included, uses a reading whose flags say
+that it is clipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+from imuarray.fuse.axes import Axis
+from imuarray.fuse.techniques import opposed as _opposed
+from imuarray.fuse.techniques import planes as _planes
+from imuarray.fuse.techniques import ranges as _ranges
+from imuarray.fuse.techniques.mean import mean
+from imuarray.fuse.techniques.technique import Maker, Technique
+
+TECHNIQUES: Mapping[str, Maker] = MappingProxyType(
+    {"mean": mean, "opposed": _opposed.opposed, "planes": _planes.planes, "ranges": _ranges.ranges}
+)
+
+NEEDS_NOISE = frozenset({"planes", "ranges"})
+"""Techniques that must know how much each axis scatters (`calibrate noise`)."""
+
+_CHANGES: Mapping[str, Callable[[Sequence[Axis]], list[str]]] = MappingProxyType(
+    {"opposed": _opposed.changes, "planes": _planes.changes, "ranges": _ranges.changes}
+)
+
+
+def changes(technique: str, axes: Sequence[Axis]) -> list[str]:
+    """What a technique treats otherwise than the plain average does, in words; empty if nothing on this array."""
+    return _CHANGES[technique](axes) if technique in _CHANGES else []
+
+
+__all__ = ["NEEDS_NOISE", "TECHNIQUES", "Maker", "Technique", "changes"]
