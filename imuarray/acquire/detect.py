@@ -25,6 +25,9 @@ _IDENTITIES: tuple[tuple[str, tuple[int, ...], Register], ...] = (
 )
 
 
+MUX = "pca9544a"
+
+
 @dataclass(frozen=True)
 class Found:
     """One line of `detect`: a place, what the configuration wants there ("" if nothing), what answered, and whether
@@ -41,6 +44,9 @@ class Found:
     ok: bool
     self_test: str = ""
     """What the chip's self-test said, if it was asked for."""
+    channel: int | None = None
+    """Of the multiplexer (None: the trunk), with the address, of a chip that answered where nobody looked for it."""
+    address: int | None = None
 
 
 def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list[Found]:
@@ -70,15 +76,15 @@ def _ask_mux(array: ArrayConfig, bus: OpenBus) -> Found:
     address = array.mux.address if array.mux else 0
     try:
         control = bus.transfer(address, read=1)[0]
-        return Found(f"trunk address {address:#04x}", "mux", "pca9544a", f"pca9544a, control {control:#04x}", True)
+        return Found(f"trunk address {address:#04x}", "mux", MUX, f"{MUX}, control {control:#04x}", True)
     except OSError as error:
-        return Found(f"trunk address {address:#04x}", "mux", "pca9544a", f"nobody: {error.strerror or error}", False)
+        return Found(f"trunk address {address:#04x}", "mux", MUX, f"nobody: {error.strerror or error}", False)
 
 
 def explore(bus: OpenBus) -> list[Found]:
     """Every known chip that answers, behind the multiplexer if there is one: for a bus that no file describes yet."""
     mux = _find_mux(bus)
-    found = [] if mux is None else [Found(f"trunk address {mux:#04x}", "", "", "pca9544a", True)]
+    found = [] if mux is None else [Found(f"trunk address {mux:#04x}", "", "", MUX, True, "", None, mux)]
     return found + _strangers(mux, set(), bus)
 
 
@@ -116,7 +122,7 @@ def _look(segment: Bus, channel: int | None, known: set[int]) -> list[Found]:
     """Chips that answer on one segment at addresses that are not `known`."""
     where = "trunk" if channel is None else f"channel {channel}"
     return [
-        Found(f"{where} address {address:#04x}", "", "", chip, True)
+        Found(f"{where} address {address:#04x}", "", "", chip, True, "", channel, address)
         for chip, addresses, register in _IDENTITIES
         for address in addresses
         if address not in known and _answers(segment, address, register)

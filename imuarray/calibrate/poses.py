@@ -7,7 +7,7 @@ agree.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,11 +114,11 @@ def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
     return Reading(counts.mean(axis=0), sem, len(counts), counts.std(axis=0), change)
 
 
-def find_poses(log: Log) -> list[Pose]:
-    """Static stretches of a log that names none, found by its accelerometers, and its gyroscopes if it has any; first
-    and last window cut off.
+def find_poses(log: Log, only: Collection[str] = ()) -> list[Pose]:
+    """Static stretches of a log that names none, found by its accelerometers, and its gyroscopes if it has any (`only`
+    these, if any are named); first and last window cut off.
     """
-    sensors = [sensor for sensor in log.of("specific_force") if len(sensor)]
+    sensors = _rows_of(log, "specific_force", only)
     if not sensors:
         raise CalibrationError(f"{log.path}: no accelerometer, so nothing tells when the box stood still")
     begin = max(int(sensor.time[0]) for sensor in sensors)
@@ -133,7 +133,7 @@ def find_poses(log: Log) -> list[Pose]:
     # Most logs are still for a good part of the time: the quiet quarter of the windows shows the noise at rest.
     known = np.isfinite(std_g)
     still = known & (std_g <= 2.5 * np.quantile(std_g[known], 0.25)) if known.any() else known
-    still &= ~_turning([sensor for sensor in log.of("angular_rate") if len(sensor)], starts_ns, still)
+    still &= ~_turning(_rows_of(log, "angular_rate", only), starts_ns, still)
     jump = np.abs(np.diff(mean_g, axis=0)).max(axis=1) > SAME_POSE_G
     edges = np.flatnonzero(jump | (still[1:] != still[:-1])) + 1
     poses: list[Pose] = []
@@ -143,6 +143,11 @@ def find_poses(log: Log) -> list[Pose]:
             start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + _WIDTH_NS
             poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None, log))
     return poses
+
+
+def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
+    """The sensors of a quantity that read anything."""
+    return [sensor for sensor in log.of(quantity) if len(sensor) and (not only or sensor.name in only)]
 
 
 def _turning(

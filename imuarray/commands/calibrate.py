@@ -119,6 +119,56 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     _finish(calibration, report, print_report, output, update, force, as_json)
 
 
+@command.command("axes")
+@click.argument("run", metavar="RUN.h5", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="ARRAY.toml",
+    help="the log's configuration with the axes in it",
+)
+@click.option(
+    "--poses",
+    default="",
+    metavar="+Z,+X,+Y",
+    help="which box axis was up in each pose, in the order in which they were held (default: what the log's phases say,"
+    " else +Z,+X,+Y)",
+)
+@force_option
+@json_option
+def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> None:
+    """Which way every sensor points, from a few poses held by hand.
+
+    Record one log while you hold the box still for three seconds with its Z axis up, then X, then Y. Accelerometers are
+    told by gravity, gyroscopes by the turns from pose to pose, magnetometers by the field.
+
+    \b
+    imuarray log array.toml --seconds 30 -o poses.h5
+    imuarray calibrate axes poses.h5 -o array.toml --force
+    """
+    from imuarray.atomic import write_text
+    from imuarray.calibrate.pointing import find_pointing, held_poses
+    from imuarray.commands.calibrate_axes import print_report, report_of, with_axes
+    from imuarray.log import open_log
+
+    refuse_existing(output, force, source=run)
+    with open_log(run) as log:
+        if not log.config:
+            raise click.UsageError(f"{run}: no configuration in this log, nothing to write the axes into")
+        found = find_pointing(log, held_poses(log, poses.split(",") if poses else ()))
+        text = with_axes(log.config, found)
+        report = report_of(found, {name: sensor.axes for name, sensor in log.sensors.items()})
+    write_text(output, text, force=force)
+    report = {**_known(report), "configuration": str(output)}
+    if as_json:
+        print_json(report)
+    else:
+        print_report(report)
+        click.echo(f"wrote {output}")
+
+
 @contextmanager
 def _opened(runs: Sequence[Path], output: Path, update: bool, force: bool) -> Iterator[list[Log]]:
     """The logs, once it is sure that the output can be written."""

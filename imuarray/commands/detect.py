@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imuarray.commands.options import bus_option, find_config, json_option, print_json
+from imuarray.commands.options import bus_option, find_config, force_option, json_option, print_json, refuse_existing
 from imuarray.printable import printable
 
 if TYPE_CHECKING:
+    from imuarray.acquire import Found
     from imuarray.array import ArrayConfig
 
 _USUAL_RATE_HZ = 50.0
@@ -30,11 +32,29 @@ _SENSOR_ADVICE = "look at its supply, its wires and its address pin, and whether
     metavar="FOLDER",
     help="where logs will go, for --doctor (default: here)",
 )
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="NEW.toml",
+    help="without CONFIG: write a configuration of what answers, ready to log with",
+)
+@force_option
 @json_option
 def command(
-    config: Path | None, bus_url: str | None, self_test: bool, doctor: bool, logs: Path | None, as_json: bool
+    config: Path | None,
+    bus_url: str | None,
+    self_test: bool,
+    doctor: bool,
+    logs: Path | None,
+    output: Path | None,
+    force: bool,
+    as_json: bool,
 ) -> int:
     """What answers on the bus, and is it what CONFIG says; without CONFIG, what answers on --bus.
+
+    \b
+    imuarray detect --bus i2c:/dev/i2c-1 -o array.toml
 
     Exits 2 if a sensor is missing, another chip sits in its place, or it fails its self-test; with --doctor 1 if
     anything is not well.
@@ -49,6 +69,10 @@ def command(
         )
     if logs is not None and not doctor:
         raise click.UsageError("--logs is a place for --doctor to look at: say --doctor too")
+    if output is not None:
+        if config is not None:
+            raise click.UsageError("-o writes what answers on --bus, whatever a CONFIG says: leave CONFIG out")
+        refuse_existing(output, force)
     array = load_array(find_config(config or Path("martin2013")))
     url = bus_url or array.bus
     if doctor:
@@ -61,6 +85,8 @@ def command(
     with open_bus(url, array) as bus:
         found = explore(bus) if config is None else detect(array, bus, self_test=self_test)
         source = bus.source
+    if output is not None:
+        _write(found, url, output, force)
     name = array.name if config else None
     wrong = [line for line in found if not line.ok]
     if as_json:
@@ -73,9 +99,25 @@ def command(
         wanted = f"{line.sensor} ({line.expected})" if line.expected else "not in the configuration" if name else ""
         told = [text for text in (line.found, line.self_test) if text not in ("", line.expected)]
         click.echo(f"  {mark} {line.place:24} {wanted:28} {'; '.join(told)}".rstrip())
+    if output is not None:
+        click.echo(
+            f"wrote {output}; next: hold the box with Z, X and Y up while `imuarray log {output} -o poses.h5` runs,"
+        )
+        click.echo(f"then `imuarray calibrate axes poses.h5 -o {output} --force`")
     if name:
         click.echo(f"{sum(bool(line.expected) for line in found) - len(wrong)} as configured, {len(wrong)} not")
     return 2 if wrong else 0
+
+
+def _write(found: Sequence[Found], url: str, output: Path, force: bool) -> None:
+    """A configuration of what was found."""
+    from imuarray.acquire.propose import propose
+    from imuarray.array import parse_array
+    from imuarray.atomic import write_text
+
+    text = propose(found, url, output.stem)
+    parse_array(text, str(output))
+    write_text(output, text, force=force)
 
 
 def _doctor(array: ArrayConfig, url: str, logs: Path, as_json: bool) -> int:

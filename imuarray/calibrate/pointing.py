@@ -1,0 +1,238 @@
+"""Which way every sensor points, from a few poses held by hand: signed axes, so that nobody fills in a sign.
+
+Nothing is believed of the axes that a log says. Of 24 proper turns of a sensor in the box (no chip is a mirror image)
+the one is taken that explains best
+
+* an accelerometer: gravity in the poses, of which it is known which box axis was up;
+* a gyroscope: how it turned from one pose to the next, carrying gravity with it;
+* a magnetometer: a field that stays where it is in the world while the box turns as the gyroscopes say, and an offset.
+
+The next best turn must explain it clearly worse; a sensor of which that is not so isn't told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise, permutations, product
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from imuarray.axes import UP_AXES, up_vector
+from imuarray.calibrate.labels import axes_text
+from imuarray.calibrate.poses import Pose, find_poses, named_faces
+from imuarray.errors import CalibrationError
+from imuarray.log import Log, SensorLog
+from imuarray.units import SI_PER_UNIT
+
+Floats = npt.NDArray[np.float64]
+
+HELD = ("+Z", "+X", "+Y")
+"""The poses that a person is asked for, if nothing else is said: three that are no mirror image of another three."""
+
+_CLEARLY = 2.0
+"""So many times worse, in rms, must the next best turn be."""
+
+_MOST = 0.5
+"""Rms of what the best turn leaves, as a share of one g or of a radian: beyond it none of them explains the poses."""
+
+_LONGEST_S = 30.0
+"""Between two poses a gyroscope is integrated no longer than this."""
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """One sensor's axes as text ("" where the poses don't tell), the rms of what they leave unexplained (shares of one
+    g, radians, or of the field) and that of the next best axes; `reason` why they are not told.
+    """
+
+    sensor: str
+    chip: str
+    axes: str
+    left: float
+    next_best: float
+    reason: str = ""
+
+
+def _turns() -> Floats:
+    """(24, 3, 3) matrices of 0, 1 and -1 with determinant 1."""
+    signs = [np.diag(sign) for sign in product((1.0, -1.0), repeat=3)]
+    matrices = [np.eye(3)[list(order)] @ sign for order in permutations(range(3)) for sign in signs]
+    return np.array([matrix for matrix in matrices if np.linalg.det(matrix) > 0])
+
+
+TURNS = _turns()
+"""Every way to mount a chip squarely: ``vector_sensor = turn @ vector_box``."""
+
+
+def held_poses(log: Log, ups: Sequence[str] = ()) -> list[Pose]:
+    """The log's poses with the box axis that was up in each: `ups` in the order in which they were held, else what its
+    phases say, else `HELD`.
+
+    CalibrationError where the log holds another number of poses than are named.
+    """
+    faces = [] if ups else named_faces(log)
+    if faces:
+        return faces
+    first = {
+        quantity: [sensor.name for sensor in log.of(quantity)[:1]] for quantity in ("specific_force", "angular_rate")
+    }
+    poses = find_poses(log, [*first["specific_force"], *first["angular_rate"]])
+    wanted = list(ups) or list(HELD)
+    for up in wanted:
+        if up not in UP_AXES:
+            raise CalibrationError(f"pose {up!r}: allowed are {', '.join(UP_AXES)}")
+    if len(poses) != len(wanted):
+        places = ", ".join(f"{pose.phase.start_ns * 1e-9:.1f} to {pose.phase.end_ns * 1e-9:.1f} s" for pose in poses)
+        raise CalibrationError(
+            f"{log.path}: {len(poses)} poses found ({places or 'none'}), {len(wanted)} are named ({', '.join(wanted)}):"
+            " hold each of them still for three seconds, or name those that were held"
+        )
+    return [Pose(pose.phase, up_vector(up), log) for pose, up in zip(poses, wanted, strict=True)]
+
+
+def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
+    """The axes of every triad of a log, in its order, from poses of which `up_box` is known.
+
+    CalibrationError if the poses can't tell any axes, or if no way of mounting explains what most accelerometers felt:
+    then they were not held as is said.
+    """
+    ups = np.array([pose.up_box for pose in poses], float)
+    if np.linalg.matrix_rank(ups) < 2:
+        raise CalibrationError(
+            f"{log.path}: poses with one box axis up don't tell how sensors point: hold it three ways"
+        )
+    found: dict[str, Pointing] = {}
+    for sensor in log.of("specific_force"):
+        found[sensor.name] = _accelerometer(sensor, poses, ups)
+    untold = [each for each in found.values() if each.left > _MOST]
+    if untold and 2 * len(untold) > len(found):
+        raise CalibrationError(
+            f"{log.path}: no way of mounting {untold[0].sensor} explains what it felt: the poses were not"
+            f" {', '.join(_name(up) for up in ups)} up, in this order"
+        )
+    carried = {sensor.name: _carried(sensor, poses) for sensor in log.of("angular_rate")}
+    for sensor in log.of("angular_rate"):
+        found[sensor.name] = _gyroscope(sensor, carried[sensor.name], ups)
+    onward = _onward(carried, found)
+    for sensor in log.of("magnetic_field"):
+        found[sensor.name] = _magnetometer(sensor, poses, onward)
+    return [found[name] for name in log.sensors if name in found]
+
+
+def _name(up: Floats) -> str:
+    return next(name for name in UP_AXES if np.allclose(up_vector(name), up))
+
+
+def _mean(sensor: SensorLog, pose: Pose) -> Floats:
+    """(3,) mean reading in its unit along its own axes; nan if there is none."""
+    here, rows = pose.rows_of(sensor)
+    counts = np.asarray(here.counts[rows], float)
+    return counts.mean(axis=0) / sensor.sensitivity if len(counts) else np.full(3, np.nan)
+
+
+def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Pointing:
+    """By gravity; biases are too small to hide it."""
+    felt = np.array([_mean(sensor, pose) for pose in poses])
+    if not np.isfinite(felt).all():
+        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it read nothing in one of the poses")
+    left = np.sqrt(np.mean((felt - ups @ TURNS.transpose(0, 2, 1)) ** 2 * 3, axis=(1, 2)))
+    return _best(sensor, left)
+
+
+def _carried(sensor: SensorLog, poses: Sequence[Pose]) -> list[Floats | None]:
+    """For each pair of neighbouring poses the rotation (3, 3) in the sensor's frame that carries a vector fixed in the
+    world from the first to the second; None where it can't be integrated.
+    """
+    return [_turned(sensor, first, second) for first, second in pairwise(poses)]
+
+
+def _turned(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
+    if first.log is not second.log:
+        return None
+    here, _ = first.rows_of(sensor)
+    rows = here.between(first.phase.end_ns, second.phase.start_ns)
+    time_s = np.asarray(here.time[rows]) * 1e-9
+    biases = np.array([_mean(sensor, first), _mean(sensor, second)])
+    if len(time_s) < 4 or not 0 < time_s[-1] - time_s[0] < _LONGEST_S or not np.isfinite(biases).all():
+        return None
+    rates = (np.asarray(here.counts[rows], float) / sensor.sensitivity - biases.mean(axis=0)) * SI_PER_UNIT[sensor.unit]
+    angles = np.diff(time_s)[:, None] * (rates[1:] + rates[:-1]) / 2
+    steps = Rotation.from_rotvec(angles).inv().as_matrix()
+    return reduce(lambda so_far, step: np.asarray(step @ so_far), steps, np.eye(3))
+
+
+def _gyroscope(sensor: SensorLog, carried: Sequence[Floats | None], ups: Floats) -> Pointing:
+    """By gravity before and after each turn."""
+    known = [(place, matrix) for place, matrix in enumerate(carried) if matrix is not None]
+    if not known:
+        return Pointing(
+            sensor.name,
+            sensor.chip,
+            "",
+            np.nan,
+            np.nan,
+            "no turn from one pose to the next in one log, of less than 30 s",
+        )
+    missed = [matrix @ (TURNS @ ups[place])[..., None] - (TURNS @ ups[place + 1])[..., None] for place, matrix in known]
+    left = np.sqrt(np.mean([np.sum(each**2, axis=(1, 2)) for each in missed], axis=0))
+    return _best(sensor, left)
+
+
+def _onward(carried: Mapping[str, Sequence[Floats | None]], found: Mapping[str, Pointing]) -> list[Floats | None]:
+    """The turns between poses in the box frame, by the gyroscopes whose axes are told: the one that fits best."""
+    told = sorted((found[name].left, name) for name in carried if found[name].axes)
+    if not told:
+        return []
+    name = told[0][1]
+    turn = _matrix(found[name].axes)
+    return [None if matrix is None else turn.T @ matrix @ turn for matrix in carried[name]]
+
+
+def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], onward: Sequence[Floats | None]) -> Pointing:
+    """By a field fixed in the world and an offset of the sensor's own, over the longest run of poses whose turns are
+    known.
+    """
+    runs: list[list[tuple[int, Floats]]] = [[(0, np.eye(3))]]
+    for place, matrix in enumerate(onward, start=1):
+        if matrix is None:
+            runs.append([(place, np.eye(3))])
+        else:
+            runs[-1].append((place, np.asarray(matrix @ runs[-1][-1][1])))
+    run = max(runs, key=len)
+    if len(run) < 3:
+        return Pointing(
+            sensor.name, sensor.chip, "", np.nan, np.nan, "no gyroscope tells how the box turned between three poses"
+        )
+    read = np.concatenate([_mean(sensor, poses[place]) for place, _ in run])
+    if not np.isfinite(read).all():
+        return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it read nothing in one of the poses")
+    left = []
+    for turn in TURNS:
+        design = np.concatenate([np.hstack([turn @ attitude, np.eye(3)]) for _, attitude in run])
+        solution = np.linalg.lstsq(design, read, rcond=None)[0]
+        off = read - design @ solution
+        left.append(np.sqrt(np.mean(off**2) * 3) / max(float(np.linalg.norm(solution[:3])), 1e-9))
+    return _best(sensor, np.array(left))
+
+
+def _best(sensor: SensorLog, left: Floats) -> Pointing:
+    """The turn that leaves least, if it is clearly the one."""
+    order = np.argsort(left)
+    best, second = float(left[order[0]]), float(left[order[1]])
+    axes = axes_text(TURNS[order[0]])
+    if best > _MOST:
+        return Pointing(sensor.name, sensor.chip, "", best, second, "no way of mounting explains what it read")
+    if second < _CLEARLY * best or second - best < 1e-6:
+        return Pointing(
+            sensor.name, sensor.chip, "", best, second, f"{axes_text(TURNS[order[1]])} is as good as {axes}"
+        )
+    return Pointing(sensor.name, sensor.chip, axes, best, second)
+
+
+def _matrix(axes: str) -> Floats:
+    """The turn that an axes text names."""
+    return next(turn for turn in TURNS if axes_text(turn) == axes)

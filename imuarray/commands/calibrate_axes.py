@@ -1,0 +1,38 @@
+"""What `imuarray calibrate axes` writes and says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from imuarray.calibrate.pointing import Pointing
+
+
+def with_axes(text: str, found: Sequence[Pointing]) -> str:
+    """A configuration's text with the axes that were told, all else (comments too) as it was."""
+    import tomlkit
+
+    file: Any = tomlkit.parse(text)
+    told = {each.sensor: each.axes for each in found if each.axes}
+    for sensor in file.get("sensor", []):
+        if sensor.get("name") in told:
+            sensor["axes"] = told[sensor["name"]]
+    return tomlkit.dumps(file)
+
+
+def report_of(found: Sequence[Pointing], before: dict[str, str]) -> dict[str, Any]:
+    """Every sensor's axes before and now, JSON-ready; an empty text where they are not told."""
+    return {"sensors": [{**asdict(each), "before": before[each.sensor]} for each in found]}
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """The same as a table."""
+    click.echo(f"{'sensor':12} {'axes':8} {'left':>6} {'next best':>9}")
+    for row in report["sensors"]:
+        note = row["reason"] and f"  not told: {row['reason']}; stays {row['before']}"
+        told = f"{row['left'] or 0:6.2f} {row['next_best'] or 0:9.2f}" if row["axes"] else ""
+        click.echo(f"{row['sensor']:12} {row['axes'] or '?':8} {told}{note}".rstrip())

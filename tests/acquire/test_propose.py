@@ -1,0 +1,55 @@
+"""A configuration of what answered: it loads, and names every chip at its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from imuarray.acquire import Found, explore
+from imuarray.acquire.propose import propose
+from imuarray.array import load_array, parse_array
+from imuarray.bus import open_bus
+from imuarray.cli import main
+from imuarray.errors import SensorError
+
+SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
+
+
+def test_the_papers_array_is_described_as_it_is_wired() -> None:
+    array = load_array(SHIPPED)
+    with open_bus("emulated:", array) as bus:
+        proposed = parse_array(propose(explore(bus), "i2c:/dev/i2c-1", "mine"))
+    assert (proposed.name, proposed.bus) == ("mine", "i2c:/dev/i2c-1")
+    assert proposed.mux == array.mux
+    # An HMC5883 and an HMC5883L identify themselves alike.
+    wired = {(sensor.chip.removesuffix("l"), sensor.channel, sensor.address) for sensor in array.sensors}
+    assert {(sensor.chip.removesuffix("l"), sensor.channel, sensor.address) for sensor in proposed.sensors} == wired
+
+
+def test_a_bus_without_a_multiplexer() -> None:
+    found = [Found("trunk address 0x53", "", "", "adxl345", True, "", None, 0x53)]
+    array = parse_array(propose(found, "i2c:/dev/i2c-1"))
+    assert array.mux is None
+    assert [(sensor.name, sensor.channel, sensor.address) for sensor in array.sensors] == [("ADXL1", None, 0x53)]
+
+
+def test_nothing_answered() -> None:
+    with pytest.raises(SensorError, match="no chip answered"):
+        propose([], "i2c:/dev/i2c-1")
+
+
+def test_from_nothing_to_axes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Detect, log, find the axes: nobody filled in a sign. HMC5883 come out as HMC5883L, all else as it is wired."""
+    new, poses = tmp_path / "new.toml", tmp_path / "poses.h5"
+    assert main(["detect", "--bus", "emulated:", "-o", str(new)]) == 0
+    assert main(["detect", "--bus", "emulated:", "-o", str(new)]) == 2  # nothing is overwritten
+    new.write_text(new.read_text() + "# my own remark\n")
+    url = f"emulated:?world=tumble&face_s=3&board={SHIPPED}"
+    assert main(["log", str(new), "--bus", url, "--seconds", "45", "--rate-hz", "25", "-o", str(poses)]) == 0
+    assert main(["calibrate", "axes", str(poses), "-o", str(new), "--force"]) == 0
+    assert "Gyro2        +X-Y-Z" in capsys.readouterr().out
+    wired = {(sensor.channel, sensor.address): sensor.orientation for sensor in load_array(SHIPPED).sensors}
+    for sensor in load_array(new).sensors:
+        assert sensor.orientation == wired[sensor.channel, sensor.address], sensor.name
+    assert "# my own remark" in new.read_text()

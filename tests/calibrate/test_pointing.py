@@ -1,0 +1,146 @@
+"""Which way sensors point, from poses held by hand: a box turned as nobody wrote down, sensors mounted at random."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imuarray.calibrate.pointing import TURNS, find_pointing, held_poses
+from imuarray.errors import CalibrationError
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import Phase, SensorHeader
+from tests.calibrate.conftest import EPOCH, Floats, ideal
+
+RATE_HZ, REST_S, TURN_S = 50.0, 4.0, 1.5
+FIELD_WORLD = np.array([0.2, 0.05, -0.45])
+"""Gauss, in a frame whose z points up."""
+
+UP = {"+X": (1, 0, 0), "-X": (-1, 0, 0), "+Y": (0, 1, 0), "-Y": (0, -1, 0), "+Z": (0, 0, 1), "-Z": (0, 0, -1)}
+
+
+def attitude(up: str, heading_rad: float) -> Rotation:
+    """Box to world: that box axis up, turned about the vertical anyhow."""
+    level = Rotation.align_vectors([[0, 0, 1]], [UP[up]])[0]
+    return Rotation.from_rotvec([0, 0, heading_rad]) * level
+
+
+def held(ups: Sequence[str], seed: int = 5) -> tuple[Floats, Rotation, Floats]:
+    """Seconds (n,), attitudes box to world and rates (n, 3) in rad/s in the box frame of a box held and turned."""
+    rng = np.random.default_rng(seed)
+    ends = [attitude(up, rng.uniform(0, 6)) for up in ups]
+    rest, turn = round(REST_S * RATE_HZ), round(TURN_S * RATE_HZ)
+    parts, rates = [], []
+    for place, first in enumerate(ends):
+        parts += [first] * rest
+        rates += [np.zeros(3)] * rest
+        if place + 1 < len(ends):
+            way = (first.inv() * ends[place + 1]).as_rotvec()
+            share = (np.arange(turn) + 0.5) / turn
+            parts += [first * Rotation.from_rotvec(way * part) for part in share]
+            rates += [way / TURN_S] * turn
+    return np.arange(len(parts)) / RATE_HZ, Rotation.concatenate(parts), np.array(rates)
+
+
+Written = Callable[..., Path]
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Written:
+    """A log of sensors that point along `axes`, of which the log itself says +X+Y+Z; phases only where named."""
+
+    def write(axes: dict[str, str], ups: Sequence[str], *, named: bool = False, bias: float = 0.1) -> Path:
+        rng = np.random.default_rng(3)
+        seconds, attitudes, rates = held(ups)
+        time = np.round(seconds * 1e9).astype(np.int64)
+        box = {
+            "a": attitudes.inv().apply([0.0, 0.0, 1.0]),
+            "g": np.degrees(rates),
+            "m": attitudes.inv().apply(FIELD_WORLD),
+        }
+        kinds = {
+            "a": ("bma180", "specific_force", "g", 4.0, 2048.0, 0.02),
+            "g": ("l3g4200d", "angular_rate", "dps", 500.0, 1 / 0.0175, 0.2),
+            "m": ("hmc5883l", "magnetic_field", "gauss", 1.3, 1090.0, 0.002),
+        }
+        headers = [SensorHeader(name, *kinds[name[0]][:5]) for name in axes]
+        path = tmp_path / "poses.h5"
+        with LogWriter(path, headers, source="simulated", epoch=EPOCH) as writer:
+            for name, text in axes.items():
+                sensitivity, sigma = kinds[name[0]][4:]
+                exact = box[name[0]] @ ideal(text, sensitivity).T
+                exact += sensitivity * (bias * rng.uniform(-1, 1, 3) + rng.normal(0, sigma, exact.shape))
+                writer.append(name, Block(time, np.rint(exact).astype(np.int16), np.zeros(len(time), np.uint16)))
+            for place, up in enumerate(ups if named else ()):
+                start = round(place * (REST_S + TURN_S) * 1e9)
+                face = f"{up[1].lower()}_{'up' if up[0] == '+' else 'down'}"
+                writer.phase(Phase(start, start + round(REST_S * 1e9), face, up))
+        return path
+
+    return write
+
+
+AXES = {"a1": "-Y+X+Z", "a2": "+Y+X-Z", "a3": "+Z+X+Y", "g1": "+X-Y-Z", "g2": "-Z-X+Y", "m1": "-X-Y+Z"}
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_three_poses_tell_every_axis(written: Written, named: bool) -> None:
+    with open_log(written(AXES, ("+Z", "+X", "+Y"), named=named)) as log:
+        found = find_pointing(log, held_poses(log))
+    assert {each.sensor: each.axes for each in found} == AXES
+
+
+def test_every_way_to_mount_a_chip_is_found(written: Written) -> None:
+    signs = [
+        "".join("+-"[int(row[np.abs(row).argmax()] < 0)] + "XYZ"[np.abs(row).argmax()] for row in t) for t in TURNS
+    ]
+    axes = {f"{kind}{index}": text for kind in "agm" for index, text in enumerate(signs)}
+    assert len(set(signs)) == 24
+    ups = ("-Z", "+Y", "-X", "+X")
+    with open_log(written(axes, ups, bias=0.2)) as log:
+        found = find_pointing(log, held_poses(log, ups))
+    assert {each.sensor: each.axes for each in found} == axes
+
+
+def test_poses_held_in_another_order_are_refused(written: Written) -> None:
+    with (
+        open_log(written(AXES, ("+Z", "+X", "+Y"))) as log,
+        pytest.raises(CalibrationError, match=r"not \+X, \+Z, \+Y up"),
+    ):
+        find_pointing(log, held_poses(log, ("+X", "+Z", "+Y")))
+
+
+def test_another_number_of_poses_is_told_with_their_times(written: Written) -> None:
+    with open_log(written(AXES, ("+Z", "+X"))) as log, pytest.raises(CalibrationError, match=r"2 poses found \(.* s\)"):
+        held_poses(log)
+
+
+def test_one_way_up_tells_nothing(written: Written) -> None:
+    alike = pytest.raises(CalibrationError, match="one box axis up")
+    with open_log(written(AXES, ("+Z", "+Z", "-Z"), named=True)) as log, alike:
+        find_pointing(log, held_poses(log))
+
+
+def test_without_a_gyroscope_a_magnetometer_is_not_told(written: Written) -> None:
+    axes = {name: text for name, text in AXES.items() if name[0] != "g"}
+    with open_log(written(axes, ("+Z", "+X", "+Y"))) as log:
+        found = {each.sensor: each for each in find_pointing(log, held_poses(log))}
+    assert found["m1"].axes == "" and "gyroscope" in found["m1"].reason
+    assert found["a3"].axes == AXES["a3"]
+
+
+def test_two_poses_leave_a_gyroscope_untold(written: Written) -> None:
+    """One turn: whatever is turned about its axis looks the same."""
+    ups = ("+Z", "+X")
+    with open_log(written(AXES, ups)) as log:
+        found = {each.sensor: each for each in find_pointing(log, held_poses(log, ups))}
+    assert found["a1"].axes == AXES["a1"]
+    assert found["g1"].axes == "" and "as good as" in found["g1"].reason
+
+
+def test_an_unknown_pose_is_refused(written: Written) -> None:
+    with open_log(written(AXES, ("+Z", "+X", "+Y"))) as log, pytest.raises(CalibrationError, match="allowed are"):
+        held_poses(log, ("+Z", "X", "+Y"))
