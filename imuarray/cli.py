@@ -1,8 +1,4 @@
-"""The command line: one small file a command in `imuarray.commands`, loaded only when it is called.
-
-Exit codes: 0 did what was asked; 2 bad input, with one line that names the place and what is allowed; 3 the disk is
-full (a log was ended, and what it acknowledged is in it); 130 interrupted.
-"""
+"""The command line: one small file a command in `imuarray.commands`, loaded only when it is called."""
 
 from __future__ import annotations
 
@@ -14,12 +10,12 @@ from types import MappingProxyType
 import click
 
 from imuarray import __version__
-from imuarray.commands.program import run
+from imuarray.commands.program import EXIT_CODES, run
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
         "demo": "record the emulated array, calibrate, fuse, diagnose, write report.html",
-        "detect": "what answers on the bus, and is it what the configuration says",
+        "detect": "what answers on the bus, and is it what the configuration says; or write one",
         "log": "record an array into a log",
         "info": "what a log holds",
         "verify": "check every block of a log",
@@ -27,10 +23,11 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "import": "turn a foreign recording into a log",
         "simulate": "a log as an array would record it, from a model of its sensors",
         "characterise": "Allan deviation, spectrum, codes and noise table of a log",
-        "calibrate": "sensor parameters from logs: tumble, noise, thermal, turn-on",
+        "calibrate": "sensor parameters from logs: axes, tumble, noise, thermal, turn-on",
         "fuse": "one specific force and angular rate from all sensors",
         "gap": "where recordings and simulations differ, why, and how far it shrinks: diagnose",
         "paper": "the paper's tables and conclusions, recomputed from its published data",
+        "completion": "a script that lets a shell complete commands, options and file names",
     }
 )
 """Every command and the line that `--help` shows; the module `imuarray.commands.<name>` holds it as `command`."""
@@ -55,8 +52,31 @@ class _Commands(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(cls=_Commands, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="imuarray")
+def _versions(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    """Print the versions on which results may depend, and end."""
+    if wanted and not context.resilient_parsing:
+        from imuarray.commands.versions import versions
+
+        click.echo(f"imuarray {__version__}")
+        for name, version in versions().items():
+            click.echo(f"  {name:12} {version}")
+        context.exit()
+
+
+@click.group(
+    cls=_Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=f"Exit codes: {EXIT_CODES}.",
+)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_versions,
+    help="versions of what results depend on",
+)
 @click.pass_context
 def program(context: click.Context) -> None:
     """Drive, log, calibrate and fuse an array of low-cost MEMS inertial sensors."""

@@ -67,7 +67,7 @@ def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["-h"], ["--version"], ["log", "--help"], ["detect", "-h"], ["info", "--help"]]
+    "arguments", [["--help"], ["-h"], ["completion", "-h"], ["log", "--help"], ["detect", "-h"], ["info", "--help"]]
 )
 def test_help_is_light(arguments: list[str]) -> None:
     program = (
@@ -78,6 +78,25 @@ def test_help_is_light(arguments: list[str]) -> None:
     done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=30)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout
+
+
+def test_version_names_what_results_depend_on(run: Run) -> None:
+    code, out, _ = run("--version")
+    assert code == 0
+    assert {line.split()[0] for line in out.splitlines()} >= {"imuarray", "python", "HDF5", "numpy", "scipy", "h5py"}
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_a_script_for_the_shell(run: Run, shell: str) -> None:
+    code, out, _ = run("completion", shell)
+    assert code == 0
+    assert f"_IMUARRAY_COMPLETE={shell}_complete" in out
+
+
+def test_a_shell_that_asks_is_told_the_commands() -> None:
+    asked = {**os.environ, "_IMUARRAY_COMPLETE": "bash_complete", "COMP_WORDS": "imuarray cal", "COMP_CWORD": "1"}
+    done = subprocess.run([sys.executable, "-m", "imuarray"], capture_output=True, text=True, timeout=30, env=asked)
+    assert done.stdout == "plain,calibrate\n"
 
 
 def test_help_names_every_command(run: Run) -> None:

@@ -9,6 +9,12 @@ import click
 from imuarray.errors import NO_ROOM, ImuArrayError
 from imuarray.printable import printable
 
+EXIT_CODES = (
+    "0 did what was asked; 1 not all is well (detect --doctor); 2 bad input, or not the chip that is wanted, with one"
+    " line that names the place and what is allowed; 3 the disk is full, and a log that was being written ended whole; 130"
+    " interrupted"
+)
+
 
 def run(command: click.Command, name: str, arguments: Sequence[str] | None = None) -> int:
     """Run a command as the program `name` (with `arguments`, else those of this process): what it returns is the exit

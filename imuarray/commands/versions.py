@@ -1,0 +1,22 @@
+"""Which versions of what results may depend on: Python, HDF5 and the packages behind the numbers."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+_PACKAGES = ("numpy", "scipy", "h5py", "smbus2", "pyserial", "matplotlib")
+
+
+def versions() -> dict[str, str]:
+    """Name to version; without what is not installed."""
+    import h5py
+
+    found = {"python": f"{platform.python_version()} on {platform.system()} {platform.release()} {platform.machine()}"}
+    found["HDF5"] = h5py.version.hdf5_version
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
