@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "calibrate": "sensor parameters from logs: axes, tumble, noise, thermal, turn-on",
         "fuse": "one specific force and angular rate from all sensors",
         "gap": "where recordings and simulations differ, why, and how far it shrinks: diagnose",
+        "report": "one HTML page from any mix of logs, calibrations, fused results and diagnoses",
         "paper": "the paper's tables and conclusions, recomputed from its published data",
         "completion": "a script that lets a shell complete commands, options and file names",
     }

@@ -6,7 +6,7 @@ from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.evaluate import Error, errors_of, evaluate, quiet_noise
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
 from imuarray.fuse.fuse import fuse
-from imuarray.fuse.store import read_fused, write_fused
+from imuarray.fuse.store import FusedHead, read_fused, read_fused_head, write_fused
 from imuarray.fuse.techniques import NEEDS_NOISE, TECHNIQUES, changes
 from imuarray.fuse.thermal import element_temperatures, slopes_of
 
@@ -18,6 +18,7 @@ __all__ = [
     "Estimate",
     "Frames",
     "FusedBlock",
+    "FusedHead",
     "axes_of",
     "changes",
     "element_temperatures",
@@ -26,6 +27,7 @@ __all__ = [
     "fuse",
     "quiet_noise",
     "read_fused",
+    "read_fused_head",
     "slopes_of",
     "write_fused",
 ]

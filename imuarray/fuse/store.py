@@ -14,6 +14,8 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -25,6 +27,7 @@ import numpy.typing as npt
 
 from imuarray import __version__
 from imuarray.atomic import whole_file
+from imuarray.errors import LogError
 from imuarray.fuse.frames import ENTRIES, FusedBlock
 from imuarray.log.guard import open_file
 from imuarray.log.heaps import Inspected
@@ -79,11 +82,49 @@ def write_fused(
     return frames
 
 
+@dataclass(frozen=True)
+class FusedHead:
+    """What a fused file says of itself: `log` and `calibration` are the paths it was made from, `sensors` names, per
+    quantity, those whose use it tells.
+    """
+
+    technique: str
+    log: str
+    calibration: str
+    epoch: str
+    frames: int
+    sensors: Mapping[str, tuple[str, ...]]
+
+
+def read_fused_head(path: str | PathLike[str]) -> FusedHead:
+    """The head of a file that `write_fused` wrote; LogError for another one, or one built to do harm."""
+    with _opened(Path(path)) as file:
+        group = file["fused"]
+        sensors = {
+            name.removesuffix(_USED): tuple(str(one) for one in group[name].attrs.get("sensors", ()))
+            for name in group
+            if name.endswith(_USED)
+        }
+        technique, log, calibration, epoch = (
+            str(file.attrs.get(name, "")) for name in ("technique", "log", "calibration", "epoch")
+        )
+        return FusedHead(technique, log, calibration, epoch, int(group["time"].shape[0]), sensors)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """A fused file that does no harm; LogError."""
+    with open_file(path) as file:
+        with h5py.File(Inspected(path), "r") as inspected:
+            refuse_hostile(file, inspected, str(path))
+        if str(file.attrs.get("format")) != "imuarray-fused" or "time" not in file.get("fused", {}):
+            raise LogError(f"{path}: no fused result")
+        yield file
+
+
 def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[FusedBlock]:
     """The blocks of a file that `write_fused` wrote, `block` frames at a time; LogError for one built to do harm."""
-    with open_file(Path(path)) as file:
-        with h5py.File(Inspected(Path(path)), "r") as inspected:
-            refuse_hostile(file, inspected, str(path))
+    with _opened(Path(path)) as file:
         group = file["fused"]
         for start in range(0, group["time"].shape[0], block):
             rows = slice(start, start + block)

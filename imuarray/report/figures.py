@@ -91,6 +91,36 @@ def ratio_figure(labels: Sequence[str], ratios: Sequence[float], errors: Sequenc
     return figure
 
 
+def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: Floats) -> Figure:
+    """Residuals (sensors, poses) in mg: a row of dots for each sensor, a column for each pose."""
+    figure = _new_figure(8.0, 1.6 + 0.35 * len(sensors))
+    axes = figure.subplots()
+    span = max(float(np.nanmax(np.abs(residual_mg), initial=0.0)), 0.1)
+    for row, (name, values) in enumerate(zip(sensors, residual_mg, strict=True)):
+        axes.axhline(row, color=PALETTE[0], linewidth=0.5)
+        axes.plot(values, np.full(len(values), row), linestyle="none", marker="o", markersize=5, alpha=0.75, label=name)
+    axes.axvline(0, color="black", linewidth=0.8)
+    axes.set_xlim(-1.15 * span, 1.15 * span)
+    axes.set_ylim(len(sensors) - 0.4, -0.6)
+    axes.set_yticks(range(len(sensors)), sensors)
+    axes.set_xlabel(f"length of the specific force less 1 g (mg), a dot for each of {len(poses)} poses")
+    axes.grid(axis="x", linewidth=0.4, alpha=0.6)
+    return figure
+
+
+def course_figure(time_s: Floats, triad: Floats, label: str) -> Figure:
+    """A triad (n, 3) over time, a panel for each box axis."""
+    figure = _new_figure(8.0, 4.6)
+    panels = figure.subplots(3, 1, sharex=True)
+    for axis, panel in enumerate(panels):
+        panel.plot(time_s, triad[:, axis], color=PALETTE[1 + axis], linewidth=0.9)
+        panel.set_ylabel("XYZ"[axis], rotation=0, labelpad=12)
+        panel.grid(linewidth=0.4, alpha=0.6)
+    panels[-1].set_xlabel("time (s)")
+    figure.suptitle(label, fontsize=10.5, x=0.02, ha="left")
+    return figure
+
+
 def _new_figure(width: float, height: float) -> Figure:
     """An empty figure (inches) that needs no display; MissingExtraError without matplotlib."""
     try:

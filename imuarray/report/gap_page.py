@@ -42,8 +42,15 @@ def write_gap_page(path: str | PathLike[str], diagnosis: Diagnosis, *, force: bo
     OutputExistsError if it is there and not `force`, MissingExtraError without jinja2.
     """
     drawn = find_spec("matplotlib") is not None
-    summary = list(_summary(diagnosis))
-    sections = (
+    summary = list(gap_summary(diagnosis))
+    sections = gap_sections(diagnosis, drawn=drawn)
+    title = f"Gap between recording and simulation: {diagnosis.verdict}"
+    write_page(path, title, summary if drawn else [*summary, NO_FIGURES], sections, force=force)
+
+
+def gap_sections(diagnosis: Diagnosis, *, drawn: bool) -> tuple[Section, ...]:
+    """All that the page says below its summary; figures only if they can be `drawn`."""
+    return (
         _map(diagnosis.map, drawn=drawn),
         _causes(diagnosis),
         _shrinks(diagnosis, drawn=drawn),
@@ -55,11 +62,10 @@ def write_gap_page(path: str | PathLike[str], diagnosis: Diagnosis, *, force: bo
         _judged(diagnosis),
         _recorded(diagnosis),
     )
-    title = f"Gap between recording and simulation: {diagnosis.verdict}"
-    write_page(path, title, summary if drawn else [*summary, NO_FIGURES], sections, force=force)
 
 
-def _summary(diagnosis: Diagnosis) -> Iterator[str]:
+def gap_summary(diagnosis: Diagnosis) -> Iterator[str]:
+    """What a person would say of it, a line each."""
     yield tables.strong(diagnosis.sentence)
     yield f"{_VERDICTS[diagnosis.verdict]} Chance alone gives a difference as large as this with {chance(diagnosis.p)}."
     gap = gap_text(diagnosis.gap)

@@ -42,7 +42,14 @@ def write_validation_page(
     if plots is None:
         plots = plots_of(figures) if can_draw else {}
     summary = list(summary_lines(figures))
-    sections = (
+    sections = validation_sections(figures, plots, command)
+    title = f"Diagnosis checked on data whose effect is withheld: {figures.half or 'unnamed'} half"
+    write_page(path, title, summary if can_draw else [*summary, NO_FIGURES], sections, force=force)
+
+
+def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tuple[Section, ...]:
+    """All that the page says below its summary."""
+    return (
         _figures(figures),
         _missed(figures),
         _alarms(figures, plots),
@@ -52,8 +59,6 @@ def write_validation_page(
         _closure(figures, plots),
         _run(figures, command),
     )
-    title = f"Diagnosis checked on data whose effect is withheld: {figures.half or 'unnamed'} half"
-    write_page(path, title, summary if can_draw else [*summary, NO_FIGURES], sections, force=force)
 
 
 def _figures(figures: Figures) -> Section:

@@ -1,0 +1,38 @@
+"""`imuarray report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+
+
+@click.command("report")
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="report.html", help="the page")
+@click.option("--title", default="", metavar="TEXT", help="its heading (default: the names of the files)")
+@force_option
+@json_option
+def command(files: tuple[Path, ...], output: Path, title: str, force: bool, as_json: bool) -> None:
+    """One HTML page from any mix of logs, calibrations, fused results, gap diagnoses and validation runs.
+
+    It needs nothing beside it, and reads well on paper. Noise and residuals are in the units of the calibrations among
+    the files.
+
+    \b
+    imuarray report heating.h5 cal.toml fused.h5 gap/ -o report.html
+    """
+    from imuarray.report.files import kind_of, write_report
+
+    for path in files:
+        refuse_existing(output, force, source=path if path.is_file() else None)
+        kind_of(path)
+    with progress(len(set(files)), "report") as done:
+        kinds = write_report(files, output, title=title, force=force, progress=done)
+    if as_json:
+        print_json({"report": str(output), "files": kinds})
+    else:
+        told = ", ".join(f"{Path(path).name} ({kind})" for path, kind in kinds.items())
+        click.echo(f"wrote {output}: {told}")

@@ -1,0 +1,143 @@
+"""A calibration on a page: biases, scale factors and slopes with what is known of their errors, and what is left of the
+poses that a log holds once they are calibrated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.poses import find_poses, named_faces, read_pose
+from imuarray.errors import CalibrationError
+from imuarray.log import Log
+from imuarray.report.figures import residual_figure
+from imuarray.report.page import Figure, Section, Table
+from imuarray.units import READABLE, STANDARD_GRAVITY
+
+_FEWEST = 4
+"""Poses without which residuals would tell little."""
+
+
+def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
+    """A line: what it knows, from what."""
+    sources = ", ".join(Path(source).name for source in calibration.sources) or "nothing that it names"
+    measured = sorted({group for sensor in calibration.sensors.values() for group in sensor.measured()})
+    yield f"{path.name}: {', '.join(measured) or 'nothing'} of {len(calibration.sensors)} sensors, from {sources}."
+
+
+def calibration_sections(path: Path, calibration: Calibration) -> Iterator[Section]:
+    """Its figures, with their uncertainties."""
+    axes = [row for sensor in calibration.sensors.values() for row in _axes(sensor)]
+    words = "Every figure with its standard error where one was measured; without, it is the data sheet's. "
+    words += "A bias is what the axis reads when it feels nothing; the direction is where it really points in the box."
+    heading = ["axis", "unit", "bias", "± s.e.", "counts per unit", "± s.e.", "azimuth °", "elevation °", "noise"]
+    parts = [
+        Table(heading, axes, "Biases, responses and the scatter of single readings, along each sensor's axes.", (1,))
+    ]
+    if slopes := [row for sensor in calibration.sensors.values() for row in _slopes(sensor)]:
+        heading = ["axis", "unit", "slope per °C", "± s.e.", "lag s", "thermometer", "is"]
+        parts.append(Table(heading, slopes, "What a degree does; “bias or scale”: one attitude can't tell.", (1, 5, 6)))
+    if states := [row for sensor in calibration.sensors.values() for row in _turn_on(sensor)]:
+        heading = ["axis", "unit", "run to run", "± s.e.", "p of none", "runs", "states"]
+        parts.append(Table(heading, states, "How much a bias changes when the array is switched off and on.", (1,)))
+    yield Section(f"{path.name}: calibration", words, parts)
+
+
+def _axes(sensor: SensorCalibration) -> Iterator[list[str]]:
+    factor, unit = READABLE[sensor.unit]
+    bias, scale = factor * sensor.bias_in_units(), sensor.scale_lsb_per_unit
+    angles = sensor.azimuth_elevation_deg()
+    for axis in range(3):
+        per_count = factor / scale[axis]
+        sem = None if sensor.bias_sem_lsb is None else per_count * sensor.bias_sem_lsb[axis]
+        response = None if sensor.response_sem_lsb_per_unit is None else sensor.response_sem_lsb_per_unit[axis]
+        noise = None if sensor.noise_lsb is None else per_count * sensor.noise_lsb[axis]
+        yield [
+            f"{sensor.name} {'xyz'[axis]}",
+            unit,
+            f"{bias[axis]:.3f}",
+            _or_none(sem),
+            f"{scale[axis]:.4g}",
+            _or_none(response),
+            f"{angles[axis, 0]:.2f}",
+            f"{angles[axis, 1]:.2f}",
+            _or_none(noise),
+        ]
+
+
+def _slopes(sensor: SensorCalibration) -> Iterator[list[str]]:
+    if (thermal := sensor.thermal) is None:
+        return
+    factor, unit = READABLE[sensor.unit]
+    for axis in range(3):
+        per_count = factor / sensor.scale_lsb_per_unit[axis]
+        slope, sem = thermal.slope_lsb_per_degc[axis], thermal.slope_sem_lsb_per_degc[axis]
+        name = f"{sensor.name} {'xyz'[axis]}"
+        lag = f"{thermal.significant_lag_s:.0f}"
+        yield [
+            name,
+            unit,
+            f"{per_count * slope:.4f}",
+            f"{per_count * sem:.4f}",
+            lag,
+            thermal.thermometer,
+            thermal.meaning[axis],
+        ]
+
+
+def _turn_on(sensor: SensorCalibration) -> Iterator[list[str]]:
+    if (turn_on := sensor.turn_on) is None:
+        return
+    factor, unit = READABLE[sensor.unit]
+    for axis in range(3):
+        per_count = factor / sensor.scale_lsb_per_unit[axis]
+        rms, sem = per_count * turn_on.rms_lsb[axis], per_count * turn_on.rms_sem_lsb[axis]
+        p_value = turn_on.p_value[axis]
+        chance = "–" if np.isnan(p_value) else f"{p_value:.2g}"
+        states = str(max(1, len(turn_on.states)))
+        yield [f"{sensor.name} {'xyz'[axis]}", unit, f"{rms:.4f}", f"{sem:.4f}", chance, str(turn_on.runs), states]
+
+
+def _or_none(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
+def residual_section(log: Log, calibration: Calibration, *, drawn: bool) -> Section | None:
+    """By how much the calibrated specific force of each accelerometer differs from one g in a log's poses; None for too
+    few of them.
+    """
+    sensors = [sensor for sensor in log.of("specific_force") if sensor.name in calibration.sensors]
+    try:
+        poses = named_faces(log) or (find_poses(log) if sensors else [])
+    except CalibrationError:
+        return None
+    if not sensors or len(poses) < _FEWEST:
+        return None
+    residual_mg = np.full((len(sensors), len(poses)), np.nan)
+    for row, sensor in enumerate(sensors):
+        known = calibration.of(sensor)
+        for column, pose in enumerate(poses):
+            try:
+                force = known.stimulus_box(read_pose(sensor, pose).mean_lsb[None])[0]
+            except CalibrationError:
+                continue
+            residual_mg[row, column] = 1e3 * (np.linalg.norm(force) / STANDARD_GRAVITY - 1)
+    names, labels = [sensor.name for sensor in sensors], [pose.phase.name for pose in poses]
+    rms = np.sqrt(np.nanmean(residual_mg**2, axis=1))
+    rows = [
+        [name, *(f"{value:.2f}" for value in row), f"{own:.2f}"]
+        for name, row, own in zip(names, residual_mg, rms, strict=True)
+    ]
+    words = "In a pose at rest the specific force is one g long, whatever the attitude: what is left of it, in mg."
+    caption = (
+        "Near zero everywhere is right; one pose off in all sensors was disturbed, one sensor off has another error."
+    )
+    parts: list[Table | Figure] = []
+    if drawn:
+        drawing = residual_figure(names, labels, residual_mg)
+        parts.append(Figure(drawing, caption, f"Residuals of {len(names)} accelerometers in {len(labels)} poses"))
+    parts.append(Table(["sensor", *labels, "rms"], rows, caption if not drawn else "The same as numbers, mg."))
+    return Section(f"{log.path.name}: what calibration leaves", words, parts)

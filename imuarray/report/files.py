@@ -1,0 +1,190 @@
+"""One page from any mix of files: each is told by what is in it, and says its part.
+
+To add a kind: how it is recognised and what it says, and a line in `KINDS`.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.util import find_spec
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from imuarray.calibrate import Calibration, load_calibration
+from imuarray.errors import LogError
+from imuarray.fuse import read_fused_head
+from imuarray.log import Log, open_log
+from imuarray.log.guard import open_file
+from imuarray.report.calibration_sheet import calibration_sections, calibration_summary, residual_section
+from imuarray.report.fused_sheet import fused_sections, fused_summary
+from imuarray.report.log_sheet import log_sections, log_summary
+from imuarray.report.page import Section, write_page
+
+_MOST_BYTES = 1 << 26
+"""Of a file of text."""
+
+NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
+
+
+@dataclass(frozen=True)
+class Together:
+    """What the files of a page know of each other: the calibrations, merged in their order, and whether to draw."""
+
+    calibration: Calibration
+    drawn: bool
+
+
+Sayings = tuple[list[str], list[Section]]
+"""Lines of the summary, and sections."""
+
+
+def _log(path: Path, together: Together) -> Sayings:
+    with ExitStack() as stack:
+        log: Log = stack.enter_context(open_log(path))
+        known = together.calibration
+        fitting = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors and sensor.is_triad]
+        scales = {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
+        sections = list(log_sections(log, scales, drawn=together.drawn))
+        if fitting and (residuals := residual_section(log, known, drawn=together.drawn)):
+            sections.append(residuals)
+        return list(log_summary(log)), sections
+
+
+def _calibration(path: Path, together: Together) -> Sayings:
+    calibration = load_calibration(path)
+    return list(calibration_summary(path, calibration)), list(calibration_sections(path, calibration))
+
+
+def _fused(path: Path, together: Together) -> Sayings:
+    head = read_fused_head(path)
+    return list(fused_summary(path, head)), list(fused_sections(path, head, drawn=together.drawn))
+
+
+def _gap(path: Path, together: Together) -> Sayings:
+    from imuarray.gap.read_back import diagnosis_of
+    from imuarray.report.gap_page import gap_sections, gap_summary
+
+    diagnosis = diagnosis_of(_json(path), str(path))
+    return list(gap_summary(diagnosis)), list(gap_sections(diagnosis, drawn=together.drawn))
+
+
+def _validation(path: Path, together: Together) -> Sayings:
+    from imuarray.report.validation_figures import plots_of
+    from imuarray.report.validation_page import validation_sections
+    from imuarray.report.validation_words import summary_lines
+    from imuarray.validation.generator import CHIPS
+    from imuarray.validation.plans import HIDDEN
+    from imuarray.validation.scoring import score_folder
+
+    figures = score_folder(path, hidden=HIDDEN, sensors=CHIPS)
+    plots = plots_of(figures) if together.drawn else {}
+    return list(summary_lines(figures)), list(validation_sections(figures, plots))
+
+
+KINDS: Mapping[str, Callable[[Path, Together], Sayings]] = MappingProxyType(
+    {
+        "log": _log,
+        "calibration": _calibration,
+        "fused result": _fused,
+        "gap diagnosis": _gap,
+        "validation run": _validation,
+    }
+)
+"""What can stand on a page, in the order in which it is told."""
+
+_ALLOWED = (
+    "allowed are logs and fused results (.h5), calibrations (.toml), gap.json or the folder of `gap diagnose -o`, and"
+    " the folder of a validation run"
+)
+
+
+def write_report(
+    paths: Sequence[Path],
+    output: str | PathLike[str],
+    *,
+    title: str = "",
+    force: bool = False,
+    progress: Callable[[int], None] = lambda done: None,
+) -> dict[str, str]:
+    """Write the page of these files; the kind of each. LogError for a file of no kind, OutputExistsError."""
+    kinds = {path: kind_of(path) for path in dict.fromkeys(paths)}
+    known = Calibration()
+    for path, kind in kinds.items():
+        if kind == "calibration":
+            known = known.merged(load_calibration(path))
+    together = Together(known, find_spec("matplotlib") is not None)
+    summary: list[str] = []
+    sections: list[Section] = []
+    for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
+        lines, own = KINDS[kinds[path]](_file_of(path), together)
+        summary += lines
+        sections += own
+        progress(done + 1)
+    if not together.drawn:
+        summary.append(NO_FIGURES)
+    write_page(output, title or ", ".join(path.name for path in kinds), summary, sections, force=force)
+    return {str(path): kind for path, kind in kinds.items()}
+
+
+def kind_of(path: Path) -> str:
+    """Which of `KINDS` a file or folder is; LogError if it is none."""
+    for kind, recognised in _RECOGNISED:
+        if recognised(path):
+            return kind
+    missing = "no such file or folder" if not path.exists() else "nothing that a report is made of"
+    raise LogError(f"{path}: {missing}; {_ALLOWED}")
+
+
+def _recognise() -> Iterator[tuple[str, Callable[[Path], bool]]]:
+    yield "validation run", lambda path: (path / "plan.json").is_file()
+    yield (
+        "gap diagnosis",
+        lambda path: isinstance(table := _json(path), Mapping) and {"verdict", "causes"} <= set(table),
+    )
+    yield "calibration", lambda path: path.suffix == ".toml" and "calibration" in _toml(path)
+    yield "fused result", lambda path: _hdf5_format(path) == "imuarray-fused"
+    yield "log", lambda path: path.is_file() and path.suffix in (".h5", ".hdf5")
+
+
+_RECOGNISED = tuple(_recognise())
+
+
+def _file_of(path: Path) -> Path:
+    return path / "gap.json" if (path / "gap.json").is_file() else path
+
+
+def _json(path: Path) -> Any:
+    """What a JSON file holds; None if it is none. A folder stands for the `gap.json` in it."""
+    place = _file_of(path)
+    if place.suffix != ".json" or not place.is_file() or place.stat().st_size > _MOST_BYTES:
+        return None
+    try:
+        return json.loads(place.read_text(encoding="utf-8"))
+    except (ValueError, OSError, RecursionError):
+        return None
+
+
+def _toml(path: Path) -> Mapping[str, Any]:
+    if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+        return {}
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError, RecursionError):
+        return {}
+
+
+def _hdf5_format(path: Path) -> str:
+    """The format that an HDF5 file says it is; "" for one that can't be asked."""
+    if not path.is_file() or path.suffix not in (".h5", ".hdf5"):
+        return ""
+    try:
+        with open_file(path) as file:
+            return str(file.attrs.get("format", ""))
+    except (LogError, OSError):
+        return ""

@@ -1,0 +1,107 @@
+"""A fused result on a page: by which technique, how quiet it is, which sensors it stood on, and how its values went."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse import FusedBlock, FusedHead, quiet_noise, read_fused
+from imuarray.report.figures import course_figure
+from imuarray.report.page import Figure, Section, Table
+from imuarray.units import READABLE_SI
+
+Floats = npt.NDArray[np.float64]
+
+_POINTS = 2000
+"""Means that are drawn of a course, however long."""
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Means of so many frames each: time (n,) in s and triads (n, 3) in SI by quantity; use of sensors by quantity."""
+
+    time_s: Floats
+    triads: dict[str, Floats]
+    frames: int
+    used: dict[str, Floats]
+    sigma: dict[str, Floats]
+
+
+def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
+    """A line."""
+    calibration = Path(head.calibration).name or "the data sheets"
+    yield f"{path.name}: {head.frames} frames of {Path(head.log).name} by {head.technique}, by {calibration}."
+
+
+def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> Iterator[Section]:
+    """How quiet it is, which sensors were in use, and its course."""
+    noise = quiet_noise(read_fused(path))
+    course = _course(path, head.frames)
+    rows = []
+    for quantity, values in noise.items():
+        factor, unit = READABLE_SI[quantity]
+        own = course.sigma.get(quantity)
+        for axis in range(3):
+            told = f"{factor * own[axis]:.3f}" if own is not None and np.isfinite(own[axis]) else "–"
+            rows.append([f"{quantity.replace('_', ' ')} {'XYZ'[axis]}", unit, f"{factor * values[axis]:.3f}", told])
+    heading = ["box axis", "unit", "scatter at rest", "its own estimate"]
+    caption = "Scatter from frame to frame where it is quietest, beside the error that the estimate gives itself."
+    parts: list[Table | Figure] = [Table(heading, rows, caption, (1,))]
+    if use := _use_rows(head, course):
+        words = "Share of the frames in which an axis of the sensor went into the result; below one it was left out."
+        parts.append(Table(["sensor", "x", "y", "z"], use, words))
+    if drawn:
+        parts += [_drawn(quantity, course) for quantity in course.triads]
+    yield Section(f"{path.name}: fused by {head.technique}", "The result in the box frame.", parts)
+
+
+def _drawn(quantity: str, course: _Course) -> Figure:
+    factor, unit = READABLE_SI[quantity]
+    name = quantity.replace("_", " ")
+    drawing = course_figure(course.time_s, factor * course.triads[quantity], f"{name} ({unit})")
+    caption = f"The fused {name} over time: steps that no motion made would be a sensor that came or went."
+    return Figure(drawing, caption, f"Fused {name} along the three box axes against time")
+
+
+def _use_rows(head: FusedHead, course: _Course) -> list[list[str]]:
+    rows = []
+    for quantity, names in head.sensors.items():
+        shares = course.used.get(quantity)
+        if shares is not None and len(names) == len(shares):
+            rows += [[name, *(f"{part:.4f}" for part in own)] for name, own in zip(names, shares, strict=True)]
+    return rows
+
+
+def _course(path: Path, frames: int) -> _Course:
+    """Means over stretches, a block at a time."""
+    width = max(1, -(-frames // _POINTS))
+    times: list[Floats] = []
+    triads: dict[str, list[Floats]] = {}
+    used: dict[str, Floats] = {}
+    variance: dict[str, Floats] = {}
+    for block in read_fused(path, block=width * max(1, (1 << 14) // width)):
+        first = np.arange(0, len(block.time), width)
+        counts = np.diff(np.append(first, len(block.time)))
+        times.append(np.add.reduceat(block.time * 1e-9, first) / counts)
+        for quantity, rows in block.triads.items():
+            triads.setdefault(quantity, []).append(np.add.reduceat(rows, first) / counts[:, None])
+        _add_use(block, used, variance)
+    return _Course(
+        np.concatenate(times) if times else np.zeros(0),
+        {quantity: np.concatenate(parts) for quantity, parts in triads.items()},
+        frames,
+        {quantity: counts / max(frames, 1) for quantity, counts in used.items()},
+        {quantity: np.sqrt(total / max(frames, 1)) for quantity, total in variance.items()},
+    )
+
+
+def _add_use(block: FusedBlock, used: dict[str, Floats], variance: dict[str, Floats]) -> None:
+    for quantity, bits in block.used.items():
+        counts = np.stack([(bits & bit != 0).sum(axis=0) for bit in (1, 2, 4)], axis=1).astype(float)
+        used[quantity] = used.get(quantity, 0.0) + counts
+    for quantity, rows in block.covariances.items():
+        variance[quantity] = variance.get(quantity, 0.0) + np.nansum(rows[:, :3], axis=0)

@@ -1,0 +1,175 @@
+"""A log on a page: what was recorded and how well, how its sensors scatter at rest, and what stands out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from imuarray.characterise import characterise_log
+from imuarray.characterise.findings import findings
+from imuarray.characterise.plots import allan_figure, spectrum_figure
+from imuarray.errors import ImuArrayError
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import FLAGS
+from imuarray.report.page import Figure, Section, Table
+from imuarray.units import READABLE
+
+_EVENTS = 30
+"""So many events are listed."""
+
+_TERMS = ("white", "flicker", "random walk")
+"""Of the fit to an Allan curve: N, B and K."""
+
+
+def log_summary(log: Log) -> Iterator[str]:
+    """A line or two: what it is, and what is wrong with it."""
+    rows = sum(len(sensor) for sensor in log.sensors.values())
+    emulated = ", of the emulated array, no hardware" if log.source == "emulated" else ""
+    yield f"{log.path.name}: {_duration(log)} of {len(log.sensors)} sensors, {rows} readings ({log.source}{emulated})."
+    if log.state != "finished":
+        yield f"{log.path.name} is {log.state}: what was acknowledged is shown."
+
+
+def log_sections(log: Log, scales: Mapping[str, Any], *, drawn: bool) -> Iterator[Section]:
+    """What was recorded; noise at rest with figures if they can be `drawn`. `scales`: calibrated counts per unit."""
+    yield _recorded(log)
+    try:
+        result = characterise_log(log, scales=scales)
+    except ImuArrayError as error:
+        yield Section(f"{log.path.name}: noise", f"Nothing can be said of noise: {error}.")
+        return
+    yield _noise(log, result, drawn=drawn)
+
+
+def _recorded(log: Log) -> Section:
+    rows, flagged = [], dict.fromkeys(FLAGS, 0)
+    for sensor in log.sensors.values():
+        flags = _flags(sensor)
+        for name, count in flags.items():
+            flagged[name] += count
+        told = ", ".join(f"{count} {name}" for name, count in flags.items() if count)
+        span = f"±{sensor.range:g} {sensor.unit}" if sensor.range else sensor.unit
+        seconds = float(sensor.time[-1] - sensor.time[0]) * 1e-9 if len(sensor) > 1 else 0.0
+        rate = f"{(len(sensor) - 1) / seconds:.2f}" if seconds else "–"
+        longest = f"{1e3 * _longest_s(sensor):.1f}"
+        rows.append([sensor.name, sensor.chip, span, sensor.axes, str(len(sensor)), rate, longest, told or "none"])
+    lost = flagged.get("lost before", 0)
+    words = f"Epoch {log.epoch}, written by {log.software}. "
+    words += (
+        "No reading is flagged as lost. " if not lost else f"{lost} readings have others missing just before them. "
+    )
+    words += (
+        "Flags are the log's own: stale means that the chip had nothing new, saturated that an axis stood at its end."
+    )
+    heading = ["sensor", "chip", "range", "axes", "readings", "Hz", "longest pause ms", "flags"]
+    parts = [Table(heading, rows, "Every sensor: look for a rate that is not the others', and for flags.", (1, 3, 7))]
+    if log.phases:
+        stretches = [[p.name, p.up or "–", f"{p.start_ns * 1e-9:.1f}", f"{p.end_ns * 1e-9:.1f}"] for p in log.phases]
+        parts.append(Table(["phase", "up", "from s", "to s"], stretches, "What the phases say was done.", (1,)))
+    if log.events:
+        events = sorted(log.events)
+        told_events = [[f"{e.time_ns * 1e-9:.3f}", e.sensor or "array", e.kind, e.message] for e in events[:_EVENTS]]
+        more = f" The first {_EVENTS} of {len(events)}." if len(events) > _EVENTS else ""
+        parts.append(Table(["at s", "sensor", "kind", "what"], told_events, f"What happened.{more}", (1, 2, 3)))
+    return Section(f"{log.path.name}: what was recorded", words, parts)
+
+
+def _flags(sensor: SensorLog) -> dict[str, int]:
+    """How many readings bear each flag."""
+    found = dict.fromkeys(FLAGS, 0)
+    for block in sensor.blocks():
+        status = np.asarray(sensor.status[block])
+        for name, flag in FLAGS.items():
+            found[name] += int(np.count_nonzero(status & flag))
+    return found
+
+
+def _longest_s(sensor: SensorLog) -> float:
+    """The longest time between two readings."""
+    longest, last = 0, None
+    for block in sensor.blocks():
+        time = np.asarray(sensor.time[block])
+        steps = np.diff(time, prepend=time[:1] if last is None else last)
+        longest, last = max(longest, int(steps.max(initial=0))), time[-1:]
+    return longest * 1e-9
+
+
+def _duration(log: Log) -> str:
+    """How long, and from when."""
+    rows = [sensor for sensor in log.sensors.values() if len(sensor)]
+    if not rows:
+        return "nothing"
+    first, last = min(int(s.time[0]) for s in rows), max(int(s.time[-1]) for s in rows)
+    seconds = (last - first) * 1e-9
+    length = (
+        f"{seconds:.1f} s"
+        if seconds < 120
+        else f"{seconds / 60:.1f} min"
+        if seconds < 7200
+        else f"{seconds / 3600:.2f} h"
+    )
+    try:
+        begun = datetime.fromisoformat(log.epoch).astimezone(UTC) + timedelta(microseconds=first // 1000)
+    except (ValueError, OverflowError):
+        return length
+    return f"{length} from {begun:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _noise(log: Log, result: Mapping[str, Any], *, drawn: bool) -> Section:
+    stretch = result["stretch"]
+    where = (
+        f"phase {stretch['phase']}" if stretch["phase"] else "the whole log: motion, if there was any, counts as noise"
+    )
+    words = f"Over {stretch['start_s']:.1f} s to {stretch['end_s']:.1f} s ({where}). "
+    told = findings(result)
+    words += (
+        f"What stands out: {'; '.join(told)}." if told else "Nothing stands out: no line, no clipping, no odd codes."
+    )
+    parts: list[Table | Figure] = [_noise_table(result)]
+    if drawn:
+        parts += [
+            Figure(
+                allan_figure(result),
+                "Straight lines of slope -1/2 are white noise; where a curve flattens or rises, averaging longer gains"
+                " nothing: the bias wanders.",
+                "Allan deviation of every axis against averaging time",
+            ),
+            Figure(
+                spectrum_figure(result),
+                "A flat spectrum is white noise, a fall at high frequency a filter, a peak a line that fusion should"
+                " know of.",
+                "Spectral density of every axis against frequency",
+            ),
+        ]
+    return Section(f"{log.path.name}: noise", words, parts)
+
+
+def _noise_table(result: Mapping[str, Any]) -> Table:
+    rows = []
+    for sensor in result["sensors"]:
+        if sensor["unit"] not in READABLE:
+            continue
+        factor, unit = READABLE[sensor["unit"]]
+        for axis in sensor["axes"]:
+            own, fit = axis["unit"], axis["fit"]
+            scatter = f"{factor * own['std']:.3f}" if own["std"] is not None else "–"
+            cells = [_fitted(fit, name, factor * abs(axis["unit_per_count"] or 1.0)) for name in _TERMS]
+            rows.append([f"{sensor['name']} {axis['axis']}", unit, scatter, *cells])
+    heading = ["axis", "unit", "scatter", "N, unit/√Hz", "B, unit", "K, unit/√s"]
+    caption = (
+        "Scatter of single readings; white noise N, bias instability B and rate random walk K fitted to the Allan"
+        " deviation (IEEE Std 952), in brackets 95 % intervals; “<”: not seen, and no more than so much."
+    )
+    return Table(heading, rows, caption, (1,))
+
+
+def _fitted(fit: Mapping[str, Any] | None, name: str, factor: float) -> str:
+    """One coefficient with its interval, or its upper limit."""
+    one = None if fit is None else fit["terms"].get(name)
+    if one is None:
+        return "–"
+    low, high = (factor * bound for bound in (one["low"], one["high"]))
+    return f"< {high:.2g}" if not one["significant"] else f"{factor * one['value']:.3g} ({low:.2g} to {high:.2g})"

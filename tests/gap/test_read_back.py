@@ -1,0 +1,67 @@
+"""A diagnosis read back from the JSON that it was written as."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.errors import LogError
+from imuarray.gap.read_back import diagnosis_of
+from tests.report.made_diagnosis import made
+
+
+def table() -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads(json.dumps(made().as_json()))
+    return loaded
+
+
+def test_all_that_json_holds_comes_back() -> None:
+    assert diagnosis_of(table()).as_json() == made().as_json()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        (("verdict",), "perhaps", "verdict: 'perhaps'; allowed are no gap"),
+        (("gap", "before"), "much", "gap.before: 'much'"),
+        (("map", "before"), [["x"]], "rows of numbers"),
+        (("map", "sensors"), ["A"] * 99, "sensors by"),
+        (("where",), {"a": 1}, "where: a list is wanted"),
+        (("causes",), [3], "causes: an object is wanted"),
+        (("seed",), True, "seed: True"),
+    ],
+)
+def test_what_is_wrong_is_named(path: tuple[str, ...], value: object, said: str) -> None:
+    found = table()
+    place: Any = found
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    with pytest.raises(LogError, match=said):
+        diagnosis_of(found)
+
+
+def test_what_is_missing_is_named() -> None:
+    found = table()
+    del found["cannot_tell"]
+    with pytest.raises(LogError, match="cannot_tell is missing"):
+        diagnosis_of(found)
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda x: st.lists(x) | st.dictionaries(st.text(), x),
+    max_leaves=5,
+)
+
+
+@given(key=st.sampled_from(sorted(made().as_json())), value=_JSON)
+@settings(max_examples=60, deadline=None)
+def test_nonsense_is_refused_or_harmless(key: str, value: object) -> None:
+    with contextlib.suppress(LogError):
+        assert diagnosis_of({**table(), key: value}).seed in (value, made().seed)
