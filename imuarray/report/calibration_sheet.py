@@ -23,7 +23,7 @@ _FEWEST = 4
 
 def calibration_summary(path: Path, calibration: Calibration) -> Iterator[str]:
     """A line: what it knows, from what."""
-    sources = ", ".join(Path(source).name for source in calibration.sources) or "nothing that it names"
+    sources = ", ".join(dict.fromkeys(Path(source).name for source in calibration.sources)) or "nothing that it names"
     measured = sorted({group for sensor in calibration.sensors.values() for group in sensor.measured()})
     yield f"{path.name}: {', '.join(measured) or 'nothing'} of {len(calibration.sensors)} sensors, from {sources}."
 

@@ -27,8 +27,8 @@ _TERMS = ("white", "flicker", "random walk")
 def log_summary(log: Log) -> Iterator[str]:
     """A line or two: what it is, and what is wrong with it."""
     rows = sum(len(sensor) for sensor in log.sensors.values())
-    emulated = ", of the emulated array, no hardware" if log.source == "emulated" else ""
-    yield f"{log.path.name}: {_duration(log)} of {len(log.sensors)} sensors, {rows} readings ({log.source}{emulated})."
+    source = "the emulated array, no hardware" if log.source == "emulated" else log.source
+    yield f"{log.path.name}: {_duration(log)} of {len(log.sensors)} sensors, {rows} readings ({source})."
     if log.state != "finished":
         yield f"{log.path.name} is {log.state}: what was acknowledged is shown."
 
