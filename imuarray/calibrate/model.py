@@ -43,9 +43,13 @@ from imuarray.calibrate.entries import (
 from imuarray.calibrate.stability import PROVENANCE, THERMAL, TURN_ON, Provenance, Thermal, TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
+from imuarray.log.format import SensorHeader
 from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
+
+Described = SensorLog | SensorHeader
+"""A sensor as a log describes it: one that was recorded, or that is to be."""
 
 FORMAT_VERSION = 1
 
@@ -170,7 +174,7 @@ class Calibration:
         """
         return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
 
-    def of(self, sensor: SensorLog) -> SensorCalibration:
+    def of(self, sensor: Described) -> SensorCalibration:
         """What is known of `sensor`: the calibration if there is one, else the data sheet. CalibrationError if it
         does not fit.
         """
@@ -206,7 +210,7 @@ class Calibration:
         write_text(path, self.to_toml(), force=force)
 
 
-def nominal(sensor: SensorLog) -> SensorCalibration:
+def nominal(sensor: Described) -> SensorCalibration:
     """What the data sheet and the configured axes say of a triad; CalibrationError for a sensor without a
     sensitivity.
     """
@@ -217,7 +221,7 @@ def nominal(sensor: SensorLog) -> SensorCalibration:
         quantity=sensor.quantity,
         unit=sensor.unit,
         bias_lsb=np.zeros(3),
-        response_lsb_per_unit=sensor.sensitivity * sensor.orientation.T,
+        response_lsb_per_unit=sensor.sensitivity * np.asarray(sensor.orientation, float).T,
         range=sensor.range,
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate import Calibration
-from imuarray.log import SensorLog
+from imuarray.calibrate.model import Described
 from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ class Axis:
         return f"{self.sensor} {'xyz'[self.index]}"
 
 
-def axes_of(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Axis]:
+def axes_of(sensors: Sequence[Described], calibration: Calibration) -> list[Axis]:
     """Every axis of `sensors`, in order."""
     axes = []
     for sensor in sensors:

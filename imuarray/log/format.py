@@ -47,6 +47,9 @@ LONG_NAME: Mapping[str, str] = {
     "temperature": "temperature",
 }
 
+TRIADS = ("specific_force", "angular_rate", "magnetic_field")
+"""Quantities that have three axes."""
+
 
 class Phase(NamedTuple):
     """A named stretch of a log; `up` is the box axis that points up ("+Z"), "" if none."""
@@ -107,3 +110,13 @@ class SensorHeader:
     def orientation(self) -> Matrix:
         """3x3, ``vector_box = orientation @ vector_sensor``."""
         return orientation_of(self.axes)
+
+    @property
+    def is_triad(self) -> bool:
+        """True for an inertial or magnetic sensor: three axes."""
+        return self.quantity in TRIADS
+
+    @property
+    def where(self) -> str:
+        """What it is called in errors."""
+        return f"sensor {self.name}"

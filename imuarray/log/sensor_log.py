@@ -15,6 +15,7 @@ import numpy.typing as npt
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.column import DATASET, LiveGroup, NamedColumn
+from imuarray.log.format import TRIADS
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
 _EDGE_ROWS = 4096
@@ -120,7 +121,7 @@ class SensorLog:
     @property
     def is_triad(self) -> bool:
         """True for an inertial or magnetic sensor: three axes."""
-        return self.quantity in ("specific_force", "angular_rate", "magnetic_field")
+        return self.quantity in TRIADS
 
     @property
     def time(self) -> NamedColumn:

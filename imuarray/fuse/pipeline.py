@@ -1,0 +1,64 @@
+"""What stands between aligned frames and the fused result: one object that is fed with consecutive blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Protocol
+
+from imuarray.errors import FusionError
+from imuarray.fuse.axes import Axis
+from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, axis_bits
+from imuarray.fuse.techniques import TECHNIQUES
+
+
+class Pipeline(Protocol):
+    """An estimator of the whole array. All quantities of a block have the same times; a block may have any length, and
+    the result does not depend on it. A pipeline may hold frames back, in order.
+    """
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
+        """What is ready after the next block, by quantity; `degc` are the temperatures (n,) of the elements of the
+        sensors of which they are known, by sensor, NaN where not yet.
+        """
+        ...
+
+    def finish(self) -> Iterator[FusedBlock]:
+        """What it held back."""
+        ...
+
+
+Making = Callable[[Mapping[str, Sequence[Axis]]], Pipeline]
+"""The axes by quantity to a pipeline for them; FusionError if they can't feed it."""
+
+
+class EachAlone:
+    """A technique on each quantity by itself."""
+
+    def __init__(self, axes: Mapping[str, Sequence[Axis]], technique: str) -> None:
+        """FusionError if there is no such technique, or the axes can't feed it."""
+        if technique not in TECHNIQUES:
+            raise FusionError(f"technique {technique!r}: allowed are {', '.join(TECHNIQUES)}")
+        self._axes = dict(axes)
+        self._techniques = {quantity: TECHNIQUES[technique](its) for quantity, its in axes.items()}
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
+        """See `Pipeline`; nothing is held back."""
+        yield fused_block(
+            frames, {quantity: self._techniques[quantity](part) for quantity, part in frames.items()}, self._axes
+        )
+
+    def finish(self) -> Iterator[FusedBlock]:
+        """Nothing."""
+        return iter(())
+
+
+def fused_block(
+    frames: Mapping[str, Frames], estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]
+) -> FusedBlock:
+    """The estimates of one block of frames, by quantity, as the result."""
+    return FusedBlock(
+        next(iter(frames.values())).time,
+        {quantity: estimate.triad_box for quantity, estimate in estimates.items()},
+        {quantity: estimate.covariance_box for quantity, estimate in estimates.items()},
+        {quantity: axis_bits(estimate.used, axes[quantity]) for quantity, estimate in estimates.items()},
+    )

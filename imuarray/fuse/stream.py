@@ -1,0 +1,175 @@
+"""Fusion of rows as they come, sensor by sensor, in pieces of any length: every frame as soon as nothing that comes
+later can change it.
+
+A frame waits for the rows of all sensors up to some frames beyond it. A sensor that is silent for longer than a
+time-out is not waited for: the array is fused without it until its rows come again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.model import Described
+from imuarray.fuse.align import MARGIN, Unit, Warmth, align
+from imuarray.fuse.axes import axes_of, directions
+from imuarray.fuse.frames import Floats, Frames, FusedBlock, Times
+from imuarray.fuse.grid import FIRST_ROWS, Grid, choose
+from imuarray.fuse.pipeline import Pipeline
+from imuarray.fuse.rows import FOREVER_NS, Rows
+from imuarray.log import Block
+
+TIMEOUT_S = 3.0
+"""A recording writes its rows once a second."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """The sensors of one quantity (numbers of all sensors), and where their axes point (m, 3)."""
+
+    numbers: tuple[int, ...]
+    directions: Floats
+
+
+class FusionStream:
+    """Fuses rows as they are pushed; `finish` gives the rest. The result does not depend on how the rows are cut."""
+
+    def __init__(
+        self,
+        sensors: Mapping[str, Sequence[Described]],
+        calibration: Calibration,
+        pipeline: Pipeline,
+        *,
+        warmth: Mapping[str, Warmth],
+        feeds: Mapping[str, Callable[[Block], None]] | None = None,
+        timeout_s: float = TIMEOUT_S,
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """`sensors` by quantity. `warmth` of the elements, by sensor; `feeds`, by sensor, hear of the rows of those
+        sensors (inertial or not) from which it is known, before it is asked for. `tell` hears which sensor is not
+        waited for any more, and which one is back. CalibrationError if the calibration does not fit.
+        """
+        inertial = [sensor for group in sensors.values() for sensor in group]
+        self._feeds = dict(feeds or {})
+        self._names = [sensor.name for sensor in inertial]
+        self._where = [sensor.where for sensor in inertial]
+        self._rows = {name: Rows() for name in (*self._names, *(set(self._feeds) - set(self._names)))}
+        self._units = [
+            Unit(calibration.of(sensor), sensor.range * sensor.sensitivity, warmth.get(sensor.name))
+            for sensor in inertial
+        ]
+        self._warmth = warmth
+        self._groups: dict[str, Group] = {}
+        for quantity, group in sensors.items():
+            numbers = tuple(self._names.index(sensor.name) for sensor in group)
+            self._groups[quantity] = Group(numbers, directions(axes_of(group, calibration)))
+        self._pipeline = pipeline
+        self._timeout_ns = timeout_s * 1e9
+        self._tell = tell
+        self._silent: set[str] = set()
+        self._grid: Grid | None = None
+        self._times: Times = np.zeros(0, np.int64)
+        """Times of frames: the last ones that were given out, and those that wait."""
+        self._given = 0
+        """How many of them were given out."""
+
+    def push(self, sensor: str, block: Block) -> Iterator[FusedBlock]:
+        """Rows of one sensor, and what is complete with them: nothing, mostly. Sensors that don't matter are ignored;
+        ValueError if the rows don't follow those before.
+        """
+        if sensor in self._rows and len(block.time):
+            self._rows[sensor].append(block)
+            if sensor in self._feeds:
+                self._feeds[sensor](block)
+            yield from self._advance()
+
+    def end(self, sensor: str) -> Iterator[FusedBlock]:
+        """Nothing comes from this sensor any more, and what is complete without it."""
+        if sensor in self._rows:
+            self._rows[sensor].ended = True
+            yield from self._advance()
+
+    def finish(self) -> Iterator[FusedBlock]:
+        """Everything that is left; FusionError if there were fewer than three rows of every sensor."""
+        for rows in self._rows.values():
+            rows.ended = True
+        yield from self._advance()
+        yield from self._pipeline.finish()
+
+    def _advance(self) -> Iterator[FusedBlock]:
+        """Fuse what is complete."""
+        known_ns = self._known_ns()
+        if self._grid is None:
+            self._grid = self._choice(known_ns)
+        if self._grid is None:
+            return
+        final = known_ns == FOREVER_NS
+        self._extend(self._grid, known_ns)
+        ready = len(self._times) if final else len(self._times) - MARGIN
+        if ready - self._given < (1 if final else MARGIN):  # fewer at a time would cost as much
+            return
+        yield from self._pipeline(*self._frames(self._grid, slice(self._given, ready)))
+        first = max(0, ready - MARGIN)
+        self._times, self._given = self._times[first:], ready - first
+        self._forget(int(self._times[0]) - 2 * self._grid.ahead_ns)
+
+    def _known_ns(self) -> int:
+        """Up to when every row is there that is waited for."""
+        newest_ns = max(rows.newest_ns for rows in self._rows.values())
+        known_ns = FOREVER_NS
+        for name, rows in self._rows.items():
+            late = not rows.ended and newest_ns - max(rows.newest_ns, 0) > self._timeout_ns
+            if late != (name in self._silent):
+                self._silent ^= {name}
+                self._tell(f"{name}: {'silent, fused without it' if late else 'fused again'}")
+            if not rows.ended:
+                known_ns = min(known_ns, newest_ns if late else rows.newest_ns)
+        return known_ns
+
+    def _choice(self, known_ns: int) -> Grid | None:
+        """The grid, once the first rows of all sensors that are waited for are there."""
+        blocks = [self._rows[name].block for name in self._names]
+        first = [np.zeros(0, np.int64) if block is None else block.time[:FIRST_ROWS] for block in blocks]
+        waiting = any(
+            len(time) < FIRST_ROWS and not self._rows[name].ended and name not in self._silent
+            for name, time in zip(self._names, first, strict=True)
+        )
+        if waiting or known_ns < 0:
+            return None
+        return choose(first, [group.numbers for group in self._groups.values()], self._where)
+
+    def _extend(self, grid: Grid, known_ns: int) -> None:
+        """Frames whose times have become certain."""
+        blocks = [self._rows[name].block for name in self._names]
+        times = grid.times([np.zeros(0, np.int64) if block is None else block.time for block in blocks])
+        after_ns = self._times[-1] if len(self._times) else -FOREVER_NS
+        certain_ns = known_ns if known_ns == FOREVER_NS else known_ns - grid.ahead_ns
+        self._times = np.concatenate([self._times, times[(times > after_ns) & (times <= certain_ns)]])
+
+    def _frames(self, grid: Grid, wanted: slice) -> tuple[dict[str, Frames], dict[str, Floats]]:
+        """Frames by quantity, and temperatures by sensor, of the times `wanted`."""
+        first = max(0, wanted.start - MARGIN)
+        around = self._times[first : wanted.stop + MARGIN]
+        inner = slice(wanted.start - first, wanted.stop - first)
+        blocks = [self._rows[name].block for name in self._names]
+        frames = {}
+        for quantity, group in self._groups.items():
+            units = [self._units[number] for number in group.numbers]
+            rows = [blocks[number] for number in group.numbers]
+            frames[quantity] = _cut(align(units, rows, around, grid.period_ns, group.directions), inner)
+        seconds: Floats = np.asarray(around[inner] * 1e-9, float)
+        return frames, {name: warmth.at(seconds) for name, warmth in self._warmth.items()}
+
+    def _forget(self, before_ns: int) -> None:
+        for rows in self._rows.values():
+            rows.forget(before_ns)
+
+
+def _cut(frames: Frames, rows: slice) -> Frames:
+    """Some of the frames."""
+    clipped = None if frames.clipped is None else frames.clipped[rows]
+    stale = None if frames.stale is None else frames.stale[rows]
+    return Frames(frames.time[rows], frames.values[rows], frames.valid[rows], clipped, stale)
