@@ -29,7 +29,7 @@ CHIP_DEGC: dict[str, tuple[float, float]] = {
 }
 """Degrees at count 0, and degrees per count, of the chips' own thermometers."""
 
-_WITHOUT_ZERO = ("l3g4200d",)
+WITHOUT_ZERO = ("l3g4200d",)
 
 
 @dataclass(frozen=True)
@@ -139,11 +139,11 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> Thermometer |
 
 
 def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Thermometer | None:
-    others = sorted(log.sensors.values(), key=lambda other: (other.name != sensor.name, other.chip in _WITHOUT_ZERO))
+    others = sorted(log.sensors.values(), key=lambda other: (other.name != sensor.name, other.chip in WITHOUT_ZERO))
     for other in others:
         column = other.temperature_counts
         if column is not None and other.chip in CHIP_DEGC and len(other):
-            kind = "relative" if other.chip in _WITHOUT_ZERO else "chip"
+            kind = "relative" if other.chip in WITHOUT_ZERO else "chip"
             return _read(kind, other.time, column, *CHIP_DEGC[other.chip], width_s)
     return None
 

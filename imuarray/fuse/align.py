@@ -50,7 +50,7 @@ class Warmth(Protocol):
 
 @dataclass(frozen=True)
 class Unit:
-    """One sensor of a quantity: its calibration, the end of its range in counts, and how warm it was (None: unknown)."""
+    """One sensor of a quantity: its calibration, the end of its range in counts, how warm it was (None: unknown)."""
 
     known: SensorCalibration
     end_lsb: float

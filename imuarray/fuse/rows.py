@@ -30,6 +30,9 @@ class Rows:
         self._parts.append(block)
         self.newest_ns = int(block.time[-1])
 
+    def __len__(self) -> int:
+        return sum(len(part.time) for part in self._parts)
+
     @property
     def block(self) -> Block | None:
         """All rows that are kept; None if there are none."""

@@ -7,19 +7,20 @@ time-out is not waited for: the array is fused without it until its rows come ag
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
-from imuarray.fuse.align import MARGIN, Unit, Warmth, align
+from imuarray.fuse.align import MARGIN, Unit, align
 from imuarray.fuse.axes import axes_of, directions
 from imuarray.fuse.frames import Floats, Frames, FusedBlock, Times
 from imuarray.fuse.grid import FIRST_ROWS, Grid, choose
 from imuarray.fuse.pipeline import Pipeline
 from imuarray.fuse.rows import FOREVER_NS, Rows
+from imuarray.fuse.running import Warming
 from imuarray.log import Block
 
 TIMEOUT_S = 3.0
@@ -42,26 +43,24 @@ class FusionStream:
         sensors: Mapping[str, Sequence[Described]],
         calibration: Calibration,
         pipeline: Pipeline,
+        warming: Warming,
         *,
-        warmth: Mapping[str, Warmth],
-        feeds: Mapping[str, Callable[[Block], None]] | None = None,
         timeout_s: float = TIMEOUT_S,
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """`sensors` by quantity. `warmth` of the elements, by sensor; `feeds`, by sensor, hear of the rows of those
-        sensors (inertial or not) from which it is known, before it is asked for. `tell` hears which sensor is not
-        waited for any more, and which one is back. CalibrationError if the calibration does not fit.
+        """`sensors` by quantity, `warming` of their elements. `tell` hears which sensor is not waited for any more, and
+        which one is back. CalibrationError if the calibration does not fit.
         """
         inertial = [sensor for group in sensors.values() for sensor in group]
-        self._feeds = dict(feeds or {})
+        self._feeds = dict(warming.feeds)
         self._names = [sensor.name for sensor in inertial]
         self._where = [sensor.where for sensor in inertial]
         self._rows = {name: Rows() for name in (*self._names, *(set(self._feeds) - set(self._names)))}
         self._units = [
-            Unit(calibration.of(sensor), sensor.range * sensor.sensitivity, warmth.get(sensor.name))
+            Unit(calibration.of(sensor), sensor.range * sensor.sensitivity, warming.elements.get(sensor.name))
             for sensor in inertial
         ]
-        self._warmth = warmth
+        self._elements = dict(warming.elements)
         self._groups: dict[str, Group] = {}
         for quantity, group in sensors.items():
             numbers = tuple(self._names.index(sensor.name) for sensor in group)
@@ -75,6 +74,21 @@ class FusionStream:
         """Times of frames: the last ones that were given out, and those that wait."""
         self._given = 0
         """How many of them were given out."""
+
+    @property
+    def sensors(self) -> Collection[str]:
+        """The sensors whose rows it wants."""
+        return self._rows.keys()
+
+    @property
+    def thermometers(self) -> Collection[str]:
+        """Those of them whose temperature it wants."""
+        return self._feeds.keys()
+
+    @property
+    def rows_kept(self) -> int:
+        """Rows that wait for those of other sensors, or that frames to come depend on."""
+        return sum(len(rows) for rows in self._rows.values())
 
     def push(self, sensor: str, block: Block) -> Iterator[FusedBlock]:
         """Rows of one sensor, and what is complete with them: nothing, mostly. Sensors that don't matter are ignored;
@@ -121,8 +135,8 @@ class FusionStream:
         newest_ns = max(rows.newest_ns for rows in self._rows.values())
         known_ns = FOREVER_NS
         for name, rows in self._rows.items():
-            late = not rows.ended and newest_ns - max(rows.newest_ns, 0) > self._timeout_ns
-            if late != (name in self._silent):
+            late = newest_ns - max(rows.newest_ns, 0) > self._timeout_ns
+            if late != (name in self._silent) and not rows.ended:
                 self._silent ^= {name}
                 self._tell(f"{name}: {'silent, fused without it' if late else 'fused again'}")
             if not rows.ended:
@@ -161,7 +175,7 @@ class FusionStream:
             rows = [blocks[number] for number in group.numbers]
             frames[quantity] = _cut(align(units, rows, around, grid.period_ns, group.directions), inner)
         seconds: Floats = np.asarray(around[inner] * 1e-9, float)
-        return frames, {name: warmth.at(seconds) for name, warmth in self._warmth.items()}
+        return frames, {name: warmth.at(seconds) for name, warmth in self._elements.items()}
 
     def _forget(self, before_ns: int) -> None:
         for rows in self._rows.values():

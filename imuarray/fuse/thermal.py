@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from imuarray.calibrate import Calibration
+from imuarray.calibrate.model import Described
 from imuarray.calibrate.segments import Thermometer, thermometer_of
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.calibrate.thermal import SEGMENT_S
@@ -16,7 +17,7 @@ from imuarray.log import Log, SensorLog
 _OF_THE_BOX = ("barometer", "reference")
 
 
-def slopes_of(calibration: Calibration, sensor: SensorLog) -> Thermal | None:
+def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
     """The slopes of a sensor's bias; None where none were measured, or none of its axes is known to be one of bias."""
     thermal = calibration.of(sensor).thermal
     return thermal if thermal is not None and BIAS in thermal.meaning else None
@@ -36,9 +37,14 @@ def element_temperatures(log: Log, sensors: Iterable[SensorLog], calibration: Ca
             thermometer = shared or thermometer_of(log, sensor, SEGMENT_S)
             if thermometer is not None and thermometer.kind in _OF_THE_BOX:
                 shared = thermometer
-            if thermometer is not None and (thermometer.kind == "relative") == (thermal.thermometer == "relative"):
+            if thermometer is not None and goes_with(thermometer.kind, thermal):
                 found[sensor.name] = _behind(thermometer, thermal)
     return found
+
+
+def goes_with(kind: str, thermal: Thermal) -> bool:
+    """Whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has."""
+    return (kind == "relative") == (thermal.thermometer == "relative")
 
 
 def _behind(thermometer: Thermometer, thermal: Thermal) -> Thermometer:

@@ -149,10 +149,14 @@ class SensorLog:
         """A column in physical units that the chip's own calibration gave ("temperature" degC, "pressure" Pa);
         LogError.
         """
-        dataset = self._group.get(name)
-        if not isinstance(dataset, DATASET) or dataset.shape != self.time.shape:
+        if not self.has_compensated(name):
             raise LogError(f"{self.where}: column {name} is missing")
-        return NamedColumn(dataset, f"{self.where}: {name}")
+        return NamedColumn(self._group[name], f"{self.where}: {name}")
+
+    def has_compensated(self, name: str) -> bool:
+        """Whether there is such a column."""
+        dataset = self._group.get(name)
+        return isinstance(dataset, DATASET) and dataset.shape == self.time.shape
 
     @property
     def attributes(self) -> Mapping[str, Any]:

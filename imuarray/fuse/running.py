@@ -1,0 +1,201 @@
+"""How warm elements are by what is known so far: a thermometer for those who can't see the future.
+
+A temperature is the mean over the last whole segment of `SEGMENT_S`; it holds until the next one is whole. Behind a
+first-order lag, the element follows straight lines between the middles of segments, and from the last of them on it
+goes to its mean as an exponential does. Before the first segment is whole its rows so far are averaged.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.model import Described
+from imuarray.calibrate.segments import CHIP_DEGC, WITHOUT_ZERO
+from imuarray.calibrate.thermal import SEGMENT_S
+from imuarray.fuse.align import Warmth
+from imuarray.fuse.frames import Floats, Times
+from imuarray.fuse.thermal import goes_with, slopes_of
+from imuarray.log import Block, SensorLog
+
+_WIDTH_NS = round(SEGMENT_S * 1e9)
+_KEPT = 64
+"""Segments that are kept beyond those that are asked for."""
+
+
+class _Segment(NamedTuple):
+    """When a segment ends, the mean time of its rows (s), its mean (degC), and the elements behind each lag then."""
+
+    end_s: float
+    mid_s: float
+    degc: float
+    behind: Floats
+
+
+class RunningThermometer:
+    """Temperatures as they come, and what elements behind the lags (k,) have of them. Ask for no time before all rows
+    up to it were added, nor for times long before those that were asked for.
+    """
+
+    def __init__(self, lags_s: Sequence[float]) -> None:
+        self._lags = np.maximum(np.asarray(lags_s, float), 1e-9)
+        self._closed: list[_Segment] = []
+        self._begin_ns: int | None = None
+        self._number = self._count = 0
+        self._moment = self._sum = 0.0
+        self._first_s: Floats = np.zeros(0)
+        self._first_degc: Floats = np.zeros(0)
+        """The rows of the first segment."""
+
+    def add(self, time: Times, degc: Floats) -> None:
+        """Rows (n,) in ns and degC; those that are not finite don't count."""
+        kept = np.isfinite(degc)
+        time, degc = time[kept], degc[kept]
+        if len(time) == 0:
+            return
+        if self._begin_ns is None:
+            self._begin_ns = int(time[0])
+        number = (time - self._begin_ns) // _WIDTH_NS
+        first = number == 0
+        self._first_s = np.concatenate([self._first_s, time[first] * 1e-9])
+        self._first_degc = np.concatenate([self._first_degc, degc[first]])
+        for start, stop in _runs(number):
+            self._into(int(number[start]), time[start:stop], degc[start:stop])
+
+    def _into(self, number: int, time: Times, degc: Floats) -> None:
+        """Rows of one segment; the one before is whole if this is another."""
+        if number > self._number and self._count:
+            self._closed.append(self._open())
+            self._count, self._moment, self._sum = 0, 0.0, 0.0
+        self._number = number
+        self._count += len(time)
+        self._moment += float((time - (self._begin_ns or 0)).sum())
+        self._sum += float(degc.sum())
+
+    def _open(self) -> _Segment:
+        """The segment that rows go into, as far as it is known."""
+        begin_ns = self._begin_ns or 0
+        mid_s = (begin_ns + self._moment / self._count) * 1e-9
+        degc = self._sum / self._count
+        behind = np.full(len(self._lags), degc)
+        if self._closed:
+            last = self._closed[-1]
+            late = (degc - last.degc) / (mid_s - last.mid_s) * self._lags
+            kept = np.exp(-(mid_s - last.mid_s) / self._lags)
+            behind = degc - late + (last.behind - last.degc + late) * kept
+        return _Segment((begin_ns + (self._number + 1) * _WIDTH_NS) * 1e-9, mid_s, degc, behind)
+
+    def at(self, time_s: Floats, column: int) -> Floats:
+        """The temperature (n,) behind one of the lags at times (n,) in s, NaN before there is any."""
+        if self._begin_ns is None or len(time_s) == 0:
+            return np.full(len(time_s), np.nan)
+        self._forget(float(time_s.min()))
+        segments = [*self._closed, self._open()]
+        end, mid, degc = (np.array([segment[k] for segment in segments]) for k in range(3))
+        behind = np.array([segment.behind[column] for segment in segments])
+        last = np.searchsorted(end, time_s, "right") - 1
+        whole = np.maximum(last, 0)
+        since = np.maximum(time_s - mid[whole], 0.0)
+        held = degc[whole] + (behind - degc)[whole] * np.exp(-since / self._lags[column])
+        return np.where(last >= 0, held, self._at_first(time_s))
+
+    def _at_first(self, time_s: Floats) -> Floats:
+        """The mean of the rows so far; that of the first one before it."""
+        means = np.cumsum(self._first_degc) / np.arange(1, len(self._first_degc) + 1)
+        return np.asarray(means[np.maximum(np.searchsorted(self._first_s, time_s, "right") - 1, 0)])
+
+    def _forget(self, before_s: float) -> None:
+        done = sum(segment.end_s < before_s for segment in self._closed)
+        del self._closed[: max(0, done - _KEPT)]
+
+
+def _runs(number: npt.NDArray[np.int64]) -> Iterable[tuple[int, int]]:
+    """Start and stop of the runs of equal numbers."""
+    bounds = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
+    return itertools.pairwise(bounds)
+
+
+@dataclass(frozen=True)
+class Element:
+    """The element of one sensor: a thermometer behind one of its lags."""
+
+    thermometer: RunningThermometer
+    column: int
+
+    def at(self, time_s: Floats) -> Floats:
+        """Degrees (n,) at times (n,) in s since the log's epoch; NaN where it is not known."""
+        return self.thermometer.at(time_s, self.column)
+
+
+@dataclass(frozen=True)
+class Warming:
+    """The `elements` whose temperature the bias follows, and who must hear of rows for that, both by sensor."""
+
+    elements: Mapping[str, Warmth]
+    feeds: Mapping[str, Callable[[Block], None]]
+
+
+def running_temperatures(
+    everything: Sequence[Described], sensors: Iterable[Described], calibration: Calibration
+) -> Warming:
+    """As `element_temperatures`, of what is known when a frame is: by the barometer, the chip's own thermometer, or
+    that of another chip among `everything`. A reference is known afterwards only, and not used.
+    """
+    wanted: dict[str, dict[str, float]] = {}
+    for sensor in sensors:
+        thermal = slopes_of(calibration, sensor)
+        source = None if thermal is None else _source(everything, sensor)
+        if thermal is not None and source is not None and goes_with(_kind(source), thermal):
+            wanted.setdefault(source.name, {})[sensor.name] = thermal.significant_lag_s
+    elements: dict[str, Warmth] = {}
+    feeds: dict[str, Callable[[Block], None]] = {}
+    for source in everything:
+        if lags := wanted.get(source.name):
+            thermometer = RunningThermometer(list(lags.values()))
+            elements |= {name: Element(thermometer, column) for column, name in enumerate(lags)}
+            feeds[source.name] = _feed(thermometer, source)
+    return Warming(elements, feeds)
+
+
+def _source(everything: Sequence[Described], sensor: Described) -> Described | None:
+    """Whose thermometer is the best one for a sensor."""
+    barometers = [other for other in everything if other.quantity == "pressure" and _compensates(other)]
+    chips = [other for other in everything if other.chip in CHIP_DEGC and _has_thermometer(other)]
+    chips.sort(key=lambda other: (other.name != sensor.name, other.chip in WITHOUT_ZERO))
+    return next(iter([*barometers, *chips]), None)
+
+
+def _kind(source: Described) -> str:
+    """The kind of its thermometer, one of `stability.THERMOMETERS`."""
+    if source.quantity == "pressure":
+        return "barometer"
+    return "relative" if source.chip in WITHOUT_ZERO else "chip"
+
+
+def _compensates(sensor: Described) -> bool:
+    return (
+        sensor.has_compensated("temperature") if isinstance(sensor, SensorLog) else "temperature" in sensor.compensated
+    )
+
+
+def _has_thermometer(sensor: Described) -> bool:
+    return sensor.temperature_counts is not None if isinstance(sensor, SensorLog) else sensor.has_temperature
+
+
+def _feed(thermometer: RunningThermometer, source: Described) -> Callable[[Block], None]:
+    """What adds the temperatures of a sensor's rows."""
+    if source.quantity == "pressure":
+        return lambda block: thermometer.add(block.time, np.asarray(block.compensated["temperature"], float))
+    zero, step = CHIP_DEGC[source.chip]
+
+    def add(block: Block) -> None:
+        if block.temperature_counts is not None:
+            thermometer.add(block.time, zero + step * np.asarray(block.temperature_counts, float))
+
+    return add

@@ -1,0 +1,243 @@
+"""Rows as they come, cut at random: the same as the log at once. Who is silent is not waited for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.errors import FusionError
+from imuarray.fuse import TECHNIQUES, Axis, EachAlone, Frames, FusedBlock, FusionStream, Pipeline, fuse, live
+from imuarray.fuse.rows import Rows, cut
+from imuarray.log import Block, Log, open_log
+from imuarray.log.headers import recorded_header
+from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined
+from tests.fuse.test_thermal import ELEMENT, heating
+from tests.fuse.test_thermal import known as with_slopes
+
+AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z")
+QUANTITIES = ("specific_force", "angular_rate")
+
+
+def parts() -> list[Part]:
+    """Two ranges and two gyroscopes, one after the other in a frame of 10 ms; some say nothing for a while."""
+    units = [
+        Part(
+            f"A{i}",
+            AXES[i],
+            sigma=0.01,
+            late_s=0.001 * i,
+            range=(16.0, 16.0, 1.5, 1.5)[i],
+            sensitivity=(2048.0, 2048.0, 16384.0, 16384.0)[i],
+        )
+        for i in range(4)
+    ]
+    units[1] = units[1]._replace(lost=lambda seconds: (seconds > 2.0) & (seconds < 2.5))
+    units[2] = units[2]._replace(lost=lambda seconds: np.round(seconds * 100) % 7 == 0)
+    gyro = Part("G1", "+X+Y+Z", "angular_rate", "l3g4200d", 250.0, 114.0, sigma=0.1, late_s=0.004)
+    return [*units, gyro, gyro._replace(name="G2", axes="-Y-X-Z", late_s=0.005, lost=lambda seconds: seconds > 4.0)]
+
+
+def shaken(seconds: Floats) -> Floats:
+    return np.asarray(np.sin(2 * np.pi * np.outer(seconds, [1.0, 0.7, 1.3])) * [0.9, 0.3, 0.6] + [0, 0, 1])
+
+
+def turned(seconds: Floats) -> Floats:
+    return np.asarray(30 * np.cos(2 * np.pi * np.outer(seconds, [0.9, 1.1, 0.4])))
+
+
+def read(log: Log) -> dict[str, Block]:
+    """All rows of every sensor."""
+    found = {}
+    for name, sensor in log.sensors.items():
+        degrees = sensor.temperature_counts
+        compensated = {
+            column: np.asarray(sensor.compensated(column)[:])
+            for column in ("temperature", "pressure")
+            if sensor.quantity == "pressure"
+        }
+        found[name] = Block(
+            np.asarray(sensor.time[:]),
+            np.asarray(sensor.counts[:]),
+            np.asarray(sensor.status[:]),
+            None if degrees is None else np.asarray(degrees[:]),
+            compensated,
+        )
+    return found
+
+
+def pushed(stream: FusionStream, rows: dict[str, Block], seed: int, most_s: float) -> Iterator[FusedBlock]:
+    """Pieces of random lengths; no sensor more than a piece ahead of the others."""
+    rng = np.random.default_rng(seed)
+    done, reached = dict.fromkeys(rows, 0), dict.fromkeys(rows, 0)
+    while left := [name for name, block in rows.items() if done[name] < len(block.time)]:
+        name = min(left, key=lambda name: reached[name])
+        time = rows[name].time
+        until = int(time[done[name]] + rng.uniform(0, most_s) * 1e9)
+        stop = max(done[name] + 1, int(np.searchsorted(time, until)))
+        yield from stream.push(name, cut(rows[name], slice(done[name], stop)))
+        done[name], reached[name] = stop, int(time[stop - 1])
+    yield from stream.finish()
+
+
+def in_steps(stream: FusionStream, rows: dict[str, Block], until_s: float, step_s: float = 0.1) -> Iterator[FusedBlock]:
+    """As a recording writes them: every sensor's rows of a stretch of time."""
+    for start_ns in range(0, round(until_s * 1e9), round(step_s * 1e9)):
+        for name, block in rows.items():
+            first, last = np.searchsorted(block.time, [start_ns, start_ns + round(step_s * 1e9)])
+            yield from stream.push(name, cut(block, slice(int(first), int(last))))
+
+
+def same(one: list[FusedBlock], other: list[FusedBlock]) -> None:
+    """To rounding: 1e-9 of the largest value."""
+    for quantity in one[0].triads:
+        (time, triad), (again, second) = (joined(blocks, quantity) for blocks in (one, other))
+        assert (time == again).all()
+        assert (np.isnan(triad) == np.isnan(second)).all()
+        assert np.nanmax(np.abs(triad - second)) < 1e-9 * np.nanmax(np.abs(triad))
+        used, also = (np.concatenate([block.used[quantity] for block in blocks]) for blocks in (one, other))
+        assert (used == also).all()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    write = WriteRun(tmp_path_factory.mktemp("stream"))
+    return write(parts(), force=shaken, rate=turned, frames=600, jitter_s=0.0005)
+
+
+@pytest.fixture(scope="module")
+def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return heating(tmp_path_factory.mktemp("warm") / "heat.h5", "barometer")
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@given(seed=st.integers(0, 1 << 32), most_s=st.sampled_from([0.02, 0.3, 1.5]))
+@settings(max_examples=4, deadline=None)
+def test_however_rows_are_cut_the_result_is_that_of_the_log(
+    run: Path, technique: str, seed: int, most_s: float
+) -> None:
+    with open_log(run) as log:
+        headers = [recorded_header(sensor) for sensor in log.sensors.values()]
+        stream = live(headers, calibration(parts()), technique, timeout_s=10.0)
+        same(list(pushed(stream, read(log), seed, most_s)), list(fuse(log, calibration(parts()), technique)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_temperatures_are_those_that_were_known(warm: Path, seed: int) -> None:
+    with open_log(warm) as log:
+        headers = [recorded_header(sensor) for sensor in log.sensors.values()]
+        stream = live(headers, with_slopes(), "mean", timeout_s=1000.0)
+        one = list(pushed(stream, read(log), seed, 300.0))
+        same(one, list(fuse(log, with_slopes(), "mean", causal=True)))
+        same(one, list(fuse(log, with_slopes(), "mean", causal=True, block=777)))
+        # Held for up to 7.5 s at 20 degC in 300 s, 0.5 degC of 3 counts each: not the same, but no more than that.
+        (_, early), (_, late) = joined(one), joined(list(fuse(log, with_slopes(), "mean")))
+        assert 1e-3 < np.abs(early - late).max() / 9.80665 * 512 < 1.5
+
+
+def started(log: Log, timeout_s: float = 10.0, tell: Callable[[str], None] = lambda text: None) -> FusionStream:
+    """The mean, of what the log's sensors will say."""
+    headers = [recorded_header(sensor) for sensor in log.sensors.values()]
+    return live(headers, calibration(parts()), "mean", timeout_s=timeout_s, tell=tell)
+
+
+def test_frames_come_while_rows_do(run: Path) -> None:
+    """No later than a margin beyond them, as many together, what the grid looks ahead, and a step of the rows."""
+    with open_log(run) as log:
+        frames = np.concatenate([fused.time for fused in in_steps(started(log), read(log), 3.5)])
+    assert 3.5 - frames[-1] * 1e-9 < (2 * 32 + 6 + 10) / 100
+
+
+def test_a_silent_sensor_is_waited_for_so_long_and_said(run: Path) -> None:
+    """G2 ends at 4 s: from the time-out on frames come without it, and what they are is what the log gives."""
+    said: list[str] = []
+    with open_log(run) as log:
+        stream = started(log, 1.0, said.append)
+        waits = list(in_steps(started(log), read(log), 6.1))
+        early = list(in_steps(stream, read(log), 6.1))
+        same([*early, *stream.finish()], list(fuse(log, calibration(parts()), "mean")))
+    assert said == ["G2: silent, fused without it"]
+    assert waits[-1].time[-1] < 4.0e9 < 5.0e9 < early[-1].time[-1]
+
+
+def test_it_is_back_when_it_speaks_again(run: Path) -> None:
+    """A1 says nothing from 2 to 2.5 s."""
+    said: list[str] = []
+    with open_log(run) as log:
+        fused = list(in_steps(started(log, 0.3, said.append), read(log), 5.0))
+    assert said[:2] == ["A1: silent, fused without it", "A1: fused again"]
+    used = np.concatenate([block.used["specific_force"] for block in fused])
+    time = np.concatenate([block.time for block in fused]) * 1e-9
+    assert (used[(time > 2.05) & (time < 2.45), 1] == 0).all()
+    assert (used[(time > 2.55) & (time < 3.5), 1] == 7).all()
+
+
+def test_rows_must_follow_one_another(run: Path) -> None:
+    with open_log(run) as log:
+        block = read(log)["A0"]
+    rows = Rows()
+    rows.append(cut(block, slice(0, 10)))
+    with pytest.raises(ValueError, match="comes after one at"):
+        rows.append(cut(block, slice(9, 12)))
+
+
+def test_the_window_of_rows_does_not_grow(run: Path) -> None:
+    """Of 600 rows of each sensor no more than three margins, a step, and what the grid looks ahead and back."""
+    with open_log(run) as log:
+        stream = started(log)
+        most = max(stream.rows_kept for _ in in_steps(stream, read(log), 6.0))
+    assert most < 6 * (3 * 32 + 10 + 3 * 6 + 10)
+
+
+def test_a_few_rows_are_nothing_to_fuse(run: Path) -> None:
+    with open_log(run) as log:
+        stream = started(log)
+        assert list(stream.push("A0", cut(read(log)["A0"], slice(0, 2)))) == []
+    with pytest.raises(FusionError, match="sensor A0: 2 rows, nothing to fuse"):
+        list(stream.finish())
+
+
+def test_a_pipeline_may_hold_frames_back(run: Path) -> None:
+    """One that gives everything at the end gives the same."""
+
+    class Late:
+        def __init__(self, inner: Pipeline) -> None:
+            self.inner, self.held = inner, list[FusedBlock]()
+
+        def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
+            assert len({part.time.tobytes() for part in frames.values()}) == 1
+            self.held += self.inner(frames, degc)
+            return iter(())
+
+        def finish(self) -> Iterator[FusedBlock]:
+            return iter(self.held)
+
+    with open_log(run) as log:
+        late = list(fuse(log, calibration(parts()), lambda axes: Late(EachAlone(axes, "opposed")), block=100))
+        same(late, list(fuse(log, calibration(parts()), "opposed")))
+
+
+def test_a_pipeline_hears_how_warm_the_elements_are(warm: Path) -> None:
+    heard: dict[str, list[Floats]] = {"A1": [], "A2": [], "G1": []}
+
+    class Listening:
+        def __init__(self, axes: Mapping[str, Sequence[Axis]]) -> None:
+            self.inner = EachAlone(axes, "mean")
+
+        def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
+            for name, values in degc.items():
+                assert values.shape == frames["specific_force"].time.shape
+                heard[name].append(values)
+            return self.inner(frames, degc)
+
+        def finish(self) -> Iterator[FusedBlock]:
+            return self.inner.finish()
+
+    with open_log(warm) as log:
+        list(fuse(log, with_slopes(), Listening))
+    for values in heard.values():
+        assert np.concatenate(values)[100:-100] == pytest.approx(ELEMENT[100:-100], abs=0.25)
