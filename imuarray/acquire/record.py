@@ -42,6 +42,7 @@ def record(
     counted: Callable[[Summary], None] = lambda summary: None,
     judge: Judge | None = None,
     service: Service | None = None,
+    begun: Callable[[str, Sequence[SensorHeader]], None] = lambda epoch, sensors: None,
     force: bool = False,
 ) -> Summary:
     """Record `array` on `bus` into a new log at `path`: `rate_hz` frames a second for `seconds`, or until `stopped()`.
@@ -50,8 +51,9 @@ def record(
     of it. `observe` sees every block of a sensor's rows as it is written, `tell` every event, `counted` the summary so
     far. `judge` says how sensors came up; one that came up wrong is flagged and set up again. `rotate_s` cuts the log
     into parts of so many seconds, each a log of its own (`imuarray.log.rotate`). `service` is told how it goes (None:
-    the one that this process belongs to). `wall_time` is the UTC time of the start (None: that of the transcript that
-    is replayed, or the wall clock, read once).
+    the one that this process belongs to). `begun` hears the log's epoch and what it says of its sensors before there is
+    a log; what it raises ends the recording. `wall_time` is the UTC time of the start (None: that of the transcript
+    that is replayed, or the wall clock, read once).
 
     Raises SensorError before the first frame if a sensor is missing or wrong, OutputExistsError if the log exists,
     LogBusyError if it is being written, DiskFullError if it had to be ended early.
@@ -65,6 +67,7 @@ def record(
         stopped = bus.stopping(stopped)
     headers = [header_of(station.sensor, station.driver.header()) for station in stations]
     told = service or Service()
+    begun(_iso(epoch), headers)
     about = {"source": bus.source, "epoch": _iso(epoch), "config": array.text, "force": force}
     with _writer(path, headers, rotate_s, **about) as log:
         loop = Streaming if streams(bus, stations) else Poll

@@ -37,10 +37,18 @@ _WORDS = {
 @click.option("--technique", default="mean", show_default=True, metavar="NAME", help="mean, opposed, planes or ranges")
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FUSED.h5", help="the result")
 @click.option("--only", default="", metavar="SENSOR,...", help="fuse only these sensors")
+@click.option("--causal", is_flag=True, help="by what was known at each frame, as `log --fuse` does")
 @force_option
 @json_option
 def command(
-    run: Path, calibration_file: Path | None, technique: str, output: Path, only: str, force: bool, as_json: bool
+    run: Path,
+    calibration_file: Path | None,
+    technique: str,
+    output: Path,
+    only: str,
+    causal: bool,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Fuse all sensors of RUN.h5 into one specific force and one angular rate in the box frame.
 
@@ -66,7 +74,7 @@ def command(
         with progress(rows, technique) as done:
             frames = write_fused(
                 output,
-                fuse(log, calibration, technique, only=names),
+                fuse(log, calibration, technique, only=names, causal=causal),
                 epoch=log.epoch,
                 technique=technique,
                 log=str(run),
@@ -75,7 +83,11 @@ def command(
                 force=force,
                 progress=done,
             )
-        results = {"mean": _result(log, fuse(log, calibration, "mean", only=names))} if technique != "mean" else {}
+        results = (
+            {"mean": _result(log, fuse(log, calibration, "mean", only=names, causal=causal))}
+            if technique != "mean"
+            else {}
+        )
         results[technique] = _result(log, read_fused(output))
         report = {
             "fused": str(output),

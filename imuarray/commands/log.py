@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from imuarray.array import ArrayConfig
     from imuarray.bus.protocol import OpenBus
     from imuarray.bus.transcript import RecordingBus
+    from imuarray.commands.log_fusion import LiveFusion
     from imuarray.commands.start_up import StartUpJudge
 
 _CARRIES = ("bus", "channel", "link")
@@ -66,7 +67,16 @@ _HANG_UP: int | None = getattr(signal, "SIGHUP", None)  # Windows has none
     type=click.Path(path_type=Path),
     metavar="CAL.toml",
     help="of `calibrate turn-on`: tell from the first seconds at rest which sensor came up wrong, flag its readings and"
-    " set it up again",
+    " set it up again; with --fuse: what the fusion knows of the sensors",
+)
+@click.option("--fuse", is_flag=True, help="also fuse the readings as they come (a second or two behind)")
+@click.option("--technique", metavar="NAME", help="of --fuse: mean, opposed, planes or ranges  [default: mean]")
+@click.option(
+    "--fused",
+    "fused_file",
+    type=click.Path(path_type=Path),
+    metavar="FUSED.h5",
+    help="where --fuse writes  [default: RUN_fused.h5]",
 )
 @click.option(
     "--rotate",
@@ -88,6 +98,9 @@ def command(
     transcript: Path | None,
     only: str | None,
     calibration: Path | None,
+    fuse: bool,
+    technique: str | None,
+    fused_file: Path | None,
     rotate_s: float | None,
     force: bool,
     as_json: bool,
@@ -109,11 +122,18 @@ def command(
     refuse_existing(output if rotate_s is None else part_of(output, 1), force)
     if output.suffix not in (".h5", ".hdf5"):
         raise click.UsageError(f"{output}: a log is an HDF5 file; name it {output.name}.h5")
-    judge = _judge(array, calibration) if calibration else None
+    if (technique or fused_file) and not fuse:
+        raise click.UsageError(f"{'--technique' if technique else '--fused'} is of --fuse: say that too")
+    fusion = _fusion(output, fused_file, calibration, technique or "mean", rate_hz, force) if fuse else None
+    judge = _judge(array, calibration, only_if_it_can=fuse) if calibration else None
     with ExitStack() as stack:
         bus, recorder = _connected(stack, url, array, transcript, force)
         stop = stack.enter_context(_Interruptible())
-        screen = stack.enter_context(closing(Screen(str(output), rate_hz, seconds)))
+        more = fusion.status if fusion else str
+        screen = stack.enter_context(closing(Screen(str(output), rate_hz, seconds, more)))
+        if fusion:
+            fusion.tell = screen.remark
+            stack.enter_context(closing(fusion))
         summary = record(
             array,
             bus,
@@ -129,13 +149,15 @@ def command(
             counted=screen.counted,
             judge=judge,
             force=force,
+            begun=fusion.begun if fusion else lambda epoch, sensors: None,
+            observe=fusion.observe if fusion else lambda sensor, block: None,
         )
     with suppress(OSError) if stop.hung_up else nullcontext():  # nobody is there to be told
         if bus.source == "replay" and getattr(bus, "stopped", False):
             click.echo("imuarray: the transcript ends here: the recorded program was stopped", err=True)
         if recorder is not None and recorder.failed:
             click.echo(f"imuarray: {recorder.failed}", err=True)
-        _tell(summary, output, judge.said if judge else [], as_json)
+        _tell(summary, output, judge.said if judge else [], fusion, as_json)
 
 
 def _array_and_bus(config: Path, bus_url: str | None, only: str | None) -> tuple[ArrayConfig, str]:
@@ -151,11 +173,26 @@ def _array_and_bus(config: Path, bus_url: str | None, only: str | None) -> tuple
     return array.only(tuple(only.split(","))) if only else array, url
 
 
-def _judge(array: ArrayConfig, calibration: Path) -> StartUpJudge:
-    """What says how sensors came up."""
+def _judge(array: ArrayConfig, calibration: Path, only_if_it_can: bool) -> StartUpJudge | None:
+    """What says how sensors came up; None if it is wanted `only_if_it_can` and the calibration does not say it."""
     from imuarray.commands.start_up import StartUpJudge
 
-    return StartUpJudge(array, calibration)
+    judge = StartUpJudge(array, calibration)
+    return judge if judge.knows_states or not only_if_it_can else None
+
+
+def _fusion(
+    output: Path, fused_file: Path | None, calibration: Path | None, technique: str, rate_hz: float, force: bool
+) -> LiveFusion:
+    """What fuses beside the log."""
+    from imuarray.calibrate import Calibration, load_calibration
+    from imuarray.commands.log_fusion import LiveFusion
+
+    fused = fused_file or output.with_name(f"{output.stem}_fused.h5")
+    refuse_existing(fused, force, source=output)
+    known = load_calibration(calibration) if calibration else Calibration()
+    source = str(calibration or "")
+    return LiveFusion(fused, output, known, technique, rate_hz=rate_hz, calibration_file=source, force=force)
 
 
 def _connected(
@@ -176,7 +213,7 @@ def _connected(
     return bus, recorder
 
 
-def _tell(summary: Summary, output: Path, start_up: list[str], as_json: bool) -> None:
+def _tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion | None, as_json: bool) -> None:
     """What was recorded, for a person or a program."""
     lost = {name: count for name, count in summary.lost.items() if count}
     if as_json:
@@ -191,12 +228,15 @@ def _tell(summary: Summary, output: Path, start_up: list[str], as_json: bool) ->
                 "lost": lost,
                 "seconds": summary.seconds,
                 "start_up": start_up,
+                **({"fusion": fusion.report()} if fusion else {}),
             }
         )
         return
     rate = summary.frames / summary.seconds if summary.seconds else 0.0
     where = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
     click.echo(f"{where}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
+    if fusion:
+        click.echo(f"  {fusion.path}: {counted(fusion.frames, 'frame')} fused while recording")
     if summary.missed:
         missed = counted(summary.missed, "frame")
         click.echo(f"  {missed} missed: the array can't be read so fast, or this machine was busy")

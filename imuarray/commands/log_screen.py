@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import click
@@ -23,7 +24,9 @@ _CLEAR = "\r\x1b[K"
 class Screen:
     """Standard error. A terminal that goes away (ssh drops) does not disturb the recording."""
 
-    def __init__(self, label: str, rate_hz: float, seconds: float | None) -> None:
+    def __init__(self, label: str, rate_hz: float, seconds: float | None, more: Callable[[], str] = lambda: "") -> None:
+        """`more` is what else there is to say in the line of how far it is."""
+        self._more = more
         self._label, self._rate_hz, self._seconds = label, rate_hz, seconds
         self._terminal = sys.stderr.isatty()
         self._counted_s = -_PAUSE_S
@@ -33,6 +36,10 @@ class Screen:
         """One line: seconds of the log, sensor, kind, message."""
         about = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
         self._write(f"{self._clear()}{event.time_ns * 1e-9:9.1f} s  {printable(about)}\n{self._line}")
+
+    def remark(self, text: str) -> None:
+        """A line about something else than the log."""
+        self._write(f"{self._clear()}imuarray: {printable(text)}\n{self._line}")
 
     def counted(self, summary: Summary) -> None:
         """How far it is, now and then: a line that is written over. Nobody watches what is no terminal."""
@@ -44,6 +51,8 @@ class Screen:
         lasted_s = (summary.frames + summary.missed) / self._rate_hz
         lost = sum(summary.lost.values())
         self._line = f"{printable(self._label)}: {summary.frames} frames, {lasted_s:.0f}{whole} s, {lost} readings lost"
+        if more := self._more():
+            self._line += f"; {printable(more)}"
         self._write(_CLEAR + self._line)
 
     def close(self) -> None:

@@ -32,6 +32,11 @@ class StartUpJudge:
         self._ranges = {sensor.name: sensor.spec.sensitivity for sensor in array.sensors if sensor.spec.sensitivity}
         self._means: dict[str, npt.NDArray[Any]] = {}
 
+    @property
+    def knows_states(self) -> bool:
+        """Whether the calibration says of any sensor how it comes up."""
+        return any(sensor.turn_on is not None for sensor in self._calibration.sensors.values())
+
     def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, Verdict]:
         """Verdicts by sensor; a sensor that is judged again is seen beside what the others read at first."""
         known = {name: counts for name, counts in readings.items() if name in self._calibration.sensors}

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import h5py
 import numpy as np
@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from imuarray import __version__
 from imuarray.atomic import whole_file
-from imuarray.errors import LogError
+from imuarray.errors import LogError, OutputError, OutputExistsError
 from imuarray.fuse.frames import ENTRIES, FusedBlock
 from imuarray.log.guard import open_file
 from imuarray.log.heaps import Inspected
@@ -67,16 +67,12 @@ def write_fused(
     """Write blocks as they come, under a temporary name until all are there; the number of frames. `sensors` names, per
     quantity, those whose use a block tells. OutputExistsError, OutputError.
     """
+    about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
     with whole_file(path, force=force) as draft, h5py.File(draft, "w") as file:
-        file.attrs.update(
-            format="imuarray-fused", format_version=1, epoch=epoch, technique=technique, log=log,
-            calibration=calibration, software=f"imuarray {__version__}",
-        )  # fmt: skip
+        fused = _Fused(file, draft, about, sensors)
         frames = 0
         for block in blocks:
-            _ask_for_room(draft, block)
-            _append(file.require_group("fused"), block, epoch, sensors)
-            file.flush()
+            fused.append(block)
             frames += len(block.time)
             progress(frames)
     return frames
@@ -122,6 +118,54 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         yield file
 
 
+class LiveFused:
+    """A fused result under its own name from its first frames on, to be read (SWMR) while it is written; not
+    compressed, which would take the interpreter from a recording for milliseconds. A context manager.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        epoch: str,
+        technique: str,
+        log: str,
+        calibration: str = "",
+        sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
+        force: bool = False,
+    ) -> None:
+        """OutputExistsError, OutputError."""
+        self._path = Path(path)
+        if self._path.exists() and not force:
+            raise OutputExistsError(path)
+        try:
+            self._file = h5py.File(path, "w", libver=("v110", "v110"))
+        except OSError as error:
+            raise OutputError(path, error) from None
+        about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
+        self._fused = _Fused(self._file, self._path, about, sensors, compressed=False)
+        self.frames = 0
+
+    def append(self, block: FusedBlock) -> None:
+        """More frames. OSError."""
+        self._fused.append(block)
+        self.frames += len(block.time)
+        if not self._file.swmr_mode:
+            self._file.swmr_mode = True
+
+    def close(self) -> None:
+        """Complete the file; one without frames goes."""
+        self._file.close()
+        if self.frames == 0:
+            self._path.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
 def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[FusedBlock]:
     """The blocks of a file that `write_fused` wrote, `block` frames at a time; LogError for one built to do harm."""
     with _opened(Path(path)) as file:
@@ -155,24 +199,43 @@ def _columns(block: FusedBlock) -> dict[str, npt.NDArray[Any]]:
     return {"time": block.time, **block.triads, **covariances, **used}
 
 
-def _append(group: h5py.Group, block: FusedBlock, epoch: str, sensors: Mapping[str, Sequence[str]]) -> None:
-    for name, rows in _columns(block).items():
-        if name not in group:
-            tail = rows.shape[1:]
-            column = group.create_dataset(
-                name,
-                (0, *tail),
-                rows.dtype,
-                maxshape=(None, *tail),
-                chunks=(4096, *tail),
-                compression="gzip",
-                shuffle=True,
-            )
-            column.attrs["units"] = UNITS.get(name, f"nanoseconds since {epoch}")
-            if name.endswith(_COVARIANCE):
-                column.attrs["columns"] = list(ENTRIES)
-            elif name.endswith(_USED) and (names := sensors.get(name.removesuffix(_USED))):
-                column.attrs["sensors"] = list(names)
-        dataset = group[name]
-        dataset.resize(dataset.shape[0] + len(rows), axis=0)
-        dataset[-len(rows) :] = rows
+class _Fused:
+    """An HDF5 file that a result goes into; its columns are made by the first block."""
+
+    def __init__(
+        self,
+        file: h5py.File,
+        path: Path,
+        about: Mapping[str, str],
+        sensors: Mapping[str, Sequence[str]],
+        compressed: bool = True,
+    ) -> None:
+        file.attrs.update(format="imuarray-fused", format_version=1, **about, software=f"imuarray {__version__}")
+        self._file, self._path, self._sensors = file, path, sensors
+        self._group = file.create_group("fused")
+        self._epoch = about["epoch"]
+        self._filters: dict[str, Any] = {"compression": "gzip", "shuffle": True} if compressed else {}
+
+    def append(self, block: FusedBlock) -> None:
+        """More rows of every column. OSError."""
+        _ask_for_room(self._path, block)
+        columns = _columns(block)
+        for name in columns.keys() - self._group.keys():
+            self._create(name, columns[name])
+        for name, rows in columns.items():
+            dataset = self._group[name]
+            dataset.resize(dataset.shape[0] + len(rows), axis=0)
+            dataset[-len(rows) :] = rows
+            dataset.flush()
+        self._file.flush()
+
+    def _create(self, name: str, rows: npt.NDArray[Any]) -> None:
+        tail = rows.shape[1:]
+        column = self._group.create_dataset(
+            name, (0, *tail), rows.dtype, maxshape=(None, *tail), chunks=(4096, *tail), **self._filters
+        )
+        column.attrs["units"] = UNITS.get(name, f"nanoseconds since {self._epoch}")
+        if name.endswith(_COVARIANCE):
+            column.attrs["columns"] = list(ENTRIES)
+        elif name.endswith(_USED) and (names := self._sensors.get(name.removesuffix(_USED))):
+            column.attrs["sensors"] = list(names)

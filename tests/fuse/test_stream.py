@@ -186,7 +186,7 @@ def test_rows_must_follow_one_another(run: Path) -> None:
 
 
 def test_the_window_of_rows_does_not_grow(run: Path) -> None:
-    """Of 600 rows of each sensor three margins, a step, what the grid looks ahead and back, half a second of silence."""
+    """Three margins of rows, a step, what the grid looks ahead and back, half a second of another one.s silence."""
     with open_log(run) as log:
         stream = started(log)
         most = max(stream.rows_kept for _ in in_steps(stream, read(log), 6.0))
