@@ -37,10 +37,22 @@ from imuarray.calibrate.entries import (
     numbers,
     read_table,
     table,
+    tables,
     text,
     to_table,
 )
-from imuarray.calibrate.stability import PROVENANCE, THERMAL, TURN_ON, Provenance, Thermal, TurnOn
+from imuarray.calibrate.stability import (
+    DRIFT,
+    NOISE_LINE,
+    PROVENANCE,
+    THERMAL,
+    TURN_ON,
+    Drift,
+    NoiseLine,
+    Provenance,
+    Thermal,
+    TurnOn,
+)
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
@@ -65,7 +77,8 @@ GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "bias": ("bias_sem_lsb", "bias_lsb", "bias_covariance_lsb2", "temperature_degc"),
         "response": ("response_sem_lsb_per_unit", "response_lsb_per_unit"),
         "g_sensitivity": ("g_sensitivity_lsb_per_g", "g_sensitivity_sem_lsb_per_g"),
-        "noise": ("noise_lsb",),
+        "noise": ("noise_lsb", "noise_sem_lsb", "noise_correlation", "noise_lines"),
+        "drift": ("drift",),
         "thermal": ("thermal",),
         "turn_on": ("turn_on",),
     }
@@ -78,9 +91,10 @@ not measured."""
 class SensorCalibration:
     """One sensor's parameters; what was not measured is None (or, for `response`, the data sheet's).
 
-    Shapes: `bias_lsb`, `bias_sem_lsb`, `response_sem_lsb_per_unit` (one figure per sensor axis) and `noise_lsb`
-    (standard deviation of single readings) (3,); `response_lsb_per_unit`, `g_sensitivity_lsb_per_g` and its standard
-    errors (3, 3), rows sensor axes, columns box axes; `bias_covariance_lsb2` (3, 3) over the sensor axes.
+    Shapes: `bias_lsb`, `bias_sem_lsb`, `response_sem_lsb_per_unit` (one figure per sensor axis), `noise_lsb` (standard
+    deviation of single readings), its standard error and `noise_correlation` (of one reading with the next) (3,);
+    `response_lsb_per_unit`, `g_sensitivity_lsb_per_g` and its standard errors (3, 3), rows sensor axes, columns box
+    axes; `bias_covariance_lsb2` (3, 3) over the sensor axes. `noise_lines` are periodic parts of `noise_lsb`.
     `temperature_degc` is that of the bias. `provenance` says by group (`GROUPS`) where figures came from.
     """
 
@@ -100,6 +114,10 @@ class SensorCalibration:
     g_sensitivity_sem_lsb_per_g: Floats | None = None
     thermal: Thermal | None = None
     turn_on: TurnOn | None = None
+    noise_sem_lsb: Floats | None = None
+    noise_correlation: Floats | None = None
+    noise_lines: tuple[NoiseLine, ...] = ()
+    drift: Drift | None = None
     provenance: Mapping[str, Provenance] = field(default_factory=lambda: MappingProxyType({}))
 
     def measured(self) -> tuple[str, ...]:
@@ -307,6 +325,10 @@ _SENSOR: Mapping[str, Reader] = {
     "g_sensitivity_lsb_per_g": numbers(3, 3),
     "g_sensitivity_sem_lsb_per_g": numbers(3, 3, lowest=0.0),
     "noise_lsb": numbers(3, lowest=0.0),
+    "noise_sem_lsb": numbers(3, lowest=0.0),
+    "noise_correlation": numbers(3, lowest=-1.0, highest=1.0),
+    "noise_lines": tables(NoiseLine, NOISE_LINE),
+    "drift": table(Drift, DRIFT),
     "temperature_degc": number(),
     "range": number(),
     "thermal": table(Thermal, THERMAL),

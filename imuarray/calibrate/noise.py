@@ -1,28 +1,35 @@
-"""`calibrate noise`: how much single readings scatter while the box stands still, per sensor axis."""
+"""`calibrate noise`: what a sensor reads while the box stands still, per axis: how much single readings scatter and of
+what colour that is, and how the bias wanders.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.calibrate.drift import LEAST_SEGMENTS, MOST_SEGMENTS, fit_drift
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.poses import Pose, find_poses
+from imuarray.calibrate.scatter import SEGMENT_ROWS, scatter_of
+from imuarray.calibrate.segments import Segments, segment_means, thermometer_of
+from imuarray.calibrate.stability import Drift, Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
-from imuarray.log.format import SATURATED, STALE, SUSPECT
 from imuarray.units import INERTIAL
 
 _STILL_PHASES = ("static", "room")
 
-SEGMENT_ROWS = 256
-"""The scatter is taken about the mean of so many rows, so that slow drift is not called noise."""
+_FALSE_ALARM = 0.01
+"""Chance that any axis of a log without lines is said to have one."""
+
+_THERMOMETER_S = 5.0
 
 
-def calibrate_noise(*logs: Log) -> Calibration:
-    """Standard deviation of single readings (3,) in counts for every inertial sensor, pooled over all still stretches
-    of one log or of several.
+def calibrate_noise(*logs: Log, known: Calibration | None = None) -> Calibration:
+    """Scatter of single readings, its colour, and the drift, of every inertial sensor, pooled over all still stretches
+    of one log or of several; from the drift, what follows temperature by the slopes of `known` is taken out.
 
     Still stretches are the phases that name a face, `static` or `room`; in a log without such phases they are found
     by the accelerometers. CalibrationError if there are none.
@@ -34,7 +41,12 @@ def calibrate_noise(*logs: Log) -> Calibration:
     sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in INERTIAL]
     if not sensors:
         raise CalibrationError(f"{first.path}: no inertial sensor in it")
-    return Calibration({sensor.name: _noise(sensor, poses) for sensor in sensors}, tuple(str(log.path) for log in logs))
+    slopes = {} if known is None else {name: sensor.thermal for name, sensor in known.sensors.items()}
+    found = {
+        sensor.name: _noise(sensor, poses, slopes.get(sensor.name), _FALSE_ALARM / (3 * len(sensors)))
+        for sensor in sensors
+    }
+    return Calibration(found, tuple(str(log.path) for log in logs))
 
 
 def _still_stretches(log: Log) -> list[Pose]:
@@ -42,25 +54,48 @@ def _still_stretches(log: Log) -> list[Pose]:
     return named or find_poses(log)
 
 
-def _noise(sensor: SensorLog, poses: list[Pose]) -> SensorCalibration:
-    """Pooled variance within segments of one sensor's still stretches; stale, saturated and suspect rows are left
-    out.
-    """
-    squares, freedom = np.zeros(3), 0
-    for pose in poses:
-        here, rows = pose.rows_of(sensor)
-        for start in range(rows.start, rows.stop, SEGMENT_ROWS):
-            part = slice(start, min(start + SEGMENT_ROWS, rows.stop))
-            counts = _sound(here, part)
-            if len(counts) > 1:
-                squares += ((counts - counts.mean(axis=0)) ** 2).sum(axis=0)
-                freedom += len(counts) - 1
-    if freedom == 0:
+def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float) -> SensorCalibration:
+    """One sensor's figures; CalibrationError where it has no sound readings."""
+    found = [(pose, *pose.rows_of(sensor)) for pose in poses]
+    stretches = [(here, rows) for _, here, rows in found if rows.stop > rows.start]
+    scatter = scatter_of(stretches, false_alarm) if stretches else None
+    if scatter is None:
         raise CalibrationError(f"{sensor.where}: no sound readings while the box stood still")
-    return replace(nominal(sensor), noise_lsb=np.sqrt(squares / freedom))
+    return replace(
+        nominal(sensor),
+        noise_lsb=scatter.rms_lsb,
+        noise_sem_lsb=scatter.rms_sem_lsb,
+        noise_correlation=scatter.correlation,
+        noise_lines=scatter.lines,
+        drift=_drift(found, thermal),
+    )
 
 
-def _sound(sensor: SensorLog, rows: slice) -> npt.NDArray[np.float64]:
-    status = np.asarray(sensor.status[rows])
-    sound = (status & (STALE | SATURATED | SUSPECT)) == 0
-    return np.asarray(np.asarray(sensor.counts[rows], float)[sound])
+def _drift(found: Sequence[tuple[Pose, SensorLog, slice]], thermal: Thermal | None) -> Drift | None:
+    """The drift over the stretches; None where they are too short, or too many, to show any."""
+    rows = sum(part.stop - part.start for _, _, part in found)
+    segment = max(SEGMENT_ROWS // 2, -(-rows // MOST_SEGMENTS))  # time constants are two of them at least
+    long = [(pose, here, part) for pose, here, part in found if part.stop - part.start >= LEAST_SEGMENTS * segment]
+    if not long:
+        return None
+    _, here, part = max(long, key=lambda entry: entry[2].stop - entry[2].start)
+    width_s = segment * _interval_s(here, part)
+    return fit_drift([_means(pose, sensor, rows, width_s, thermal) for pose, sensor, rows in long], width_s)
+
+
+def _interval_s(sensor: SensorLog, rows: slice) -> float:
+    first, last = (int(sensor.time[row]) for row in (rows.start, rows.stop - 1))
+    return float((last - first) / (rows.stop - rows.start - 1)) * 1e-9
+
+
+def _means(pose: Pose, sensor: SensorLog, rows: slice, width_s: float, thermal: Thermal | None) -> Segments:
+    """Means of a stretch, what follows its temperature taken out; none where it has no sound readings."""
+    try:
+        means = segment_means(sensor, width_s, within=rows)
+    except CalibrationError:
+        return Segments(np.zeros(0), np.zeros((0, 3)))
+    warm = None if thermal is None or pose.log is None else thermometer_of(pose.log, sensor, _THERMOMETER_S)
+    if thermal is None or warm is None or (warm.kind == "relative") != (thermal.thermometer == "relative"):
+        return means
+    degc = warm.lagged(means.time_s, [thermal.significant_lag_s])[:, 0]
+    return replace(means, mean=means.mean - thermal.bias_change_lsb(degc, float(degc[0])))

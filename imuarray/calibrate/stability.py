@@ -1,5 +1,5 @@
-"""What a bias does after it was calibrated: with temperature, and from one switch-on to the next; and where each
-figure came from.
+"""What a bias does after it was calibrated: with temperature, from one switch-on to the next and while it runs; the
+lines of a sensor's noise; and where each figure came from.
 """
 
 from __future__ import annotations
@@ -98,6 +98,38 @@ class TurnOn:
 
 
 @dataclass(frozen=True)
+class Drift:
+    """How a bias wanders while the sensor runs, per axis (3,), in counts: a first-order Gauss-Markov process, its
+    correlation ``rms^2 exp(-t / time_constant_s)``; what follows temperature is taken out where slopes are known.
+
+    `rms_lsb` is what is likeliest (0 where nothing drifts), `rms_sem_lsb` its standard error and `rms_upper_lsb` what
+    it stays below with 95 %. One time constant for the three axes; `time_constant_interval_s` (2,) is its 95 %
+    interval, nan at an end that the log doesn't show. Nothing slower than `span_s`, the longest stretch, was seen.
+    """
+
+    rms_lsb: Floats
+    rms_sem_lsb: Floats
+    time_constant_s: float
+    rms_upper_lsb: Floats | None = None
+    time_constant_interval_s: Floats | None = None
+    span_s: float | None = None
+
+
+@dataclass(frozen=True)
+class NoiseLine:
+    """A periodic part of one axis's noise (`axis` "x", "y" or "z"): its frequency and the amplitude of its sine, with
+    standard errors where known, and its `share` of the variance of single readings.
+    """
+
+    axis: str
+    frequency_hz: float
+    amplitude_lsb: float
+    share: float
+    frequency_sem_hz: float | None = None
+    amplitude_sem_lsb: float | None = None
+
+
+@dataclass(frozen=True)
 class Provenance:
     """Where a group of figures came from: logs, the software that made them, when the first log began (ISO 8601 UTC)
     and how warm it was (mean, degC).
@@ -140,6 +172,28 @@ TURN_ON: Mapping[str, Reader] = MappingProxyType(
         "states": tables(BiasState, STATE),
         "apart": several(whole),
         "gravity_lsb": _TRIPLE,
+    }
+)
+
+DRIFT: Mapping[str, Reader] = MappingProxyType(
+    {
+        "rms_lsb": _POSITIVE,
+        "rms_sem_lsb": _POSITIVE,
+        "time_constant_s": number(1e-6),
+        "rms_upper_lsb": _POSITIVE,
+        "time_constant_interval_s": numbers(2, lowest=0.0, unknown=True),
+        "span_s": number(0.0),
+    }
+)
+
+NOISE_LINE: Mapping[str, Reader] = MappingProxyType(
+    {
+        "axis": text("x", "y", "z"),
+        "frequency_hz": number(0.0),
+        "amplitude_lsb": number(0.0),
+        "share": number(0.0, 1.0),
+        "frequency_sem_hz": number(0.0),
+        "amplitude_sem_lsb": number(0.0),
     }
 )
 

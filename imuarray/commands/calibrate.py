@@ -67,12 +67,17 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
 @force_option
 @json_option
 def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
-    """Standard deviation of single readings, per sensor axis, from the stretches in which the box stood still."""
-    from imuarray.calibrate import calibrate_noise
+    """Scatter of single readings, its colour, and drift, per sensor axis, from stretches in which the box stood still.
+
+    The colour is the correlation of neighbouring readings and the lines of the spectrum. Drift needs stretches of some
+    minutes; with --update, what follows temperature by the slopes in CAL.toml is taken out of it.
+    """
+    from imuarray.calibrate import calibrate_noise, load_calibration
     from imuarray.commands.calibrate_noise import print_report, report_of
 
     with _opened(runs, output, update, force) as logs:
-        calibration = calibrate_noise(*logs).stamped(logs)
+        known = load_calibration(output) if update and output.exists() else None
+        calibration = calibrate_noise(*logs, known=known).stamped(logs)
     _finish(calibration, report_of(calibration), print_report, output, update, force, as_json)
 
 

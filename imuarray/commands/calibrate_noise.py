@@ -2,40 +2,129 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
+import numpy.typing as npt
 
 from imuarray.units import READABLE
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration, SensorCalibration
 
+_WORTH_SAYING = 0.2
+"""Share of the variance from which the lines of an axis are told in a sentence."""
+
 
 def report_of(calibration: Calibration) -> dict[str, Any]:
-    """Every sensor's noise, JSON-ready: counts, and mg or dps."""
+    """Every sensor's noise, its colour and its drift, JSON-ready: counts, and mg or dps."""
     return {"sensors": [_row(sensor) for sensor in calibration.sensors.values()]}
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """The same as a table."""
-    click.echo(f"{'sensor':12} {'x':>9} {'y':>9} {'z':>9}  counts rms {'x':>9} {'y':>9} {'z':>9}")
+    """The same as a table, and the lines in a sentence each."""
+    click.echo(
+        f"{'axis':14} {'noise, counts rms':>19} {'noise':>17} {'neighbours':>11} {'lines':>6}"
+        f" {'drift, counts rms':>18} {'time constant':>24}"
+    )
     for row in report["sensors"]:
-        counts, units = _three(row["noise_lsb"]), _three(row["noise"])
-        click.echo(f"{row['name']:12} {counts}             {units}  {row['noise_unit']} rms")
+        for index, axis in enumerate("xyz" if row["noise_lsb"] else ""):
+            click.echo(
+                f"{row['name'] + ' ' + axis:14}"
+                f" {_measured(row['noise_lsb'][index], _entry(row['noise_sem_lsb'], index)):>19}"
+                f" {row['noise'][index]:9.3f} {row['noise_unit'] + ' rms':>7}"
+                f" {_correlation(row['noise_correlation'], index):>11} {_lines(row, axis):>6}"
+                f" {_drift(row, index):>18} {_time_constant(row):>24}".rstrip()
+            )
+    for sentence in _sentences(report):
+        click.echo(sentence)
+    if all(row["drift"] is None for row in report["sensors"]):
+        click.echo("drift: no stretch is long enough to show any")
 
 
 def _row(sensor: SensorCalibration) -> dict[str, Any]:
     factor, unit = READABLE[sensor.unit]
-    counts = [] if sensor.noise_lsb is None else sensor.noise_lsb.tolist()
+    per_count = factor / sensor.scale_lsb_per_unit
+    drift = sensor.drift
     return {
         "name": sensor.name,
-        "noise_lsb": counts,
-        "noise": [factor * value / scale for value, scale in zip(counts, sensor.scale_lsb_per_unit, strict=True)],
+        "noise_lsb": _listed(sensor.noise_lsb),
+        "noise_sem_lsb": _listed(sensor.noise_sem_lsb),
+        "noise": [] if sensor.noise_lsb is None else _listed(sensor.noise_lsb * per_count),
         "noise_unit": unit,
+        "noise_correlation": _listed(sensor.noise_correlation),
+        "lines": [vars(line) for line in sensor.noise_lines],
+        "drift": None
+        if drift is None
+        else {
+            "rms_lsb": _listed(drift.rms_lsb),
+            "rms_sem_lsb": _listed(drift.rms_sem_lsb),
+            "rms_upper_lsb": _listed(drift.rms_upper_lsb),
+            "rms": _listed(drift.rms_lsb * per_count),
+            "time_constant_s": drift.time_constant_s,
+            "time_constant_interval_s": _listed(drift.time_constant_interval_s),
+            "span_s": drift.span_s,
+        },
     }
 
 
-def _three(values: Sequence[float]) -> str:
-    return " ".join(f"{value:9.3f}" for value in values)
+def _listed(values: npt.NDArray[np.float64] | None) -> list[float]:
+    return [] if values is None else [float(value) for value in values]
+
+
+def _entry(values: list[float], index: int) -> float | None:
+    return values[index] if values else None
+
+
+def _measured(value: float, sem: float | None) -> str:
+    return f"{value:.3f}" if sem is None else f"{value:.3f} +- {sem:.3f}"
+
+
+def _correlation(values: list[float], index: int) -> str:
+    return f"{values[index]:+.3f}" if values else "-"
+
+
+def _drift(row: dict[str, Any], index: int) -> str:
+    """The rms with its error; where that is less than twice the error, the bound that it stays below."""
+    drift = row["drift"]
+    if drift is None:
+        return "-"
+    rms, sem = drift["rms_lsb"][index], drift["rms_sem_lsb"][index]
+    if rms < 2 * sem and drift["rms_upper_lsb"]:
+        return f"below {drift['rms_upper_lsb'][index]:.3f}"
+    return _measured(rms, sem)
+
+
+def _time_constant(row: dict[str, Any]) -> str:
+    """With its interval; nothing where no axis drifts for sure."""
+    drift = row["drift"]
+    if drift is None or not any(
+        rms >= 2 * sem for rms, sem in zip(drift["rms_lsb"], drift["rms_sem_lsb"], strict=True)
+    ):
+        return ""
+    low, high = drift["time_constant_interval_s"] or (np.nan, np.nan)
+    first, last = (f"{end:.3g}" if np.isfinite(end) else "?" for end in (low, high))
+    return f"{drift['time_constant_s']:.3g} s ({first} to {last})"
+
+
+def _lines(row: dict[str, Any], axis: str) -> str:
+    """Share of all lines of an axis in its variance."""
+    share = sum(line["share"] for line in row["lines"] if line["axis"] == axis)
+    return f"{100 * share:.0f} %" if share else ""
+
+
+def _sentences(report: dict[str, Any]) -> Iterator[str]:
+    for row in report["sensors"]:
+        for axis in "xyz":
+            lines = [line for line in row["lines"] if line["axis"] == axis]
+            if lines and lines[0]["share"] >= _WORTH_SAYING:
+                strong = [line for line in lines if line["share"] >= lines[0]["share"] / 4]
+                which = ", ".join(f"{line['frequency_hz']:.2f}" for line in strong)
+                share = 100 * sum(line["share"] for line in strong)
+                yield (
+                    f"{row['name']} {axis}: {'a line' if len(strong) == 1 else 'lines'} at {which} Hz"
+                    f" {'carries' if len(strong) == 1 else 'carry'} {share:.0f} % of the scatter;"
+                    " fusion that weighs by noise gives it less weight"
+                )

@@ -14,7 +14,15 @@ from hypothesis import strategies as st
 
 from imuarray.calibrate import Calibration, SensorCalibration, load_calibration
 from imuarray.calibrate.model import GROUPS
-from imuarray.calibrate.stability import THERMOMETERS, BiasState, Provenance, Thermal, TurnOn
+from imuarray.calibrate.stability import (
+    THERMOMETERS,
+    BiasState,
+    Drift,
+    NoiseLine,
+    Provenance,
+    Thermal,
+    TurnOn,
+)
 from imuarray.errors import CalibrationError, ImuArrayError, OutputExistsError
 from imuarray.log import open_log
 from tests.calibrate.conftest import Part, WriteLog, accelerometer, gyroscope, ideal
@@ -84,6 +92,25 @@ turn_ons = st.builds(
     apart=st.lists(counts, max_size=3).map(tuple),
     gravity_lsb=st.none() | triples(numbers),
 )
+drifts = st.builds(
+    Drift,
+    rms_lsb=triples(positive),
+    rms_sem_lsb=triples(positive),
+    time_constant_s=st.floats(1e-3, 1e6),
+    rms_upper_lsb=st.none() | triples(positive),
+    time_constant_interval_s=st.none()
+    | st.lists(positive | st.just(float("nan")), min_size=2, max_size=2).map(np.array),
+    span_s=st.none() | st.floats(0, 1e6),
+)
+noise_lines = st.builds(
+    NoiseLine,
+    axis=st.sampled_from("xyz"),
+    frequency_hz=st.floats(0, 1e3),
+    amplitude_lsb=st.floats(0, 1e3),
+    share=st.floats(0, 1),
+    frequency_sem_hz=st.none() | st.floats(0, 1),
+    amplitude_sem_lsb=st.none() | st.floats(0, 1),
+)
 origins = st.builds(
     Provenance,
     logs=st.lists(texts, max_size=2).map(tuple),
@@ -103,6 +130,10 @@ sensors = st.builds(
     response_sem_lsb_per_unit=st.none() | triples(positive),
     g_sensitivity_lsb_per_g=st.none() | st.lists(triples(numbers), min_size=3, max_size=3).map(np.array),
     noise_lsb=st.none() | triples(positive),
+    noise_sem_lsb=st.none() | triples(positive),
+    noise_correlation=st.none() | triples(st.floats(-1, 1)),
+    noise_lines=st.lists(noise_lines, max_size=2).map(tuple),
+    drift=st.none() | drifts,
     temperature_degc=st.none() | st.floats(-40, 85),
     bias_covariance_lsb2=st.none() | matrices.map(lambda m: np.array(m) @ np.array(m).T + np.eye(3)),
     g_sensitivity_sem_lsb_per_g=st.none() | st.lists(triples(positive), min_size=3, max_size=3).map(np.array),
@@ -148,6 +179,20 @@ def test_round_trip(written: list[SensorCalibration], sources: list[str]) -> Non
         assert_alike(sensor, read.sensors[sensor.name])
 
 
+WANDERED = """
+[sensor.drift]
+rms_lsb = [1, 2, 3]
+rms_sem_lsb = [1, 1, 1]
+time_constant_s = 40
+time_constant_interval_s = [20, nan]
+
+[[sensor.noise_lines]]
+axis = "x"
+frequency_hz = 9
+amplitude_lsb = 2
+share = 0.5
+"""
+
 REFUSED = {
     "empty file": "",
     "no TOML": "{",
@@ -189,6 +234,17 @@ REFUSED = {
     "states a table": HEAD + SENSOR + TURNED_ON.replace("[[sensor.turn_on.states]]", "[sensor.turn_on.states]"),
     "unknown group": HEAD + SENSOR + "[sensor.provenance.weather]\n",
     "provenance a text": HEAD + SENSOR + 'provenance = "mine"\n',
+    "negative error of noise": HEAD + SENSOR + "noise_sem_lsb = [-1, 1, 1]\n",
+    "correlation beyond one": HEAD + SENSOR + "noise_correlation = [0, 0, -1.5]\n",
+    "lines a table": HEAD + SENSOR + WANDERED.replace("[[sensor.noise_lines]]", "[sensor.noise_lines]"),
+    "line of a fourth axis": HEAD + SENSOR + WANDERED.replace('"x"', '"w"'),
+    "line below zero": HEAD + SENSOR + WANDERED.replace("_hz = 9", "_hz = -9"),
+    "line without a share": HEAD + SENSOR + WANDERED.replace("share = 0.5\n", ""),
+    "line of more than all": HEAD + SENSOR + WANDERED.replace("share = 0.5", "share = 1.5"),
+    "no time constant": HEAD + SENSOR + WANDERED.replace("time_constant_s = 40\n", ""),
+    "time constant of zero": HEAD + SENSOR + WANDERED.replace("_s = 40", "_s = 0"),
+    "NaN drift": HEAD + SENSOR + WANDERED.replace("rms_lsb = [1", "rms_lsb = [nan"),
+    "drift a list": HEAD + SENSOR + "drift = [1, 2, 3]\n",
     "logs a text": HEAD + SENSOR + '[sensor.provenance.bias]\nlogs = "one"\n',
 }
 """What a file says, and CalibrationError is the answer."""
@@ -230,14 +286,16 @@ def test_malformed_files_are_refused_in_one_line(tmp_path: Path, text: str) -> N
     assert "\n" not in str(caught.value)
 
 
-WHOLE = HEAD + SENSOR + HEATED + TURNED_ON
+WHOLE = HEAD + SENSOR + HEATED + TURNED_ON + WANDERED
 
 
 def test_the_tables_that_the_refused_files_spoil_are_read(tmp_path: Path) -> None:
     path = tmp_path / "cal.toml"
     path.write_text(WHOLE, encoding="utf-8")
     sensor = load_calibration(path).sensors["A"]
-    assert sensor.thermal is not None and sensor.turn_on is not None
+    assert sensor.thermal is not None and sensor.turn_on is not None and sensor.drift is not None
+    assert (sensor.drift.time_constant_s, sensor.drift.rms_lsb.tolist()) == (40, [1, 2, 3])
+    assert sensor.noise_lines == (NoiseLine("x", 9.0, 2.0, 0.5),)
     assert sensor.thermal.meaning == ("bias", "bias", "bias or scale")
     assert (sensor.turn_on.runs, sensor.turn_on.states[0].share) == (7, 0.5)
     assert sensor.turn_on.states[0].bias_lsb.tolist() == [1, 2, 3]

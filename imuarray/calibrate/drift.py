@@ -1,0 +1,174 @@
+"""How a bias wanders while the box stands still: a first-order Gauss-Markov process under white noise, by likelihood.
+
+Means over segments of T seconds of a process with variance v and time constant tau have the variance
+``v 2 (tau/T)^2 (T/tau - 1 + exp(-T/tau))`` and, d apart, the covariance ``v (2 tau/T sinh(T/2tau))^2 exp(-d/tau)``:
+those of a sampled process under white noise, so that a Kalman filter gives their exact likelihood. The level of each
+stretch is not known and is integrated out, which also corrects for the freedom it takes (restricted maximum likelihood:
+Patterson and Thompson, Biometrika 58, 1971). Several averaging times are in it at once: a process shows in means over
+long times, white noise in those over short ones.
+
+The filter runs for a grid of time constants and of ratios of drift to noise together, first a coarse one, then a fine
+one about the maximum. Standard errors and bounds weigh the grid by the likelihood, flat in the rms and in the log of
+the time constant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate.segments import Segments
+from imuarray.calibrate.stability import Drift
+
+Floats = npt.NDArray[np.float64]
+
+MOST_SEGMENTS = 512
+LEAST_SEGMENTS = 16
+"""Of the longest stretch; in fewer nothing can be told."""
+
+SHORTEST = 2.0
+"""Time constants from so many segments on; faster ones are coloured noise."""
+
+_NEARLY = 0.99
+"""Segments at the ends of a stretch may be a little short."""
+
+_RATIOS = np.geomspace(0.02, 500.0, 28)
+_TIMES = 14
+_FINE = 24
+_LIKELY = 6.0
+"""Log likelihood below the maximum at which the fine grid ends."""
+
+_INTERVAL = 1.92
+"""... and at which a 95 % interval of one parameter ends: half the quantile of chi-squared."""
+
+_CONFIDENCE = 0.95
+
+
+def fit_drift(stretches: Sequence[Segments], width_s: float) -> Drift | None:
+    """The drift of one sensor from the means over segments of `width_s` (times in s, counts (n, 3)) of its stretches
+    at rest; None if the longest has fewer than 16 segments, or no axis scatters.
+    """
+    stretches = [part for part in stretches if len(part.time_s) > 1]
+    spans = [float(part.time_s[-1] - part.time_s[0]) + width_s for part in stretches]
+    if max(spans, default=0.0) < LEAST_SEGMENTS * width_s * _NEARLY:
+        return None
+    levelled = [Segments(part.time_s, part.mean - part.mean.mean(axis=0)) for part in stretches]
+    scale = np.concatenate([part.mean for part in levelled]).std(axis=0)
+    moving = np.flatnonzero(scale > 0)
+    if len(moving) == 0:
+        return None
+    parts = [Segments(part.time_s, part.mean[:, moving] / scale[moving]) for part in levelled]
+    times = np.geomspace(SHORTEST * width_s, max(spans), _TIMES)
+    coarse = _likelihood(parts, width_s, times, np.repeat(_RATIOS[:, None], len(moving), axis=1))
+    fine = _likelihood(parts, width_s, *coarse.about_maximum())
+    figures = np.zeros((3, 3))
+    figures[:, moving] = np.stack(fine.rms()) * scale[moving]
+    best, interval = fine.time_constant()
+    return Drift(figures[0], figures[1], best, figures[2], interval, max(spans))
+
+
+class _Grid(NamedTuple):
+    """Log likelihood (t, u, k) of k axes for time constants (t,) and ratios (u, k) of the rms of the drift to that of
+    the noise of a mean, whose likeliest size is `noise` (t, u, k).
+    """
+
+    times: Floats
+    ratios: Floats
+    log_likelihood: Floats
+    noise: Floats
+
+    def about_maximum(self) -> tuple[Floats, Floats]:
+        """Times and ratios of a finer grid over what is not unlikely."""
+        profile = self._joint()
+        times = _closer(self.times, profile.max(axis=(1, 2)))
+        ratios = [_closer(column, profile[:, :, k].max(axis=0)) for k, column in enumerate(self.ratios.T)]
+        return times, np.stack(ratios, axis=1)
+
+    def rms(self) -> tuple[Floats, Floats, Floats]:
+        """Of the drift (k,): the likeliest, its standard error, and the upper bound."""
+        rms = self.ratios * self.noise
+        profile = self._joint()
+        best, sem, upper = (np.zeros(rms.shape[2]) for _ in range(3))
+        for k in range(rms.shape[2]):
+            axis, likely = rms[:, :, k], profile[:, :, k]
+            time, ratio = np.unravel_index(int(likely.argmax()), likely.shape)
+            best[k] = axis[time, ratio] if self.ratios[ratio, k] > _RATIOS[0] else 0.0
+            weight = np.exp(likely - likely.max()) * np.abs(np.gradient(axis, axis=1))
+            order = np.argsort(axis, axis=None)
+            share = np.cumsum(weight.ravel()[order]) / weight.sum()
+            upper[k] = axis.ravel()[order][np.searchsorted(share, _CONFIDENCE)]
+            mean = np.average(axis, weights=weight)
+            sem[k] = np.sqrt(np.average((axis - mean) ** 2, weights=weight))
+        return best, sem, upper
+
+    def time_constant(self) -> tuple[float, Floats]:
+        """The likeliest and the ends (2,) of its interval, nan where that reaches the end of the grid."""
+        profile = self.log_likelihood.max(axis=1).sum(axis=1)
+        inside = np.flatnonzero(profile > profile.max() - _INTERVAL)
+        low, high = int(inside[0]), int(inside[-1])
+        ends = [np.nan if low == 0 else self.times[low], np.nan if high == len(profile) - 1 else self.times[high]]
+        return float(self.times[int(profile.argmax())]), np.array(ends)
+
+    def _joint(self) -> Floats:
+        """(t, u, k) log likelihood of all axes, the others at their best for that time constant."""
+        best = self.log_likelihood.max(axis=1)
+        others = best.sum(axis=1, keepdims=True) - best
+        return np.asarray(self.log_likelihood + others[:, None, :])
+
+
+def _closer(values: Floats, profile: Floats) -> Floats:
+    """Finer values (f,) over those that are not unlikely, and one on either side."""
+    inside = np.flatnonzero(profile > profile.max() - _LIKELY)
+    low, high = max(0, int(inside[0]) - 1), min(len(values) - 1, int(inside[-1]) + 1)
+    return np.geomspace(values[low], values[high], _FINE)
+
+
+def _likelihood(parts: Sequence[Segments], width_s: float, times: Floats, ratios: Floats) -> _Grid:
+    """The Kalman filter of a sampled process under white noise, all points of the grid at once.
+
+    Covariances are in units of the noise's variance, whose likeliest value follows; levels are integrated out.
+    """
+    share = (width_s / times)[:, None, None]
+    shared = ratios**2 * (2 / share * np.sinh(share / 2)) ** 2
+    noise = 1 + ratios**2 * 2 / share**2 * (share + np.expm1(-share)) - shared
+    squares, logs, freedom = np.zeros(shared.shape), np.zeros(shared.shape), 0
+    for part in parts:
+        sums = _filtered(part, times[:, None, None], shared, noise)
+        squares += sums.values - sums.mixed**2 / sums.ones
+        logs += sums.logs + np.log(sums.ones)
+        freedom += len(part.time_s) - 1
+    variance = squares / freedom
+    return _Grid(times, ratios, -(freedom * np.log(variance) + logs) / 2, np.sqrt(variance))
+
+
+class _Sums(NamedTuple):
+    """Over a stretch: squares of the innovations of its means, of a level of one, their products, all over their
+    variance, and the logs of that.
+    """
+
+    values: Floats
+    ones: Floats
+    mixed: Floats
+    logs: Floats
+
+
+def _filtered(part: Segments, times: Floats, shared: Floats, noise: Floats) -> _Sums:
+    """One stretch; `shared` is the variance of the sampled process, `noise` that of a mean about it."""
+    values, ones, mixed, logs = (np.zeros(shared.shape) for _ in range(4))
+    state, level, variance = np.zeros(shared.shape), np.zeros(shared.shape), shared
+    steps = np.diff(part.time_s, append=np.inf)
+    for mean, step in zip(part.mean, steps, strict=True):
+        spread = variance + noise
+        innovation, of_one = mean - state, 1 - level
+        values += innovation**2 / spread
+        ones += of_one**2 / spread
+        mixed += innovation * of_one / spread
+        logs += np.log(spread)
+        kept = np.exp(-step / times)
+        gain = variance / spread
+        state, level = kept * (state + gain * innovation), kept * (level + gain * of_one)
+        variance = kept**2 * variance * (1 - gain) + (1 - kept**2) * shared
+    return _Sums(values, ones, mixed, logs)
