@@ -12,8 +12,9 @@ import numpy as np
 from imuarray.calibrate.drift import LEAST_SEGMENTS, MOST_SEGMENTS, fit_drift
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.poses import Pose, find_poses
-from imuarray.calibrate.scatter import SEGMENT_ROWS, scatter_of
+from imuarray.calibrate.scatter import scatter_of
 from imuarray.calibrate.segments import Segments, segment_means, thermometer_of
+from imuarray.calibrate.sound_readings import SEGMENT_ROWS
 from imuarray.calibrate.stability import Drift, Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog

@@ -118,7 +118,8 @@ class Drift:
 @dataclass(frozen=True)
 class NoiseLine:
     """A periodic part of one axis's noise (`axis` "x", "y" or "z"): its frequency and the amplitude of its sine, with
-    standard errors where known, and its `share` of the variance of single readings.
+    standard errors where known, and its `share` of the variance of single readings. `range_hz` (2,) is where the
+    frequency was lowest and highest, None where it didn't wander.
     """
 
     axis: str
@@ -127,6 +128,7 @@ class NoiseLine:
     share: float
     frequency_sem_hz: float | None = None
     amplitude_sem_lsb: float | None = None
+    range_hz: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,7 @@ NOISE_LINE: Mapping[str, Reader] = MappingProxyType(
         "share": number(0.0, 1.0),
         "frequency_sem_hz": number(0.0),
         "amplitude_sem_lsb": number(0.0),
+        "range_hz": numbers(2, lowest=0.0),
     }
 )
 

@@ -13,6 +13,7 @@ from imuarray.units import READABLE
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration, SensorCalibration
+    from imuarray.calibrate.stability import NoiseLine
 
 _WORTH_SAYING = 0.2
 """Share of the variance from which the lines of an axis are told in a sentence."""
@@ -55,7 +56,7 @@ def _row(sensor: SensorCalibration) -> dict[str, Any]:
         "noise": [] if sensor.noise_lsb is None else _listed(sensor.noise_lsb * per_count),
         "noise_unit": unit,
         "noise_correlation": _listed(sensor.noise_correlation),
-        "lines": [vars(line) for line in sensor.noise_lines],
+        "lines": [_line(line) for line in sensor.noise_lines],
         "drift": None
         if drift is None
         else {
@@ -68,6 +69,10 @@ def _row(sensor: SensorCalibration) -> dict[str, Any]:
             "span_s": drift.span_s,
         },
     }
+
+
+def _line(line: NoiseLine) -> dict[str, Any]:
+    return {**vars(line), "range_hz": _listed(line.range_hz) or None}
 
 
 def _listed(values: npt.NDArray[np.float64] | None) -> list[float]:
@@ -115,13 +120,18 @@ def _lines(row: dict[str, Any], axis: str) -> str:
     return f"{100 * share:.0f} %" if share else ""
 
 
+def _where(line: dict[str, Any]) -> str:
+    """Its frequency; where it wandered, from which to which."""
+    return "{:.2f} to {:.2f}".format(*line["range_hz"]) if line["range_hz"] else f"{line['frequency_hz']:.2f}"
+
+
 def _sentences(report: dict[str, Any]) -> Iterator[str]:
     for row in report["sensors"]:
         for axis in "xyz":
             lines = [line for line in row["lines"] if line["axis"] == axis]
             if lines and lines[0]["share"] >= _WORTH_SAYING:
                 strong = [line for line in lines if line["share"] >= lines[0]["share"] / 4]
-                which = ", ".join(f"{line['frequency_hz']:.2f}" for line in strong)
+                which = ", ".join(_where(line) for line in strong)
                 share = 100 * sum(line["share"] for line in strong)
                 yield (
                     f"{row['name']} {axis}: {'a line' if len(strong) == 1 else 'lines'} at {which} Hz"

@@ -110,6 +110,7 @@ noise_lines = st.builds(
     share=st.floats(0, 1),
     frequency_sem_hz=st.none() | st.floats(0, 1),
     amplitude_sem_lsb=st.none() | st.floats(0, 1),
+    range_hz=st.none() | st.lists(positive, min_size=2, max_size=2).map(np.array),
 )
 origins = st.builds(
     Provenance,
