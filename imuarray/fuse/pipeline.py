@@ -7,7 +7,7 @@ from typing import Protocol
 
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, axis_bits
+from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, axis_bits
 from imuarray.fuse.techniques import TECHNIQUES
 
 
@@ -38,13 +38,14 @@ class EachAlone:
         """FusionError if there is no such technique, or the axes can't feed it."""
         if technique not in TECHNIQUES:
             raise FusionError(f"technique {technique!r}: allowed are {', '.join(TECHNIQUES)}")
-        self._axes = dict(axes)
-        self._techniques = {quantity: TECHNIQUES[technique](its) for quantity, its in axes.items()}
+        self.axes = dict(axes)
+        self.techniques = {quantity: TECHNIQUES[technique](its) for quantity, its in axes.items()}
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
         """See `Pipeline`; nothing is held back."""
+        time = next(iter(frames.values())).time
         yield fused_block(
-            frames, {quantity: self._techniques[quantity](part) for quantity, part in frames.items()}, self._axes
+            time, {quantity: self.techniques[quantity](part) for quantity, part in frames.items()}, self.axes
         )
 
     def finish(self) -> Iterator[FusedBlock]:
@@ -52,12 +53,10 @@ class EachAlone:
         return iter(())
 
 
-def fused_block(
-    frames: Mapping[str, Frames], estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]
-) -> FusedBlock:
-    """The estimates of one block of frames, by quantity, as the result."""
+def fused_block(time: Times, estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]) -> FusedBlock:
+    """The estimates, by quantity, of one block of frames at `time` (n,) ns, as the result."""
     return FusedBlock(
-        next(iter(frames.values())).time,
+        time,
         {quantity: estimate.triad_box for quantity, estimate in estimates.items()},
         {quantity: estimate.covariance_box for quantity, estimate in estimates.items()},
         {quantity: axis_bits(estimate.used, axes[quantity]) for quantity, estimate in estimates.items()},

@@ -18,7 +18,8 @@ from imuarray.fuse.align import MARGIN, Unit, align
 from imuarray.fuse.axes import axes_of, directions
 from imuarray.fuse.frames import Floats, Frames, FusedBlock, Times
 from imuarray.fuse.grid import FIRST_ROWS, Grid, choose
-from imuarray.fuse.pipeline import Pipeline
+from imuarray.fuse.pipeline import EachAlone, Pipeline, fused_block
+from imuarray.fuse.plain import plain_counts, plain_of
 from imuarray.fuse.rows import FOREVER_NS, Rows
 from imuarray.fuse.running import Warming
 from imuarray.log import Block
@@ -66,10 +67,14 @@ class FusionStream:
             numbers = tuple(self._names.index(sensor.name) for sensor in group)
             self._groups[quantity] = Group(numbers, directions(axes_of(group, calibration)))
         self._pipeline = pipeline
+        units = {quantity: [self._units[k] for k in group.numbers] for quantity, group in self._groups.items()}
+        self._plain = plain_of(pipeline.techniques, units) if isinstance(pipeline, EachAlone) else {}
         self._timeout_ns = timeout_s * 1e9
         self._tell = tell
         self._silent: set[str] = set()
         self._grid: Grid | None = None
+        self._asleep_until_ns = -FOREVER_NS
+        """Nothing can be complete before rows are known up to here."""
         self._times: Times = np.zeros(0, np.int64)
         """Times of frames: the last ones that were given out, and those that wait."""
         self._given = 0
@@ -116,6 +121,8 @@ class FusionStream:
     def _advance(self) -> Iterator[FusedBlock]:
         """Fuse what is complete."""
         known_ns = self._known_ns()
+        if known_ns < self._asleep_until_ns:
+            return
         if self._grid is None:
             self._grid = self._choice(known_ns)
         if self._grid is None:
@@ -124,8 +131,10 @@ class FusionStream:
         self._extend(self._grid, known_ns)
         ready = len(self._times) if final else len(self._times) - MARGIN
         if ready - self._given < (1 if final else MARGIN):  # fewer at a time would cost as much
+            missing = MARGIN - max(ready - self._given, -MARGIN)
+            self._asleep_until_ns = min(known_ns + round(missing * self._grid.period_ns / 2), FOREVER_NS)
             return
-        yield from self._pipeline(*self._frames(self._grid, slice(self._given, ready)))
+        yield from self._fused(self._grid, slice(self._given, ready))
         first = max(0, ready - MARGIN)
         self._times, self._given = self._times[first:], ready - first
         self._forget(int(self._times[0]) - 2 * self._grid.ahead_ns)
@@ -162,6 +171,20 @@ class FusionStream:
         after_ns = self._times[-1] if len(self._times) else -FOREVER_NS
         certain_ns = known_ns if known_ns == FOREVER_NS else known_ns - grid.ahead_ns
         self._times = np.concatenate([self._times, times[(times > after_ns) & (times <= certain_ns)]])
+
+    def _fused(self, grid: Grid, wanted: slice) -> Iterator[FusedBlock]:
+        """The frames of the times `wanted`, by the short way if it leads there."""
+        if self._plain and isinstance(self._pipeline, EachAlone):
+            time, blocks = self._times[wanted], [self._rows[name].block for name in self._names]
+            counts = plain_counts(blocks, time)
+            if counts is not None:
+                found = {
+                    quantity: self._plain[quantity]([counts[number] for number in group.numbers])
+                    for quantity, group in self._groups.items()
+                }
+                yield fused_block(time, found, self._pipeline.axes)
+                return
+        yield from self._pipeline(*self._frames(grid, wanted))
 
     def _frames(self, grid: Grid, wanted: slice) -> tuple[dict[str, Frames], dict[str, Floats]]:
         """Frames by quantity, and temperatures by sensor, of the times `wanted`."""

@@ -26,6 +26,7 @@ SOURCES = (
     "simulator_speed",
     "allan_speed",
     "spectrum_speed",
+    "fusion_speed",
     "gap_cost",
     "serial_rate",
     "storage_cost",

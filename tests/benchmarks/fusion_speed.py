@@ -1,0 +1,164 @@
+"""Fusion of arrays beside a loop over their frames, beside reading the counts once, and beside the time there is.
+
+The kernel (`imuarray.fuse.solve.ConstantGain`, in double precision as `fuse` uses it where every reading is at its
+frame's time and none is in doubt, and in single) has the counts in memory, six triads and the paper's 27 axes; so have
+the loop, ``W @ (raw - b)`` frame by frame with NumPy, and ``counts.sum()`` over the same array. The whole way is
+`fuse(log)` from the file to the estimates with their covariance, of a log whose sensors are read at once and of one
+whose sensors are read one after the other, beside a loop that reads the same log 4096 rows at a time and does nothing
+but ``W @ (raw - b)``: no times, no flags. Live is the same array at 400 Hz in steps of a second, as `log --fuse` gets
+it. Turns are taken alternately and the least of each side counts. Memory is what Python and NumPy allocate.
+"""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from compare import Row, row
+
+from imuarray.calibrate import Calibration
+from imuarray.fuse import axes_of, fuse, live
+from imuarray.fuse.axes import directions
+from imuarray.fuse.rows import cut
+from imuarray.fuse.solve import ConstantGain, whole_gain
+from imuarray.log import Block, Log, LogWriter, SensorLog, open_log
+from imuarray.log.format import SensorHeader
+from imuarray.log.headers import recorded_header
+
+FRAMES, LOOPED, RATE_HZ, TURNS = 200_000, 10_000, 400.0, 15
+LOGGED = 40_000
+AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z")
+
+
+def rows() -> list[Row]:
+    """Kernel, whole way, memory, live."""
+    with TemporaryDirectory() as folder:
+        at_once = written(Path(folder) / "at_once.h5", LOGGED, 0.0)
+        in_turn = written(Path(folder) / "in_turn.h5", LOGGED, 0.0002)
+        longer = written(Path(folder) / "longer.h5", 4 * LOGGED, 0.0002)
+        return [
+            *kernel(18),
+            *kernel(27),
+            whole_way("read at once", at_once),
+            whole_way("read in turn", in_turn),
+            row("fuse: peak memory of a log four times as long", peak_mb(longer), peak_mb(in_turn), "MB", 1.1, "lower"),
+            row("fusion live, 27 axes at 400 Hz, of a core", live_share(in_turn), 1.0, "cores", 0.05, "lower"),
+        ]
+
+
+def kernel(columns: int) -> list[Row]:
+    """Frames per second beside the loop's, and the time beside that of the sum."""
+    rng = np.random.default_rng(1)
+    counts = rng.integers(-20_000, 20_000, (FRAMES, columns)).astype(np.int16)
+    gain, bias = rng.normal(size=(3, columns)) * 1e-3, rng.normal(0, 50, columns)
+    double, single = ConstantGain(gain, bias), ConstantGain(gain, bias, np.float32)
+    difference = np.abs(double([counts[:100]]) - looped(counts[:100], gain, bias)).max()
+    if difference > 1e-9:
+        raise ValueError(f"the kernel and the loop differ by {difference}")
+    names = {"double": lambda: double([counts]), "single": lambda: single([counts])}
+    peers = [lambda: looped(counts[:LOOPED], gain, bias), lambda: counts.sum()]
+    times = [[seconds(call) for call in (*names.values(), *peers)] for _ in range(TURNS)]
+    *ours, loop_s, sum_s = (min(column) for column in zip(*times, strict=True))
+    found = []
+    for name, took_s in zip(names, ours, strict=True):
+        title = f"fusion kernel, {columns} axes to 3, {name} precision"
+        speed, peer = FRAMES / took_s / 1e6, LOOPED / loop_s / 1e6
+        found.append(row(f"{title}, against a loop over frames", speed, peer, "1e6 frames/s", 40.0, "higher"))
+        found.append(
+            row(f"{title}, against the counts' sum", took_s / FRAMES * 1e9, sum_s / FRAMES * 1e9, "ns", 3.0, "lower")
+        )
+    return found
+
+
+def looped(counts: np.ndarray, gain: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """Frame by frame, as one writes it first."""
+    fused = np.empty((len(counts), 3))
+    for index, raw in enumerate(counts):
+        fused[index] = gain @ (raw - bias)
+    return fused
+
+
+def whole_way(name: str, path: Path) -> Row:
+    """Frames per second of `fuse(log)` and of a loop that reads the same log."""
+    times = []
+    for _ in range(TURNS):
+        with open_log(path) as log:
+            ours = seconds(lambda log=log: sum(len(block.time) for block in fuse(log, Calibration(), "mean")))
+            peer = seconds(lambda log=log: looped_log(log))
+        times.append((ours, peer))
+    best, loop = (min(column) for column in zip(*times, strict=True))
+    title = f"fuse(log) of 27 axes {name}, from the file, against a loop over frames"
+    return row(title, LOGGED / best / 1e6, LOGGED / loop / 1e6, "1e6 frames/s", 1.0, "higher")
+
+
+def looped_log(log: Log) -> None:
+    """Both quantities, frame by frame, of the same file."""
+    for quantity in ("specific_force", "angular_rate"):
+        sensors: list[SensorLog] = log.of(quantity)
+        axes = axes_of(sensors, Calibration())
+        scale = np.concatenate([Calibration().of(sensor).lsb_per_si for sensor in sensors])
+        gain = whole_gain(np.ones(len(axes)), directions(axes)) / scale
+        for part in sensors[0].blocks(4096):
+            looped(np.concatenate([np.asarray(sensor.counts[part]) for sensor in sensors], axis=1), gain, scale)
+
+
+def live_share(path: Path) -> float:
+    """Seconds of work per second of rows."""
+    with open_log(path) as log:
+        blocks = {
+            name: Block(np.asarray(sensor.time[:]), np.asarray(sensor.counts[:]), np.asarray(sensor.status[:]))
+            for name, sensor in log.sensors.items()
+        }
+        headers = [recorded_header(sensor) for sensor in log.sensors.values()]
+    span_s = int(LOGGED / RATE_HZ)
+
+    def stream() -> None:
+        fusion = live(headers, Calibration(), "mean")
+        for start_s in range(span_s):
+            for name, block in blocks.items():
+                first, last = np.searchsorted(block.time, [start_s * 10**9, (start_s + 1) * 10**9])
+                list(fusion.push(name, cut(block, slice(int(first), int(last)))))
+        list(fusion.finish())
+
+    return min(seconds(stream) for _ in range(3)) / span_s
+
+
+def peak_mb(path: Path) -> float:
+    """The most memory that fusing a log allocates."""
+    with open_log(path) as log:
+        tracemalloc.start()
+        for _ in fuse(log, Calibration(), "mean"):
+            pass
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    return most / 1e6
+
+
+def written(path: Path, frames: int, apart_s: float) -> Path:
+    """A log of the paper's six accelerometers and three gyroscopes at rest, read `apart_s` one after the other."""
+    kinds = [("bma180", "specific_force", "g", 16.0, 512.0)] * 6 + [
+        ("l3g4200d", "angular_rate", "dps", 250.0, 114.0)
+    ] * 3
+    headers = [SensorHeader(f"S{i}", *kind, axes=AXES[i % 4]) for i, kind in enumerate(kinds)]
+    rng, status = np.random.default_rng(1), np.zeros(frames, np.uint16)
+    with LogWriter(path, headers, source="simulated", epoch="2024-01-01T00:00:00Z") as writer:
+        for index, header in enumerate(headers):
+            moment = np.round((np.arange(frames) / RATE_HZ + apart_s * index) * 1e9).astype(np.int64)
+            writer.append(header.name, Block(moment, rng.normal(0, 5, (frames, 3)).astype(np.int16), status))
+    return path
+
+
+def seconds(call: Callable[[], object]) -> float:
+    """Time on the wall of one call."""
+    begun = time.perf_counter()
+    call()
+    return time.perf_counter() - begun
+
+
+if __name__ == "__main__":
+    for found in rows():
+        print(found)
