@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from imuarray.commands.fuse_pairs import pair_sentences, pairs_of
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
 from imuarray.units import INERTIAL, READABLE_SI
 
@@ -97,6 +97,7 @@ def command(
             "start_up": starts,
             "thermal": thermal,
             "changes": _changes(log, calibration, technique, names),
+            "pairs": pairs_of(log, calibration, names) if technique == "opposed" else [],
             "error": results[technique] if log.truth or log.reference else {},
             "results": results,
         }
@@ -187,12 +188,9 @@ def with_noise(log: Log, calibration: Calibration, technique: str) -> Calibratio
     if technique not in NEEDS_NOISE or all(sensor.noise_lsb is not None for sensor in known.values()):
         return calibration
     click.echo("imuarray: no noise in the calibration; measured where this log stands still", err=True)
-    measured = calibrate_noise(log).sensors
-    complete = {
-        name: sensor if sensor.noise_lsb is not None else replace(sensor, noise_lsb=measured[name].noise_lsb)
-        for name, sensor in known.items()
-    }
-    return Calibration(complete, (*calibration.sources, str(log.path)))
+    measured = calibrate_noise(log, known=calibration)
+    lacking = {name: measured.sensors[name] for name, sensor in known.items() if sensor.noise_lsb is None}
+    return calibration.merged(Calibration(lacking, measured.sources))
 
 
 def _error(error: Error) -> dict[str, Any]:
@@ -218,6 +216,8 @@ def _print(report: dict[str, Any]) -> None:
     if technique != "mean":
         changes = ", ".join(report["changes"])
         click.echo(f"  {technique} changes {changes or _NOTHING}")
+    for sentence in pair_sentences(report["pairs"]):
+        click.echo(f"  {sentence}")
     for quantity in report["results"]["mean"]:
         factor, unit = READABLE_SI[quantity]
         for name, words in _WORDS.items():

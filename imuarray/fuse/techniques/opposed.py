@@ -14,8 +14,9 @@ from imuarray.fuse.techniques.technique import Technique, noise_of
 def opposed(axes: Sequence[Axis]) -> Technique:
     """The error that all units of a design share is seen by anti-parallel axes and taken out (paper, section 2.1).
 
-    It cancels whatever drifts alike in every unit: even-order terms, drift with temperature. Where as many axes of a
-    design point one way as the other the average does it already; where all point the same way nothing can be seen.
+    It cancels what is alike in every unit, as far as they are seen to agree: the level at the start, drift with
+    temperature, the mean of even-order terms. Where as many axes of a design point one way as the other the average
+    does it already; where all point the same way nothing can be seen. `pairs.capabilities` says what it can cancel.
     """
     rows, noise = directions(axes), noise_of(axes)
     modes = [CommonMode(group) for group in opposing_groups(axes)]
