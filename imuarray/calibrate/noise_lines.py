@@ -28,9 +28,9 @@ _AVERAGED = 16
 """A spectrum's segments are so short that the readings fill this many of them, if they can be."""
 
 _WINDOW_ROWS = 1024
-_WINDOWS = 32
+_WINDOWS = 12
 _WINDOW_SEGMENTS = 4
-"""Windows are at least so long, that many of a log at most, and have so many segments or more."""
+"""Windows are at least so long, so many at most are looked at, and have so many segments or more if they are long."""
 
 _FEWEST_WINDOWS = 4
 _SEEN = 0.25
@@ -96,17 +96,16 @@ def _spectrum(stretches: Stretches, clock: Clock, segment_rows: int) -> Spectrum
 
 
 def _windows(stretches: Stretches) -> Stretches:
-    """The stretches, cut into windows in time order; the longest stretches only where there are very many."""
-    total = sum(rows.stop - rows.start for _, rows in stretches)
-    width = max(_WINDOW_ROWS, -(-total // _WINDOWS))
-    long = sorted((rows.stop - rows.start for _, rows in stretches), reverse=True)[: 2 * _WINDOWS][-1]
+    """The stretches, cut into windows; of many, some that are spread from the first to the last."""
+    width = max(_WINDOW_ROWS, -(-sum(rows.stop - rows.start for _, rows in stretches) // _WINDOWS))
     cut = []
     for sensor, rows in stretches:
         length = rows.stop - rows.start
-        if length >= max(long, SEGMENT_ROWS):
+        if length >= SEGMENT_ROWS:
             edges = np.linspace(rows.start, rows.stop, max(1, length // width) + 1).astype(int).tolist()
             cut += [(sensor, slice(first, last)) for first, last in pairwise(edges)]
-    return cut
+    chosen = np.unique(np.linspace(0, len(cut) - 1, min(_WINDOWS, len(cut))).round().astype(int))
+    return [cut[index] for index in chosen.tolist()]
 
 
 def _tracks(windows: Stretches, clock: Clock, false_alarm: float) -> Sequence[Sequence[tuple[_Track, int]]]:

@@ -24,7 +24,7 @@ HOTTER_DEGC = 26.5
 """The end of the profile's last 28 degrees."""
 
 
-def heated(folder: Path, seed: int, *options: str, rate_hz: float = 25.0) -> Path:
+def heated(folder: Path, seed: int, *options: str, rate_hz: float) -> Path:
     """The paper's heating experiment of its three gyroscopes."""
     path = folder / f"heating{seed}.h5"
     known = ["--model", "martin2013", "--experiment", "heating", "--only", ",".join(GYROS), *options]
@@ -62,7 +62,7 @@ def test_a_heated_array_keeps_a_tenth_of_the_drift_where_slopes_agree(tmp_path: 
 @pytest.mark.slow
 def test_over_seeds_a_tenth_where_slopes_agree_and_never_more_than_the_average(tmp_path: Path) -> None:
     """Ten seeds (noise, in-run wander and turn-on of the paper's figures)."""
-    found = [drifts(heated(tmp_path, seed)) for seed in range(10)]
+    found = [drifts(heated(tmp_path, seed, rate_hz=15.0)) for seed in range(10)]
     ratio = np.array([drift["opposed"] / drift["mean"] for drift in found])
     singles = np.array([[drift["opposed"][1] / drift[name][1] for name in GYROS] for drift in found])
     assert ratio[:, 1].max() < 0.1
