@@ -1,0 +1,19 @@
+"""The estimator of the whole array: one error model, its slow errors followed by a Kalman filter and smoother."""
+
+from __future__ import annotations
+
+from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
+from imuarray.fuse.optimal.from_calibration import error_model
+from imuarray.fuse.optimal.learned import LearnedBias
+from imuarray.fuse.optimal.optimal import SEGMENT_S, Optimal, Temperatures
+
+__all__ = [
+    "SEGMENT_S",
+    "AxisErrors",
+    "DesignErrors",
+    "ErrorModel",
+    "LearnedBias",
+    "Optimal",
+    "Temperatures",
+    "error_model",
+]

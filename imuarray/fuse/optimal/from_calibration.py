@@ -1,0 +1,164 @@
+"""The error model of an array from its calibration; where that has nothing, what such sensors are usually like.
+
+The usual figures are those of the paper's array, of 2013's consumer sensors: standard deviations over its units, as
+`configs/models/martin2013.toml` derives them from the paper's tables. What goes with a unit's noise (it is larger where
+the measuring range is) is given as a share of the noise of its readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.stability import BIAS
+from imuarray.errors import FusionError
+from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
+from imuarray.log import SensorLog
+from imuarray.units import STANDARD_GRAVITY
+
+Floats = npt.NDArray[np.float64]
+
+_DPS = np.pi / 180
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Standard deviations in SI, and shares of the noise of a reading."""
+
+    bias: float
+    slope_per_degc: float
+    common_slope_per_degc: float
+    turn_on_share: float
+    drift_share: float
+    response: float = 0.03
+
+
+USUAL: Mapping[str, Usual] = MappingProxyType(
+    {
+        # bias: of BMA180s; slopes: Table 8, within and between a design's like axes; turn-on: Table 11, deviation of
+        # the runs' means over that of readings; drift: the same of the uninterrupted run, less the means' own noise
+        "specific_force": Usual(
+            0.125 * STANDARD_GRAVITY, 4e-4 * STANDARD_GRAVITY, 3e-4 * STANDARD_GRAVITY, 0.033, 0.02
+        ),
+        "angular_rate": Usual(0.84 * _DPS, 0.015 * _DPS, 0.016 * _DPS, 0.17, 0.04),
+    }
+)
+"""By quantity. Response: Table 10's misalignments, 2 degrees; its scale errors are half of that."""
+
+DRIFT_TIME_CONSTANT_S = 600.0
+"""Of drift whose time constant nobody measured; the paper's tables don't tell it closer than a factor of ten."""
+
+UNWATCHED_DEGC = 3.0
+"""Standard deviation, within `UNWATCHED_S`, of a temperature that no thermometer tells."""
+
+UNWATCHED_S = 1000.0
+
+
+def error_model(sensors: Sequence[SensorLog], calibration: Calibration, *, thermometer: bool = True) -> ErrorModel:
+    """The errors of the inertial `sensors` of a log as `calibration` leaves them.
+
+    Without a `thermometer`, what slopes do becomes drift. FusionError for a sensor whose noise is not known.
+    """
+    axes: dict[tuple[str, int], AxisErrors] = {}
+    designs: dict[tuple[str, int], DesignErrors] = {}
+    covariances: dict[str, Floats] = {}
+    for sensor in sensors:
+        known = calibration.of(sensor)
+        for index, errors in enumerate(_of_sensor(known, thermometer)):
+            axes[sensor.name, index] = errors
+            shared = _of_design(errors.noise, USUAL[sensor.quantity], thermometer)
+            quieter = designs.get((sensor.chip, index), shared)
+            designs[sensor.chip, index] = min(shared, quieter, key=lambda design: design.common)
+        if known.bias_covariance_lsb2 is not None:
+            covariances[sensor.name] = known.bias_covariance_lsb2 / np.outer(known.lsb_per_si, known.lsb_per_si)
+    return ErrorModel(MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances))
+
+
+def _of_design(noise: float, usual: Usual, thermometer: bool) -> DesignErrors:
+    """What nobody measured: a design is taken to wander in common as far as its units do singly."""
+    wander = usual.drift_share * noise
+    if thermometer:
+        return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, usual.common_slope_per_degc)
+    return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * usual.common_slope_per_degc)), UNWATCHED_S)
+
+
+def _of_sensor(known: SensorCalibration, thermometer: bool) -> list[AxisErrors]:
+    """The three axes of one sensor."""
+    if known.noise_lsb is None:
+        raise FusionError(
+            f"sensor {known.name}: its noise is not known; run `imuarray calibrate noise` and give the file"
+        )
+    usual = USUAL[known.quantity]
+    noise = known.noise_lsb / known.lsb_per_si
+    for index in np.flatnonzero(~(noise > 0)):
+        raise FusionError(f"sensor {known.name} axis {'xyz'[index]}: noise {noise[index]:g}: it is stuck")
+    bias, response = _bias(known, usual, noise), _response(known, usual)
+    drift, time_constant_s = _drift(known, usual, noise)
+    slope, bias_degc = _slope(known, usual)
+    if not thermometer:
+        drift, slope = np.hypot(drift, UNWATCHED_DEGC * slope), np.zeros(3)
+    correlation = getattr(known, "noise_correlation", None)
+    return [
+        AxisErrors(
+            noise=float(noise[index]),
+            correlation=0.0 if correlation is None else float(np.clip(correlation[index], 0.0, _COLOURED)),
+            bias=float(bias[index]),
+            drift=float(drift[index]),
+            drift_time_constant_s=time_constant_s,
+            slope_per_degc=float(slope[index]),
+            response=float(response[index]),
+            bias_degc=bias_degc,
+        )
+        for index in range(3)
+    ]
+
+
+_COLOURED = 0.99
+"""Correlation of neighbouring readings beyond which they are no noise any more."""
+
+
+def _bias(known: SensorCalibration, usual: Usual, noise: Floats) -> Floats:
+    """(3,) what is independent of a bias's error: the calibration's own where no covariance tells it, and turn-on."""
+    if known.bias_sem_lsb is None:
+        return np.full(3, usual.bias)
+    measured = np.zeros(3) if known.bias_covariance_lsb2 is not None else known.bias_sem_lsb / known.lsb_per_si
+    turn_on = usual.turn_on_share * noise
+    if known.turn_on is not None:
+        turn_on = np.hypot(known.turn_on.rms_lsb, known.turn_on.rms_sem_lsb) / known.lsb_per_si
+    return np.asarray(np.hypot(measured, turn_on))
+
+
+def _drift(known: SensorCalibration, usual: Usual, noise: Floats) -> tuple[Floats, float]:
+    """(3,) rms, and the time constant."""
+    drift = getattr(known, "drift", None)
+    if drift is None:
+        return usual.drift_share * noise, DRIFT_TIME_CONSTANT_S
+    return np.hypot(drift.rms_lsb, drift.rms_sem_lsb) / known.lsb_per_si, float(drift.time_constant_s)
+
+
+def _response(known: SensorCalibration, usual: Usual) -> Floats:
+    """(3,) shares."""
+    if known.response_sem_lsb_per_unit is None:
+        return np.full(3, usual.response)
+    return np.asarray(known.response_sem_lsb_per_unit / known.scale_lsb_per_unit)
+
+
+def _slope(known: SensorCalibration, usual: Usual) -> tuple[Floats, float | None]:
+    """(3,) what is not known of the slopes, in SI per degC, and the temperature at which the bias holds.
+
+    A slope that may be one of scale is not applied to the bias: all of it is in doubt.
+    """
+    thermal = known.thermal
+    if thermal is None:
+        return np.full(3, usual.slope_per_degc), known.temperature_degc if known.bias_sem_lsb is not None else None
+    unsure = np.array([meaning != BIAS for meaning in thermal.meaning])
+    doubt = np.where(unsure, np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc), 0.0)
+    spread = np.where(unsure, doubt, thermal.slope_sem_lsb_per_degc) / known.lsb_per_si
+    if thermal.thermometer == "relative":
+        return spread, thermal.reference_degc
+    return spread, thermal.reference_degc if known.temperature_degc is None else known.temperature_degc

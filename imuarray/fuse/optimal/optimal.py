@@ -1,0 +1,186 @@
+"""`optimal`: every reading of the array by its whole error model, of which the other techniques are special cases.
+
+What the axes have in common beyond the stimulus tells their slow errors (a Kalman filter over segments of frames, whose
+states are `states.py`'s); each frame is then solved by generalised least squares with what is left unknown of them
+(`solve.py`). With equal noise and nothing else it is the mean; with noise alone it weighs by inverse variance, as
+`planes` and `ranges` do; states that a design shares make it `opposed`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from imuarray.errors import FusionError
+from imuarray.fuse.axes import Axis
+from imuarray.fuse.frames import Estimate, Floats, Frames, Times, entries
+from imuarray.fuse.optimal.error_model import ErrorModel
+from imuarray.fuse.optimal.filter import ArrayFilter, Segments
+from imuarray.fuse.optimal.geometry import Geometry, geometry_of
+from imuarray.fuse.optimal.learned import LearnedBias, learned_biases
+from imuarray.fuse.optimal.lever import ROWS, Lever, lever_of, placed, with_lever
+from imuarray.fuse.optimal.readings import Readings, readings_of
+from imuarray.fuse.optimal.smooth import Recorder
+from imuarray.fuse.optimal.solve import Solution, View, solve, stimulus_of
+from imuarray.fuse.optimal.states import states_of
+from imuarray.fuse.optimal.warmth import Warmth
+from imuarray.units import INERTIAL
+
+SEGMENT_S = 0.5
+"""Over which slow errors are taken to stay as they are: short beside any of their time constants."""
+
+Temperatures = Mapping[str, Floats]
+"""By sensor, (n,) degC of its element at the frames, NaN where not known."""
+
+_NONE: Temperatures = MappingProxyType({})
+
+_RATE, _FORCE = "angular_rate", "specific_force"
+
+
+class Optimal:
+    """The whole array, causal: fed with consecutive blocks of frames, of any length, which make no difference.
+
+    `axes` by quantity; `segment_s` over which slow errors are taken to be constant; `period_s` between frames.
+    """
+
+    def __init__(
+        self, axes: Mapping[str, Sequence[Axis]], model: ErrorModel, *, period_s: float, segment_s: float = SEGMENT_S
+    ) -> None:
+        """FusionError for axes that the model does not know, or a period that is none."""
+        if not 0 < period_s < math.inf:
+            raise FusionError(f"frames every {period_s:g} s: a positive time is wanted")
+        self._axes = {quantity: list(axes[quantity]) for quantity in reversed(INERTIAL) if quantity in axes}
+        self._model, self._period_s = model, period_s
+        self._segment_frames = max(1, round(segment_s / period_s))
+        self._groups = self._made()
+        self.angular_acceleration: Estimate | None = None
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Temperatures | None = None) -> dict[str, Estimate]:
+        """The estimates of the next frames, of both quantities on one grid, with what the frames before them told."""
+        solutions = _solved(self._groups, frames, degc or _NONE)
+        self.angular_acceleration = _acceleration(solutions)
+        return {quantity: _estimate(solutions[quantity]) for quantity in frames}
+
+    def learned(self) -> dict[str, list[LearnedBias]]:
+        """What the array knows by now of its own slow errors, by quantity."""
+        return {
+            quantity: learned_biases(self._axes[quantity], group.filter) for quantity, group in self._groups.items()
+        }
+
+    def smoothed(
+        self, blocks: Callable[[], Iterator[tuple[Mapping[str, Frames], Temperatures | None]]]
+    ) -> Iterator[tuple[Times, dict[str, Estimate]]]:
+        """Time (n,) and estimates of every block, with what all frames tell: not causal, and independent of what was
+        called before.
+
+        `blocks` gives the consecutive blocks of a log, frames and temperatures, from its beginning, and is asked twice.
+        """
+        groups = self._made(recording=True)
+        for frames, degc in blocks():
+            _solved(groups, frames, degc or _NONE)
+        for group in groups.values():
+            group.turn_back()
+        for frames, _ in blocks():
+            solutions = _solved(groups, frames, _NONE)
+            self.angular_acceleration = _acceleration(solutions)
+            time = next(iter(frames.values())).time
+            yield time, {quantity: _estimate(solutions[quantity]) for quantity in frames}
+        for group in groups.values():
+            group.close()
+
+    def _made(self, *, recording: bool = False) -> dict[str, _Group]:
+        groups: dict[str, _Group] = {}
+        for quantity, axes in self._axes.items():
+            geometry, lever = geometry_of(axes, self._model), None
+            if quantity == _FORCE and _RATE in groups and placed(axes):
+                rate_covariance = groups[_RATE].noise_covariance()
+                lever = lever_of(axes, rate_covariance, self._period_s)
+                geometry = with_lever(geometry, axes, rate_covariance, self._period_s)
+            groups[quantity] = _Group(axes, self._model, geometry, lever, self._segment_frames, recording)
+        return groups
+
+
+class _Group:
+    """One quantity: its filter, or its smoothed views."""
+
+    def __init__(
+        self,
+        axes: Sequence[Axis],
+        model: ErrorModel,
+        geometry: Geometry,
+        lever: Lever | None,
+        segment_frames: int,
+        recording: bool,
+    ) -> None:
+        self._geometry, self.lever = geometry, lever
+        others = ROWS if lever is not None else 0
+        states = states_of(axes, model, others)
+        self._recorder = Recorder(geometry, states) if recording else None
+        self.filter = ArrayFilter(geometry, states, segment_frames, self._recorder)
+        self._warmth = Warmth(axes, model, others)
+        self._again: Segments | None = None
+        self._view: View | None = None
+        self._stimulus = np.zeros(3)
+        self._segment_frames = segment_frames
+
+    def __call__(self, frames: Frames, degc: Temperatures, rate: Floats | None) -> Solution:
+        readings = readings_of(frames, self._geometry)
+        if self.lever is not None:
+            readings = self.lever(readings, np.full((len(frames.time), 3), np.nan) if rate is None else rate)
+        if self._again is not None:
+            return self._with_views(readings, self._again)
+        return self.filter(readings, self._warmth.of(degc))
+
+    def noise_covariance(self) -> Floats:
+        """(3, 3) of the triad, by noise alone, with every axis."""
+        rows, noise = self._geometry.rows, self._geometry.noise
+        return np.asarray(np.linalg.pinv(rows.T @ (rows / noise[:, None] ** 2), hermitian=True))
+
+    def turn_back(self) -> None:
+        """From now on, frames are the same ones again."""
+        self.filter.end()
+        if self._recorder is not None:
+            self._recorder.smooth()
+        if self.lever is not None:
+            self.lever.forget()
+        self._again = Segments(self._segment_frames)
+
+    def close(self) -> None:
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def _with_views(self, readings: Readings, segments: Segments) -> Solution:
+        solution = Solution(len(readings.time), self._geometry)
+        for frames, starts, _ in segments.parts(len(readings.time)):
+            part = readings.part(frames)
+            if (starts or self._view is None) and self._recorder is not None:
+                self._view = self._recorder.view()
+                self._stimulus = stimulus_of(self._view, part, self._stimulus)
+            if self._view is not None:
+                solve(self._view, part, self._stimulus, solution, frames)
+        return solution
+
+
+def _solved(groups: Mapping[str, _Group], frames: Mapping[str, Frames], degc: Temperatures) -> dict[str, Solution]:
+    """Angular rate first: the specific force away from the origin needs it."""
+    solutions: dict[str, Solution] = {}
+    for quantity, group in groups.items():
+        if quantity in frames:
+            rate = solutions[_RATE].unknowns if _RATE in solutions else None
+            solutions[quantity] = group(frames[quantity], degc, rate)
+    return solutions
+
+
+def _estimate(solution: Solution) -> Estimate:
+    return Estimate(solution.unknowns[:, :3], entries(solution.covariance[:, :3, :3]), solution.used)
+
+
+def _acceleration(solutions: Mapping[str, Solution]) -> Estimate | None:
+    """The angular acceleration, where it is an unknown."""
+    solution = solutions.get(_FORCE)
+    if solution is None or solution.unknowns.shape[1] == 3:
+        return None
+    return Estimate(solution.unknowns[:, 3:], entries(solution.covariance[:, 3:, 3:]), solution.used)

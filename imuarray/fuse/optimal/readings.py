@@ -1,0 +1,77 @@
+"""Frames made ready: what is a value, what is only a bound, and what is left out."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse.frames import Flags, Floats, Frames, Times
+from imuarray.fuse.optimal.geometry import Geometry
+
+Signs = npt.NDArray[np.int8]
+
+
+class Readings(NamedTuple):
+    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r).
+
+    `ends` (n, m) is +1 where an axis is known to be above its `bounds` (n, m), -1 where below, else 0; None: nowhere.
+    """
+
+    time: Times
+    values: Floats
+    valid: Flags
+    ends: Signs | None = None
+    bounds: Floats | None = None
+
+    def part(self, frames: slice) -> Readings:
+        """Some of the frames."""
+        ends = None if self.ends is None else self.ends[frames]
+        bounds = None if self.bounds is None else self.bounds[frames]
+        return Readings(self.time[frames], self.values[frames], self.valid[frames], ends, bounds)
+
+
+def patterns(flags: Flags) -> list[tuple[Flags, npt.NDArray[np.intp] | slice]]:
+    """The different rows of `flags` (n, r), each with the frames that have it."""
+    if len(flags) == 0:
+        return []
+    if (flags == flags[0]).all():
+        return [(flags[0], slice(None))]
+    packed = np.packbits(flags, axis=1)
+    keys = np.ascontiguousarray(packed).view(np.dtype((np.void, packed.shape[1])))[:, 0]
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    return [(flags[row], np.flatnonzero(which.reshape(-1) == index)) for index, row in enumerate(first)]
+
+
+def readings_of(frames: Frames, geometry: Geometry) -> Readings:
+    """The axes' readings: beyond the end of the range a bound, and a stale one only where the others don't span
+    space.
+    """
+    valid, ends, bounds = frames.valid, None, None
+    limits = geometry.end[: geometry.axes]
+    clipped = frames.clipped if frames.clipped is not None and frames.clipped.any() else None
+    if clipped is not None or _any_beyond(frames.values, limits):
+        beyond = valid & (np.abs(frames.values) > limits)
+        ends = np.where(beyond, np.sign(np.nan_to_num(frames.values)), 0 if clipped is None else clipped).astype(
+            np.int8
+        )
+        bounds = ends * np.minimum(np.abs(np.nan_to_num(frames.values, nan=np.inf)), limits)
+        valid = valid & (ends == 0)
+    if frames.stale is not None and (valid & frames.stale).any():
+        valid = _without_stale(valid, frames.stale, geometry)
+    values = frames.values if valid.all() else np.where(valid, frames.values, 0.0)
+    return Readings(frames.time, values, valid, ends, bounds)
+
+
+def _any_beyond(values: Floats, limits: Floats) -> bool:
+    """Whether any value is, or may be for not being a number."""
+    return len(values) > 0 and not bool(((values.max(axis=0) <= limits) & (values.min(axis=0) >= -limits)).all())
+
+
+def _without_stale(valid: Flags, stale: Flags, geometry: Geometry) -> Flags:
+    fresh = valid & ~stale
+    for pattern, which in patterns(fresh):
+        if not geometry.spans(pattern):
+            fresh[which] = valid[which]
+    return fresh

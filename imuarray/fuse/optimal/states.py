@@ -1,0 +1,116 @@
+"""The slow errors of an array as the states of a Kalman filter.
+
+One state for each error whose spread is not zero: bias, drift, slope and response of every axis, common wandering and
+slope of every design. They are independent beforehand but for biases that were calibrated together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse.axes import Axis
+from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class States:
+    """n states of m axes: `prior` (n, n), the covariance they begin with, `time_constants_s` (n,), infinite where
+    constant, and what each axis feels of them: `steady` (m, n), `thermal` (m, n) for each degree, `response` (3, m, n)
+    for each unit of the stimulus along a box axis ((0, m, n) without such states).
+    """
+
+    names: tuple[str, ...]
+    prior: Floats
+    time_constants_s: Floats
+    steady: Floats
+    thermal: Floats
+    response: Floats
+
+    @property
+    def terms(self) -> int:
+        """1, or 4 where the states include responses: the terms of an axis's error, (1, stimulus) times `rows`."""
+        return 1 + len(self.response)
+
+    def rows(self, warmer_degc: Floats) -> Floats:
+        """(terms, m, n) what axes that are warmer than their biases by (m,) feel of the states."""
+        steady = self.steady + warmer_degc[:, None] * self.thermal
+        return np.concatenate([steady[None], self.response])
+
+    def transition(self, seconds: float) -> tuple[Floats, Floats]:
+        """(n,) how much of each state is left after a while, and (n,) the variance that has come instead."""
+        left = np.exp(-seconds / self.time_constants_s)
+        return left, np.diag(self.prior) * (1 - left**2)
+
+
+class _State(NamedTuple):
+    """One state: `members` are the axes that feel it."""
+
+    name: str
+    spread: float
+    time_constant_s: float
+    members: Sequence[int]
+    kind: str = "steady"
+
+
+def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> States:
+    """The states of `axes`; `others` more rows follow them, which feel none."""
+    errors = model.of(axes)
+    found = [state for index in range(len(axes)) for state in _of_axis(axes, errors, model, index)]
+    found += _of_designs(axes, model)
+    rows = {kind: np.zeros((len(axes) + others, len(found))) for kind in ("steady", "thermal", "X", "Y", "Z")}
+    for column, state in enumerate(found):
+        rows[state.kind][list(state.members), column] = 1.0
+    responses = [rows[kind] for kind in "XYZ"] if any(error.response for error in errors) else []
+    return States(
+        names=tuple(state.name for state in found),
+        prior=_prior(found, axes, model),
+        time_constants_s=np.array([state.time_constant_s for state in found]),
+        steady=rows["steady"],
+        thermal=rows["thermal"],
+        response=np.array(responses).reshape(-1, len(axes) + others, len(found)),
+    )
+
+
+def _of_axis(axes: Sequence[Axis], errors: Sequence[AxisErrors], model: ErrorModel, index: int) -> list[_State]:
+    axis, error = axes[index], errors[index]
+    calibrated = model.bias_covariances.get(axis.sensor)
+    bias = np.sqrt(error.bias**2 + (0.0 if calibrated is None else calibrated[axis.index, axis.index]))
+    states = [
+        _State(f"{axis.label} bias", float(bias), np.inf, [index]),
+        _State(f"{axis.label} drift", error.drift, error.drift_time_constant_s, [index]),
+        _State(f"{axis.label} slope", error.slope_per_degc, np.inf, [index], "thermal"),
+        *(_State(f"{axis.label} response {box}", error.response, np.inf, [index], box) for box in "XYZ"),
+    ]
+    return [state for state in states if state.spread > 0]
+
+
+def _of_designs(axes: Sequence[Axis], model: ErrorModel) -> list[_State]:
+    members: dict[tuple[str, int], list[int]] = {}
+    for index, axis in enumerate(axes):
+        members.setdefault((axis.chip, axis.index), []).append(index)
+    states = []
+    for (chip, index), its in members.items():
+        errors = model.designs.get((chip, index), DesignErrors())
+        label = f"{chip} {'xyz'[index]}"
+        states.append(_State(f"{label} common", errors.common, errors.common_time_constant_s, its))
+        states.append(_State(f"{label} common slope", errors.slope_per_degc, np.inf, its, "thermal"))
+    return [state for state in states if state.spread > 0]
+
+
+def _prior(states: Sequence[_State], axes: Sequence[Axis], model: ErrorModel) -> Floats:
+    """Diagonal, but for biases of one sensor that were calibrated together."""
+    prior = np.diag(np.array([state.spread**2 for state in states]))
+    place = {state.members[0]: row for row, state in enumerate(states) if state.name.endswith(" bias")}
+    for one, row in place.items():
+        for other, column in place.items():
+            covariance = model.bias_covariances.get(axes[one].sensor)
+            if one != other and covariance is not None and axes[one].sensor == axes[other].sensor:
+                prior[row, column] = covariance[axes[one].index, axes[other].index]
+    return prior
