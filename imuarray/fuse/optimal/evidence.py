@@ -77,12 +77,12 @@ class Evidence:
             self._parities = {}
         both = np.concatenate(parts) if parts else np.zeros((0, rows.shape[2] + 1))
         if len(both) > both.shape[1]:
-            both = np.linalg.qr(both, mode="r")
+            both = np.asarray(np.linalg.qr(both, mode="r"))
         return both[:, :-1], both[:, -1]
 
     def _fair(self, valid: Flags, triad: Floats, used: Flags) -> Flags:
         """The readings to learn from: of frames that have a triad, and of axes that are not near their ends."""
-        solved = used.any(axis=1)
+        solved = np.asarray(used.any(axis=1))
         if not solved.all():
             valid = valid & solved[:, None]
         fair = self._geometry.fair

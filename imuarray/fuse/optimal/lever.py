@@ -15,7 +15,7 @@ import numpy as np
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Floats, Times
 from imuarray.fuse.optimal.geometry import Geometry
-from imuarray.fuse.optimal.readings import Readings
+from imuarray.fuse.optimal.readings import Bounds, Readings
 
 FASTEST = 300.0
 """rad/s2, standard deviation of the angular acceleration of anything: a turn at 1000 dps reversed in 0.1 s has 350."""
@@ -74,7 +74,7 @@ class Lever:
         acceleration = self._differences(readings.time, rate)
         held = _held(rate, self._rate)
         self._time, self._rate = int(readings.time[-1]), held[-1]
-        known = np.isfinite(acceleration).all(axis=1)
+        known = np.asarray(np.isfinite(acceleration).all(axis=1))
         turning = self._centripetal(np.nan_to_num(held))
         values = np.where(readings.valid, readings.values - turning, 0.0)
         told = np.where(known[:, None], acceleration, 0.0) @ self.whitening.T
@@ -83,8 +83,7 @@ class Lever:
             readings.time,
             np.concatenate([values, told, np.zeros((len(known), 3))], axis=1),
             np.concatenate([readings.valid, others], axis=1),
-            readings.ends,
-            None if readings.bounds is None else readings.bounds - turning,
+            None if readings.bounds is None else Bounds(readings.bounds.ends, readings.bounds.at - turning),
         )
 
     def _centripetal(self, rate: Floats) -> Floats:

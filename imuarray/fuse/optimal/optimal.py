@@ -27,7 +27,6 @@ from imuarray.fuse.optimal.smooth import Recorder
 from imuarray.fuse.optimal.solve import Solution, View, solve, stimulus_of
 from imuarray.fuse.optimal.states import states_of
 from imuarray.fuse.optimal.warmth import Warmth
-from imuarray.units import INERTIAL
 
 SEGMENT_S = 0.5
 """Over which slow errors are taken to stay as they are: short beside any of their time constants."""
@@ -52,7 +51,7 @@ class Optimal:
         """FusionError for axes that the model does not know, or a period that is none."""
         if not 0 < period_s < math.inf:
             raise FusionError(f"frames every {period_s:g} s: a positive time is wanted")
-        self._axes = {quantity: list(axes[quantity]) for quantity in reversed(INERTIAL) if quantity in axes}
+        self._axes = {quantity: list(axes[quantity]) for quantity in (_RATE, _FORCE) if quantity in axes}
         self._model, self._period_s = model, period_s
         self._segment_frames = max(1, round(segment_s / period_s))
         self._groups = self._made()

@@ -13,23 +13,25 @@ from imuarray.fuse.optimal.geometry import Geometry
 Signs = npt.NDArray[np.int8]
 
 
-class Readings(NamedTuple):
-    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r).
+class Bounds(NamedTuple):
+    """`ends` (n, m) is +1 where an axis is known to be above the bound `at` (n, m), -1 where below, else 0."""
 
-    `ends` (n, m) is +1 where an axis is known to be above its `bounds` (n, m), -1 where below, else 0; None: nowhere.
-    """
+    ends: Signs
+    at: Floats
+
+
+class Readings(NamedTuple):
+    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds where there are any."""
 
     time: Times
     values: Floats
     valid: Flags
-    ends: Signs | None = None
-    bounds: Floats | None = None
+    bounds: Bounds | None = None
 
     def part(self, frames: slice) -> Readings:
         """Some of the frames."""
-        ends = None if self.ends is None else self.ends[frames]
-        bounds = None if self.bounds is None else self.bounds[frames]
-        return Readings(self.time[frames], self.values[frames], self.valid[frames], ends, bounds)
+        bounds = None if self.bounds is None else Bounds(self.bounds.ends[frames], self.bounds.at[frames])
+        return Readings(self.time[frames], self.values[frames], self.valid[frames], bounds)
 
 
 def patterns(flags: Flags) -> list[tuple[Flags, npt.NDArray[np.intp] | slice]]:
@@ -48,20 +50,20 @@ def readings_of(frames: Frames, geometry: Geometry) -> Readings:
     """The axes' readings: beyond the end of the range a bound, and a stale one only where the others don't span
     space.
     """
-    valid, ends, bounds = frames.valid, None, None
+    valid, bounds = frames.valid, None
     limits = geometry.end[: geometry.axes]
     clipped = frames.clipped if frames.clipped is not None and frames.clipped.any() else None
     if clipped is not None or _any_beyond(frames.values, limits):
         beyond = valid & (np.abs(frames.values) > limits)
-        ends = np.where(beyond, np.sign(np.nan_to_num(frames.values)), 0 if clipped is None else clipped).astype(
-            np.int8
-        )
-        bounds = ends * np.minimum(np.abs(np.nan_to_num(frames.values, nan=np.inf)), limits)
+        signs = np.sign(np.nan_to_num(frames.values))
+        ends = np.where(beyond, signs, 0 if clipped is None else clipped).astype(np.int8)
+        at = ends * np.minimum(np.abs(np.nan_to_num(frames.values, nan=np.inf)), limits)
+        bounds = Bounds(ends, np.asarray(at, float))
         valid = valid & (ends == 0)
     if frames.stale is not None and (valid & frames.stale).any():
         valid = _without_stale(valid, frames.stale, geometry)
     values = frames.values if valid.all() else np.where(valid, frames.values, 0.0)
-    return Readings(frames.time, values, valid, ends, bounds)
+    return Readings(frames.time, values, valid, bounds)
 
 
 def _any_beyond(values: Floats, limits: Floats) -> bool:

@@ -14,7 +14,7 @@ from imuarray.fuse.frames import Flags, Floats
 from imuarray.fuse.optimal.censoring import Clipped, censored
 from imuarray.fuse.optimal.geometry import Geometry
 from imuarray.fuse.optimal.kalman import Normal
-from imuarray.fuse.optimal.readings import Readings, patterns
+from imuarray.fuse.optimal.readings import Bounds, Readings, patterns
 from imuarray.fuse.optimal.states import States
 
 _TOLERATED = 0.01
@@ -60,9 +60,9 @@ class View:
         covariance = np.linalg.inv(rows.T @ weighed)
         gain = covariance @ np.swapaxes(weighed, -1, -2)
         if not self.final:
-            return gain, covariance
+            return np.asarray(gain), np.asarray(covariance)
         gain = np.broadcast_to(gain, (len(terms), *gain.shape))
-        return gain, covariance + gain @ slow @ np.swapaxes(gain, -1, -2)
+        return np.asarray(gain), covariance + gain @ slow @ np.swapaxes(gain, -1, -2)
 
 
 def view_of(states: States, geometry: Geometry, belief: Normal, warmer_degc: Floats, *, final: bool = False) -> View:
@@ -104,11 +104,11 @@ def solve(view: View, readings: Readings, stimulus: Floats, into: Solution, fram
             covariance[every[odd]] = spreads
         unknowns[which] = solved
         used[which] = valid[: view.geometry.axes]
-        if readings.ends is not None and readings.bounds is not None:
-            for clipped, among in patterns(readings.ends[which] != 0):
+        if readings.bounds is not None:
+            for clipped, among in patterns(readings.bounds.ends[which] != 0):
                 if clipped.any():
                     frames_of = every[among]
-                    beyond = _beyond(view, readings, valid, clipped, frames_of, unknowns)
+                    beyond = _beyond(view, readings.bounds, valid, clipped, frames_of, unknowns)
                     unknowns[frames_of], covariance[frames_of] = censored(
                         unknowns[frames_of], covariance[frames_of], beyond
                     )
@@ -149,7 +149,7 @@ def _odd(view: View, solved: Floats, stimulus: Floats) -> npt.NDArray[np.intp] |
 
 
 def _beyond(
-    view: View, readings: Readings, valid: Flags, clipped: Flags, frames: npt.NDArray[np.intp], unknowns: Floats
+    view: View, bounds: Bounds, valid: Flags, clipped: Flags, frames: npt.NDArray[np.intp], unknowns: Floats
 ) -> Clipped:
     """What the `clipped` axes (m,) say in `frames`."""
     axes = np.flatnonzero(clipped)
@@ -160,6 +160,6 @@ def _beyond(
         rows=view.rows[axes],
         known=gains @ slow[:, valid][:, :, axes],
         own=slow[:, axes][:, :, axes] + np.diag(view.geometry.noise[axes] ** 2),
-        bounds=readings.bounds[frames][:, axes] - view.offset[axes],
-        signs=readings.ends[frames][:, axes],
+        bounds=bounds.at[frames][:, axes] - view.offset[axes],
+        signs=bounds.ends[frames][:, axes].astype(float),
     )

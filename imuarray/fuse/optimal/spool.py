@@ -18,7 +18,7 @@ class Spool:
     """Groups of arrays, last in, first out, in a temporary file that nobody else sees and that ends with the object."""
 
     def __init__(self) -> None:
-        self._file = TemporaryFile()
+        self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
         self._end = 0
 
     def __bool__(self) -> bool:
