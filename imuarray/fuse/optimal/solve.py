@@ -17,8 +17,10 @@ from imuarray.fuse.optimal.kalman import Normal
 from imuarray.fuse.optimal.readings import Bounds, Readings, patterns
 from imuarray.fuse.optimal.states import States
 
-_TOLERATED = 0.01
-"""Share by which the stimulus may change a covariance before a frame gets a gain of its own."""
+_TOLERATED = 0.1
+"""Share by which the stimulus may change the variance of a row before a frame gets a gain of its own; what a gain that
+is so little off costs is of second order.
+"""
 
 
 @dataclass(frozen=True)
@@ -46,23 +48,32 @@ class View:
         rows[:, :3] += self.response
         return rows
 
-    def covariance(self, terms: Floats) -> Floats:
+    def slow(self, terms: Floats) -> Floats:
         """(n, r, r) covariances of the slow errors at (1, stimulus), (n, terms)."""
-        rows = self.errors.shape[2]
         pairs = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), -1)
-        return np.asarray((pairs @ self.errors.reshape(pairs.shape[1], -1)).reshape(-1, rows, rows))
+        flat = self.errors.reshape(pairs.shape[1], -1)
+        return np.asarray((pairs @ flat).reshape(-1, *self.errors.shape[2:]))
 
-    def gains(self, valid: Flags, terms: Floats) -> tuple[Floats, Floats]:
-        """(n, k, p) gains of the p rows in use and (n, k, k) covariances at (1, stimulus), (n, terms)."""
-        slow = self.covariance(terms)[:, valid][:, :, valid]
+    def gains(self, valid: Flags, terms: Floats) -> Floats:
+        """(n, k, p) best gains of the p rows in use at (1, stimulus), (n, terms)."""
         rows, noise = self.rows[valid], self.geometry.noise[valid] ** 2
-        weighed = rows / noise[:, None] if self.final else np.linalg.solve(slow + np.diag(noise), rows)
-        covariance = np.linalg.inv(rows.T @ weighed)
-        gain = covariance @ np.swapaxes(weighed, -1, -2)
-        if not self.final:
-            return np.asarray(gain), np.asarray(covariance)
-        gain = np.broadcast_to(gain, (len(terms), *gain.shape))
-        return np.asarray(gain), covariance + gain @ slow @ np.swapaxes(gain, -1, -2)
+        if self.final:
+            weighed: Floats = np.broadcast_to(rows / noise[:, None], (len(terms), *rows.shape))
+        else:
+            weighed = np.asarray(np.linalg.solve(self.slow(terms)[:, valid][:, :, valid] + np.diag(noise), rows))
+        return np.asarray(np.linalg.solve(rows.T @ weighed, np.swapaxes(weighed, -1, -2)))
+
+    def spread(self, valid: Flags, gain: Floats, terms: Floats) -> Floats:
+        """(n, k, k) covariances of what one `gain` (k, p) makes of the rows in use at (1, stimulus), (n, terms)."""
+        fixed = (gain * self.geometry.noise[valid] ** 2) @ gain.T
+        errors = gain @ self.errors[:, :, valid][:, :, :, valid] @ gain.T
+        pairs = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), -1)
+        return np.asarray(fixed + (pairs @ errors.reshape(pairs.shape[1], -1)).reshape(-1, *fixed.shape))
+
+    def spreads(self, valid: Flags, gains: Floats, terms: Floats) -> Floats:
+        """(n, k, k) covariances of what `gains` (n, k, p) make of the rows in use at (1, stimulus), (n, terms)."""
+        errors = self.slow(terms)[:, valid][:, :, valid] + np.diag(self.geometry.noise[valid] ** 2)
+        return np.asarray(gains @ errors @ np.swapaxes(gains, -1, -2))
 
 
 def view_of(states: States, geometry: Geometry, belief: Normal, warmer_degc: Floats, *, final: bool = False) -> View:
@@ -94,14 +105,16 @@ def solve(view: View, readings: Readings, stimulus: Floats, into: Solution, fram
         if not view.geometry.spans(valid):
             continue
         every = np.arange(len(values))[which]
-        gain, spread = view.gains(valid, _terms(stimulus[None], view.terms))
-        solved = values[which][:, valid] @ gain[0].T
-        covariance[which] = spread[0]
+        (gain,) = view.gains(valid, _terms(stimulus[None], view.terms))
+        solved = values[which][:, valid] @ gain.T
+        follows = solved[:, :3] if view.terms > 1 else stimulus[None]
+        covariance[which] = view.spread(valid, gain, _terms(follows, view.terms))
         odd = _odd(view, solved, stimulus)
-        if odd is not None:
-            gains, spreads = view.gains(valid, _terms(solved[odd, :3], view.terms))
+        if len(odd):
+            terms = _terms(solved[odd, :3], view.terms)
+            gains = view.gains(valid, terms)
             solved[odd] = np.einsum("nkp,np->nk", gains, values[every[odd]][:, valid])
-            covariance[every[odd]] = spreads
+            covariance[every[odd]] = view.spreads(valid, gains, terms)
         unknowns[which] = solved
         used[which] = valid[: view.geometry.axes]
         if readings.bounds is not None:
@@ -131,21 +144,20 @@ def _terms(stimulus: Floats, terms: int) -> Floats:
     return ones if terms == 1 else np.concatenate([ones, stimulus], axis=1)
 
 
-def _odd(view: View, solved: Floats, stimulus: Floats) -> npt.NDArray[np.intp] | None:
+def _odd(view: View, solved: Floats, stimulus: Floats) -> npt.NDArray[np.intp]:
     """The frames whose stimulus makes slow errors differ from those at `stimulus` by more than is tolerated."""
-    if view.terms == 1:
-        return None
+    if view.terms == 1 or view.final:
+        return np.zeros(0, np.intp)
     own = np.einsum("jkrr->rjk", view.errors)
     usual = _terms(stimulus[None], view.terms)[0]
     spread = np.einsum("rjk,j,k->r", own, usual, usual)
-    tolerated = _TOLERATED * 3 / len(own) * (view.geometry.noise**2 + spread)
+    tolerated = _TOLERATED * (view.geometry.noise**2 + spread)
     away = np.linalg.norm(solved[:, :3] - stimulus, axis=1)
     slope = 2 * np.linalg.norm(own[:, 1:] @ usual, axis=1)
     curvature = np.trace(own[:, 1:, 1:], axis1=1, axis2=2)
     # Each row stays within its tolerance up to a distance: the root of curvature d^2 + slope d = tolerated.
-    reach = 2 * tolerated / (slope + np.sqrt(slope**2 + 4 * curvature * tolerated) + 1e-300)
-    odd = np.flatnonzero(away > reach.min())
-    return odd if len(odd) else None
+    reach = 2 * tolerated / (slope + np.sqrt(slope**2 + 4 * np.maximum(curvature, 0.0) * tolerated) + 1e-300)
+    return np.flatnonzero(away > reach.min())
 
 
 def _beyond(
@@ -154,8 +166,7 @@ def _beyond(
     """What the `clipped` axes (m,) say in `frames`."""
     axes = np.flatnonzero(clipped)
     terms = _terms(unknowns[frames, :3], view.terms)
-    gains, _ = view.gains(valid, terms)
-    slow = view.covariance(terms)
+    gains, slow = view.gains(valid, terms), view.slow(terms)
     return Clipped(
         rows=view.rows[axes],
         known=gains @ slow[:, valid][:, :, axes],

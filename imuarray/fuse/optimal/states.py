@@ -74,7 +74,7 @@ def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> State
         time_constants_s=np.array([state.time_constant_s for state in found]),
         steady=rows["steady"],
         thermal=rows["thermal"],
-        response=np.array(responses).reshape(-1, len(axes) + others, len(found)),
+        response=np.array(responses).reshape(len(responses), len(axes) + others, len(found)),
     )
 
 
