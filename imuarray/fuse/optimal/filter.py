@@ -96,7 +96,7 @@ class ArrayFilter:
     def _begun(self, part: Readings, warmer_degc: Floats) -> View:
         """What is believed as a segment begins."""
         since = int(part.time[0]) if self._since is None else self._since
-        left, added = self.states.transition((int(part.time[0]) - since) * 1e-9)
+        left, added = self.states.transition(max(0, int(part.time[0]) - since) * 1e-9)
         self._step = (self.belief, left, added)
         self.belief = predicted(self.belief, left, added)
         self._since, self.warmer_degc = int(part.time[0]), warmer_degc

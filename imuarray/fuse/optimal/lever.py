@@ -2,7 +2,8 @@
 
 A sensor at r feels f + alpha x r + omega x (omega x r) (rigid-body kinematics): the last term is taken out with the
 angular rate of the gyroscopes, and the angular acceleration alpha is three unknowns more in every frame, along s of a
-sensor alpha . (r x s). The differences of the angular rate from frame to frame are readings of it, too.
+sensor alpha . (r x s). The angular rate of three neighbouring frames gives a reading of it, too: the slope, at the last
+of them, of the parabola through them, which lags behind no steady change of alpha as a plain difference does.
 """
 
 from __future__ import annotations
@@ -21,7 +22,15 @@ FASTEST = 300.0
 """rad/s2, standard deviation of the angular acceleration of anything: a turn at 1000 dps reversed in 0.1 s has 350."""
 
 ROWS = 6
-"""Rows that stand behind the axes: the three of the differences, and three that say `FASTEST`."""
+"""Rows that stand behind the axes: the three of the slopes, and three that say `FASTEST`."""
+
+_PARABOLA = 6.5
+"""Variance of the slope of the parabola through three points at its last one, over theirs, in periods: 1.5^2 + 2^2 +
+0.5^2.
+"""
+
+_JITTER = 0.25
+"""Share of the period within which frames are neighbours whose slope has that variance, more or less."""
 
 
 def placed(axes: Sequence[Axis]) -> bool:
@@ -65,17 +74,19 @@ class Lever:
 
     def forget(self) -> None:
         """Begin anew: nothing is known of the rate before the next frame."""
-        self._time, self._rate = 0, np.full(3, np.nan)
+        self._time, self._rate = np.zeros(2, np.int64), np.full((2, 3), np.nan)
+        self._held = np.zeros(3)
 
     def __call__(self, readings: Readings, rate: Floats) -> Readings:
         """`readings` at the origin but for the angular acceleration, and that; `rate` (n, 3) rad/s, NaN where unknown:
-        then it is taken to be the last one known, and its difference is not used.
+        then it is taken to be the last one known, and there is no slope.
         """
-        acceleration = self._differences(readings.time, rate)
-        held = _held(rate, self._rate)
-        self._time, self._rate = int(readings.time[-1]), held[-1]
+        time, rates = np.concatenate([self._time, readings.time]), np.concatenate([self._rate, rate])
+        acceleration = self._slopes(time, rates)
+        held = _held(np.concatenate([self._held[None], rate]))[1:]
+        self._time, self._rate, self._held = time[-2:], rates[-2:], (held[-1] if len(held) else self._held)
         known = np.asarray(np.isfinite(acceleration).all(axis=1))
-        turning = self._centripetal(np.nan_to_num(held))
+        turning = self._centripetal(held)
         values = np.where(readings.valid, readings.values - turning, 0.0)
         told = np.where(known[:, None], acceleration, 0.0) @ self.whitening.T
         others = np.concatenate([np.repeat(known[:, None], 3, axis=1), np.ones((len(known), 3), bool)], axis=1)
@@ -91,13 +102,13 @@ class Lever:
         across = (rate @ self._directions.T) * (rate @ self._places.T)
         return np.asarray(across - (rate**2).sum(axis=1)[:, None] * (self._directions * self._places).sum(axis=1))
 
-    def _differences(self, time: Times, rate: Floats) -> Floats:
-        """(n, 3) rad/s2; NaN after a gap, where the noise is not that of neighbours."""
-        before = np.concatenate([self._rate[None], rate[:-1]])
-        steps_s = np.diff(np.concatenate([[self._time], time])) * 1e-9
-        change = (rate - before) / np.maximum(steps_s, 1e-9)[:, None]
-        change[np.abs(steps_s - self.period_s) > 0.5 * self.period_s] = np.nan
-        return np.asarray(change)
+    def _slopes(self, time: Times, rate: Floats) -> Floats:
+        """(n, 3) rad/s2 from n + 2 frames; NaN where they are no neighbours."""
+        steps_s = np.diff(time) * 1e-9
+        steps_s[np.abs(steps_s - self.period_s) > _JITTER * self.period_s] = np.nan
+        slopes = np.diff(rate, axis=0) / steps_s[:, None]
+        share = steps_s[1:] / (steps_s[1:] + steps_s[:-1])
+        return np.asarray(slopes[1:] + share[:, None] * np.diff(slopes, axis=0))
 
 
 def lever_of(axes: Sequence[Axis], rate_covariance: Floats, period_s: float) -> Lever:
@@ -106,14 +117,11 @@ def lever_of(axes: Sequence[Axis], rate_covariance: Floats, period_s: float) -> 
 
 
 def _whitening(rate_covariance: Floats, period_s: float) -> Floats:
-    """(3, 3) that makes differences of the angular rate of neighbouring frames, over their time, of unit variance."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(2 * rate_covariance / period_s**2)))
+    """(3, 3) that makes the slopes of the angular rate of unit variance."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(_PARABOLA * rate_covariance / period_s**2)))
 
 
-def _held(rate: Floats, last: Floats) -> Floats:
-    """(n, 3) with the last known rate in place of NaN."""
+def _held(rate: Floats) -> Floats:
+    """(n, 3) with the one before in place of NaN; the first is known."""
     known = np.isfinite(rate).all(axis=1)
-    if known.all():
-        return rate
-    source = np.maximum.accumulate(np.where(known, np.arange(len(rate)), -1))
-    return np.where(source[:, None] >= 0, rate[np.maximum(source, 0)], last)
+    return rate if known.all() else rate[np.maximum.accumulate(np.where(known, np.arange(len(rate)), 0))]

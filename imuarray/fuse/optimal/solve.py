@@ -150,7 +150,7 @@ def _odd(view: View, solved: Floats, stimulus: Floats) -> npt.NDArray[np.intp]:
         return np.zeros(0, np.intp)
     own = np.einsum("jkrr->rjk", view.errors)
     usual = _terms(stimulus[None], view.terms)[0]
-    spread = np.einsum("rjk,j,k->r", own, usual, usual)
+    spread = np.maximum(np.einsum("rjk,j,k->r", own, usual, usual), 0.0)
     tolerated = _TOLERATED * (view.geometry.noise**2 + spread)
     away = np.linalg.norm(solved[:, :3] - stimulus, axis=1)
     slope = 2 * np.linalg.norm(own[:, 1:] @ usual, axis=1)

@@ -1,0 +1,28 @@
+"""The spool: last in, first out, with room for what memory should not hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imuarray.fuse.optimal.spool import Spool
+
+
+def test_what_goes_in_last_comes_out_first() -> None:
+    rng = np.random.default_rng(105)
+    groups = [[rng.normal(size=(index, 3)), rng.normal(size=index), np.zeros((0, 2))] for index in range(5)]
+    spool = Spool()
+    assert not spool
+    for group in groups[:3]:
+        spool.push(group)
+    taken = [spool.pop()]
+    for group in groups[3:]:
+        spool.push(group)
+    taken += [spool.pop() for _ in range(4)]
+    assert not spool
+    for got, put in zip(taken, [groups[2], groups[4], groups[3], groups[1], groups[0]], strict=True):
+        assert [array.shape for array in got] == [array.shape for array in put]
+        assert all((a == b).all() for a, b in zip(got, put, strict=True))
+    with pytest.raises(IndexError, match="nothing is on the spool"):
+        spool.pop()
+    spool.close()
