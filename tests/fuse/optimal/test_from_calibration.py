@@ -1,0 +1,111 @@
+"""The error model from a calibration: figures of two real units of the paper, in SI by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.stability import Thermal, TurnOn
+from imuarray.errors import FusionError
+from imuarray.fuse.axes import axes_of
+from imuarray.fuse.optimal import ErrorModel, Optimal, error_model
+from imuarray.log import SensorLog, open_log
+from tests.fuse.conftest import DPS, G, Part, WriteRun, calibration
+
+GYRO = Part("Gyro1", "+X+Y+Z", "angular_rate", "l3g4200d", 2000.0, 100.0, sigma=0.17)
+OTHER = GYRO._replace(name="Gyro2", axes="-Y-X-Z", sigma=0.34)
+BMA = Part("BMA1", sigma=(0.016, 0.018, 0.017))
+
+
+@pytest.fixture
+def model(write_run: WriteRun) -> Callable[..., ErrorModel]:
+    """The model of these parts, their calibration changed by sensor."""
+
+    def made(*parts: Part, thermometer: bool = True, **changes: dict[str, Any]) -> ErrorModel:
+        known = calibration(parts).sensors
+        changed = {name: replace(one, **changes.get(name, {})) for name, one in known.items()}
+        with open_log(write_run(parts, frames=5)) as log:
+            sensors: list[SensorLog] = [log[part.name] for part in parts]
+            found = error_model(sensors, Calibration(changed), thermometer=thermometer)
+            Optimal(
+                {part.quantity: axes_of([log[part.name]], Calibration(changed)) for part in parts}, found, period_s=0.01
+            )
+            return found
+
+    return made
+
+
+def test_what_was_measured_is_taken(model: Callable[..., ErrorModel]) -> None:
+    measured = {
+        "bias_sem_lsb": np.array([3.0, 4.0, 5.0]),
+        "turn_on": TurnOn(np.array([4.0, 3.0, 12.0]), np.zeros(3), np.zeros(3), np.zeros(3), 15),
+        "response_sem_lsb_per_unit": np.array([0.2, 0.1, 0.3]),
+        "thermal": Thermal(np.ones(3), np.array([0.1, 0.2, 0.3]), 25.0, ("bias", "bias", "bias or scale"), "barometer"),
+        "temperature_degc": 22.0,
+    }
+    found = model(GYRO, Gyro1=measured)
+    of = [found.axes["Gyro1", index] for index in range(3)]
+    lsb = 0.01 * DPS  # 100 counts per dps
+    assert [one.noise for one in of] == pytest.approx([17 * lsb] * 3)
+    assert [one.bias for one in of] == pytest.approx([5 * lsb, 5 * lsb, 13 * lsb])
+    assert [one.response for one in of] == pytest.approx([0.002, 0.001, 0.003])
+    assert [one.slope_per_degc for one in of] == pytest.approx([0.1 * lsb, 0.2 * lsb, np.hypot(1, 0.3) * lsb])
+    assert {one.bias_degc for one in of} == {22.0}
+
+
+def test_a_covariance_of_biases_stands_for_their_standard_errors(model: Callable[..., ErrorModel]) -> None:
+    covariance = np.array([[9.0, 1, 0], [1, 16, 2], [0, 2, 25]])
+    measured = {
+        "bias_sem_lsb": np.sqrt(np.diag(covariance)),
+        "bias_covariance_lsb2": covariance,
+        "turn_on": TurnOn(np.full(3, 6.0), np.full(3, 8.0), np.zeros(3), np.zeros(3), 15),
+    }
+    found = model(BMA, BMA1=measured)
+    lsb = G / 2048
+    assert found.bias_covariances["BMA1"] == pytest.approx(covariance * lsb**2)
+    assert found.axes["BMA1", 0].bias == pytest.approx(10 * lsb)
+
+
+def test_what_was_not_measured_is_as_such_sensors_are(model: Callable[..., ErrorModel]) -> None:
+    """Table 11's turn-on: a sixth of a gyroscope's noise; Table 8's slopes, 0.015 dps/degC apart, 0.016 in common."""
+    found = model(GYRO, OTHER, Gyro1={"bias_sem_lsb": np.zeros(3)})
+    calibrated, raw = found.axes["Gyro1", 1], found.axes["Gyro2", 1]
+    assert calibrated.bias == pytest.approx(0.17 * 0.17 * DPS)
+    assert raw.bias == pytest.approx(0.84 * DPS)
+    assert calibrated.slope_per_degc == pytest.approx(0.015 * DPS)
+    assert calibrated.response == pytest.approx(0.03)
+    assert calibrated.drift == pytest.approx(0.04 * 0.17 * DPS)
+    design = found.designs["l3g4200d", 1]
+    assert design.slope_per_degc == pytest.approx(0.016 * DPS)
+    assert design.common == pytest.approx(0.04 * 0.17 * DPS)  # of its quieter unit
+
+
+def test_without_a_thermometer_slopes_become_drift(model: Callable[..., ErrorModel]) -> None:
+    found = model(GYRO, thermometer=False)
+    assert found.axes["Gyro1", 0].slope_per_degc == found.designs["l3g4200d", 0].slope_per_degc == 0.0
+    assert found.axes["Gyro1", 0].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.015) * DPS)
+    assert found.designs["l3g4200d", 0].common == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.016) * DPS)
+
+
+@pytest.mark.parametrize("noise", [None, np.array([1.0, 0.0, 1.0])])
+def test_an_unknown_or_impossible_noise_is_refused(model: Callable[..., ErrorModel], noise: Any) -> None:
+    why = "its noise is not known; run" if noise is None else "axis y: noise 0: it is stuck"
+    with pytest.raises(FusionError, match=f"sensor BMA1.*{why}"):
+        model(BMA, BMA1={"noise_lsb": noise})
+
+
+def test_noise_correlation_and_drift_of_a_calibration_that_has_them(model: Callable[..., ErrorModel]) -> None:
+    if "noise_correlation" not in SensorCalibration.__dataclass_fields__:
+        pytest.skip("this calibration does not know them")
+    from imuarray.calibrate import stability
+
+    drift = stability.Drift(np.array([3.0, 0, 0]), np.array([4.0, 1, 1]), 250.0)
+    found = model(BMA, BMA1={"noise_correlation": np.array([0.4, -0.1, 0.0]), "drift": drift})
+    assert [found.axes["BMA1", index].correlation for index in range(3)] == [0.4, 0.0, 0.0]
+    assert found.axes["BMA1", 0].drift == pytest.approx(5 * G / 2048)
+    assert found.axes["BMA1", 0].drift_time_constant_s == 250.0
