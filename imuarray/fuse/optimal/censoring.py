@@ -52,7 +52,7 @@ def censored(unknowns: Floats, covariance: Floats, clipped: Clipped) -> tuple[Fl
     joint = _joint(covariance, clipped)
     for index in range(len(clipped.rows)):
         place = count + index
-        sign, spread = clipped.signs[:, index], np.sqrt(joint[:, place, place])
+        sign, spread = clipped.signs[:, index], np.sqrt(np.maximum(joint[:, place, place], 1e-300))
         distance = sign * (clipped.bounds[:, index] - mean[:, place]) / spread
         moved, left = truncated(distance)
         gain = joint[:, :, place] / spread[:, None]

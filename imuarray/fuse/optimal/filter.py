@@ -16,8 +16,9 @@ from imuarray.fuse.optimal.evidence import Evidence
 from imuarray.fuse.optimal.geometry import Geometry
 from imuarray.fuse.optimal.kalman import Normal, corrected, predicted
 from imuarray.fuse.optimal.readings import Readings
-from imuarray.fuse.optimal.solve import Solution, View, solve, stimulus_of, view_of
+from imuarray.fuse.optimal.solve import Solution, solve
 from imuarray.fuse.optimal.states import States
+from imuarray.fuse.optimal.view import View, view_of
 
 
 class Step(NamedTuple):
@@ -87,7 +88,7 @@ class ArrayFilter:
         for frames, starts, ends in self._segments.parts(len(readings.time)):
             part = readings.part(frames)
             view = self._begun(part, warmer(frames.start)) if starts or self._view is None else self._view
-            solve(view, part, self._stimulus, solution, frames)
+            solve(view, part, solution, frames)
             self._evidence.add(part, solution, frames)
             if ends:
                 self.end()
@@ -101,7 +102,8 @@ class ArrayFilter:
         self.belief = predicted(self.belief, left, added)
         self._since, self.warmer_degc = int(part.time[0]), warmer_degc
         self._view = view_of(self.states, self.geometry, self.belief, warmer_degc)
-        self._stimulus = stimulus_of(self._view, part, self._stimulus)
+        self._view.begin(part, self._stimulus)
+        self._stimulus = self._view.stimulus
         return self._view
 
     def end(self) -> None:

@@ -24,8 +24,9 @@ from imuarray.fuse.optimal.learned import LearnedBias, learned_biases
 from imuarray.fuse.optimal.lever import ROWS, Lever, lever_of, placed, with_lever
 from imuarray.fuse.optimal.readings import Readings, readings_of
 from imuarray.fuse.optimal.smooth import Recorder
-from imuarray.fuse.optimal.solve import Solution, View, solve, stimulus_of
+from imuarray.fuse.optimal.solve import Solution, solve
 from imuarray.fuse.optimal.states import states_of
+from imuarray.fuse.optimal.view import View
 from imuarray.fuse.optimal.warmth import Warmth
 
 SEGMENT_S = 0.5
@@ -157,9 +158,10 @@ class _Group:
             part = readings.part(frames)
             if (starts or self._view is None) and self._recorder is not None:
                 self._view = self._recorder.view()
-                self._stimulus = stimulus_of(self._view, part, self._stimulus)
+                self._view.begin(part, self._stimulus)
+                self._stimulus = self._view.stimulus
             if self._view is not None:
-                solve(self._view, part, self._stimulus, solution, frames)
+                solve(self._view, part, solution, frames)
         return solution
 
 

@@ -13,9 +13,9 @@ from imuarray.fuse.frames import Floats
 from imuarray.fuse.optimal.filter import Step
 from imuarray.fuse.optimal.geometry import Geometry
 from imuarray.fuse.optimal.kalman import Adjoint, Innovation, Normal, backwards, corrected, predicted, smoothed
-from imuarray.fuse.optimal.solve import View, view_of
 from imuarray.fuse.optimal.spool import Spool
 from imuarray.fuse.optimal.states import States
+from imuarray.fuse.optimal.view import View, view_of
 
 _STRIDE = 32
 
