@@ -1,0 +1,14 @@
+"""Sensors that fail: found, told and left out while the others go on.
+
+::
+
+    frames -> window -> look (parity residuals of those in use, beside the normal model of each axis)
+                     -> hypotheses (one axis? a whole sensor? by likelihood ratio) -> judge -> masked frames, events
+"""
+
+from imuarray.fuse.faults.events import FaultEvent
+from imuarray.fuse.faults.kinds import Ranges
+from imuarray.fuse.faults.monitor import FaultMonitor
+from imuarray.fuse.faults.monitored import Monitored, monitored
+
+__all__ = ["FaultEvent", "FaultMonitor", "Monitored", "Ranges", "monitored"]

@@ -1,0 +1,87 @@
+"""What a fault monitor tells: which axes it left out, since when, why, and when it took them back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from imuarray.units import READABLE_SI
+
+State = Literal["isolated", "not isolated", "readmitted", "silent", "back", "no redundancy"]
+
+
+@dataclass(frozen=True)
+class FaultEvent:
+    """One thing that a person should know of a sensor.
+
+    `time_ns` of the first frame of the window in which it was found, in the log's time; `sensor` and its `axes` ("x",
+    "y", "z"); `kind` is the name of an effect (`bias`, `scale`, `stuck`, `range_reset`, `glitches`, `white_noise`,
+    `random_walk`: the baseline walked off; `dropped_samples`: nothing valid comes). `state` says what was done:
+    "isolated" leaves the axes out, "not isolated" leaves all in, because others explain it as well. `size_si` in m/s2
+    or rad/s, of `scale` and `range_reset` a factor, of `white_noise` the ratio to the usual noise, of `dropped_samples`
+    seconds. `significance` in standard deviations.
+    """
+
+    time_ns: int
+    quantity: str
+    sensor: str
+    axes: tuple[str, ...]
+    kind: str
+    state: State
+    size_si: float
+    significance: float
+    others: tuple[str, ...] = ()
+    range: float | None = None
+    """The measuring range, in the sensor's unit, that explains a `range_reset`."""
+
+    @property
+    def sentence(self) -> str:
+        """The same for a person."""
+        axes = "" if len(self.axes) == 3 else " " + " and ".join(self.axes)
+        return f"{self.time_ns * 1e-9:.2f} s: {self.sensor}{axes} {self._words()}"
+
+    def _words(self) -> str:
+        """What is the matter, and what is done."""
+        if self.state == "readmitted":
+            return "agrees with the others again: taken back"
+        if self.state == "back":
+            return "gives valid readings again"
+        if self.state == "silent":
+            return f"gave no valid reading for {self.size_si:.1f} s; the result is that of the others"
+        if self.state == "no redundancy":
+            return "and what else is left can't check each other: no further fault would be found"
+        if self.state == "not isolated":
+            others = " or ".join(self.others)
+            return f"{self._fault()} ({self.significance:.0f} sigma), or {others} is: can't tell which, all stay in use"
+        return f"{self._fault()} ({self.significance:.0f} sigma): left out"
+
+    def _fault(self) -> str:
+        """What is the matter."""
+        factor, unit = READABLE_SI[self.quantity]
+        size = f"{factor * self.size_si:.3g} {unit}"
+        reset = f"reads {self.size_si:.3g} times what the others do, as if set to a range of {self.range or 0:g}"
+        words = {
+            "bias": f"is off by {size}",
+            "random_walk": f"has walked off by {size}",
+            "scale": f"reads {self.size_si:.3g} times what the others do",
+            "range_reset": reset,
+            "stuck": "is stuck",
+            "glitches": f"has readings that are off by up to {size}",
+            "white_noise": f"scatters {self.size_si:.3g} times as much as it used to",
+        }
+        return words[self.kind]
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {
+            "time_s": self.time_ns * 1e-9,
+            "quantity": self.quantity,
+            "sensor": self.sensor,
+            "axes": list(self.axes),
+            "effect": self.kind,
+            "state": self.state,
+            "size_si": self.size_si,
+            "significance": self.significance,
+            "others": list(self.others),
+            "sentence": self.sentence,
+        }

@@ -1,0 +1,212 @@
+"""The decisions: window by window, who is left out, why, and who comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse.axes import Axis
+from imuarray.fuse.faults.baseline import Baseline
+from imuarray.fuse.faults.exclusions import Exclusion, agreeing, needs
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Suspect, strongest
+from imuarray.fuse.faults.kinds import Beside, Kind, Ranges, beside, kind_of, reset_to
+from imuarray.fuse.faults.normal import Normal
+from imuarray.fuse.faults.parity import spans
+from imuarray.fuse.faults.rivals import told_apart
+from imuarray.fuse.faults.silence import Silence
+from imuarray.fuse.faults.stillness import Stillness
+from imuarray.fuse.faults.telling import Telling
+from imuarray.fuse.faults.window import Look, Window, look
+from imuarray.units import SI_PER_UNIT
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+_MOST = 4
+"""Faults that are looked for in one window."""
+
+_DOUBTFUL_WINDOWS = 3
+"""For so many windows a fault has to show before it is said that nobody can tell whose it is."""
+
+_FORGOTTEN_WINDOWS = 50
+"""What could not be told is told again if it has not shown for so many windows."""
+
+_UNIT = {"specific_force": "g", "angular_rate": "dps"}
+
+_STUCK_GAIN = 100.0
+"""Ten standard deviations: what two windows without a change stand for, at the least."""
+
+
+class Judge:
+    """The state of one quantity: the normal model, who is out, what was said."""
+
+    def __init__(
+        self, axes: Sequence[Axis], rows: Floats, quantity: str, window: int, period_s: float, ranges: Ranges
+    ) -> None:
+        self._axes, self._rows, self._ranges = axes, rows, ranges
+        self._unit_si = SI_PER_UNIT[_UNIT[quantity]]
+        self._window_s = window * period_s
+        noise = np.array([np.nan if axis.noise_si is None else axis.noise_si for axis in axes])
+        self._normal = Normal(noise, quantity, window, period_s)
+        self._baseline = Baseline(rows, quantity, self._window_s)
+        names = [axis.sensor for axis in axes[::3]]
+        self._still = Stillness(len(names))
+        self._silence = Silence(len(names), self._window_s)
+        self.telling = Telling(names, quantity)
+        self._out: list[Exclusion] = []
+        self._offences = np.zeros(len(axes), int)
+        self._doubts: dict[int, tuple[int, int]] = {}
+        self._blind = False
+        self._count = 0
+
+    @property
+    def out(self) -> Flags:
+        """(m,) the axes that are left out."""
+        mask = np.zeros(len(self._axes), bool)
+        for exclusion in self._out:
+            mask[list(exclusion.axes)] = True
+        return mask
+
+    def __call__(self, window: Window, masks: Sequence[Flags]) -> None:
+        """Judges the next window; `masks` (m,) of it (the last one) and of the one before get True where an axis is to
+        be left out.
+        """
+        if self._count == 0:
+            self._normal.begin(window.values)
+        self._count += 1
+        before, time_ns = self.out, int(window.time[0])
+        waiting = [exclusion for exclusion in self._out if not exclusion.named]
+        self._silence(window.present, time_ns, self.telling)
+        self._normal.age(~before)
+        for sensor in np.flatnonzero(self._still(window, self._normal)).tolist():
+            self._exclude(Suspect(_members(sensor), _STUCK_GAIN, "energy"), time_ns)
+        seen, doubted = self._search(window, time_ns)
+        if seen is not None:
+            for exclusion in waiting:
+                if any(exclusion is each for each in self._out):  # else it is part of another by now
+                    self._name(exclusion, seen, window)
+            self._learn(seen, doubted)
+        new = self.out & ~before
+        for mask in masks:
+            mask |= new
+        if seen is not None and self._out:
+            self._readmit(seen, window.present, time_ns)
+        masks[-1][self.out] = True
+
+    def close(self) -> None:
+        """Names what had no time to show."""
+        for exclusion in self._out:
+            if not exclusion.named:
+                self.telling.isolated(exclusion, exclusion.first)
+
+    def _search(self, window: Window, time_ns: int) -> tuple[Look | None, Flags]:
+        """Leaves out one suspect after the other until what is left agrees; the window as that sees it (None: too little
+        is left), and the axes (m,) of sensors of whom one is faulty, but none knows which.
+        """
+        nobody = np.zeros(len(self._axes), bool)
+        for _ in range(_MOST):
+            seen = self._look(window)
+            if seen is None:
+                return None, nobody
+            suspect, drifted = strongest(seen, self._normal), 0.0
+            if suspect is None and (walked := self._baseline.departed(seen, self._normal)) is not None:
+                suspect, drifted = walked
+            if suspect is None:
+                return seen, nobody
+            if suspect.rivals:
+                suspect = told_apart(suspect, window, seen, self._normal, self._reset) or suspect
+            if suspect.rivals or not self._exclude(suspect, time_ns, drifted, window):
+                return seen, self._doubt(suspect, seen, window, drifted)
+        return self._look(window), nobody
+
+    def _look(self, window: Window) -> Look | None:
+        """The window as those see it who are in; says so once if they can't check each other."""
+        seen = look(window, self._normal, self._rows, window.present & ~self.out)
+        if self._out and not self._blind and (seen is None or not seen.white.told[seen.included].any()):
+            self._blind = True
+            self.telling.blind(self._out[-1].sensor, int(window.time[0]))
+        return seen
+
+    def _exclude(self, suspect: Suspect, time_ns: int, drifted: float = 0.0, window: Window | None = None) -> bool:
+        """Leaves axes out; False where the others would no longer tell all of a triad."""
+        out = self.out
+        axes = [axis for axis in suspect.axes if not out[axis]]
+        out[axes] = True
+        if not axes or not spans(self._rows[~out].T @ self._rows[~out]):
+            return False
+        self._offences[axes] += 1
+        wait = needs(int(self._offences[axes].max()), self._window_s)
+        made = Exclusion(axes[0] // 3, tuple(axes), time_ns, suspect.gain, wait, drifted_si=drifted)
+        self._out.append(made)
+        for axis in axes if drifted else ():
+            self._baseline.send_back(axis, self._normal)
+        if window is not None and (seen := look(window, self._normal, self._rows, window.present & ~out)) is not None:
+            made.first = self._kind(made.sensor, made.axes, drifted, seen, window)
+        return True
+
+    def _kind(self, sensor: int, axes: Sequence[int], drifted: float, seen: Look, window: Window) -> Kind | None:
+        """What a fault looks like in a window; None where there is nothing to see."""
+        if drifted:
+            return Kind("random_walk", drifted)
+        view = beside(seen, window, self._normal, _members(sensor))
+        return None if view is None else kind_of(view, [axis % 3 for axis in axes], self._reset(view, sensor))
+
+    def _reset(self, view: Beside, sensor: int) -> tuple[float, float] | None:
+        """The range that explains a view of a sensor."""
+        return reset_to(view, self._axes[3 * sensor], self._ranges, self._unit_si)
+
+    def _name(self, exclusion: Exclusion, seen: Look, window: Window) -> None:
+        """Says what it is, a window after it was found: by then it fills a window. A sensor that is stuck or measures in
+        another range is left out as a whole.
+        """
+        agrees = agreeing(seen, self._normal, window.present)[list(exclusion.axes)].all()
+        over = agrees and not self._still.standing[exclusion.sensor]
+        now = None if over else self._kind(exclusion.sensor, exclusion.axes, exclusion.drifted_si, seen, window)
+        exclusion.kind = now or exclusion.first
+        if exclusion.kind is not None and exclusion.kind.whole:
+            out = self.out
+            out[list(exclusion.axes)] = False
+            out[list(_members(exclusion.sensor))] = True
+            if spans(self._rows[~out].T @ self._rows[~out]):
+                self._out = [each for each in self._out if each.sensor != exclusion.sensor or each is exclusion]
+                exclusion.axes = _members(exclusion.sensor)
+        self.telling.isolated(exclusion, exclusion.kind)
+
+    def _doubt(self, suspect: Suspect, seen: Look, window: Window, drifted: float) -> Flags:
+        """Counts the windows in which a fault shows that is nobody's, and says so when it lasts."""
+        sensor = suspect.axes[0] // 3
+        among = sorted({sensor, *suspect.rivals})
+        count, last = self._doubts.get(among[0], (0, -_FORGOTTEN_WINDOWS))
+        count = count + 1 if self._count - last < _FORGOTTEN_WINDOWS else 1
+        self._doubts[among[0]] = (count, self._count)
+        if count == _DOUBTFUL_WINDOWS:
+            kind = self._kind(sensor, suspect.axes, drifted, seen, window)
+            self.telling.doubted(suspect.axes, suspect.rivals, int(window.time[0]), kind, suspect.gain)
+        doubted = np.zeros(len(self._axes), bool)
+        doubted.reshape(-1, 3)[among] = True
+        return doubted
+
+    def _learn(self, seen: Look, doubted: Flags) -> None:
+        """What the sound axes read is normal."""
+        gains = seen.slow.axis_gains(seen.means)
+        sound = seen.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)
+        self._normal.learn(seen.regressors, seen.residual, sound)
+        whole = sound & (seen.counts == len(seen.triad)) & seen.white.told
+        share = seen.white.matrix.diagonal() * self._normal.variance
+        self._normal.learn_noise(seen.residual, seen.means, share, seen.counts, whole)
+
+    def _readmit(self, seen: Look, present: Flags, time_ns: int) -> None:
+        """Takes back those that have agreed for long enough."""
+        agrees = agreeing(seen, self._normal, present) & ~np.repeat(self._still.standing, 3)
+        for exclusion in list(self._out):
+            if exclusion.hears(agrees):
+                self._out.remove(exclusion)
+                self._blind = False
+                self.telling.readmitted(exclusion, time_ns)
+
+
+def _members(sensor: int) -> tuple[int, int, int]:
+    """The axes of a sensor."""
+    return 3 * sensor, 3 * sensor + 1, 3 * sensor + 2

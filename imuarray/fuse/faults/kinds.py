@@ -1,0 +1,141 @@
+"""What a fault looks like, once it is known whose it is: another range, stuck, off, walked off, noisy, spikes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse.axes import Axis
+from imuarray.fuse.faults.normal import Normal
+from imuarray.fuse.faults.window import Look, Window
+
+Floats = npt.NDArray[np.float64]
+
+Ranges = Mapping[str, Mapping[float, float]]
+"""By name of a chip: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
+
+QUIET = 0.1
+"""A triad whose changes from reading to reading have less than this share of their usual mean square is stuck, or
+measures in a wider range: chi-square with some 20 degrees of freedom never does that."""
+
+_SCALE_ALIKE = 0.15
+"""A range explains a ratio of readings within this share: each range has an offset of its own (BMA-79)."""
+
+_NOISE_ALIKE = 0.35
+"""And a ratio of noise within this one."""
+
+_TOLD = 8.0
+"""The signal is so many standard deviations of a reading at least, if a ratio is to be told from it."""
+
+_ROBUST = 1.4826
+"""From the median of magnitudes to the standard deviation of a normal variable."""
+
+_AS_EVER = 2.5
+"""Most readings scatter by less than so many times the usual."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """An effect's name, its size (see `FaultEvent.size_si`), whether all of the sensor is concerned, and the range."""
+
+    name: str
+    size: float
+    whole: bool = False
+    range: float | None = None
+
+
+@dataclass(frozen=True)
+class Beside:
+    """One triad beside what the others make of it: `own` and `told` (n, 3) along its axes, valid readings only."""
+
+    own: Floats
+    told: Floats
+    noise: Floats
+    quiet: float
+    """Mean square of its changes over the usual one."""
+    stale: bool
+
+    @property
+    def ratio(self) -> float:
+        """How many times what the others tell it reads; NaN where there is too little to tell it from."""
+        power = float((self.told**2).mean(axis=0).sum())
+        if not power > _TOLD**2 * float((self.noise**2).sum()) / len(self.told):
+            return np.nan
+        return float((self.own * self.told).sum() / (self.told**2).sum())
+
+    @property
+    def noise_ratios(self) -> Floats:
+        """(3,) by how much more than usual each axis scatters about what the others tell."""
+        return np.asarray((self.own - self.told).std(axis=0) / self.noise)
+
+
+def beside(seen: Look, window: Window, normal: Normal, axes: Sequence[int]) -> Beside | None:
+    """A triad (its three `axes`) beside the axes included in `seen`; None where it has too few valid readings."""
+    members = list(axes)
+    rows = window.valid[:, members].all(axis=1)
+    if rows.sum() < 3:
+        return None
+    told = seen.triad @ seen.rows[members].T
+    with np.errstate(invalid="ignore"):
+        quiet = float(np.mean(window.changes[members] / normal.change[members]))
+    stale = bool(window.stale is not None and window.stale[rows][:, members].all())
+    return Beside(window.values[rows][:, members], told[rows], np.sqrt(normal.variance[members]), quiet, stale)
+
+
+def reset_to(view: Beside, axis: Axis, ranges: Ranges, unit_si: float) -> tuple[float, float] | None:
+    """The range of its chip that explains how many times too much a triad reads (or, where there is nothing to read,
+    scatters), and that factor; None if none does.
+    """
+    table = ranges.get(axis.chip, {})
+    configured = min(table, key=lambda span: abs(span * unit_si - axis.range_si), default=0.0)
+    factors = {span: table[span] / table[configured] for span in table if table[span] != table[configured]}
+    if not factors:
+        return None
+    ratio, alike = view.ratio, _SCALE_ALIKE
+    if not np.isfinite(ratio):
+        quiet = view.quiet < QUIET
+        each = np.full(3, np.sqrt(view.quiet)) if quiet else view.noise_ratios
+        ratio, alike = float(np.exp(np.log(np.maximum(each, 1e-9)).mean())), _NOISE_ALIKE
+        if each.max() > 2.5 * each.min() or 0.5 < ratio < 1.8:
+            return None
+    best = min(factors, key=lambda span: abs(np.log(factors[span] / max(ratio, 1e-9))))
+    return (best, factors[best]) if abs(ratio / factors[best] - 1) < alike else None
+
+
+def kind_of(view: Beside, which: Sequence[int], reset: tuple[float, float] | None) -> Kind:
+    """What the fault of the axes `which` (0, 1, 2) of a triad is."""
+    if view.stale or (view.quiet < QUIET and reset is None):
+        return Kind("stuck", 0.0, whole=True)
+    if reset is not None:
+        return Kind("range_reset", reset[1], whole=True, range=reset[0])
+    chosen = list(which)
+    off = (view.own - view.told)[:, chosen]
+    size = float(off.mean(axis=0)[np.abs(off.mean(axis=0)).argmax()])
+    about = off - off.mean(axis=0)
+    noise = view.noise[chosen]
+    scatter = float((about**2).mean(axis=0).max() ** 0.5 / noise.max())
+    if abs(size) * np.sqrt(len(off)) < 6 * scatter * noise.max() and scatter > 2:
+        return _scattered(off, noise, scatter)
+    return _by_scale(view, chosen, about) or Kind("bias", size)
+
+
+def _by_scale(view: Beside, chosen: Sequence[int], about: Floats) -> Kind | None:
+    """Another scale, where that explains a window far better than another bias."""
+    told, own = view.told[:, chosen], view.own[:, chosen]
+    power = (told**2).sum(axis=0)
+    if not power.min() > _TOLD**2 * float((view.noise[chosen] ** 2).max()):
+        return None
+    factor = (own * told).sum(axis=0) / power
+    left = ((own - factor * told) ** 2).sum()
+    return Kind("scale", float(factor[np.abs(factor - 1).argmax()])) if left < 0.3 * (about**2).sum() else None
+
+
+def _scattered(off: Floats, noise: Floats, scatter: float) -> Kind:
+    """Spikes or noise: most readings are as ever, or all of them wilder."""
+    about = np.abs(off - np.median(off, axis=0))
+    if (_ROBUST * np.median(about, axis=0) < _AS_EVER * noise).all():
+        return Kind("glitches", float(about.max()))
+    return Kind("white_noise", scatter)

@@ -1,0 +1,140 @@
+"""A stage between alignment and technique that leaves out the axes of one quantity that have failed.
+
+Frames are judged in decision windows of a tenth of a second, counted from the first frame, so that the cuts between
+blocks leave no trace. Frames are given back one window late: the window in which a fault is found, and the one before,
+in which it may have begun, are already without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import FusionError
+from imuarray.fuse.axes import Axis, directions
+from imuarray.fuse.faults.events import FaultEvent
+from imuarray.fuse.faults.judge import Judge
+from imuarray.fuse.faults.kinds import Ranges
+from imuarray.fuse.faults.window import Window
+from imuarray.fuse.frames import Frames
+
+Flags = npt.NDArray[np.bool_]
+
+WINDOW_S = 0.1
+"""Length of a decision window; two of them are the delay of a live result."""
+
+LEAST_FRAMES = 4
+"""And of no less than so many frames: a slow log is judged more slowly."""
+
+NO_RANGES: Ranges = MappingProxyType({})
+
+
+class FaultMonitor:
+    """Takes consecutive blocks of frames of one quantity, of any length; gives the same frames, in which `valid` is
+    False for axes that were found faulty. `events` grows as they are found.
+
+    At most two decision windows are held back (0.2 s, or 8 frames where those are longer); `finish` gives them. A
+    fault is found in any geometry of two triads or more, and isolated where the axes tell which one it is: of two
+    triads only one that is stuck, changed its range or its noise can be told.
+    """
+
+    def __init__(
+        self, axes: Sequence[Axis], quantity: str, *, period_s: float, ranges: Ranges = NO_RANGES
+    ) -> None:
+        """`axes` in threes, a triad each, as `axes_of` gives them, of `quantity` ("specific_force" or "angular_rate");
+        `period_s` from frame to frame; `ranges` the sensitivities of the chips by name, for a sensor that has fallen
+        back to another range. FusionError for axes that are no triads, and for a period that is not above 0.
+        """
+        _check(axes, period_s)
+        self.window = max(LEAST_FRAMES, round(WINDOW_S / period_s))
+        self._judge = Judge(axes, directions(axes), quantity, self.window, period_s, ranges)
+        self._held: Frames | None = None
+        self._masks: list[Flags] = []
+
+    @property
+    def events(self) -> tuple[FaultEvent, ...]:
+        """What was found so far, in order."""
+        return tuple(self._judge.telling.events)
+
+    def __call__(self, frames: Frames) -> Frames:
+        """The frames that are done with, in order: none at all while the first window fills."""
+        held = frames if self._held is None else _joined(self._held, frames)
+        first = len(self._masks) * self.window
+        for start in range(first, len(held.time) - self.window + 1, self.window):
+            self._masks.append(np.zeros(held.valid.shape[1], bool))
+            self._judge(_window(held, start, start + self.window), self._masks[-2:])
+        return self._release(held, max(0, len(self._masks) - 1))
+
+    def finish(self) -> Frames | None:
+        """The frames that were still held back; None where there are none. What is too short to be judged is without
+        the axes that are left out at the end.
+        """
+        if self._held is None or not len(self._held.time):
+            return None
+        self._judge.close()
+        self._masks.append(self._judge.out)
+        return self._release(self._held, len(self._masks))
+
+    def _release(self, held: Frames, windows: int) -> Frames:
+        """The frames of the first `windows` windows, masked; the others stay."""
+        stop = min(windows * self.window, len(held.time))
+        self._held = _part(held, stop, len(held.time))
+        done = _part(held, 0, stop)
+        masks, self._masks = self._masks[:windows], self._masks[windows:]
+        if not any(mask.any() for mask in masks):
+            return done
+        out = np.repeat(np.array(masks), self.window, axis=0)[:stop]
+        return Frames(done.time, done.values, done.valid & ~out, done.clipped, done.stale)
+
+
+def _check(axes: Sequence[Axis], period_s: float) -> None:
+    """FusionError unless these are triads and time goes on."""
+    triads = [axes[start : start + 3] for start in range(0, len(axes), 3)]
+    if not axes or any([axis.index for axis in triad] != [0, 1, 2] for triad in triads):
+        raise FusionError(f"{len(axes)} axes: whole triads, x, y and z of one sensor after the other, are wanted")
+    for triad in triads:
+        if len({axis.sensor for axis in triad}) > 1:
+            raise FusionError(f"sensor {triad[0].sensor}: a whole triad is wanted, {triad[1].label} is not of it")
+    if not period_s > 0:
+        raise FusionError(f"period_s: {period_s}; allowed is anything above 0")
+
+
+def _window(frames: Frames, start: int, stop: int) -> Window:
+    stale = None if frames.stale is None else frames.stale[start:stop]
+    return Window(frames.time[start:stop], frames.values[start:stop], frames.valid[start:stop], stale)
+
+
+def _part(frames: Frames, start: int, stop: int) -> Frames:
+    rows = slice(start, stop)
+    clipped = None if frames.clipped is None else frames.clipped[rows]
+    stale = None if frames.stale is None else frames.stale[rows]
+    return Frames(frames.time[rows], frames.values[rows], frames.valid[rows], clipped, stale)
+
+
+def _joined(first: Frames, second: Frames) -> Frames:
+    shape = (len(first.time), len(second.time), first.valid.shape[1])
+    return Frames(
+        np.concatenate([first.time, second.time]),
+        np.concatenate([first.values, second.values]),
+        np.concatenate([first.valid, second.valid]),
+        _both(first.clipped, second.clipped, shape, np.int8),
+        _both(first.stale, second.stale, shape, np.bool_),
+    )
+
+
+def _both(
+    first: npt.NDArray[np.generic] | None,
+    second: npt.NDArray[np.generic] | None,
+    shape: tuple[int, int, int],
+    dtype: type[np.generic],
+) -> npt.NDArray[np.generic] | None:
+    """One after the other; nowhere where one of them does not say."""
+    if first is None and second is None:
+        return None
+    n, k, m = shape
+    return np.concatenate(
+        [np.zeros((n, m), dtype) if first is None else first, np.zeros((k, m), dtype) if second is None else second]
+    )

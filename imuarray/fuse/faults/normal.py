@@ -1,0 +1,144 @@
+"""What is normal for each axis of an array: noise, slow bias, and errors of calibration that show in motion only.
+
+An axis reads ``value = row @ triad + regressors @ state + noise``: the state holds a bias, three errors of its response
+(what share of each box component it reads too much) and a delay. Each axis' state is a small Kalman filter of its own
+on what parity leaves, so that errors of calibration, delays between chips and drift are learnt and no faults; what is
+not known yet counts as uncertainty. How far the noise is from white is learnt from the change between windows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.units import STANDARD_GRAVITY
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+STATES = 5
+"""Bias, three errors of response, delay."""
+
+BIAS_SI: Mapping[str, float] = MappingProxyType(
+    {"specific_force": 0.15 * STANDARD_GRAVITY, "angular_rate": np.radians(5.0)}
+)
+"""Standard deviation of the bias of an axis when a log begins: uncalibrated units are within it or twice it (Tables 3
+and 4 of the paper; BMA-112, ADX-60, L3G-70)."""
+
+RESPONSE = 0.04
+"""Of each error of response: 2 % of scale and, for units that nobody calibrated, some degrees of mounting (BMA-119,
+ADX-66; the boards of the paper's section 5.2.1)."""
+
+DELAY_S = 0.003
+"""Of the delay between the filters of two chips."""
+
+_KEEPS_S = 3600.0
+"""Errors of response and delay are forgotten within this time: they change with temperature."""
+
+_WANDER = 0.05
+"""Random walk of the bias, as a share of a single reading's noise, in a second."""
+
+_KAPPA_WINDOWS = 100
+_Q_WINDOWS = 50
+
+
+class Normal:
+    """The running model of every axis; states (m, 5), their covariances (m, 5, 5).
+
+    `noise` (m,) the standard deviation of a single reading in SI, NaN where it is to be learnt from the first windows.
+    `colour` (m,) by how much more the mean of a window scatters than white noise would let it; between 1 and the
+    window's length. `change` (m,) mean square of the change from one reading to the next that is the axis' own.
+    """
+
+    def __init__(self, noise: Floats, quantity: str, window: int, period_s: float) -> None:
+        self.learnt = ~(noise > 0)
+        self.variance = np.where(self.learnt, np.nan, noise**2)
+        size = len(noise)
+        self.state = np.zeros((size, STATES))
+        prior = np.array([BIAS_SI[quantity], RESPONSE, RESPONSE, RESPONSE, DELAY_S]) ** 2
+        self._prior = np.diag(prior)
+        self.covariance = np.tile(self._prior, (size, 1, 1))
+        self.colour = np.full(size, max(1.0, window / 2))
+        self.change = np.full(size, np.nan)
+        self._window = window
+        keep = np.exp(-window * period_s / _KEEPS_S)
+        self._keep = np.array([1.0, keep, keep, keep, keep])
+        self._fresh = self._prior * (1 - np.diag(self._keep) ** 2)
+        self._wander = _WANDER**2 * window * period_s
+        self._seen = np.zeros(size)
+        self._before: Floats | None = None
+
+    def begin(self, values: Floats) -> None:
+        """The noise of axes that nobody measured, from the changes in a first window (n, m): they hold motion too, so
+        it is rather too large than too small; `learn` lets it fall.
+        """
+        guess = np.maximum((np.diff(values, axis=0) ** 2).mean(axis=0), 1e-12)
+        self.variance = np.where(self.learnt, guess, self.variance)
+        floor = 1e-6 * float(np.median(self.variance))
+        self.variance = np.maximum(self.variance, floor)
+        self.change = 2 * self.variance
+
+    def regressors(self, triad: Floats, slope: Floats, rows: Floats) -> Floats:
+        """(m, n, 5) of a window with triads (n, 3) and their slopes (n, 3)."""
+        found = np.empty((len(rows), len(triad), STATES))
+        found[..., 0] = 1.0
+        found[..., 1:4] = triad
+        found[..., 4] = rows @ slope.T
+        return found
+
+    def explains(self, regressors: Floats) -> Floats:
+        """(n, m) what the states make of a window."""
+        return np.asarray((regressors @ self.state[:, :, None])[..., 0].T)
+
+    def doubt(self, regressors: Floats) -> Floats:
+        """(m,) the variance that the states' uncertainty gives one row of regressors (m, 5)."""
+        return np.asarray(((self.covariance @ regressors[:, :, None])[..., 0] * regressors).sum(axis=1))
+
+    def doubt_within(self, centred: Floats) -> Floats:
+        """(m,) the mean variance that it gives within a window; `centred` (m, n, 5) regressors less their mean."""
+        return np.asarray(((centred @ self.covariance) * centred).sum(axis=(1, 2)) / centred.shape[1])
+
+    def age(self, which: Flags) -> None:
+        """One window goes by: biases wander, what was learnt of responses fades. Axes that are left out don't age: what
+        they come back with has to be what they left with.
+        """
+        older = self.covariance * np.outer(self._keep, self._keep) + self._fresh
+        older[:, 0, 0] += self._wander * self.variance
+        self.covariance = np.where(which[:, None, None], older, self.covariance)
+
+    def learn(self, regressors: Floats, residual: Floats, which: Flags) -> None:
+        """Updates the states of the axes `which` by the residuals (n, m) of a window; invalid ones are 0 and have no
+        regressors.
+        """
+        axes = np.flatnonzero(which)
+        scatter = (self.colour * self.variance)[axes, None, None]
+        rows = regressors[axes]
+        turned = rows.transpose(0, 2, 1)
+        covariance = self.covariance[axes]
+        covariance = np.linalg.solve(np.eye(STATES) + covariance @ (turned @ rows) / scatter, covariance)
+        covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
+        self.covariance[axes] = covariance
+        self.state[axes] += (covariance @ (turned @ residual.T[axes, :, None] / scatter))[..., 0]
+
+    def learn_noise(self, own: Floats, means: Floats, share: Floats, counts: Floats, which: Flags) -> None:
+        """Updates colour, change and, where it is to be learnt, noise, from residuals (n, m) of a window and their
+        means (m,); `share` (m,) of its own variance is left in an axis' residual, `counts` (m,) readings are in it.
+        """
+        share = np.maximum(share, 0.05)
+        step = (np.diff(own, axis=0) ** 2).mean(axis=0) / share
+        rate = 1 / np.minimum(self._seen + 2, _Q_WINDOWS)
+        self.change = np.where(which, self.change + rate * (np.minimum(step, 4 * self.change) - self.change), self.change)
+        if self.learnt.any():
+            within = own.var(axis=0) / share * (len(own) / max(1, len(own) - 1))
+            moved = self.variance + rate * (np.minimum(within, 2 * self.variance) - self.variance)
+            self.variance = np.where(self.learnt & which & (self._seen < _Q_WINDOWS), moved, self.variance)
+        if self._before is not None:
+            told = counts * (means - self._before) ** 2 / (2 * share * self.variance)
+            rate = 1 / np.minimum(self._seen + 10, _KAPPA_WINDOWS)
+            colour = self.colour + rate * (np.minimum(told, 9 * self.colour) - self.colour)
+            self.colour = np.where(which & np.isfinite(told), np.clip(colour, 1.0, self._window), self.colour)
+        self._before = np.where(which, means, np.nan)
+        self._seen += which

@@ -1,0 +1,120 @@
+"""One decision window of an array: its readings, and what is seen in them when some of the axes are believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse.faults.normal import Normal
+from imuarray.fuse.faults.parity import Parity, parity
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Times = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Window:
+    """n consecutive frames of m axes: time (n,) ns, values (n, m) in SI, valid and stale (n, m)."""
+
+    time: Times
+    values: Floats
+    valid: Flags
+    stale: Flags | None
+
+    @property
+    def present(self) -> Flags:
+        """(m,) the axes that have enough readings to be judged: two."""
+        return np.asarray(self.valid.sum(axis=0) >= 2)
+
+    @property
+    def changes(self) -> Floats:
+        """(m,) mean square of the change from reading to reading, NaN where no two valid ones follow each other."""
+        both = self.valid[1:] & self.valid[:-1]
+        squares = np.where(both, np.diff(self.values, axis=0), 0.0) ** 2
+        counts = both.sum(axis=0)
+        return np.where(counts > 0, squares.sum(axis=0) / np.maximum(counts, 1), np.nan)
+
+
+@dataclass(frozen=True)
+class Look:
+    """A window as the axes `included` (m,) see it.
+
+    `triad` (n, 3) is their estimate; `residual` (n, m) is what each axis (also one that is not included) reads beside
+    that and its model of what is normal, 0 where it has no valid reading; `means` (m,) of it over the `counts` (m,)
+    valid readings, with variances `doubt` (m,) of each axis alone. `white` is the parity space of single readings,
+    `slow` that of the means. `regressors` (m, n, 5) are those of the normal model, 0 for invalid readings.
+    """
+
+    included: Flags
+    triad: Floats
+    residual: Floats
+    means: Floats
+    counts: Floats
+    doubt: Floats
+    white: Parity
+    slow: Parity
+    regressors: Floats
+    rows: Floats
+
+    @property
+    def spread(self) -> Floats:
+        """(m,) variance of the mean residual of an axis that is not included."""
+        others = ((self.rows @ self.slow.spread) * self.rows).sum(axis=1)
+        return np.asarray(self.doubt + others)
+
+    def energies(self, normal: Normal) -> tuple[Floats, Floats]:
+        """(m,) the sum of squares, in variances, of each included axis' deleted residual about its mean; and the share
+        of that variance that is no noise but doubt about calibration, and so the same from reading to reading.
+        """
+        centred = np.where(self.residual == 0, 0.0, self.residual - self.means)
+        deleted = self.white.deleted
+        found = (centred @ deleted.T) ** 2
+        noise = np.where(self.white.told, 1 / np.where(self.white.told, self.white.matrix.diagonal(), 1.0), np.inf)
+        known = self.regressors - self.regressors.mean(axis=1, keepdims=True)
+        lasting = deleted**2 @ normal.doubt_within(known)
+        return found.sum(axis=0) / (noise + lasting), lasting / (noise + lasting)
+
+
+def look(window: Window, normal: Normal, rows: Floats, included: Flags) -> Look | None:
+    """The window as the axes `included` see it; None where these don't tell all of a triad."""
+    weights = np.where(included, 1 / normal.variance, 0.0)
+    white = parity(rows, weights)
+    if white is None:
+        return None
+    bias = normal.state[:, 0]
+    values, valid = window.values, window.valid
+    whole = bool(valid[:, included].all())
+    if not whole or not valid.all():
+        steady = white if whole else parity(rows, np.where(valid.all(axis=0), weights, 0.0))
+        if steady is None:
+            return None
+        known = np.where(valid, values - bias, 0.0) @ steady.gain.T
+        values = np.where(valid, values, known @ rows.T + bias)
+    triad = (values - bias) @ white.gain.T
+    regressors = normal.regressors(triad, _slope(window.time, triad), rows)
+    errors = values - normal.explains(regressors)
+    triad = errors @ white.gain.T
+    residual = errors - triad @ rows.T
+    counts = np.maximum(valid.sum(axis=0), 1).astype(float)
+    if not valid.all():
+        residual = np.where(valid, residual, 0.0)
+        regressors = regressors * valid.T[:, :, None]
+    means = residual.sum(axis=0) / counts
+    doubt = normal.colour * normal.variance / counts + normal.doubt(regressors.sum(axis=1) / counts[:, None])
+    slow = parity(rows, np.where(included, 1 / doubt, 0.0))
+    if slow is None:
+        return None
+    return Look(included, triad, residual, means, counts, doubt, white, slow, regressors, rows)
+
+
+def _slope(time: Times, triad: Floats) -> Floats:
+    """(n, 3) change per second: central differences, one-sided at the ends."""
+    seconds = (time - time[0]) * 1e-9
+    slope = np.empty_like(triad)
+    slope[1:-1] = (triad[2:] - triad[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
+    slope[0] = (triad[1] - triad[0]) / (seconds[1] - seconds[0])
+    slope[-1] = (triad[-1] - triad[-2]) / (seconds[-1] - seconds[-2])
+    return slope
