@@ -1,4 +1,4 @@
-"""The slow departure of each axis from where it was when the log began: drift may go so far, a walk-off goes farther."""
+"""How far each axis has slowly departed from where it began: drift may go so far, a walk-off goes farther."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from imuarray.fuse.faults.hypotheses import Suspect
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.parity import parity
+from imuarray.fuse.faults.parity import Spaces
 from imuarray.fuse.faults.window import Look
 from imuarray.units import STANDARD_GRAVITY
 
@@ -20,10 +20,10 @@ Flags = npt.NDArray[np.bool_]
 DRIFT_SI: Mapping[str, float] = MappingProxyType(
     {"specific_force": 0.1 * STANDARD_GRAVITY, "angular_rate": np.radians(3.0)}
 )
-"""How far an axis may drift in a run: twice what the worst axis of the paper's Table 8 does over its 28 degC (1.4 mg and
-0.05 dps per degC)."""
+"""How far an axis may drift in a run: twice what the worst axis of the paper's Table 8 does over its 28 degC
+(1.4 mg and 0.05 dps per degC)."""
 
-_SETTLES_S = 3.0
+_SETTLED = 3
 _SIGMAS = 4.0
 _CLEARLY = 0.7
 """Another sensor that departs by more than this share of the worst one's departure might be the one as well."""
@@ -32,21 +32,23 @@ _CLEARLY = 0.7
 class Baseline:
     """Where each axis began, and how far it is from there."""
 
-    def __init__(self, rows: Floats, quantity: str, window_s: float) -> None:
-        self._rows = rows
+    def __init__(self, rows: Floats, quantity: str) -> None:
+        self._spaces = Spaces(rows)
         self._limit = DRIFT_SI[quantity]
-        self._settles = max(1, round(_SETTLES_S / window_s))
-        self._windows = np.zeros(len(rows))
+        self._seen = np.zeros(len(rows))
         self._state: Floats | None = None
         self._covariance: Floats | None = None
 
-    def departed(self, seen: Look, normal: Normal) -> tuple[Suspect, float] | None:
-        """The axis that has walked off farthest, beyond what drift allows, and how far in SI; None if none has."""
+    def departed(self, seen: Look, normal: Normal) -> tuple[Suspect | None, float]:
+        """The axis that has walked off farthest, beyond what drift allows, and how far in SI; None if none has.
+
+        To be asked at equal intervals: an axis is settled after `_SETTLED` of them.
+        """
         self._settle(seen.included, normal)
-        begun = seen.included & (self._windows >= self._settles)
-        space = parity(self._rows, begun.astype(float))
+        begun = seen.included & (self._seen >= _SETTLED)
+        space = self._spaces(begun.astype(float))
         if space is None or self._state is None or self._covariance is None:
-            return None
+            return None, 0.0
         usual = seen.regressors.sum(axis=1) / seen.counts[:, None]
         moved = np.where(begun, ((normal.state - self._state) * usual).sum(axis=1), 0.0)
         unknown = np.einsum("mi,mij,mj->m", usual, self._covariance, usual)
@@ -56,7 +58,7 @@ class Baseline:
         share = np.where(space.told, np.abs(departure) / allowed, 0.0)
         worst = int(share.argmax())
         if share[worst] < 1:
-            return None
+            return None, 0.0
         sensors = share.reshape(-1, 3).max(axis=1) > _CLEARLY * share[worst]
         sensors[worst // 3] = False
         gain = float((departure[worst] / allowed[worst] * _SIGMAS) ** 2)
@@ -69,8 +71,8 @@ class Baseline:
 
     def _settle(self, included: Flags, normal: Normal) -> None:
         """Notes the state of each axis when it has been in use for long enough."""
-        self._windows += included
+        self._seen += included
         if self._state is None or self._covariance is None:
             self._state, self._covariance = normal.state.copy(), normal.covariance.copy()
-        now = included & (self._windows == self._settles)
+        now = included & (self._seen == _SETTLED)
         self._state[now], self._covariance[now] = normal.state[now], normal.covariance[now]

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Literal
 
 from imuarray.units import READABLE_SI
+
+UNIT: Mapping[str, str] = MappingProxyType({"specific_force": "g", "angular_rate": "dps"})
+"""In which measuring ranges are given."""
 
 State = Literal["isolated", "not isolated", "readmitted", "silent", "back", "no redundancy"]
 
@@ -49,7 +54,7 @@ class FaultEvent:
         if self.state == "silent":
             return f"gave no valid reading for {self.size_si:.1f} s; the result is that of the others"
         if self.state == "no redundancy":
-            return "and what else is left can't check each other: no further fault would be found"
+            return "is out, and those that remain can't check each other: no further fault would be found"
         if self.state == "not isolated":
             others = " or ".join(self.others)
             return f"{self._fault()} ({self.significance:.0f} sigma), or {others} is: can't tell which, all stay in use"
@@ -59,7 +64,8 @@ class FaultEvent:
         """What is the matter."""
         factor, unit = READABLE_SI[self.quantity]
         size = f"{factor * self.size_si:.3g} {unit}"
-        reset = f"reads {self.size_si:.3g} times what the others do, as if set to a range of {self.range or 0:g}"
+        span = f"{self.range or 0:g} {UNIT[self.quantity]}"
+        reset = f"has {self.size_si:.3g} times its scale, as if set to a range of {span}"
         words = {
             "bias": f"is off by {size}",
             "random_walk": f"has walked off by {size}",

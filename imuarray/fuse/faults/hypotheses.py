@@ -23,8 +23,8 @@ from imuarray.fuse.faults.window import Look
 Floats = npt.NDArray[np.float64]
 
 AXIS_GAIN = 50.0
-"""Gain (7 standard deviations) from which the mean of an axis is off: 2e-12 per test for normal noise. The reserve is for
-what is not normal."""
+"""Gain (7 standard deviations) from which the mean of an axis is off: 2e-12 per test for normal noise. The reserve is
+for what is not normal."""
 
 SENSOR_GAIN = 57.0
 """The same probability with three degrees of freedom."""

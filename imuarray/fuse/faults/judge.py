@@ -9,14 +9,15 @@ import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.baseline import Baseline
+from imuarray.fuse.faults.events import UNIT
 from imuarray.fuse.faults.exclusions import Exclusion, agreeing, needs
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Suspect, strongest
 from imuarray.fuse.faults.kinds import Beside, Kind, Ranges, beside, kind_of, reset_to
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.parity import spans
+from imuarray.fuse.faults.parity import Spaces, spans
 from imuarray.fuse.faults.rivals import told_apart
 from imuarray.fuse.faults.silence import Silence
-from imuarray.fuse.faults.stillness import Stillness
+from imuarray.fuse.faults.stillness import QUIETEST, Stillness
 from imuarray.fuse.faults.telling import Telling
 from imuarray.fuse.faults.window import Look, Window, look
 from imuarray.units import SI_PER_UNIT
@@ -30,10 +31,11 @@ _MOST = 4
 _DOUBTFUL_WINDOWS = 3
 """For so many windows a fault has to show before it is said that nobody can tell whose it is."""
 
+_BASELINE_WINDOWS = 10
+"""How often it is asked whether somebody has walked off."""
+
 _FORGOTTEN_WINDOWS = 50
 """What could not be told is told again if it has not shown for so many windows."""
-
-_UNIT = {"specific_force": "g", "angular_rate": "dps"}
 
 _STUCK_GAIN = 100.0
 """Ten standard deviations: what two windows without a change stand for, at the least."""
@@ -46,11 +48,12 @@ class Judge:
         self, axes: Sequence[Axis], rows: Floats, quantity: str, window: int, period_s: float, ranges: Ranges
     ) -> None:
         self._axes, self._rows, self._ranges = axes, rows, ranges
-        self._unit_si = SI_PER_UNIT[_UNIT[quantity]]
+        self._unit_si = SI_PER_UNIT[UNIT[quantity]]
         self._window_s = window * period_s
         noise = np.array([np.nan if axis.noise_si is None else axis.noise_si for axis in axes])
         self._normal = Normal(noise, quantity, window, period_s)
-        self._baseline = Baseline(rows, quantity, self._window_s)
+        self._baseline = Baseline(rows, quantity)
+        self._spaces = Spaces(rows)
         names = [axis.sensor for axis in axes[::3]]
         self._still = Stillness(len(names))
         self._silence = Silence(len(names), self._window_s)
@@ -87,7 +90,7 @@ class Judge:
             for exclusion in waiting:
                 if any(exclusion is each for each in self._out):  # else it is part of another by now
                     self._name(exclusion, seen, window)
-            self._learn(seen, doubted)
+            self._learn(seen, window, doubted)
         new = self.out & ~before
         for mask in masks:
             mask |= new
@@ -102,8 +105,8 @@ class Judge:
                 self.telling.isolated(exclusion, exclusion.first)
 
     def _search(self, window: Window, time_ns: int) -> tuple[Look | None, Flags]:
-        """Leaves out one suspect after the other until what is left agrees; the window as that sees it (None: too little
-        is left), and the axes (m,) of sensors of whom one is faulty, but none knows which.
+        """Leaves out one suspect after the other until what is left agrees; the window as that sees it (None: too
+        little is left), and the axes (m,) of sensors of whom one is faulty, but none knows which.
         """
         nobody = np.zeros(len(self._axes), bool)
         for _ in range(_MOST):
@@ -111,8 +114,8 @@ class Judge:
             if seen is None:
                 return None, nobody
             suspect, drifted = strongest(seen, self._normal), 0.0
-            if suspect is None and (walked := self._baseline.departed(seen, self._normal)) is not None:
-                suspect, drifted = walked
+            if suspect is None and self._count % _BASELINE_WINDOWS == 0:
+                suspect, drifted = self._baseline.departed(seen, self._normal)
             if suspect is None:
                 return seen, nobody
             if suspect.rivals:
@@ -123,11 +126,20 @@ class Judge:
 
     def _look(self, window: Window) -> Look | None:
         """The window as those see it who are in; says so once if they can't check each other."""
-        seen = look(window, self._normal, self._rows, window.present & ~self.out)
-        if self._out and not self._blind and (seen is None or not seen.white.told[seen.included].any()):
+        seen = self._seen_by(~self.out, window)
+        if (
+            self._out
+            and self._out[-1].named
+            and not self._blind
+            and (seen is None or not seen.white.told[seen.included].any())
+        ):
             self._blind = True
             self.telling.blind(self._out[-1].sensor, int(window.time[0]))
         return seen
+
+    def _seen_by(self, included: Flags, window: Window) -> Look | None:
+        """The window as the axes `included` see it."""
+        return look(window, self._normal, self._rows, window.present & included, self._spaces)
 
     def _exclude(self, suspect: Suspect, time_ns: int, drifted: float = 0.0, window: Window | None = None) -> bool:
         """Leaves axes out; False where the others would no longer tell all of a triad."""
@@ -142,7 +154,8 @@ class Judge:
         self._out.append(made)
         for axis in axes if drifted else ():
             self._baseline.send_back(axis, self._normal)
-        if window is not None and (seen := look(window, self._normal, self._rows, window.present & ~out)) is not None:
+        seen = None if window is None else self._seen_by(~out, window)
+        if window is not None and seen is not None:
             made.first = self._kind(made.sensor, made.axes, drifted, seen, window)
         return True
 
@@ -158,8 +171,8 @@ class Judge:
         return reset_to(view, self._axes[3 * sensor], self._ranges, self._unit_si)
 
     def _name(self, exclusion: Exclusion, seen: Look, window: Window) -> None:
-        """Says what it is, a window after it was found: by then it fills a window. A sensor that is stuck or measures in
-        another range is left out as a whole.
+        """Says what it is, a window after it was found: by then it fills a window. A sensor that is stuck or measures
+        in another range is left out as a whole.
         """
         agrees = agreeing(seen, self._normal, window.present)[list(exclusion.axes)].all()
         over = agrees and not self._still.standing[exclusion.sensor]
@@ -188,12 +201,13 @@ class Judge:
         doubted.reshape(-1, 3)[among] = True
         return doubted
 
-    def _learn(self, seen: Look, doubted: Flags) -> None:
+    def _learn(self, seen: Look, window: Window, doubted: Flags) -> None:
         """What the sound axes read is normal."""
         gains = seen.slow.axis_gains(seen.means)
         sound = seen.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)
         self._normal.learn(seen.regressors, seen.residual, sound)
         whole = sound & (seen.counts == len(seen.triad)) & seen.white.told
+        whole &= window.changes > QUIETEST * self._normal.change
         share = seen.white.matrix.diagonal() * self._normal.variance
         self._normal.learn_noise(seen.residual, seen.means, share, seen.counts, whole)
 

@@ -49,7 +49,9 @@ class Kind:
 
 @dataclass(frozen=True)
 class Beside:
-    """One triad beside what the others make of it: `own` and `told` (n, 3) along its axes, valid readings only."""
+    """One triad beside what the others make of it: `own` readings, less what is normal for it, and `told` (n, 3) along
+    its axes, valid readings only; `noise` (3,) of a single one.
+    """
 
     own: Floats
     told: Floats
@@ -82,7 +84,8 @@ def beside(seen: Look, window: Window, normal: Normal, axes: Sequence[int]) -> B
     with np.errstate(invalid="ignore"):
         quiet = float(np.mean(window.changes[members] / normal.change[members]))
     stale = bool(window.stale is not None and window.stale[rows][:, members].all())
-    return Beside(window.values[rows][:, members], told[rows], np.sqrt(normal.variance[members]), quiet, stale)
+    own = told[rows] + seen.residual[rows][:, members]
+    return Beside(own, told[rows], np.sqrt(normal.variance[members]), quiet, stale)
 
 
 def reset_to(view: Beside, axis: Axis, ranges: Ranges, unit_si: float) -> tuple[float, float] | None:

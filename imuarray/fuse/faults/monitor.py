@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ from imuarray.fuse.faults.window import Window
 from imuarray.fuse.frames import Frames
 
 Flags = npt.NDArray[np.bool_]
+Scalar = TypeVar("Scalar", np.int8, np.bool_)
 
 WINDOW_S = 0.1
 """Length of a decision window; two of them are the delay of a live result."""
@@ -41,9 +43,7 @@ class FaultMonitor:
     triads only one that is stuck, changed its range or its noise can be told.
     """
 
-    def __init__(
-        self, axes: Sequence[Axis], quantity: str, *, period_s: float, ranges: Ranges = NO_RANGES
-    ) -> None:
+    def __init__(self, axes: Sequence[Axis], quantity: str, *, period_s: float, ranges: Ranges = NO_RANGES) -> None:
         """`axes` in threes, a triad each, as `axes_of` gives them, of `quantity` ("specific_force" or "angular_rate");
         `period_s` from frame to frame; `ranges` the sensitivities of the chips by name, for a sensor that has fallen
         back to another range. FusionError for axes that are no triads, and for a period that is not above 0.
@@ -126,15 +126,14 @@ def _joined(first: Frames, second: Frames) -> Frames:
 
 
 def _both(
-    first: npt.NDArray[np.generic] | None,
-    second: npt.NDArray[np.generic] | None,
+    first: npt.NDArray[Scalar] | None,
+    second: npt.NDArray[Scalar] | None,
     shape: tuple[int, int, int],
-    dtype: type[np.generic],
-) -> npt.NDArray[np.generic] | None:
-    """One after the other; nowhere where one of them does not say."""
+    dtype: type[Scalar],
+) -> npt.NDArray[Scalar] | None:
+    """One after the other; 0 where one of them does not say."""
     if first is None and second is None:
         return None
     n, k, m = shape
-    return np.concatenate(
-        [np.zeros((n, m), dtype) if first is None else first, np.zeros((k, m), dtype) if second is None else second]
-    )
+    parts = [np.zeros((n, m), dtype) if first is None else first, np.zeros((k, m), dtype) if second is None else second]
+    return np.concatenate(parts)

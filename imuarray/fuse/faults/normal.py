@@ -130,7 +130,9 @@ class Normal:
         share = np.maximum(share, 0.05)
         step = (np.diff(own, axis=0) ** 2).mean(axis=0) / share
         rate = 1 / np.minimum(self._seen + 2, _Q_WINDOWS)
-        self.change = np.where(which, self.change + rate * (np.minimum(step, 4 * self.change) - self.change), self.change)
+        self.change = np.where(
+            which, self.change + rate * (np.minimum(step, 4 * self.change) - self.change), self.change
+        )
         if self.learnt.any():
             within = own.var(axis=0) / share * (len(own) / max(1, len(own) - 1))
             moved = self.variance + rate * (np.minimum(within, 2 * self.variance) - self.variance)

@@ -1,8 +1,8 @@
 """Parity space of an array: what its axes say that no motion of the box can explain.
 
-Readings of one instant are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an axis that
-is left out), ``A = W - W rows (rows' W rows)^-1 rows' W`` is blind to the truth, and ``d = A @ values`` is what the
-readings say of errors only. The generalised likelihood ratio of "these axes F have an error, of any size" against
+Readings of one instant are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an axis
+that is left out), ``A = W - W rows (rows' W rows)^-1 rows' W`` is blind to the truth, and ``d = A @ values`` is what
+the readings say of errors only. The generalised likelihood ratio of "these axes F have an error, of any size" against
 "none has" is ``d_F' A_FF^-1 d_F``, chi-square with as many degrees of freedom as axes (Daly, Gai and Harrison,
 Journal of Guidance and Control 2, 1979; Sturza, Navigation 35, 1988).
 """
@@ -10,6 +10,7 @@ Journal of Guidance and Control 2, 1979; Sturza, Navigation 35, 1988).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +30,7 @@ class Parity:
     spread: Floats
     told: Flags
 
-    @property
+    @cached_property
     def deleted(self) -> Floats:
         """(m, m) gives the deleted residuals: each axis against what all the others say of it; 0 for an axis whose
         error does not show.
@@ -58,11 +59,26 @@ def parity(rows: Floats, weights: Floats) -> Parity | None:
     normal = weighted.T @ rows
     if not spans(normal):
         return None
-    spread = np.linalg.inv(normal)
+    spread = np.asarray(np.linalg.inv(normal), float)
     gain = spread @ weighted.T
     matrix = np.diag(weights) - weighted @ gain
     told = matrix.diagonal() > 1e-6 * weights
-    return Parity(gain, matrix, spread, np.asarray(told & (weights > 0)))
+    return Parity(np.asarray(gain), np.asarray(matrix), np.asarray(spread), np.asarray(told & (weights > 0)))
+
+
+class Spaces:
+    """Parity spaces of one set of axes; the last one is kept, for weights change only when somebody is left out."""
+
+    def __init__(self, rows: Floats) -> None:
+        self._rows = rows
+        self._key = b""
+        self._last: Parity | None = None
+
+    def __call__(self, weights: Floats) -> Parity | None:
+        """As `parity`."""
+        if (key := weights.tobytes()) != self._key:
+            self._key, self._last = key, parity(self._rows, weights)
+        return self._last
 
 
 def spans(normal: Floats) -> bool:

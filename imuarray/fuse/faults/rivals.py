@@ -11,6 +11,7 @@ import numpy.typing as npt
 from imuarray.fuse.faults.hypotheses import Suspect
 from imuarray.fuse.faults.kinds import QUIET, Beside, beside
 from imuarray.fuse.faults.normal import Normal
+from imuarray.fuse.faults.parity import Spaces
 from imuarray.fuse.faults.window import Look, Window, look
 
 Flags = npt.NDArray[np.bool_]
@@ -26,15 +27,15 @@ _CALM = 2.0
 
 
 def told_apart(suspect: Suspect, window: Window, seen: Look, normal: Normal, resets: Resets) -> Suspect | None:
-    """The suspect, or one of its rivals, as a whole sensor, if it alone stands still, reads as if in another range of its
-    chip, or is noisy while all others are as ever; None if that is true of none or of several.
+    """The suspect, or one of its rivals, as a whole sensor, if it alone stands still, reads as if in another range of
+    its chip, or is noisy while all others are as ever; None if that is true of none or of several.
     """
     views = {}
     for sensor in (suspect.axes[0] // 3, *suspect.rivals):
         members = np.arange(3 * sensor, 3 * sensor + 3)
         rest = seen.included.copy()
         rest[members] = False
-        without = look(window, normal, seen.rows, rest)
+        without = look(window, normal, seen.rows, rest, Spaces(seen.rows))
         view = None if without is None else beside(without, window, normal, members.tolist())
         if view is None:
             return None

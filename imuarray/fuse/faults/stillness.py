@@ -16,9 +16,9 @@ _KNOWN_WINDOWS = 20
 _CALM_WINDOWS = 3
 """After a standstill, windows that may hold the end of it."""
 
-_ARMED = 0.2
+QUIETEST = 0.2
 """A sensor is judged by its changes only if it never had a window with less than this share of its usual ones: where
-noise is less than a count, windows without a change are normal."""
+noise is less than a count, windows without a change are normal. Nothing is learnt of noise in such a window."""
 
 
 class Stillness:
@@ -40,13 +40,13 @@ class Stillness:
     def __call__(self, window: Window, normal: Normal) -> Flags:
         """(s,) the sensors that stood still in this window and in the one before."""
         share = (window.changes / normal.change).reshape(-1, 3).mean(axis=1)
-        whole = window.valid.reshape(len(window.valid), -1, 3).all(axis=(0, 2))
-        stale = np.zeros(len(share), bool)
+        whole: Flags = np.asarray(window.valid.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
+        stale: Flags = np.zeros(len(share), bool)
         if window.stale is not None:
-            stale = window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)) & whole
+            stale = np.asarray(window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)) & whole)
         share = np.where(whole, share, np.nan)
         known = self._windows >= _KNOWN_WINDOWS
-        quiet = known & (self._least > _ARMED) & (share < QUIET) & (self._last_share < QUIET)
+        quiet = known & (self._least > QUIETEST) & (share < QUIET) & (self._last_share < QUIET)
         held = known & ~self._stale_before & stale & self._last_stale
         going_on = (share < QUIET) | stale
         self._since = np.where(going_on, 0, self._since + 1)

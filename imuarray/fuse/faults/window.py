@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.parity import Parity, parity
+from imuarray.fuse.faults.parity import Parity, Spaces, parity
+from imuarray.fuse.solve import solve_frames
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -24,12 +26,12 @@ class Window:
     valid: Flags
     stale: Flags | None
 
-    @property
+    @cached_property
     def present(self) -> Flags:
         """(m,) the axes that have enough readings to be judged: two."""
         return np.asarray(self.valid.sum(axis=0) >= 2)
 
-    @property
+    @cached_property
     def changes(self) -> Floats:
         """(m,) mean square of the change from reading to reading, NaN where no two valid ones follow each other."""
         both = self.valid[1:] & self.valid[:-1]
@@ -78,26 +80,19 @@ class Look:
         return found.sum(axis=0) / (noise + lasting), lasting / (noise + lasting)
 
 
-def look(window: Window, normal: Normal, rows: Floats, included: Flags) -> Look | None:
+def look(window: Window, normal: Normal, rows: Floats, included: Flags, spaces: Spaces) -> Look | None:
     """The window as the axes `included` see it; None where these don't tell all of a triad."""
     weights = np.where(included, 1 / normal.variance, 0.0)
-    white = parity(rows, weights)
+    white = spaces(weights)
     if white is None:
         return None
-    bias = normal.state[:, 0]
-    values, valid = window.values, window.valid
-    whole = bool(valid[:, included].all())
-    if not whole or not valid.all():
-        steady = white if whole else parity(rows, np.where(valid.all(axis=0), weights, 0.0))
-        if steady is None:
-            return None
-        known = np.where(valid, values - bias, 0.0) @ steady.gain.T
-        values = np.where(valid, values, known @ rows.T + bias)
-    triad = (values - bias) @ white.gain.T
+    bias, valid = normal.state[:, 0], window.valid
+    triad, told = _solve(window.values - bias, valid, white, weights, rows)
     regressors = normal.regressors(triad, _slope(window.time, triad), rows)
-    errors = values - normal.explains(regressors)
-    triad = errors @ white.gain.T
+    errors = window.values - normal.explains(regressors)
+    triad, _ = _solve(errors, valid, white, weights, rows)
     residual = errors - triad @ rows.T
+    valid = valid & told[:, None]
     counts = np.maximum(valid.sum(axis=0), 1).astype(float)
     if not valid.all():
         residual = np.where(valid, residual, 0.0)
@@ -108,6 +103,20 @@ def look(window: Window, normal: Normal, rows: Floats, included: Flags) -> Look 
     if slow is None:
         return None
     return Look(included, triad, residual, means, counts, doubt, white, slow, regressors, rows)
+
+
+def _solve(values: Floats, valid: Flags, space: Parity, weights: Floats, rows: Floats) -> tuple[Floats, Flags]:
+    """The triads (n, 3) that the valid readings of the weighted axes tell, and whether they do (n,); where they don't,
+    that of the frame before.
+    """
+    if valid[:, weights > 0].all():
+        return np.asarray(values @ space.gain.T), np.ones(len(values), bool)
+    triad = solve_frames(np.where(valid, values, 0.0), weights * valid, rows)
+    told = np.isfinite(triad[:, 0])
+    if told.all() or not told.any():
+        return np.nan_to_num(triad), told
+    last = np.maximum.accumulate(np.where(told, np.arange(len(triad)), -1))
+    return np.asarray(triad[np.where(last < 0, told.argmax(), last)]), told
 
 
 def _slope(time: Times, triad: Floats) -> Floats:
