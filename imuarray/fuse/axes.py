@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.calibrate import Calibration
+from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.model import Described
 from imuarray.units import SI_PER_UNIT
 
@@ -20,7 +21,8 @@ class Axis:
     """One sensor axis: where it points in the box frame (unit vector) and what it is.
 
     `range_si` is the end of the measuring range and `noise_si` the standard deviation of a reading (None: unknown), in
-    m/s2 or rad/s; `position_m` where the sensor sits in the box frame.
+    m/s2 or rad/s; `position_m` where the sensor sits in the box frame; `bandwidth_hz` the -3 dB bandwidth to which it
+    is set (None: unknown); `stability_si` the rms of its slow error, from run to run and within a run (None: unknown).
     """
 
     sensor: str
@@ -30,6 +32,8 @@ class Axis:
     range_si: float
     noise_si: float | None
     position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bandwidth_hz: float | None = None
+    stability_si: float | None = None
 
     @property
     def in_plane(self) -> bool:
@@ -52,8 +56,19 @@ def axes_of(sensors: Sequence[Described], calibration: Calibration) -> list[Axis
             noise = None if known.noise_lsb is None else float(known.noise_lsb[index] / known.lsb_per_si[index])
             x, y, z = (float(part) for part in direction)
             range_si = sensor.range * SI_PER_UNIT[sensor.unit]
-            axes.append(Axis(sensor.name, sensor.chip, index, (x, y, z), range_si, noise, (x_m, y_m, z_m)))
+            place = (x_m, y_m, z_m)
+            bandwidth_hz, stability = sensor.bandwidth_hz or None, _stability_si(known, index)
+            axes.append(
+                Axis(sensor.name, sensor.chip, index, (x, y, z), range_si, noise, place, bandwidth_hz, stability)
+            )
     return axes
+
+
+def _stability_si(known: SensorCalibration, index: int) -> float | None:
+    """Rms of what the bias of an axis does from run to run and within a run, as far as either was measured."""
+    parts = [group.rms_lsb[index] for group in (known.turn_on, known.drift) if group is not None]
+    finite = [float(part / known.lsb_per_si[index]) for part in parts if np.isfinite(part)]
+    return math.hypot(*finite) if finite else None
 
 
 def directions(axes: Sequence[Axis]) -> Floats:

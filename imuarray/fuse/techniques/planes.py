@@ -1,52 +1,166 @@
-"""`planes`: in-plane against out-of-plane axes, by their measured noise."""
+"""`planes`: in-plane against out-of-plane axes, by their measured noise and stability; the worse ones stand watch.
+
+Noise and slow error ask for different weights unless their ratios are alike. The weights here are those of least error
+in the mean of `AVERAGED` readings: ``noise^2 / AVERAGED + stability^2``, with the stability (from run to run and within
+a run) where the calibration knows it of every axis of a design, else by the noise alone. However alike the slow errors
+are, the noisier kind never weighs so much that one axis of each together are noisier than the quieter alone.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Floats
-from imuarray.fuse.solve import weighted
+from imuarray.fuse.frames import Estimate, Floats, Frames
+from imuarray.fuse.solve import solve_frames, weighted
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
+from imuarray.units import READABLE_SI
+
+AVERAGED = 100
+"""Readings over which the error is weighed: a second at 100 Hz. One would weigh by noise, very many by stability."""
+
+_KINDS = {True: "x and y", False: "z"}
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """An axis that weighs less and what it reads otherwise than the axes that weigh in full: mean difference over
+    `frames` frames in SI, its standard error by the scatter between frames, and by how many of those it is not zero
+    (`sigmas`; the slow errors that the calibration knows are allowed for). NaN where nothing could be compared.
+    """
+
+    label: str
+    difference_si: float
+    sem_si: float
+    sigmas: float
+    frames: int
+
+    def sentence(self, quantity: str) -> str:
+        """ "BMA2 z differs from the in-plane axes by 3.1 mg, 8 sigma"; `quantity` as in the log."""
+        if not self.frames:
+            return f"{self.label} has nothing to be compared with"
+        factor, unit = READABLE_SI[quantity]
+        kind = "out-of-plane" if self.label[-1] in "xy" else "in-plane"
+        size = f"{factor * self.difference_si:.2g} {unit}, {abs(self.sigmas):.2g} sigma"
+        return f"{self.label} differs from the {kind} axes by {size}"
 
 
 def planes(axes: Sequence[Axis]) -> Technique:
-    """In-plane and out-of-plane axes by their measured noise (paper, section 2.2); see `plane_weights`."""
-    rows, weights, noise = directions(axes), plane_weights(axes), known_noise_of(axes)
-    return lambda frames: weighted(frames.values, weights * frames.valid, rows, noise)
+    """In-plane and out-of-plane axes by their noise and stability (paper, section 2.2): a `PlaneBlend`."""
+    return PlaneBlend(axes)
+
+
+class PlaneBlend:
+    """Weights by `plane_weights`; axes that weigh less than 1 are compared with what the others give."""
+
+    def __init__(self, axes: Sequence[Axis]) -> None:
+        """FusionError where the noise of an axis is not known."""
+        self._axes, self._rows, self._noise = axes, directions(axes), known_noise_of(axes)
+        self._weights = plane_weights(axes)
+        self._watched = np.flatnonzero(self._weights < 1 - 1e-9)
+        self._sums = np.zeros((3, len(self._watched)))
+
+    def __call__(self, frames: Frames) -> Estimate:
+        """The estimate of the next block."""
+        if len(self._watched):
+            self._watch(frames)
+        return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise)
+
+    def monitors(self) -> list[Monitor]:
+        """What the axes that weigh less have shown so far."""
+        watched = zip(self._watched.tolist(), self._sums.T, strict=True)
+        return [self._monitor(self._axes[index], *sums) for index, sums in watched]
+
+    def _watch(self, frames: Frames) -> None:
+        """Add up what the watched axes read otherwise than the others: frames, sum, sum of squares. A reading that was
+        seen before tells nothing new.
+        """
+        full = np.ones(len(self._axes))
+        full[self._watched] = 0.0
+        others = solve_frames(frames.values, full * frames.valid, self._rows)
+        difference = frames.values[:, self._watched] - others @ self._rows[self._watched].T
+        known = np.isfinite(difference) & frames.valid[:, self._watched]
+        if frames.stale is not None:
+            known &= ~frames.stale[:, self._watched]
+        difference = np.where(known, difference, 0.0)
+        self._sums += np.array([known.sum(axis=0), difference.sum(axis=0), (difference**2).sum(axis=0)])
+
+    def _monitor(self, axis: Axis, count: float, total: float, squares: float) -> Monitor:
+        if count < 2:
+            return Monitor(axis.label, math.nan, math.nan, math.nan, 0)
+        mean = total / count
+        sem = math.sqrt(max(squares / count - mean**2, 0.0) / (count - 1))
+        slow = 0.0 if axis.stability_si is None else axis.stability_si
+        allowed = math.hypot(sem, slow)
+        return Monitor(axis.label, mean, sem, mean / allowed if allowed > 0 else math.nan, int(count))
 
 
 def changes(axes: Sequence[Axis]) -> list[str]:
-    """The designs whose axes it weighs otherwise than the average does."""
+    """The designs whose axes it weighs otherwise than the average does, how and by what."""
     weights = plane_weights(axes)
-    return sorted({axis.chip for axis, weight in zip(axes, weights, strict=True) if not np.isclose(weight, 1.0)})
+    words = []
+    for chip in sorted({axis.chip for axis in axes}):
+        share = {axis.in_plane: float(weight) for axis, weight in zip(axes, weights, strict=True) if axis.chip == chip}
+        worse = min(share, key=lambda kind: share[kind])
+        if len(share) > 1 and not math.isclose(share[worse], 1.0):
+            by = "noise and stability" if _stability(axes, chip) is not None else "noise"
+            words.append(f"{chip} ({_KINDS[worse]} weigh{'s' * (not worse)} {share[worse]:.2g} of full, by {by})")
+    return words
 
 
 def plane_weights(axes: Sequence[Axis]) -> Floats:
-    """(m,) Within a design the better kind of axis weighs 1 and the other the ratio of the variances.
+    """(m,) Within a design the better kind of axis weighs 1 and the other the ratio of the mean squared errors.
 
-    Kinds that scatter too much alike for a gain weigh as in the average. The variances are means over the design's
-    units and ranges, each unit's relative to its own three axes, so that only the plane matters here. FusionError
-    where the noise of an axis is not known.
+    Kinds that err too much alike for a gain weigh as in the average. The squares are means over the design's units and
+    ranges, each unit's relative to its own three axes, so that only the plane matters here. FusionError where the noise
+    of an axis is not known.
     """
     noise = known_noise_of(axes)
     weights = np.ones(len(axes))
     for chip in {axis.chip for axis in axes}:
-        variance = {kind: np.mean(_relative_variances(axes, noise, chip, kind)) for kind in (True, False)}
-        best = min(variance.values())
+        stability = _stability(axes, chip)
+        error = noise**2 if stability is None else noise**2 / AVERAGED + stability**2
+        share = _shares(_by_kind(axes, error, chip), _by_kind(axes, noise**2, chip))
         for index, axis in enumerate(axes):
-            if axis.chip == chip and max(variance.values()) > WORTH_WEIGHING * best:
-                weights[index] = best / variance[axis.in_plane]
+            if axis.chip == chip:
+                weights[index] = share[axis.in_plane]
     return weights
 
 
-def _relative_variances(axes: Sequence[Axis], noise: Floats, chip: str, in_plane: bool) -> list[float]:
-    """Variances of one kind of axis of a design, each relative to the mean of its own triad."""
-    relative = []
+def _shares(error: dict[bool, float], variance: dict[bool, float]) -> dict[bool, float]:
+    """The weight of each kind by its squared error, bounded by its variance from reading to reading.
+
+    A quiet axis (variance 1) and one of variance k that weighs r scatter by ``(1 + r^2 k) / (1 + r)^2``, which is no
+    more than 1 as long as ``r <= 2 / (k - 1)``.
+    """
+    best = min(error.values())
+    alike = max(error.values()) <= WORTH_WEIGHING * best
+    quiet = min(variance.values())
+    share = {}
+    for kind, square in error.items():
+        ratio = variance[kind] / quiet
+        bound = 2 / (ratio - 1) if ratio > 1 else math.inf
+        share[kind] = min(1.0 if alike else best / square, bound)
+    return share
+
+
+def _stability(axes: Sequence[Axis], chip: str) -> Floats | None:
+    """(m,) the slow errors of a design's axes (others: zero); None where one of them is not known."""
+    known = [axis.stability_si for axis in axes if axis.chip == chip]
+    if None in known:
+        return None
+    return np.array([(axis.stability_si or 0.0) if axis.chip == chip else 0.0 for axis in axes])
+
+
+def _by_kind(axes: Sequence[Axis], square: Floats, chip: str) -> dict[bool, float]:
+    """Mean squares of the in-plane and the out-of-plane axes of a design, each relative to the mean of its triad."""
+    relative: dict[bool, list[float]] = {}
     for index, axis in enumerate(axes):
-        if axis.chip == chip and axis.in_plane == in_plane:
-            triad = [noise[other] ** 2 for other, its in enumerate(axes) if its.sensor == axis.sensor]
-            relative.append(float(noise[index] ** 2 / np.mean(triad)))
-    return relative
+        if axis.chip == chip:
+            triad = [square[other] for other, its in enumerate(axes) if its.sensor == axis.sensor]
+            relative.setdefault(axis.in_plane, []).append(float(square[index] / np.mean(triad)))
+    return {kind: float(np.mean(squares)) for kind, squares in relative.items()}

@@ -1,0 +1,63 @@
+"""The weighted means of any set of an array's axes, and what shows of each axis' error against them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse.frames import Flags, Floats
+
+
+def gains(weights: Floats, rows: Floats) -> Floats:
+    """(n, 3, m) gains of weighted least squares; they must span space."""
+    normal = np.einsum("nm,mi,mj->nij", weights, rows, rows, optimize=True)
+    return np.asarray(np.linalg.solve(normal, rows.T[None] * weights[:, None, :]))
+
+
+class Blend(NamedTuple):
+    """Of a set of axes: the gain (3, m), the noise (m,) of its triad along each axis, and of the residuals their
+    variance (m,) and how much of every axis' error is in them: `apart` (m, m), `share` (m,) its sums of squares.
+    `seen` (m,): there is something to see.
+    """
+
+    gain: Floats
+    along: Floats
+    variance: Floats
+    share: Floats
+    apart: Floats
+    seen: Flags
+
+    def level(self, differences: Floats, rows: Floats) -> Floats:
+        """(m, 3) What of the differences (m, 3: bias, scale, delay) of the axes is the blend's own, along each axis:
+        nothing, if they were told by this blend.
+        """
+        bias = rows @ (self.gain @ differences[:, 0])
+        scale, delay = (
+            np.einsum("mi,ij,mj->m", rows, (self.gain * differences[:, column]) @ rows, rows) for column in (1, 2)
+        )
+        return np.stack([bias, scale, delay], axis=1)
+
+
+class Blends:
+    """The blends of axes along `rows` (m, 3), with `weights` and `noise` (m,), by which of them are there."""
+
+    def __init__(self, rows: Floats, weights: Floats, noise: Floats) -> None:
+        self._rows, self._weights, self._noise = rows, weights, noise
+        self._known: dict[bytes, Blend | None] = {}
+
+    def of(self, present: npt.NDArray[np.bool_]) -> Blend | None:
+        """The blend of the axes `present` (m,); None if they don't span space."""
+        key = present.tobytes()
+        if key not in self._known:
+            spans = present.any() and np.linalg.matrix_rank(self._rows[present], tol=1e-3) == 3
+            self._known[key] = self._of(present) if spans else None
+        return self._known[key]
+
+    def _of(self, present: npt.NDArray[np.bool_]) -> Blend:
+        gain = gains((self._weights * present)[None], self._rows)[0]
+        through = self._rows @ gain
+        apart = (np.eye(len(through)) - through) * present[:, None] * present
+        variance, share = apart**2 @ self._noise**2, (apart**2).sum(axis=1)
+        return Blend(gain, np.sqrt(through**2 @ self._noise**2), variance, share, apart, share > 1e-6)

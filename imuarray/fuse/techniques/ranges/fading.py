@@ -1,0 +1,102 @@
+"""How far each low-range sensor may be trusted, frame by frame: off the end of its range, and its filter settled.
+
+A reading near the end of the range is less linear, one at the end is no measurement, and for a while after it the
+sensor's low-pass still remembers what it was not able to measure: an input that was too small by up to the difference
+of the ranges. What a second-order low-pass (damping 1/sqrt 2) remembers falls at least as fast as
+``exp(-sqrt(2) pi bandwidth t)``; a first-order one forgets faster (``exp(-2 pi bandwidth t)``). A
+BMA180's own figures are no longer: 7.5 ms at 150 Hz (BMA-85), where this takes 14 ms for an excess of 14.5 g.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from imuarray.fuse.axes import Axis
+from imuarray.fuse.frames import Flags, Floats, Frames
+
+TAPER = (0.75, 0.95)
+"""Share of the measuring range at which a low-range sensor begins to be trusted less, and at which it is not used at
+all.
+"""
+
+SETTLED = 0.1
+"""Share of a reading's noise below which what is left of a clipped input does not matter any more."""
+
+UNKNOWN_BANDWIDTH_HZ = 10.0
+"""Taken for a sensor whose bandwidth is not known: the slowest low-pass of a BMA180 (BMA-81)."""
+
+_NEVER = np.iinfo(np.int64).min // 2
+
+
+def widest(axes: Sequence[Axis], chip: str) -> float:
+    """The widest measuring range of a design."""
+    return max(axis.range_si for axis in axes if axis.chip == chip)
+
+
+def settling_s(bandwidth_hz: float | None, excess_si: float, noise_si: float) -> float:
+    """Seconds until a second-order low-pass has forgotten an input `excess_si` beyond its range to `SETTLED` times the
+    noise; no less than one time constant.
+    """
+    decay_per_s = math.sqrt(2) * math.pi * (bandwidth_hz or UNKNOWN_BANDWIDTH_HZ)
+    return max(1.0, math.log(max(excess_si, 1e-300) / (SETTLED * noise_si))) / decay_per_s
+
+
+class Fading:
+    """The share (n, m) of its weight that each axis keeps; fed with consecutive blocks.
+
+    A sensor's three axes fade together, by the largest of them, smoothly to exactly zero at `TAPER[1]` of its range.
+    Once it was there, or clipped, or the wide ranges felt more than it can, it stays out for its settling time
+    (`settling_s`), counted from the first frame that finds it back inside, and comes in again over another such time.
+    The widest range of a design never fades.
+
+    A sensor clips before its low-pass: of a step steeper than the filter, the few frames until the wide ranges,
+    filtered too, show that it was too much are not known for what they are.
+    """
+
+    def __init__(self, axes: Sequence[Axis]) -> None:
+        sensors = axes[::3]
+        self.fades = np.array([axis.range_si < widest(axes, axis.chip) for axis in sensors])
+        self._span = np.array([axis.range_si for axis in sensors])
+        self._settling_ns = 1e9 * np.array(
+            [
+                settling_s(
+                    axis.bandwidth_hz,
+                    widest(axes, axis.chip) - axis.range_si,
+                    min(its.noise_si or math.inf for its in axes[3 * index : 3 * index + 3]),
+                )
+                if fades
+                else 1.0
+                for index, (axis, fades) in enumerate(zip(sensors, self.fades, strict=True))
+            ]
+        )
+        self._out_ns = np.full(len(sensors), _NEVER)
+        self._was_at_end = np.zeros(len(sensors), bool)
+
+    def __call__(self, frames: Frames, felt: Floats) -> Floats:
+        """The shares of the next block; `felt` (n, m): what each axis should read by the wide ranges (NaN: unknown)."""
+        count = len(frames.time)
+        level = np.abs(frames.values).reshape(count, -1, 3).max(axis=2) / self._span
+        beyond = (np.abs(felt).reshape(count, -1, 3) > self._span[:, None]).any(axis=2)
+        at_end = np.asarray((level >= TAPER[1]) | beyond)
+        if frames.clipped is not None:
+            at_end |= (frames.clipped != 0).reshape(count, -1, 3).any(axis=2)
+        inside = np.minimum(_smooth((TAPER[1] - level) / (TAPER[1] - TAPER[0])), self._settled(frames, at_end))
+        share = np.where(self.fades, np.where(at_end, 0.0, inside), 1.0)
+        return np.asarray(share.repeat(3, axis=1))
+
+    def _settled(self, frames: Frames, at_end: Flags) -> Floats:
+        """(n, s) from 0 while a sensor is settling to 1."""
+        before = np.concatenate([self._was_at_end[None], at_end[:-1]])
+        seen = np.where(at_end | before, frames.time[:, None], _NEVER)
+        out_ns = np.maximum(np.maximum.accumulate(seen, axis=0), self._out_ns)
+        self._out_ns, self._was_at_end = out_ns[-1], at_end[-1]
+        return _smooth((frames.time[:, None] - out_ns) / self._settling_ns - 1)
+
+
+def _smooth(share: Floats) -> Floats:
+    """A cubic from 0 at 0 to 1 at 1, flat at both ends and beyond."""
+    inside = np.clip(share, 0, 1)
+    return np.asarray(inside * inside * (3 - 2 * inside))

@@ -1,0 +1,252 @@
+"""`planes`: no axis of the box worse than an in-plane axis, and the others standing watch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.array import parse_array
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.stability import TurnOn
+from imuarray.fuse import TECHNIQUES, Axis, Frames, axes_of, changes, fuse
+from imuarray.fuse.techniques.planes import Monitor, PlaneBlend
+from imuarray.log import open_log
+from imuarray.simulate import Simulation, parse_model, write_log
+from imuarray.simulate.motion.still import Still
+from tests.fuse.arrays import at_once, triad, weights
+from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joined
+
+
+def test_planes_weigh_by_inverse_variance() -> None:
+    """z scatters twice as much as x and y: 4 to 1 where they meet along one box axis."""
+    axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 2.0)), *triad("B", "+Y+Z+X", (1.0, 1.0, 2.0))]
+    # B: x along Y, y along Z, z along X.
+    expected = [[0.8, 0, 0, 0, 0, 0.2], [0, 0.5, 0, 0.5, 0, 0], [0, 0, 0.2, 0, 0.8, 0]]
+    assert weights(TECHNIQUES["planes"](axes), 6) == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def test_planes_can_be_better_out_of_plane() -> None:
+    axes = [*triad("A", "+X+Y+Z", (3.0, 3.0, 1.0)), *triad("B", "+Y+Z+X", (3.0, 3.0, 1.0))]
+    found = weights(TECHNIQUES["planes"](axes), 6)
+    assert found[0, [0, 5]] == pytest.approx([0.1, 0.9])
+
+
+def test_planes_look_at_the_plane_and_not_at_the_sensor() -> None:
+    """B is ten times noisier on every axis, C of another design: weights differ by plane alone, within a design."""
+    axes = [
+        *triad("A", "+X+Y+Z", (1.0, 1.0, 2.0)),
+        *triad("B", "+X+Y+Z", (10.0, 10.0, 20.0)),
+        *triad("C", "+X+Y+Z", (5.0, 5.0, 5.0), chip="d"),
+    ]
+    found = weights(TECHNIQUES["planes"](axes), 9)
+    assert found[0, [0, 3, 6]] == pytest.approx([1 / 3, 1 / 3, 1 / 3])
+    assert found[2, [2, 5, 8]] == pytest.approx([1 / 6, 1 / 6, 4 / 6])
+
+
+IN_PLANE_LSB, OUT_OF_PLANE_LSB = 6.0, 12.0
+"""Noise of an ADXL345's x and y, and of its z (Table 10, section 6.2), of 256 to the g."""
+
+
+def test_perpendicular_boards_leave_no_axis_noisier_than_an_in_plane_one() -> None:
+    """The first board's z is the second's x: ``1 / (1/36 + 1/144)`` there, two in-plane axes along Y; 6 and 12 LSB.
+
+    To the rate of 6e-5, two-sided, of 50 000 readings; the plain average is noisier along X and Z.
+    """
+    noise = (IN_PLANE_LSB, IN_PLANE_LSB, OUT_OF_PLANE_LSB)
+    axes = [*triad("A", "+X+Y+Z", noise), *triad("B", "+Z+Y-X", noise)]
+    rng = np.random.default_rng(11)
+    frames = at_once(rng.normal(0, 1, (50000, 6)) * np.tile(noise, 2))
+    planes, mean = (TECHNIQUES[name](axes)(frames) for name in ("planes", "mean"))
+    both, pair = (1 / 36 + 1 / 144) ** -0.5, 6 / np.sqrt(2)
+    assert planes.triad_box.std(axis=0) == pytest.approx([both, pair, both], rel=4 / np.sqrt(100000))
+    assert np.sqrt(planes.covariance_box[0, :3]) == pytest.approx([both, pair, both])
+    assert both < IN_PLANE_LSB < mean.triad_box.std(axis=0)[[0, 2]].min()
+
+
+ARRAY = """
+[array]
+name = "perpendicular"
+mux = { chip = "pca9544a", address = 0x70 }
+
+[[sensor]]
+name = "FLAT"
+chip = "adxl345"
+channel = 0
+address = 0x53
+range = 16
+rate_hz = 800
+axes = "+X+Y+Z"
+
+[[sensor]]
+name = "UPRIGHT"
+chip = "adxl345"
+channel = 0
+address = 0x1D
+range = 16
+rate_hz = 800
+axes = "+Z+Y-X"
+"""
+
+MODEL = f"""
+[model]
+name = "table 10"
+about = "white noise of an ADXL345 by plane, and codes"
+
+[[design]]
+chip = "adxl345"
+
+[design.white_noise]
+rms_g = [{IN_PLANE_LSB / 256}, {IN_PLANE_LSB / 256}, {OUT_OF_PLANE_LSB / 256}]
+"""
+
+
+def test_simulated_perpendicular_boards_do_the_same(tmp_path: Path) -> None:
+    """The paper's proposal of section 2.2, through the simulator's codes and a log; same error rate."""
+    simulation = Simulation.of_array(
+        parse_array(ARRAY), Still(seconds=100.0), parse_model(MODEL), frame_rate_hz=200.0, seconds=100.0, seed=2
+    )
+    write_log(simulation, tmp_path / "run.h5")
+    noise = np.array([IN_PLANE_LSB, IN_PLANE_LSB, OUT_OF_PLANE_LSB])
+    with open_log(tmp_path / "run.h5") as log:
+        known = Calibration(
+            {
+                name: measured(Part(name, way, chip="adxl345", sensitivity=256.0), noise)
+                for name, way in (("FLAT", "+X+Y+Z"), ("UPRIGHT", "+Z+Y-X"))
+            }
+        )
+        found = {name: joined(list(fuse(log, known, name)))[1] / G * 256 for name in ("planes", "mean")}
+        said = changes("planes", axes_of(list(log.of("specific_force")), known))
+    both, pair = (1 / 36 + 1 / 144) ** -0.5, 6 / np.sqrt(2)
+    assert len(found["planes"]) == 20000
+    assert found["planes"].std(axis=0) == pytest.approx([both, pair, both], rel=4 / np.sqrt(40000) + 0.003)
+    assert (found["planes"].std(axis=0) < IN_PLANE_LSB).all()
+    assert (found["mean"].std(axis=0)[[0, 2]] > IN_PLANE_LSB).all()
+    assert said == ["adxl345 (z weighs 0.25 of full, by noise)"]
+
+
+def measured(part: Part, noise_lsb: Floats, turn_on_lsb: Floats | None = None) -> SensorCalibration:
+    """What is known of a sensor whose noise was measured, and perhaps its change from run to run."""
+    known = calibration([part], noise=False).sensors[part.name]
+    turn_on = None
+    if turn_on_lsb is not None:
+        turn_on = TurnOn(turn_on_lsb, turn_on_lsb / 5, turn_on_lsb, np.zeros(3), 15)
+    return SensorCalibration(
+        part.name,
+        part.quantity,
+        known.unit,
+        known.bias_lsb,
+        known.response_lsb_per_unit,
+        noise_lsb=noise_lsb,
+        turn_on=turn_on,
+    )
+
+
+def with_stability(axes: list[Axis], *stability: float | None) -> list[Axis]:
+    """The axes with the slow error of x, y and z of every sensor."""
+    return [replace(axis, stability_si=stability[axis.index]) for axis in axes]
+
+
+def test_slow_errors_count_as_much_as_noise_over_a_hundred_readings() -> None:
+    """``1/100 + 0.3^2 = 0.1`` and ``1/100 + 0.7^2 = 0.5``, though all three scatter alike: 5 to 1."""
+    axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.0)), *triad("B", "+Y+Z+X", (1.0, 1.0, 1.0))]
+    found = weights(TECHNIQUES["planes"](with_stability(axes, 0.3, 0.3, 0.7)), 6)
+    assert found[0, [0, 5]] == pytest.approx([5 / 6, 1 / 6])
+    assert changes("planes", with_stability(axes, 0.3, 0.3, 0.7)) == [
+        "c (z weighs 0.2 of full, by noise and stability)"
+    ]
+    assert changes("planes", with_stability(axes, 0.7, 0.7, 0.3)) == [
+        "c (x and y weigh 0.2 of full, by noise and stability)"
+    ]
+
+
+def test_a_stability_that_is_not_known_of_every_axis_is_left_aside() -> None:
+    axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 2.0)), *triad("B", "+Y+Z+X", (1.0, 1.0, 2.0))]
+    found = weights(TECHNIQUES["planes"](with_stability(axes, 0.3, 0.3, None)), 6)
+    assert found[0, [0, 5]] == pytest.approx([0.8, 0.2])
+
+
+@pytest.mark.parametrize("ratio", [1.2, 1.8, 2.0, 4.0])
+@pytest.mark.parametrize("slow", [0.0, 0.1, 5.0])
+def test_no_axis_is_noisier_than_an_in_plane_one_however_slow_errors_are(ratio: float, slow: float) -> None:
+    """With slow errors alike the weights would be, and scatter by ``sqrt(1 + ratio^2) / 2`` of an in-plane axis."""
+    noise = (1.0, 1.0, ratio)
+    axes = with_stability([*triad("A", "+X+Y+Z", noise), *triad("B", "+Z+Y-X", noise)], slow, slow, slow)
+    covariance = TECHNIQUES["planes"](axes)(at_once(np.zeros((1, 6)))).covariance_box[0, :3]
+    assert (covariance <= 1 + 1e-12).all()
+
+
+def test_the_calibration_tells_the_stability(tmp_path: Path, write_run: WriteRun) -> None:
+    """What it does from run to run, in SI: 2.56 LSB of 256 to the g are 0.01 g."""
+    part = Part("A", chip="adxl345", sensitivity=256.0)
+    known = measured(part, np.full(3, 6.0), np.array([2.56, 2.56, np.nan]))
+    with open_log(write_run([part], frames=10)) as log:
+        axes = axes_of([log["A"]], Calibration({"A": known}))
+    assert [axis.stability_si for axis in axes] == [pytest.approx(0.01 * G), pytest.approx(0.01 * G), None]
+    assert axes[0].bandwidth_hz is None
+
+
+def watched(bias: float, frames: int = 2000, blocks: int = 1, stability: float | None = None) -> PlaneBlend:
+    """Perpendicular boards, the z of the second of which has a bias (in the unit of its noise, 12)."""
+    noise = (6.0, 6.0, 12.0)
+    axes = [*triad("BMA1", "+X+Y+Z", noise), *triad("BMA2", "+Z+Y-X", noise)]
+    technique = PlaneBlend(with_stability(axes, stability, stability, stability))
+    values = np.random.default_rng(12).normal(0, 1, (frames, 6)) * np.tile(noise, 2) + [0, 0, 0, 0, 0, bias]
+    whole = at_once(values)
+    for part in np.array_split(np.arange(frames), blocks):
+        technique(Frames(whole.time[part], whole.values[part], whole.valid[part]))
+    return technique
+
+
+def test_the_axes_that_weigh_less_stand_watch() -> None:
+    """A z 12 LSB off against the X of the other board: scatter sqrt(144 + 36), of 2000 frames 0.3 LSB: 40 sigma."""
+    sound, off = watched(12.0).monitors()
+    assert (sound.label, off.label) == ("BMA1 z", "BMA2 z")
+    sem = np.sqrt(180 / 2000)
+    assert off.difference_si == pytest.approx(12.0, abs=4 * sem)
+    assert off.sem_si == pytest.approx(sem, rel=4 / np.sqrt(4000))
+    assert off.sigmas == pytest.approx(off.difference_si / off.sem_si)
+    assert abs(sound.sigmas) < 4
+    assert off.frames == 2000
+
+
+def test_a_difference_that_the_calibration_allows_for_is_no_alarm() -> None:
+    (_, off) = watched(12.0, stability=6.0).monitors()
+    assert off.sigmas == pytest.approx(off.difference_si / np.hypot(6.0, off.sem_si))
+
+
+def test_monitors_do_not_depend_on_blocks() -> None:
+    for whole, pieces in zip(watched(3.0).monitors(), watched(3.0, blocks=7).monitors(), strict=True):
+        assert pieces.difference_si == pytest.approx(whole.difference_si)
+        assert pieces.sem_si == pytest.approx(whole.sem_si)
+
+
+def test_a_monitor_is_a_sentence() -> None:
+    assert Monitor("BMA2 z", 3.1e-3 * G, 1e-3, 8.02, 2000).sentence("specific_force") == (
+        "BMA2 z differs from the in-plane axes by 3.1 mg, 8 sigma"
+    )
+    assert Monitor("G1 x", -0.02 * DPS, 1e-3, -3.0, 5).sentence("angular_rate") == (
+        "G1 x differs from the out-of-plane axes by -0.02 dps, 3 sigma"
+    )
+
+
+def test_a_monitor_without_anything_to_compare_says_so() -> None:
+    """All boards alike: along Z there are only out-of-plane axes."""
+    noise = (6.0, 6.0, 12.0)
+    technique = PlaneBlend([*triad("A", "+X+Y+Z", noise), *triad("B", "+X+Y+Z", noise)])
+    technique(at_once(np.zeros((10, 6))))
+    first = technique.monitors()[0]
+    assert first.frames == 0 and np.isnan(first.sigmas)
+    assert first.sentence("specific_force") == "A z has nothing to be compared with"
+
+
+def test_a_repeated_reading_is_no_new_evidence() -> None:
+    noise = (6.0, 6.0, 12.0)
+    technique = PlaneBlend([*triad("A", "+X+Y+Z", noise), *triad("B", "+Z+Y-X", noise)])
+    frames = at_once(np.ones((10, 6)))
+    stale = np.zeros((10, 6), bool)
+    stale[3:, :3] = True
+    technique(Frames(frames.time, frames.values, frames.valid, None, stale))
+    assert [monitor.frames for monitor in technique.monitors()] == [3, 10]

@@ -1,0 +1,386 @@
+"""`ranges`: what Table 10 promises at rest, and no trace of the low range's end in motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfilt
+
+from imuarray.fuse import TECHNIQUES, Axis, Estimate, Frames, fuse
+from imuarray.fuse.techniques.ranges import RangeBlend
+from imuarray.fuse.techniques.ranges.fading import SETTLED, Fading, settling_s
+from imuarray.log import open_log
+from tests.fuse.arrays import HIGH_MG, LOW_MG, at_once, low_and_high, triad, weights
+from tests.fuse.conftest import Floats, G, Motion, WriteRun, calibration, joined, nothing
+
+LOW_G, HIGH_G = LOW_MG / 1e3, HIGH_MG / 1e3
+SHARE = LOW_G**-2 / (LOW_G**-2 + HIGH_G**-2)
+"""Of the low range in the blend: 0.76."""
+BLEND_G = (LOW_G**-2 + HIGH_G**-2) ** -0.5
+RATE_HZ = 100.0
+BIAS_G, SCALE, DELAY_S = 0.05, 0.02, 1e-3
+"""What the low range reads otherwise than the high one."""
+
+
+def test_ranges_gain_what_table_10_promises(write_run: WriteRun) -> None:
+    """8.32 mg, against 9.77 mg of the average and 9.53 mg of the low range alone; error rate 6e-5."""
+    assert pytest.approx(0.762, abs=5e-4) == SHARE
+    assert pytest.approx(8.32e-3, abs=5e-6) == BLEND_G
+    parts = low_and_high()
+    with open_log(write_run(parts, force=nothing, frames=20000)) as log:
+        found = {name: joined(list(fuse(log, calibration(parts), name)))[1] / G * 1e3 for name in ("ranges", "mean")}
+    for name, expected in (("ranges", 8.32), ("mean", 9.77)):
+        assert found[name].std() == pytest.approx(expected, rel=4 / np.sqrt(2 * 60000))
+
+
+def test_ranges_weigh_by_inverse_variance_and_leave_other_designs_alone() -> None:
+    axes = [
+        *triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0),
+        *triad("HIGH", "+X+Y+Z", (3.0, 3.0, 3.0), span=100.0),
+        *triad("OTHER", "+X+Y+Z", (50.0, 50.0, 50.0), chip="d", span=100.0),
+    ]
+    # 1 : 1/9 within the design, which counts for two of three sensors as in the average.
+    expected = np.array([0.9 * 2 / 3, 0.1 * 2 / 3, 1 / 3])
+    assert weights(TECHNIQUES["ranges"](axes), 9)[1, [1, 4, 7]] == pytest.approx(expected)
+
+
+def low_share(level: float, axis: int = 0) -> float:
+    """Weight of a low-range sensor's y, whose axis `axis` stands at that share of its range."""
+    technique = TECHNIQUES["ranges"](
+        [*triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0), *triad("HIGH", "+X+Y+Z", (2.0, 2.0, 2.0), span=100.0)]
+    )
+    values = np.zeros((1, 6))
+    values[0, axis] = 10.0 * level
+    before = technique(at_once(values)).triad_box[0, 1]
+    values[0, 1] += 1e-6
+    return float((technique(at_once(values)).triad_box[0, 1] - before) / 1e-6)
+
+
+def test_the_low_range_is_trusted_in_full_until_three_quarters_of_it() -> None:
+    for level in (0.0, 0.5, -0.7, 0.75):
+        assert low_share(level) == pytest.approx(0.8, abs=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_low_range_is_not_used_at_all_before_its_end(axis: int, sign: int) -> None:
+    """By the largest axis of the triad: exactly zero from 95 % on."""
+    for level in (0.95, 0.97, 1.0, 1.2):
+        assert low_share(sign * level, axis) == 0.0
+
+
+def test_the_low_range_fades_without_a_step() -> None:
+    levels = np.linspace(0.7, 1.0, 601)
+    share = np.array([low_share(level) for level in levels])
+    assert (np.diff(share) <= 1e-9).all()
+    # A smooth cubic over 400 of the 600 steps is nowhere steeper than 1.5 times the average.
+    assert np.abs(np.diff(share)).max() < 1.6 * 0.8 / 400 * 2
+
+
+@pytest.mark.parametrize("bias_g", [0.0, 0.05])
+def test_no_step_where_the_high_range_takes_over(write_run: WriteRun, bias_g: float) -> None:
+    """Equal bias, no noise, from 0 to 3 g: the error stays the bias, within half a count of the coarser sensor."""
+    motion: Motion = lambda seconds: np.outer(seconds, [0.3, 0.0, 0.0])  # noqa: E731
+    with open_log(write_run(low_and_high(bias_g, sigma=False), force=motion)) as log:
+        time, fused = joined(list(fuse(log, calibration(low_and_high()), "ranges")))
+    error = fused[:, 0] / G - 0.3 * time * 1e-9 - bias_g
+    assert np.abs(error).max() < 0.6 / 2048
+
+
+def test_the_high_range_is_used_to_its_end() -> None:
+    """Nothing comes after it: at 99 % of 16 g it carries on alone."""
+    axes = [*triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), span=1.5), *triad("HIGH", "+X+Y+Z", (2.0, 2.0, 2.0), span=16.0)]
+    values = np.tile([1.5, 0.0, 0.0, 15.84, 0.0, 0.0], (2, 1))
+    assert TECHNIQUES["ranges"](axes)(at_once(values)).triad_box[0] == pytest.approx([15.84, 0.0, 0.0])
+
+
+def test_two_low_sensors_and_no_high_one_are_not_faded() -> None:
+    """A design with one range has nothing to hand over to."""
+    axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0), *triad("B", "+X+Y+Z", (1.0, 1.0, 1.0), span=10.0)]
+    fused = TECHNIQUES["ranges"](axes)(at_once(np.full((1, 6), 9.9))).triad_box
+    assert fused == pytest.approx(np.full((1, 3), 9.9))
+
+
+def pair(bandwidth_hz: float | None = 150.0) -> list[Axis]:
+    """A sensor of 1.5 and one of 16, in g, with the noise of Table 10."""
+    return [
+        Axis(name, "bma180", index, tuple(row), span, noise, bandwidth_hz=bandwidth_hz)
+        for name, span, noise in (("LOW", 1.5, LOW_G), ("HIGH", 16.0, HIGH_G))
+        for index, row in enumerate(np.eye(3).tolist())
+    ]
+
+
+class Case(NamedTuple):
+    """A motion of the box in g, with the frames of `pair` and the level of their blend (n, 3): the weighted mean of
+    what both ranges would read without noise, clipping or end.
+    """
+
+    seconds: Floats
+    frames: Frames
+    level: Floats
+
+
+def sensed(
+    motion: Motion,
+    seconds: float,
+    seed: int,
+    *,
+    bias_g: float | Floats = BIAS_G,
+    scale: float = SCALE,
+    delay_s: float = DELAY_S,
+) -> Case:
+    """What both ranges read of a motion."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    truth, late = motion(time), (1 + scale) * motion(time - delay_s) + bias_g
+    low = late + rng.normal(0, LOW_G, truth.shape)
+    values = np.concatenate([np.clip(low, -1.5, 1.5), truth + rng.normal(0, HIGH_G, truth.shape)], axis=1)
+    clipped = np.zeros(values.shape, np.int8)
+    clipped[:, :3] = np.sign(low) * (np.abs(low) >= 1.5)
+    valid = np.ones(values.shape, bool)
+    valid[:, :3] = ~clipped.any(axis=1)[:, None]
+    frames = Frames(np.round(time * 1e9).astype(np.int64), values, valid, clipped)
+    return Case(time, frames, SHARE * late + (1 - SHARE) * truth)
+
+
+def manoeuvre(seconds: Floats) -> Floats:
+    """Ten seconds of swaying by 0.5 g along X and Y, then 5 g along X and back within four seconds, then rest."""
+    swaying, pull = seconds < 10, np.clip((seconds - 10) / 4, 0, 1)
+    x = np.where(swaying, 0.5 * np.sin(2 * np.pi * seconds), 5 * np.sin(np.pi * pull) ** 2)
+    y = np.where(swaying, 0.5 * np.sin(1.4 * np.pi * seconds), 0.0)
+    return np.stack([x, y, np.ones_like(x)], axis=1)
+
+
+def still_until_10(seconds: Floats) -> Floats:
+    """The same without the swaying."""
+    return np.where((seconds < 10)[:, None], [0.0, 0.0, 1.0], manoeuvre(seconds))
+
+
+def error_g(case: Case, technique: Callable[[Frames], Estimate] | None = None) -> tuple[Floats, Estimate]:
+    """Result less the blend's level along X, and the result."""
+    estimate = (technique or RangeBlend(pair()))(case.frames)
+    return estimate.triad_box[:, 0] - case.level[:, 0], estimate
+
+
+SEEDS = range(24)
+
+
+def test_no_step_across_a_manoeuvre_of_5_g() -> None:
+    """The mean error before, at the top and after; and on either side of both hand-overs, where noise of half a second
+    is 17.05 / sqrt 50 = 2.4 mg: not one of them shows a step as large as the noise of one reading, and 24 runs
+    together less than a fifth of it. Untracked, the step would be 0.76 (50 mg + 2 % of 5 g), and is.
+    """
+    steps, tops = [], []
+    for seed in SEEDS:
+        case = sensed(manoeuvre, 18, seed)
+        error, estimate = error_g(case)
+        out = np.flatnonzero(~estimate.used[:, 0])
+        begin, end = out[0], out[-1] + 1
+        assert not (estimate.used & ~case.frames.valid).any()
+        assert 300 > end - begin > 200
+        means = [error[part].mean() for part in (slice(begin - 80, begin - 30), slice(begin, begin + 50))]
+        means += [error[part].mean() for part in (slice(end - 50, end), slice(end + 30, end + 80))]
+        steps.append([means[1] - means[0], means[2] - means[3]])
+        tops.append(error[(case.seconds > 11.5) & (case.seconds < 12.5)].mean())
+        assert abs(error[500:900].mean()) < 4 * BLEND_G / np.sqrt(400)
+        assert abs(error[1500:].mean()) < 4 * BLEND_G / np.sqrt(300)
+    assert np.abs(steps).max() < HIGH_G
+    assert np.abs(np.mean(steps, axis=0)).max() < HIGH_G / 5
+    assert np.abs(tops).max() < HIGH_G
+    assert abs(np.mean(tops)) < HIGH_G / 5
+
+
+def test_without_tracking_the_same_manoeuvre_shows_the_step() -> None:
+    """The test above can fail: 38 mg of bias at least, where nothing was learned (the manoeuvre comes at once)."""
+    case = sensed(lambda seconds: manoeuvre(seconds + 10.5), 4, 1)
+    error, estimate = error_g(case)
+    assert error[(~estimate.used[:, 0]) & (case.seconds < 0.6)].mean() < -0.038
+
+
+def test_a_manoeuvre_after_rest_is_never_worse_for_what_was_learned() -> None:
+    """Rest tells the bias, not the scale: rms at 4 to 5 g against that of the high range corrected for nothing. Over
+    differences as large as expected at the start (1.5 g / 20, 1 %, 1.5 ms), and for none at all within a quarter.
+    """
+    rng = np.random.default_rng(5)
+    drawn = rng.normal(0, 1, (12, 3)) * [0.075, 0.01, 1.5e-3]
+    for differences, allowed in ((drawn, 0.6), (np.zeros((6, 3)), 1.25)):
+        squares = []
+        for seed, (bias_g, scale, delay_s) in enumerate(differences):
+            case = sensed(still_until_10, 15, seed, bias_g=bias_g, scale=scale, delay_s=delay_s)
+            top = (case.seconds > 11.4) & (case.seconds < 12.6)
+            plain = case.frames.values[top, 3] - case.level[top, 0]
+            squares.append([np.mean(error_g(case)[0][top] ** 2), np.mean(plain**2)])
+        tracked, plain_rms = np.sqrt(np.mean(squares, axis=0))
+        assert tracked < allowed * plain_rms
+
+
+def test_the_covariance_holds_what_the_corrections_may_be_wrong() -> None:
+    """Before: 8.32 mg. While the low range is out: its square is 17.05^2 and what is not known of the differences; the
+    squared error in units of it is 1 on the average of differences as large as expected (12 of them: 0.4 to 2).
+    """
+    rng = np.random.default_rng(6)
+    found = []
+    for seed, (bias_g, scale, delay_s) in enumerate(rng.normal(0, 1, (12, 3)) * [0.075, 0.01, 1.5e-3]):
+        case = sensed(still_until_10, 13, seed, bias_g=bias_g, scale=scale, delay_s=delay_s)
+        error, estimate = error_g(case)
+        assert estimate.covariance_box[500, 0] == pytest.approx(BLEND_G**2)
+        out = ~estimate.used[:, 0]
+        assert (estimate.covariance_box[out, 0] > HIGH_G**2).all()
+        found.append(np.mean(error[out] ** 2 / estimate.covariance_box[out, 0]))
+    assert 0.4 < np.mean(found) < 2
+
+
+def test_what_is_tracked_is_what_was_put_in() -> None:
+    """Low less high along X within four standard errors, which are as small as twenty seconds of swaying allow."""
+    technique = RangeBlend(pair())
+    technique(sensed(lambda seconds: manoeuvre(seconds % 10), 20, 2).frames)
+    low, high = technique.tracker.relative()[0], technique.tracker.relative()[3]
+    assert (low.label, high.label) == ("LOW x", "HIGH x")
+    assert low.bias_si - high.bias_si == pytest.approx(BIAS_G, abs=4 * (low.bias_sem_si + high.bias_sem_si))
+    assert low.scale - high.scale == pytest.approx(SCALE, abs=4 * (low.scale_sem + high.scale_sem))
+    # The noise of the slope takes up to a tenth of a delay.
+    assert low.delay_s - high.delay_s == pytest.approx(DELAY_S, abs=1e-4 + 4 * (low.delay_sem_s + high.delay_sem_s))
+    assert low.bias_sem_si + high.bias_sem_si < 1e-3
+    assert low.scale_sem + high.scale_sem < 3e-3
+    assert low.delay_sem_s + high.delay_sem_s < 6e-4
+
+
+def test_rest_tells_the_bias_alone() -> None:
+    technique = RangeBlend(pair())
+    technique(sensed(nothing, 20, 3).frames)
+    low, high = technique.tracker.relative()[0], technique.tracker.relative()[3]
+    assert low.bias_si - high.bias_si == pytest.approx(BIAS_G, abs=4 * (low.bias_sem_si + high.bias_sem_si))
+    assert (low.delay_s, high.delay_s) == (0.0, 0.0)
+    assert (low.scale, high.scale) == (0.0, 0.0)
+
+
+def test_a_drifting_difference_is_followed() -> None:
+    """0.1 mg/s for 300 s: as far behind as the memory is long, 20 s, give or take its noise; no scale is seen in it."""
+    drift = 1e-4 * np.arange(30000)[:, None] / RATE_HZ
+    technique = RangeBlend(pair())
+    technique(sensed(nothing, 300, 4, bias_g=drift, scale=0.0, delay_s=0.0).frames)
+    low, high = technique.tracker.relative()[0], technique.tracker.relative()[3]
+    assert low.bias_si - high.bias_si == pytest.approx(0.03 - 1e-4 * 20, abs=2e-3)
+    assert low.scale == high.scale == 0.0
+
+
+def test_the_blend_of_all_is_as_without_tracking() -> None:
+    """Corrections cancel in the weighted mean: differences below a fiftieth of the noise."""
+    case = sensed(lambda seconds: 0.2 * manoeuvre(seconds), 9, 5)
+    values = case.frames.values
+    plain = SHARE * values[:, :3] + (1 - SHARE) * values[:, 3:]
+    estimate = RangeBlend(pair())(case.frames)
+    assert estimate.used.all()
+    assert np.abs(estimate.triad_box - plain).max() < BLEND_G / 50 * 4
+    assert np.abs((estimate.triad_box - plain).mean(axis=0)).max() < BLEND_G / 1000
+
+
+def test_blocks_leave_no_trace() -> None:
+    """Any cuts, in the middle of segments, of the hand-over, of settling."""
+    case = sensed(manoeuvre, 16, 6)
+    whole = RangeBlend(pair(20.0))(case.frames)
+    pieces, technique = [], RangeBlend(pair(20.0))
+    cuts = [0, 1, 2, 63, 64, 65, 500, 1046, 1047, 1051, 1350, 1354, 1600]
+    for first, last in pairwise(cuts):
+        part = slice(first, last)
+        time, values, valid = case.frames.time[part], case.frames.values[part], case.frames.valid[part]
+        assert case.frames.clipped is not None
+        pieces.append(technique(Frames(time, values, valid, case.frames.clipped[part])))
+    for name in ("triad_box", "covariance_box", "used"):
+        joined_up = np.concatenate([getattr(piece, name) for piece in pieces])
+        assert joined_up == pytest.approx(getattr(whole, name), rel=1e-9, abs=1e-12)
+
+
+def test_a_lost_reading_and_a_lost_sensor_leave_no_step() -> None:
+    """The low sensor is silent in every tenth frame, and from second 12 on: the high range carries on at the level."""
+    case = sensed(lambda seconds: manoeuvre(np.minimum(seconds, 9.75)), 20, 7)
+    valid = case.frames.valid.copy()
+    valid[::10, :3] = False
+    valid[1200:, :3] = False
+    error, estimate = error_g(case._replace(frames=Frames(case.frames.time, case.frames.values, valid)))
+    assert (estimate.used == valid).all()
+    assert abs(error[300:1200:10].mean()) < 5 * HIGH_G / np.sqrt(90)
+    assert abs(error[1200:].mean()) < 5 * HIGH_G / np.sqrt(800)
+
+
+def test_a_dead_high_sensor_does_not_stop_the_tracking() -> None:
+    """Two high sensors, one of them never there: the other one is compared with the low range all the same."""
+    third = [Axis("DEAD", "bma180", axis.index, axis.direction_box, 16.0, HIGH_G) for axis in pair()[3:]]
+    technique = RangeBlend([*pair(), *third])
+    case = sensed(lambda seconds: manoeuvre(seconds % 10), 20, 8)
+    values = np.concatenate([case.frames.values, np.zeros((2000, 3))], axis=1)
+    valid = np.concatenate([case.frames.valid, np.zeros((2000, 3), bool)], axis=1)
+    technique(Frames(case.frames.time, values, valid))
+    found = technique.tracker.relative()
+    assert found[0].bias_si - found[3].bias_si == pytest.approx(BIAS_G, abs=4e-3)
+    assert found[0].scale - found[3].scale == pytest.approx(SCALE, abs=4e-3)
+    assert (found[6].bias_si, found[6].scale) == (0.0, 0.0)
+
+
+def filtered(signal: Floats, bandwidth_hz: float, rate_hz: float) -> Floats:
+    """A second-order low-pass of a chip."""
+    return np.asarray(sosfilt(butter(2, bandwidth_hz, fs=rate_hz, output="sos"), signal))
+
+
+def back_from_5_g(bandwidth_hz: float, inside: int = 20) -> tuple[Floats, Frames]:
+    """Along X: what the box feels behind the chips' low-pass, and frames of 400 Hz of both ranges without noise: 5 g,
+    gone within 2 ms. The low range clips before its low-pass, whose output is inside again long before it is right.
+    """
+    rate_hz = 400.0 * inside
+    seconds = np.arange(round(2 * rate_hz)) / rate_hz
+    felt = 5 * np.clip((1.0 - seconds) / 2e-3, 0, 1) * np.clip(seconds / 0.4, 0, 1)
+    low, high = (filtered(np.clip(felt, -end, end), bandwidth_hz, rate_hz)[::inside] for end in (1.5, 16.0))
+    values = np.zeros((len(low), 6))
+    values[:, 0], values[:, 3] = np.minimum(low, 1.5), high
+    valid = np.ones(values.shape, bool)
+    valid[:, :3] = (low < 1.4999)[:, None]
+    clipped = np.zeros(values.shape, np.int8)
+    clipped[:, 0] = low >= 1.4999
+    return high, Frames((np.arange(len(low)) * 2_500_000).astype(np.int64), values, valid, clipped)
+
+
+@pytest.mark.parametrize("bandwidth_hz", [10.0, 20.0, 40.0])
+def test_a_low_range_stays_out_until_its_filter_has_settled(bandwidth_hz: float) -> None:
+    """What the low-pass remembers of 3.5 g too little stays below a tenth of a reading's noise."""
+    high, frames = back_from_5_g(bandwidth_hz)
+    estimate = RangeBlend(pair(bandwidth_hz))(frames)
+    after = np.flatnonzero(frames.time > 1_000_000_000)
+    wrong = np.abs(frames.values[after, 0] - high[after])
+    assert wrong[frames.valid[after, 0]].max() > 0.3  # inside its range again and far from right
+    assert np.abs(estimate.triad_box[after, 0] - high[after]).max() < SETTLED * LOW_G
+    back = after[np.argmax(estimate.used[after, 0])]
+    assert 1.0 < frames.time[back] * 1e-9 < 1.0 + 2.5 / bandwidth_hz + 0.02
+
+
+def test_it_comes_in_again_smoothly() -> None:
+    """The weight of the low range rises from nothing, to the whole within the settling time, without a step."""
+    _, frames = back_from_5_g(20.0)
+    share = Fading(pair(20.0))(frames, np.full((len(frames.time), 6), np.nan))
+    assert (share[:, 3:] == 1).all()
+    after = share[frames.time > 1_000_000_000, 0]
+    begin, end = np.argmax(after > 0), np.argmax(after == 1)
+    settling = settling_s(20.0, 14.5, LOW_G)
+    assert (end - begin) / 400 == pytest.approx(settling, abs=0.005)
+    assert 1 + settling < frames.time[len(share) - len(after) + begin] * 1e-9 < 1 + settling + 0.025
+    # A smooth cubic is nowhere steeper than 1.5 times the average.
+    assert np.diff(after).max() < 1.6 / (end - begin)
+    assert (np.diff(after) >= 0).all()
+
+
+def test_the_settling_time_is_that_of_a_second_order_low_pass() -> None:
+    """``14.5 g exp(-sqrt(2) pi 150 Hz t) = 0.953 mg``: t = 14.4 ms. A bandwidth that isn't known is a slow one."""
+    assert settling_s(150.0, 14.5, LOW_G) == pytest.approx(14.45e-3, abs=5e-5)
+    assert settling_s(None, 14.5, LOW_G) == pytest.approx(15 * settling_s(150.0, 14.5, LOW_G))
+
+
+def test_more_than_the_low_range_can_feel_puts_it_out_though_it_looks_sound() -> None:
+    """A spike of 3 g that the low sensor, slower, shows as 0.5 g: the high one knows."""
+    values = np.zeros((40, 6))
+    values[10, [0, 3]] = 0.5, 3.0
+    estimate = RangeBlend(pair())(at_once(values))
+    assert estimate.triad_box[10, 0] == pytest.approx(3.0)
+    assert np.flatnonzero(~estimate.used[:, 0]).tolist() == [10, 11, 12]
