@@ -203,11 +203,11 @@ def test_without_tracking_the_same_manoeuvre_shows_the_step() -> None:
 
 def test_a_manoeuvre_after_rest_is_never_worse_for_what_was_learned() -> None:
     """Rest tells the bias, not the scale: rms at 4 to 5 g against that of the high range corrected for nothing. Over
-    differences as large as expected at the start (1.5 g / 20, 1 %, 1.5 ms), and for none at all within a quarter.
+    differences as large as expected at the start (1.5 g / 20, 1 %, 1.5 ms) much better, and for none at all as good.
     """
     rng = np.random.default_rng(5)
     drawn = rng.normal(0, 1, (12, 3)) * [0.075, 0.01, 1.5e-3]
-    for differences, allowed in ((drawn, 0.6), (np.zeros((6, 3)), 1.25)):
+    for differences, allowed in ((drawn, 0.6), (np.zeros((6, 3)), 1.03)):
         squares = []
         for seed, (bias_g, scale, delay_s) in enumerate(differences):
             case = sensed(still_until_10, 15, seed, bias_g=bias_g, scale=scale, delay_s=delay_s)
@@ -256,6 +256,27 @@ def test_rest_tells_the_bias_alone() -> None:
     assert low.bias_si - high.bias_si == pytest.approx(BIAS_G, abs=4 * (low.bias_sem_si + high.bias_sem_si))
     assert (low.delay_s, high.delay_s) == (0.0, 0.0)
     assert (low.scale, high.scale) == (0.0, 0.0)
+
+
+def test_a_slow_turn_tells_the_scale_and_no_delay() -> None:
+    """0.28 g/s at most: the slope drowns in its noise, 0.6 g/s."""
+    technique = RangeBlend(pair())
+    technique(sensed(lambda seconds: np.outer(0.9 * np.sin(0.1 * np.pi * seconds), [1, 0, 0]), 40, 9).frames)
+    low, high = technique.tracker.relative()[0], technique.tracker.relative()[3]
+    assert (low.delay_s, high.delay_s) == (0.0, 0.0)
+    assert low.scale - high.scale == pytest.approx(SCALE, abs=4 * (low.scale_sem + high.scale_sem))
+
+
+def test_a_delay_is_taken_out_where_the_high_range_is_alone() -> None:
+    """A low range 4 ms late: on the way to 5 g, at 3 g/s, its blend is late by 0.76 of that, and so is what follows.
+    Without: 9 mg.
+    """
+    found = []
+    for seed in SEEDS:
+        case = sensed(manoeuvre, 12, seed, bias_g=0.0, scale=0.0, delay_s=4e-3)
+        error, _ = error_g(case, RangeBlend(pair(40.0)))
+        found.append(error[1080:1160].mean())
+    assert abs(np.mean(found)) < 3e-3
 
 
 def test_a_drifting_difference_is_followed() -> None:
@@ -319,6 +340,22 @@ def test_a_dead_high_sensor_does_not_stop_the_tracking() -> None:
     assert found[0].bias_si - found[3].bias_si == pytest.approx(BIAS_G, abs=4e-3)
     assert found[0].scale - found[3].scale == pytest.approx(SCALE, abs=4e-3)
     assert (found[6].bias_si, found[6].scale) == (0.0, 0.0)
+
+
+def test_a_sensor_that_dies_leaves_its_share_of_the_level() -> None:
+    """A second high sensor, 60 mg off, is 0.19 of the level; when it has gone the others stay there, and don't come
+    back by 11.5 mg within the memory of the tracker.
+    """
+    third = [Axis("DIES", "bma180", axis.index, axis.direction_box, 16.0, HIGH_G) for axis in pair()[3:]]
+    case = sensed(nothing, 80, 10, bias_g=0.0)
+    off = np.random.default_rng(3).normal(0.06, HIGH_G, (8000, 3))
+    valid = np.ones((8000, 9), bool)
+    valid[2000:, 6:] = False
+    values = np.concatenate([case.frames.values, off], axis=1)
+    fused = RangeBlend([*pair(), *third])(Frames(case.frames.time, values, valid)).triad_box
+    level_g = 0.06 * HIGH_G**-2 / (LOW_G**-2 + 2 * HIGH_G**-2)
+    assert fused[1000:2000].mean() == pytest.approx(level_g, abs=5e-4)
+    assert fused[7000:].mean() == pytest.approx(level_g, abs=2.5e-3)
 
 
 def filtered(signal: Floats, bandwidth_hz: float, rate_hz: float) -> Floats:

@@ -30,14 +30,12 @@ class Blend(NamedTuple):
     seen: Flags
 
     def level(self, differences: Floats, rows: Floats) -> Floats:
-        """(m, 3) What of the differences (m, 3: bias, scale, delay) of the axes is the blend's own, along each axis:
-        nothing, if they were told by this blend.
+        """(..., m, 3) What of the differences (..., m, 3: bias, scale, delay) of the axes is the blend's own, along
+        each axis: nothing, if they were told by this blend.
         """
-        bias = rows @ (self.gain @ differences[:, 0])
-        scale, delay = (
-            np.einsum("mi,ij,mj->m", rows, (self.gain * differences[:, column]) @ rows, rows) for column in (1, 2)
-        )
-        return np.stack([bias, scale, delay], axis=1)
+        bias = differences[..., 0] @ self.gain.T @ rows.T
+        mixed = (np.einsum("im,...m,mj->...ij", self.gain, differences[..., column], rows) for column in (1, 2))
+        return np.stack([bias, *(np.einsum("mi,...ij,mj->...m", rows, turned, rows) for turned in mixed)], axis=-1)
 
 
 class Blends:

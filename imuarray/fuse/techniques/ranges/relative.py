@@ -37,6 +37,9 @@ BIAS_PRIOR, SCALE_PRIOR = 0.05, 0.01
 _WALK_PER_S = 0.01
 """Random walk of scale and delay in a second, in standard deviations at the start."""
 
+_DOUBT = 1.0
+"""Times its variance that is taken from the square of a scale or delay before it is used."""
+
 
 @dataclass(frozen=True)
 class Relative:
@@ -77,7 +80,7 @@ class Tracker:
         self._axes, self._rows = axes, directions(axes)
         self._blends = Blends(self._rows, weights, noise)
         count = len(axes)
-        whole = self._blends.of(np.ones(count, bool))
+        self._whole = whole = self._blends.of(np.ones(count, bool))
         bandwidths = np.array([axis.bandwidth_hz or UNKNOWN_BANDWIDTH_HZ for axis in axes])
         bias = np.full(count, BIAS_PRIOR * min(axis.range_si for axis in axes))
         delay_s = 1 / (math.sqrt(2) * math.pi * bandwidths)
@@ -110,7 +113,28 @@ class Tracker:
             covariances.append(self._covariances)
         self._held = joined.part(slice(whole, None))
         which = np.arange(begin, len(joined.time)) // SEGMENT
-        return States(which, np.array(differences), np.array(covariances) / self._share[:, None, None])
+        return States(which, *self._corrections(np.array(differences), np.array(covariances)))
+
+    def _corrections(self, differences: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+        """The differences (k, m, 3) as they are corrected, and their covariances (k, m, 3, 3) as `States` has them.
+
+        A scale or delay that is hardly told from none counts for less, or nothing, so that sensors that agree lose
+        nothing; the bias is then what goes with it, and what was left out is in the covariance.
+        """
+        if self._whole is None:
+            return differences, covariances
+        doubt = _DOUBT * np.diagonal(covariances, axis1=2, axis2=3)[..., 1:]
+        share = np.minimum(doubt / np.maximum(differences[..., 1:] ** 2, 1e-300), 1.0)
+        less = -share * differences[..., 1:]
+        # The covariance of scale and delay; of an axis that can't be seen there is none.
+        own = covariances[..., 1:, 1:] + np.where(self._whole.seen, 0.0, 1.0)[:, None, None] * np.eye(2)
+        told = np.linalg.solve(own, less[..., None])[..., 0]
+        bias = (covariances[..., 0, 1:] * told).sum(axis=-1, keepdims=True)
+        left_out = np.concatenate([bias, less], axis=-1)
+        found = differences + left_out
+        found = found - self._whole.level(found, self._rows)
+        covariances = covariances + left_out[..., :, None] * left_out[..., None, :]
+        return found, covariances / self._share[:, None, None]
 
     def _learn(self, told: Moments) -> None:
         """One step of the filters: everything walks, then the segment is taken in."""
@@ -127,9 +151,7 @@ class Tracker:
         residual = told.residual + np.einsum("mij,mj->mi", told.products, shift)
         weight = 1 / np.where(blend.seen, blend.variance, 1.0)[:, None]
         gain, self._covariances = _taken_in(self._covariances, told.products * weight[:, :, None], told.moved)
-        found = self._differences + np.einsum("mij,mj->mi", gain, residual * weight)
-        level = blend.level(found, self._rows) if told.present.all() else 0.0
-        self._differences = found - level
+        self._differences = self._differences + np.einsum("mij,mj->mi", gain, residual * weight)
 
 
 def _taken_in(covariances: Floats, information: Floats, moved: Flags) -> tuple[Floats, Floats]:
