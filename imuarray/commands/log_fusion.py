@@ -128,7 +128,7 @@ class LiveFusion:
         """What came of it, JSON-ready."""
         return {"fused": str(self.path), "frames": self.frames, "skipped": self.skipped, "failure": self.failure}
 
-    def _work(self, stream: FusionStream, file: LiveFused) -> None:
+    def _work(self, stream: FusionStream[FusedBlock], file: LiveFused) -> None:
         """The thread. Whatever goes wrong is told once, and the rest is not fused."""
         try:
             with file:

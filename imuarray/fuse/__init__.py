@@ -4,28 +4,33 @@ techniques.
 
 from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.evaluate import Error, errors_of, evaluate, quiet_noise
+from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
-from imuarray.fuse.fuse import fuse, live
+from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, fuse, live
 from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, fused_block
 from imuarray.fuse.running import running_temperatures
 from imuarray.fuse.store import FusedHead, read_fused, read_fused_head, write_fused
 from imuarray.fuse.stream import FusionStream
-from imuarray.fuse.techniques import NEEDS_NOISE, TECHNIQUES, changes
+from imuarray.fuse.techniques import TECHNIQUES, changes
 from imuarray.fuse.thermal import element_temperatures, slopes_of
 
 __all__ = [
+    "NAMES",
     "NEEDS_NOISE",
+    "OPTIMAL",
     "TECHNIQUES",
     "Axis",
     "EachAlone",
     "Error",
     "Estimate",
+    "FaultEvent",
     "Frames",
     "FusedBlock",
     "FusedHead",
     "FusionStream",
     "Making",
     "Pipeline",
+    "Watch",
     "axes_of",
     "changes",
     "element_temperatures",

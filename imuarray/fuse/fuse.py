@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
-from imuarray.fuse.axes import axes_of
+from imuarray.fuse import techniques
+from imuarray.fuse.axes import Axis, axes_of
+from imuarray.fuse.faults import FaultEvent, Ranges
+from imuarray.fuse.faults.monitor import NO_RANGES
 from imuarray.fuse.frames import FusedBlock
+from imuarray.fuse.grid import FIRST_ROWS, choose
+from imuarray.fuse.optimal import ErrorModel, error_model
+from imuarray.fuse.optimal.pipeline import AsTheyCome, Gathered, Gathering, smoothed
 from imuarray.fuse.pipeline import EachAlone, Making, Pipeline
 from imuarray.fuse.running import Warming, running_temperatures
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
+from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.fuse.thermal import element_temperatures
+from imuarray.fuse.watched import Watched
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.units import INERTIAL
@@ -22,7 +31,35 @@ from imuarray.units import INERTIAL
 BLOCK = 1 << 12
 """Rows of each sensor that are read at once; the result does not depend on it."""
 
+OPTIMAL = "optimal"
+
+NEEDS_NOISE = frozenset({*techniques.NEEDS_NOISE, OPTIMAL})
+"""Techniques that must know how much each axis scatters (`calibrate noise`)."""
+
+NAMES = (*TECHNIQUES, OPTIMAL)
+"""Every technique: those that take each quantity by itself, and the estimator of the whole array."""
+
 _Sensor = TypeVar("_Sensor", SensorLog, SensorHeader)
+_Out = TypeVar("_Out")
+Found = Callable[[FaultEvent], None]
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Whether sensors that fail are found and left out (None: by `optimal` only), the sensitivities of chips by name,
+    for one that fell back to another range, and who hears of it.
+    """
+
+    on: bool | None = None
+    ranges: Ranges = field(default_factory=lambda: NO_RANGES)
+    found: Found = lambda event: None
+
+    def over(self, technique: str | Making) -> bool:
+        """Whether there is any watching."""
+        return technique == OPTIMAL if self.on is None else self.on
+
+
+WATCH = Watch()
 
 
 def fuse(
@@ -32,25 +69,27 @@ def fuse(
     *,
     only: Collection[str] = (),
     causal: bool = False,
+    watch: Watch = WATCH,
     block: int = BLOCK,
 ) -> Iterator[FusedBlock]:
-    """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`, a name or what makes a
-    pipeline for their axes; FusionError if they can't feed it.
+    """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`, one of `NAMES` or what makes
+    a pipeline for their axes; FusionError if they can't feed it.
 
-    Biases follow the temperature that the log tells, where the calibration says how; `causal`: as far as it was known
-    when each frame was read, as `live` does.
+    Biases follow the temperature that the log tells, where the calibration says how. `causal`: by what was known when
+    each frame was read, as `live` does; otherwise `optimal` smooths: every frame by what the whole log tells.
     """
     everything = list(log.sensors.values())
-    groups = _chosen(everything, only, str(log.path))
-    inertial = [sensor for sensors in groups.values() for sensor in sensors]
+    array = _Array(_chosen(everything, only, str(log.path)), calibration, technique, watch)
     if causal:
-        warming = running_temperatures(everything, inertial, calibration)
+        warming = running_temperatures(everything, array.inertial, calibration, of_all=array.is_optimal)
     else:
-        warming = Warming(element_temperatures(log, inertial, calibration), {})
-    stream = FusionStream(
-        groups, calibration, _pipeline(groups, calibration, technique), warming, timeout_s=float("inf")
-    )
-    yield from _replayed([sensor for sensor in everything if sensor.name in stream.sensors], stream, block)
+        of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
+        warming = Warming(of_all, {})
+    if array.is_optimal and not causal:
+        yield from _smoothed(log, array, warming, block)
+        return
+    stream = FusionStream(array.groups, calibration, array.making(warming), warming, timeout_s=float("inf"))
+    yield from _replayed(log, stream, block)
 
 
 def live(
@@ -59,18 +98,90 @@ def live(
     technique: str | Making,
     *,
     only: Collection[str] = (),
+    watch: Watch = WATCH,
     timeout_s: float = TIMEOUT_S,
     tell: Callable[[str], None] = lambda text: None,
-) -> FusionStream:
+) -> FusionStream[FusedBlock]:
     """What fuses rows of `sensors` as they come, to the same as `fuse` does with `causal`. `tell` hears which sensor is
     not waited for any more after `timeout_s`, and which is back. FusionError if the sensors can't feed the technique.
     """
     sensors = sorted(sensors, key=lambda sensor: sensor.name)  # as a log has them
-    groups = _chosen(sensors, only, "the array")
-    inertial = [sensor for group in groups.values() for sensor in group]
-    warming = running_temperatures(sensors, inertial, calibration)
-    pipeline = _pipeline(groups, calibration, technique)
-    return FusionStream(groups, calibration, pipeline, warming, timeout_s=timeout_s, tell=tell)
+    array = _Array(_chosen(sensors, only, "the array"), calibration, technique, watch)
+    warming = running_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)
+    making = array.making(warming)
+    making(1.0)  # what can't be fed is said before anything is read
+    return FusionStream(array.groups, calibration, making, warming, timeout_s=timeout_s, tell=tell)
+
+
+class _Array(Generic[_Sensor]):
+    """Sensors by quantity, and what is to be done with them; FusionError for a technique that there isn't."""
+
+    def __init__(
+        self, groups: dict[str, list[_Sensor]], calibration: Calibration, technique: str | Making, watch: Watch
+    ) -> None:
+        if isinstance(technique, str) and technique not in NAMES:
+            raise FusionError(f"technique {technique!r}: allowed are {', '.join(NAMES)}")
+        self.groups: dict[str, list[_Sensor]] = groups
+        self.calibration, self.technique, self.watch = calibration, technique, watch
+        self.inertial: list[_Sensor] = [sensor for sensors in groups.values() for sensor in sensors]
+        self.is_optimal = technique == OPTIMAL
+
+    @property
+    def axes(self) -> dict[str, list[Axis]]:
+        """By quantity."""
+        return {quantity: axes_of(sensors, self.calibration) for quantity, sensors in self.groups.items()}
+
+    def model(self, warming: Warming) -> ErrorModel:
+        """The errors that the calibration leaves."""
+        known = all(sensor.name in warming.elements for sensor in self.inertial)
+        return error_model(self.inertial, self.calibration, thermometer=known)
+
+    def making(self, warming: Warming) -> Callable[[float], Pipeline[FusedBlock]]:
+        """What makes the pipeline, of the seconds from frame to frame."""
+        axes, technique = self.axes, self.technique
+        if technique == OPTIMAL:
+            model = self.model(warming)
+            return lambda period_s: self.watched(AsTheyCome(axes, model, period_s), axes, period_s)
+        if isinstance(technique, str):
+            return lambda period_s: self.watched(EachAlone(axes, technique), axes, period_s)
+        return lambda period_s: self.watched(technique(axes, period_s), axes, period_s)
+
+    def watched(
+        self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float, *, tell: bool = True
+    ) -> Pipeline[_Out]:
+        """The pipeline behind fault monitors, if there is to be any watching."""
+        if not self.watch.over(self.technique):
+            return pipeline
+        found: Found = self.watch.found if tell else lambda event: None
+        return Watched(pipeline, axes, period_s, self.watch.ranges, found)
+
+
+def _smoothed(log: Log, array: _Array[SensorLog], warming: Warming, block: int) -> Iterator[FusedBlock]:
+    """Every frame by what the whole log tells: it is read twice."""
+    axes, model = array.axes, array.model(warming)
+    period_s = _period_s(array)
+    passes = iter((True, False))  # what failed is told once
+
+    def blocks() -> Iterator[Gathered]:
+        tell = next(passes)
+        stream = FusionStream(
+            array.groups,
+            array.calibration,
+            lambda period_s: array.watched(Gathering(), axes, period_s, tell=tell),
+            warming,
+            timeout_s=float("inf"),
+        )
+        return _replayed(log, stream, block)
+
+    yield from smoothed(blocks, axes, model, period_s)
+
+
+def _period_s(array: _Array[SensorLog]) -> float:
+    """From frame to frame, as a stream will choose it."""
+    first = [np.asarray(sensor.time[:FIRST_ROWS]) for sensor in array.inertial]
+    numbers = iter(range(len(first)))
+    groups = [[next(numbers) for _ in sensors] for sensors in array.groups.values()]
+    return choose(first, groups, [sensor.where for sensor in array.inertial]).period_ns * 1e-9
 
 
 def _chosen(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> dict[str, list[_Sensor]]:
@@ -84,14 +195,9 @@ def _chosen(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> di
     return {quantity: group for quantity, group in chosen.items() if group}
 
 
-def _pipeline(groups: dict[str, list[_Sensor]], calibration: Calibration, technique: str | Making) -> Pipeline:
-    """The technique, for the axes of the sensors."""
-    axes = {quantity: axes_of(sensors, calibration) for quantity, sensors in groups.items()}
-    return EachAlone(axes, technique) if isinstance(technique, str) else technique(axes)
-
-
-def _replayed(sensors: Sequence[SensorLog], stream: FusionStream, block: int) -> Iterator[FusedBlock]:
+def _replayed(log: Log, stream: FusionStream[_Out], block: int) -> Iterator[_Out]:
     """The rows of all sensors in the order of their times, more or less: none is read far ahead of the others."""
+    sensors = [sensor for sensor in log.sensors.values() if sensor.name in stream.sensors]
     reached_ns = {sensor.name: -1 for sensor in sensors}
     row = {sensor.name: 0 for sensor in sensors}
     left = {sensor.name: sensor for sensor in sensors}

@@ -3,32 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Protocol
+from typing import Protocol, TypeVar, runtime_checkable
 
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, axis_bits
-from imuarray.fuse.techniques import TECHNIQUES
+from imuarray.fuse.techniques import TECHNIQUES, Technique
+
+Out_co = TypeVar("Out_co", covariant=True)
 
 
-class Pipeline(Protocol):
+class Pipeline(Protocol[Out_co]):
     """An estimator of the whole array. All quantities of a block have the same times; a block may have any length, and
     the result does not depend on it. A pipeline may hold frames back, in order.
     """
 
-    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out_co]:
         """What is ready after the next block, by quantity; `degc` are the temperatures (n,) of the elements of the
         sensors of which they are known, by sensor, NaN where not yet.
         """
         ...
 
-    def finish(self) -> Iterator[FusedBlock]:
+    def finish(self) -> Iterator[Out_co]:
         """What it held back."""
         ...
 
 
-Making = Callable[[Mapping[str, Sequence[Axis]]], Pipeline]
-"""The axes by quantity to a pipeline for them; FusionError if they can't feed it."""
+Making = Callable[[Mapping[str, Sequence[Axis]], float], Pipeline[FusedBlock]]
+"""The axes by quantity, and the seconds from frame to frame, to a pipeline for them; FusionError if they can't feed it.
+"""
+
+
+@runtime_checkable
+class ByQuantity(Protocol):
+    """A pipeline that does nothing but apply a technique to each quantity: there may be a shorter way to the same."""
+
+    axes: Mapping[str, Sequence[Axis]]
+    techniques: Mapping[str, Technique]
 
 
 class EachAlone:
@@ -38,8 +49,10 @@ class EachAlone:
         """FusionError if there is no such technique, or the axes can't feed it."""
         if technique not in TECHNIQUES:
             raise FusionError(f"technique {technique!r}: allowed are {', '.join(TECHNIQUES)}")
-        self.axes = dict(axes)
-        self.techniques = {quantity: TECHNIQUES[technique](its) for quantity, its in axes.items()}
+        self.axes: Mapping[str, Sequence[Axis]] = dict(axes)
+        self.techniques: Mapping[str, Technique] = {
+            quantity: TECHNIQUES[technique](its) for quantity, its in axes.items()
+        }
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
         """See `Pipeline`; nothing is held back."""

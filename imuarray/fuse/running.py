@@ -142,7 +142,7 @@ class Warming:
 
 
 def running_temperatures(
-    everything: Sequence[Described], sensors: Iterable[Described], calibration: Calibration
+    everything: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
 ) -> Warming:
     """As `element_temperatures`, of what is known when a frame is: by the barometer, the chip's own thermometer, or
     that of another chip among `everything`. A reference is known afterwards only, and not used.
@@ -150,9 +150,10 @@ def running_temperatures(
     wanted: dict[str, dict[str, float]] = {}
     for sensor in sensors:
         thermal = slopes_of(calibration, sensor)
-        source = None if thermal is None else _source(everything, sensor)
-        if thermal is not None and source is not None and goes_with(_kind(source), thermal):
-            wanted.setdefault(source.name, {})[sensor.name] = thermal.significant_lag_s
+        source = _source(everything, sensor) if of_all or thermal is not None else None
+        if source is not None and goes_with(_kind(source), thermal):
+            lag_s = 0.0 if thermal is None else thermal.significant_lag_s
+            wanted.setdefault(source.name, {})[sensor.name] = lag_s
     elements: dict[str, Warmth] = {}
     feeds: dict[str, Callable[[Block], None]] = {}
     for source in everything:

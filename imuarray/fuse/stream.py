@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar, cast
 
 import numpy as np
 
@@ -16,13 +17,15 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
 from imuarray.fuse.align import MARGIN, Unit, align
 from imuarray.fuse.axes import axes_of, directions
-from imuarray.fuse.frames import Floats, Frames, FusedBlock, Times
+from imuarray.fuse.frames import Floats, Frames, Times
 from imuarray.fuse.grid import FIRST_ROWS, Grid, choose
-from imuarray.fuse.pipeline import EachAlone, Pipeline, fused_block
-from imuarray.fuse.plain import plain_counts, plain_of
+from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
+from imuarray.fuse.plain import Plain, plain_counts, plain_of
 from imuarray.fuse.rows import FOREVER_NS, Rows
 from imuarray.fuse.running import Warming
 from imuarray.log import Block
+
+Out = TypeVar("Out")
 
 TIMEOUT_S = 3.0
 """A recording writes its rows once a second."""
@@ -36,20 +39,21 @@ class Group:
     directions: Floats
 
 
-class FusionStream:
+class FusionStream(Generic[Out]):
     """Fuses rows as they are pushed; `finish` gives the rest. The result does not depend on how the rows are cut."""
 
     def __init__(
         self,
         sensors: Mapping[str, Sequence[Described]],
         calibration: Calibration,
-        pipeline: Pipeline,
+        making: Callable[[float], Pipeline[Out]],
         warming: Warming,
         *,
         timeout_s: float = TIMEOUT_S,
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """`sensors` by quantity, `warming` of their elements. `tell` hears which sensor is not waited for any more, and
+        """`sensors` by quantity; `making` makes their pipeline, once it is known how many seconds lie from frame to
+        frame; `warming` of their elements. `tell` hears which sensor is not waited for any more, and
         which one is back. CalibrationError if the calibration does not fit.
         """
         inertial = [sensor for group in sensors.values() for sensor in group]
@@ -66,9 +70,9 @@ class FusionStream:
         for quantity, group in sensors.items():
             numbers = tuple(self._names.index(sensor.name) for sensor in group)
             self._groups[quantity] = Group(numbers, directions(axes_of(group, calibration)))
-        self._pipeline = pipeline
-        units = {quantity: [self._units[k] for k in group.numbers] for quantity, group in self._groups.items()}
-        self._plain = plain_of(pipeline.techniques, units) if isinstance(pipeline, EachAlone) else {}
+        self._making = making
+        self._pipeline: Pipeline[Out] | None = None
+        self._plain: Mapping[str, Plain] = {}
         self._timeout_ns = timeout_s * 1e9
         self._tell = tell
         self._silent: set[str] = set()
@@ -95,7 +99,7 @@ class FusionStream:
         """Rows that wait for those of other sensors, or that frames to come depend on."""
         return sum(len(rows) for rows in self._rows.values())
 
-    def push(self, sensor: str, block: Block) -> Iterator[FusedBlock]:
+    def push(self, sensor: str, block: Block) -> Iterator[Out]:
         """Rows of one sensor, and what is complete with them: nothing, mostly. Sensors that don't matter are ignored;
         ValueError if the rows don't follow those before.
         """
@@ -105,28 +109,30 @@ class FusionStream:
                 self._feeds[sensor](block)
             yield from self._advance()
 
-    def end(self, sensor: str) -> Iterator[FusedBlock]:
+    def end(self, sensor: str) -> Iterator[Out]:
         """Nothing comes from this sensor any more, and what is complete without it."""
         if sensor in self._rows:
             self._rows[sensor].ended = True
             yield from self._advance()
 
-    def finish(self) -> Iterator[FusedBlock]:
+    def finish(self) -> Iterator[Out]:
         """Everything that is left; FusionError if there were fewer than three rows of every sensor."""
         for rows in self._rows.values():
             rows.ended = True
         yield from self._advance()
-        yield from self._pipeline.finish()
+        if self._pipeline is not None:
+            yield from self._pipeline.finish()
 
-    def _advance(self) -> Iterator[FusedBlock]:
+    def _advance(self) -> Iterator[Out]:
         """Fuse what is complete."""
         known_ns = self._known_ns()
         if known_ns < self._asleep_until_ns:
             return
-        if self._grid is None:
+        if self._grid is None or self._pipeline is None:
             self._grid = self._choice(known_ns)
-        if self._grid is None:
-            return
+            if self._grid is None:
+                return
+            self._pipeline = self._made(self._making(self._grid.period_ns * 1e-9))
         final = known_ns == FOREVER_NS
         self._extend(self._grid, known_ns)
         ready = len(self._times) if final else len(self._times) - MARGIN
@@ -134,7 +140,7 @@ class FusionStream:
             missing = MARGIN - max(ready - self._given, -MARGIN)
             self._asleep_until_ns = min(known_ns + round(missing * self._grid.period_ns / 2), FOREVER_NS)
             return
-        yield from self._fused(self._grid, slice(self._given, ready))
+        yield from self._fused(self._pipeline, self._grid, slice(self._given, ready))
         first = max(0, ready - MARGIN)
         self._times, self._given = self._times[first:], ready - first
         self._forget(int(self._times[0]) - 2 * self._grid.ahead_ns)
@@ -172,9 +178,16 @@ class FusionStream:
         certain_ns = known_ns if known_ns == FOREVER_NS else known_ns - grid.ahead_ns
         self._times = np.concatenate([self._times, times[(times > after_ns) & (times <= certain_ns)]])
 
-    def _fused(self, grid: Grid, wanted: slice) -> Iterator[FusedBlock]:
+    def _made(self, pipeline: Pipeline[Out]) -> Pipeline[Out]:
+        """The pipeline, with the short way through it if there is one."""
+        if isinstance(pipeline, ByQuantity):
+            units = {quantity: [self._units[k] for k in group.numbers] for quantity, group in self._groups.items()}
+            self._plain = plain_of(pipeline.techniques, units)
+        return pipeline
+
+    def _fused(self, pipeline: Pipeline[Out], grid: Grid, wanted: slice) -> Iterator[Out]:
         """The frames of the times `wanted`, by the short way if it leads there."""
-        if self._plain and isinstance(self._pipeline, EachAlone):
+        if self._plain and isinstance(pipeline, ByQuantity):
             time, blocks = self._times[wanted], [self._rows[name].block for name in self._names]
             counts = plain_counts(blocks, time)
             if counts is not None:
@@ -182,9 +195,9 @@ class FusionStream:
                     quantity: self._plain[quantity]([counts[number] for number in group.numbers])
                     for quantity, group in self._groups.items()
                 }
-                yield fused_block(time, found, self._pipeline.axes)
+                yield cast(Out, fused_block(time, found, pipeline.axes))  # what `EachAlone` gives
                 return
-        yield from self._pipeline(*self._frames(grid, wanted))
+        yield from pipeline(*self._frames(grid, wanted))
 
     def _frames(self, grid: Grid, wanted: slice) -> tuple[dict[str, Frames], dict[str, Floats]]:
         """Frames by quantity, and temperatures by sensor, of the times `wanted`."""

@@ -23,28 +23,34 @@ def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
     return thermal if thermal is not None and BIAS in thermal.meaning else None
 
 
-def element_temperatures(log: Log, sensors: Iterable[SensorLog], calibration: Calibration) -> dict[str, Thermometer]:
+def element_temperatures(
+    log: Log, sensors: Iterable[SensorLog], calibration: Calibration, *, of_all: bool = False
+) -> dict[str, Thermometer]:
     """The temperature that the bias of each sensor follows, behind its lag, by sensor: one row for 5 s, or longer.
 
     Read as `calibrate thermal` reads it: barometer, `/reference`, the chip's own thermometer, that of another chip.
     Without the sensors whose bias has no slopes, and those that have none of these here; slopes over a thermometer
-    without a zero go with no other kind, and slopes over another not with it.
+    without a zero go with no other kind, and slopes over another not with it. `of_all`: of sensors without slopes too,
+    without a lag.
     """
     found: dict[str, Thermometer] = {}
     shared: Thermometer | None = None
     for sensor in sensors:
-        if (thermal := slopes_of(calibration, sensor)) is not None:
+        thermal = slopes_of(calibration, sensor)
+        if of_all or thermal is not None:
             thermometer = shared or thermometer_of(log, sensor, SEGMENT_S)
             if thermometer is not None and thermometer.kind in _OF_THE_BOX:
                 shared = thermometer
             if thermometer is not None and goes_with(thermometer.kind, thermal):
-                found[sensor.name] = _behind(thermometer, thermal)
+                found[sensor.name] = thermometer if thermal is None else _behind(thermometer, thermal)
     return found
 
 
-def goes_with(kind: str, thermal: Thermal) -> bool:
-    """Whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has."""
-    return (kind == "relative") == (thermal.thermometer == "relative")
+def goes_with(kind: str, thermal: Thermal | None) -> bool:
+    """Whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has. No slopes go with
+    any.
+    """
+    return thermal is None or (kind == "relative") == (thermal.thermometer == "relative")
 
 
 def _behind(thermometer: Thermometer, thermal: Thermal) -> Thermometer:

@@ -205,7 +205,7 @@ def test_a_pipeline_may_hold_frames_back(run: Path) -> None:
     """One that gives everything at the end gives the same."""
 
     class Late:
-        def __init__(self, inner: Pipeline) -> None:
+        def __init__(self, inner: Pipeline[FusedBlock]) -> None:
             self.inner, self.held = inner, list[FusedBlock]()
 
         def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
@@ -217,7 +217,7 @@ def test_a_pipeline_may_hold_frames_back(run: Path) -> None:
             return iter(self.held)
 
     with open_log(run) as log:
-        late = list(fuse(log, calibration(parts()), lambda axes: Late(EachAlone(axes, "opposed")), block=100))
+        late = list(fuse(log, calibration(parts()), lambda axes, period_s: Late(EachAlone(axes, "opposed")), block=100))
         same(late, list(fuse(log, calibration(parts()), "opposed")))
 
 
@@ -225,7 +225,8 @@ def test_a_pipeline_hears_how_warm_the_elements_are(warm: Path) -> None:
     heard: dict[str, list[Floats]] = {"A1": [], "A2": [], "G1": []}
 
     class Listening:
-        def __init__(self, axes: Mapping[str, Sequence[Axis]]) -> None:
+        def __init__(self, axes: Mapping[str, Sequence[Axis]], period_s: float) -> None:
+            assert period_s == pytest.approx(0.01)
             self.inner = EachAlone(axes, "mean")
 
         def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:

@@ -64,14 +64,14 @@ def test_axes_in_one_plane_do_not_make_a_triad(technique: str) -> None:
     assert np.isnan(TECHNIQUES[technique](flat)(at_once(np.ones((5, 3)))).triad_box).all()
 
 
-@pytest.mark.parametrize("technique", sorted(NEEDS_NOISE))
+@pytest.mark.parametrize("technique", sorted(NEEDS_NOISE & set(TECHNIQUES)))
 def test_a_technique_that_weighs_by_noise_names_the_sensor_without(technique: str) -> None:
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.0)), *triad("B", "+X+Y+Z", None)]
     with pytest.raises(FusionError, match="sensor B: its noise is not known"):
         TECHNIQUES[technique](axes)
 
 
-@pytest.mark.parametrize("technique", sorted(NEEDS_NOISE))
+@pytest.mark.parametrize("technique", sorted(NEEDS_NOISE & set(TECHNIQUES)))
 def test_a_noise_of_zero_is_refused(technique: str) -> None:
     axes = [*triad("A", "+X+Y+Z", (0.0, 0.0, 0.0)), *triad("B", "+X+Y+Z", (1.0, 1.0, 1.0), span=2e3)]
     with pytest.raises(FusionError):
@@ -85,7 +85,7 @@ def test_mean_weighs_every_axis_alike() -> None:
     assert weights(TECHNIQUES["mean"](axes), 6) == pytest.approx(np.array(expected), abs=1e-12)
 
 
-@pytest.mark.parametrize("technique", sorted(NEEDS_NOISE))
+@pytest.mark.parametrize("technique", sorted(NEEDS_NOISE & set(TECHNIQUES)))
 def test_hardly_different_noise_weighs_as_in_the_average(technique: str) -> None:
     """Variances 1 : 1.21; inverse-variance weights would gain 4 * 1.21 / 2.21^2 - 1 = -0.9 % of the variance."""
     axes = [*triad("A", "+X+Y+Z", (1.0, 1.0, 1.1)), *triad("B", "+Y+Z+X", (1.0, 1.0, 1.1), span=2e3)]

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.model import Described
 from imuarray.calibrate.stability import BIAS
 from imuarray.errors import FusionError
 from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
-from imuarray.log import SensorLog
 from imuarray.units import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
@@ -59,7 +59,7 @@ UNWATCHED_DEGC = 3.0
 UNWATCHED_S = 1000.0
 
 
-def error_model(sensors: Sequence[SensorLog], calibration: Calibration, *, thermometer: bool = True) -> ErrorModel:
+def error_model(sensors: Sequence[Described], calibration: Calibration, *, thermometer: bool = True) -> ErrorModel:
     """The errors of the inertial `sensors` of a log as `calibration` leaves them.
 
     Without a `thermometer`, what slopes do becomes drift. FusionError for a sensor whose noise is not known.
@@ -102,7 +102,7 @@ def _of_sensor(known: SensorCalibration, thermometer: bool) -> list[AxisErrors]:
     slope, bias_degc = _slope(known, usual)
     if not thermometer:
         drift, slope = np.hypot(drift, UNWATCHED_DEGC * slope), np.zeros(3)
-    correlation = getattr(known, "noise_correlation", None)
+    correlation = known.noise_correlation
     return [
         AxisErrors(
             noise=float(noise[index]),
@@ -135,7 +135,7 @@ def _bias(known: SensorCalibration, usual: Usual, noise: Floats) -> Floats:
 
 def _drift(known: SensorCalibration, usual: Usual, noise: Floats) -> tuple[Floats, float]:
     """(3,) rms, and the time constant."""
-    drift = getattr(known, "drift", None)
+    drift = known.drift
     if drift is None:
         return usual.drift_share * noise, DRIFT_TIME_CONSTANT_S
     return np.hypot(drift.rms_lsb, drift.rms_sem_lsb) / known.lsb_per_si, float(drift.time_constant_s)

@@ -1,0 +1,65 @@
+"""A pipeline that is given frames without the axes that failed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from imuarray.fuse.axes import Axis
+from imuarray.fuse.faults import FaultEvent, FaultMonitor, Ranges
+from imuarray.fuse.frames import Floats, Frames
+from imuarray.fuse.pipeline import Pipeline
+
+Out = TypeVar("Out")
+
+
+class Watched(Generic[Out]):
+    """A fault monitor of each quantity before another pipeline; both monitors judge in the same windows, so that they
+    give back the same frames. `found` hears each event as it is found.
+    """
+
+    def __init__(
+        self,
+        inner: Pipeline[Out],
+        axes: Mapping[str, Sequence[Axis]],
+        period_s: float,
+        ranges: Ranges,
+        found: Callable[[FaultEvent], None],
+    ) -> None:
+        self._inner = inner
+        self._monitors = {
+            quantity: FaultMonitor(its, quantity, period_s=period_s, ranges=ranges) for quantity, its in axes.items()
+        }
+        self._found, self._told = found, dict.fromkeys(axes, 0)
+        self._degc: dict[str, Floats] = {}
+        """Temperatures of the frames that the monitors hold back."""
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
+        """See `Pipeline`."""
+        done = {quantity: self._monitors[quantity](part) for quantity, part in frames.items()}
+        self._tell()
+        self._degc = {name: np.concatenate([self._degc.get(name, values[:0]), values]) for name, values in degc.items()}
+        yield from self._passed(done)
+
+    def finish(self) -> Iterator[Out]:
+        """See `Pipeline`."""
+        last = {quantity: monitor.finish() for quantity, monitor in self._monitors.items()}
+        self._tell()
+        yield from self._passed({quantity: part for quantity, part in last.items() if part is not None})
+        yield from self._inner.finish()
+
+    def _passed(self, frames: Mapping[str, Frames]) -> Iterator[Out]:
+        """Frames that are done with, and their temperatures."""
+        count = max((len(part.time) for part in frames.values()), default=0)
+        if count:
+            now = {name: values[:count] for name, values in self._degc.items()}
+            self._degc = {name: values[count:] for name, values in self._degc.items()}
+            yield from self._inner(frames, now)
+
+    def _tell(self) -> None:
+        for quantity, monitor in self._monitors.items():
+            for event in monitor.events[self._told[quantity] :]:
+                self._found(event)
+            self._told[quantity] = len(monitor.events)
