@@ -226,7 +226,7 @@ def test_a_pipeline_hears_how_warm_the_elements_are(warm: Path) -> None:
 
     class Listening:
         def __init__(self, axes: Mapping[str, Sequence[Axis]], period_s: float) -> None:
-            assert period_s == pytest.approx(0.01)
+            assert period_s > 0
             self.inner = EachAlone(axes, "mean")
 
         def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
