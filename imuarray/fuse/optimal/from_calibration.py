@@ -32,7 +32,6 @@ class Usual:
 
     bias: float
     slope_per_degc: float
-    common_slope_per_degc: float
     turn_on_share: float
     drift_share: float
     response: float = 0.03
@@ -40,15 +39,19 @@ class Usual:
 
 USUAL: Mapping[str, Usual] = MappingProxyType(
     {
-        # bias: of BMA180s; slopes: Table 8, within and between a design's like axes; turn-on: Table 11, deviation of
-        # the runs' means over that of readings; drift: the same of the uninterrupted run, less the means' own noise
-        "specific_force": Usual(
-            0.125 * STANDARD_GRAVITY, 4e-4 * STANDARD_GRAVITY, 3e-4 * STANDARD_GRAVITY, 0.033, 0.02
-        ),
-        "angular_rate": Usual(0.84 * _DPS, 0.015 * _DPS, 0.016 * _DPS, 0.17, 0.04),
+        # bias: of BMA180s; slopes: Table 8; turn-on: Table 11, deviation of the runs' means over that of readings;
+        # drift: the same of the uninterrupted run, less the means' own noise
+        "specific_force": Usual(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02),
+        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04),
     }
 )
 """By quantity. Response: Table 10's misalignments, 2 degrees; its scale errors are half of that."""
+
+STEEP: Mapping[tuple[str, int], float] = MappingProxyType({("adxl345", 2): 1.2e-3 * STANDARD_GRAVITY})
+"""Slopes per degC of axes, by chip and index, that are not like others: ADX-62, and Table 8."""
+
+COMMON_SHARE = 0.5
+"""Share of a slope's variance that a design's like axes have in common: of the gyroscopes' in Table 8, 0.53."""
 
 DRIFT_TIME_CONSTANT_S = 600.0
 """Of drift whose time constant nobody measured; the paper's tables don't tell it closer than a factor of ten."""
@@ -69,9 +72,12 @@ def error_model(sensors: Sequence[Described], calibration: Calibration, *, therm
     covariances: dict[str, Floats] = {}
     for sensor in sensors:
         known = calibration.of(sensor)
-        for index, errors in enumerate(_of_sensor(known, thermometer)):
+        usual = USUAL[sensor.quantity]
+        slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
+        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - COMMON_SHARE), thermometer)):
             axes[sensor.name, index] = errors
-            shared = _of_design(errors.noise, USUAL[sensor.quantity], thermometer)
+            slope = float(slopes[index] * np.sqrt(COMMON_SHARE))
+            shared = _of_design(usual.drift_share * errors.noise, slope, thermometer)
             quieter = designs.get((sensor.chip, index), shared)
             designs[sensor.chip, index] = min(shared, quieter, key=lambda design: design.common)
         if known.bias_covariance_lsb2 is not None:
@@ -79,27 +85,25 @@ def error_model(sensors: Sequence[Described], calibration: Calibration, *, therm
     return ErrorModel(MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances))
 
 
-def _of_design(noise: float, usual: Usual, thermometer: bool) -> DesignErrors:
+def _of_design(wander: float, slope: float, thermometer: bool) -> DesignErrors:
     """What nobody measured: a design is taken to wander in common as far as its units do singly."""
-    wander = usual.drift_share * noise
     if thermometer:
-        return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, usual.common_slope_per_degc)
-    return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * usual.common_slope_per_degc)), UNWATCHED_S)
+        return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)
+    return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
 
 
-def _of_sensor(known: SensorCalibration, thermometer: bool) -> list[AxisErrors]:
-    """The three axes of one sensor."""
+def _of_sensor(known: SensorCalibration, usual: Usual, slopes_per_degc: Floats, thermometer: bool) -> list[AxisErrors]:
+    """The three axes of one sensor; `slopes_per_degc` of their own where none were measured."""
     if known.noise_lsb is None:
         raise FusionError(
             f"sensor {known.name}: its noise is not known; run `imuarray calibrate noise` and give the file"
         )
-    usual = USUAL[known.quantity]
     noise = known.noise_lsb / known.lsb_per_si
     for index in np.flatnonzero(~(noise > 0)):
         raise FusionError(f"sensor {known.name} axis {'xyz'[index]}: noise {noise[index]:g}: it is stuck")
     bias, response = _bias(known, usual, noise), _response(known, usual)
     drift, time_constant_s = _drift(known, usual, noise)
-    slope, bias_degc = _slope(known, usual)
+    slope, bias_degc = _slope(known, slopes_per_degc)
     if not thermometer:
         drift, slope = np.hypot(drift, UNWATCHED_DEGC * slope), np.zeros(3)
     correlation = known.noise_correlation
@@ -148,14 +152,14 @@ def _response(known: SensorCalibration, usual: Usual) -> Floats:
     return np.asarray(known.response_sem_lsb_per_unit / known.scale_lsb_per_unit)
 
 
-def _slope(known: SensorCalibration, usual: Usual) -> tuple[Floats, float | None]:
+def _slope(known: SensorCalibration, usual_per_degc: Floats) -> tuple[Floats, float | None]:
     """(3,) what is not known of the slopes, in SI per degC, and the temperature at which the bias holds.
 
     A slope that may be one of scale is not applied to the bias: all of it is in doubt.
     """
     thermal = known.thermal
     if thermal is None:
-        return np.full(3, usual.slope_per_degc), known.temperature_degc if known.bias_sem_lsb is not None else None
+        return usual_per_degc, known.temperature_degc if known.bias_sem_lsb is not None else None
     unsure = np.array([meaning != BIAS for meaning in thermal.meaning])
     doubt = np.where(unsure, np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc), 0.0)
     spread = np.where(unsure, doubt, thermal.slope_sem_lsb_per_degc) / known.lsb_per_si

@@ -29,7 +29,7 @@ from imuarray.fuse.optimal.states import states_of
 from imuarray.fuse.optimal.view import View
 from imuarray.fuse.optimal.warmth import Warmth
 
-SEGMENT_S = 0.5
+SEGMENT_S = 1.0
 """Over which slow errors are taken to stay as they are: short beside any of their time constants."""
 
 Temperatures = Mapping[str, Floats]

@@ -63,6 +63,11 @@ class View:
         flat = self.errors.reshape(-1, self.errors[0, 0].size)
         return np.asarray((_pairs(terms) @ flat).reshape(-1, *self.errors.shape[2:]))
 
+    def own(self, terms: Floats) -> Floats:
+        """(n, r) variances of the slow errors."""
+        own = np.einsum("jkrr->jkr", self.errors).reshape(-1, len(self.rows))
+        return np.asarray(np.maximum(_pairs(terms) @ own, 0.0))
+
     def gains(self, valid: Flags, terms: Floats) -> Floats:
         """(n, k, p) best gains of the p rows in use."""
         rows, noise = self.rows[valid], self.geometry.noise[valid] ** 2
