@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.model import Described
-from imuarray.calibrate.stability import BIAS
+from imuarray.calibrate.stability import BIAS, TurnOn
 from imuarray.errors import FusionError
 from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
 from imuarray.units import STANDARD_GRAVITY
@@ -28,24 +28,27 @@ _DPS = np.pi / 180
 
 @dataclass(frozen=True)
 class Usual:
-    """Standard deviations in SI, and shares of the noise of a reading."""
+    """Standard deviations in SI, and shares of the noise of a reading; `felt`: what 1 g does to a gyroscope."""
 
     bias: float
     slope_per_degc: float
     turn_on_share: float
     drift_share: float
-    response: float = 0.03
+    response: float
+    felt: float = 0.0
 
 
 USUAL: Mapping[str, Usual] = MappingProxyType(
     {
         # bias: of BMA180s; slopes: Table 8; turn-on: Table 11, deviation of the runs' means over that of readings;
         # drift: the same of the uninterrupted run, less the means' own noise
-        "specific_force": Usual(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02),
-        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04),
+        "specific_force": Usual(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02, 0.03),
+        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, 0.02, 0.0083 * _DPS),
     }
 )
-"""By quantity. Response: Table 10's misalignments, 2 degrees; its scale errors are half of that."""
+"""By quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales; of
+gyroscopes L3G-72, and as much of misalignment. `felt`: Table 4.
+"""
 
 STEEP: Mapping[tuple[str, int], float] = MappingProxyType({("adxl345", 2): 1.2e-3 * STANDARD_GRAVITY})
 """Slopes per degC of axes, by chip and index, that are not like others: ADX-62, and Table 8."""
@@ -127,14 +130,29 @@ _COLOURED = 0.99
 
 
 def _bias(known: SensorCalibration, usual: Usual, noise: Floats) -> Floats:
-    """(3,) what is independent of a bias's error: the calibration's own where no covariance tells it, and turn-on."""
+    """(3,) what is independent in a bias's error: the calibration's own where no covariance tells it, turn-on, and what
+    gravity does to a gyroscope, which hardly changes while the box stands.
+    """
     if known.bias_sem_lsb is None:
         return np.full(3, usual.bias)
     measured = np.zeros(3) if known.bias_covariance_lsb2 is not None else known.bias_sem_lsb / known.lsb_per_si
     turn_on = usual.turn_on_share * noise
     if known.turn_on is not None:
-        turn_on = np.hypot(known.turn_on.rms_lsb, known.turn_on.rms_sem_lsb) / known.lsb_per_si
-    return np.asarray(np.hypot(measured, turn_on))
+        states = _between_states(known.turn_on)
+        turn_on = np.sqrt(known.turn_on.rms_lsb**2 + known.turn_on.rms_sem_lsb**2 + states) / known.lsb_per_si
+    felt = np.full(3, usual.felt)
+    if known.g_sensitivity_sem_lsb_per_g is not None:
+        felt = np.sqrt(np.mean(known.g_sensitivity_sem_lsb_per_g**2, axis=1)) / known.lsb_per_si
+    return np.asarray(np.sqrt(measured**2 + turn_on**2 + felt**2))
+
+
+def _between_states(turn_on: TurnOn) -> Floats:
+    """(3,) variance in counts of the change from the state of one run to that of another, drawn alike."""
+    if len(turn_on.states) < 2:
+        return np.zeros(3)
+    biases, shares = (np.array([getattr(state, name) for state in turn_on.states]) for name in ("bias_lsb", "share"))
+    mean = np.average(biases, axis=0, weights=shares)
+    return np.asarray(2 * np.average((biases - mean) ** 2, axis=0, weights=shares))
 
 
 def _drift(known: SensorCalibration, usual: Usual, noise: Floats) -> tuple[Floats, float]:

@@ -43,7 +43,7 @@ class View:
         self.stimulus = np.zeros(3)
         self.rows = geometry.rows.copy()
         self.rows[:, :3] += response
-        self._usual: dict[bytes, Usual] = {}
+        self._usual: dict[bytes, Usual | None] = {}
 
     def begin(self, readings: Readings, before: Floats) -> None:
         """Make the stimulus of the first of the frames the usual one; `before` if that can't be told."""
@@ -84,16 +84,17 @@ class View:
 
     def usual(self, valid: Flags) -> Usual | None:
         """The gain at the usual stimulus; None where the rows in use don't span space."""
-        if not self.geometry.spans(valid):
-            return None
         key = valid.tobytes()
         if key not in self._usual:
-            gain = np.zeros(self.rows.shape[::-1])
-            (gain[:, valid],) = self.gains(valid, self.terms(self.stimulus[None]))
-            noise = (gain * self.geometry.noise**2) @ gain.T
-            errors = (gain @ self.errors @ gain.T).reshape(-1, *noise.shape)
-            self._usual[key] = Usual(gain, gain @ self.offset, noise, errors)
+            self._usual[key] = self._worked_out(valid) if self.geometry.spans(valid) else None
         return self._usual[key]
+
+    def _worked_out(self, valid: Flags) -> Usual:
+        gain = np.zeros(self.rows.shape[::-1])
+        (gain[:, valid],) = self.gains(valid, self.terms(self.stimulus[None]))
+        noise = (gain * self.geometry.noise**2) @ gain.T
+        errors = (gain @ self.errors @ gain.T).reshape(-1, *noise.shape)
+        return Usual(gain, gain @ self.offset, noise, errors)
 
     def usual_spreads(self, usual: Usual, stimulus: Floats) -> Floats:
         """(n, k, k), or (1, k, k) for all, covariances of what the usual gain makes of frames of (n, 3)."""

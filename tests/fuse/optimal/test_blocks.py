@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -11,7 +14,7 @@ from imuarray.fuse.optimal import AxisErrors, DesignErrors, ErrorModel, Optimal
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, blocks_of, frames_of, model_of, times, triad
 
 RATE = "angular_rate"
-COUNT = 700
+COUNT = 450
 
 
 def whole() -> tuple[dict[str, list[Axis]], ErrorModel]:
@@ -151,3 +154,26 @@ def test_what_is_learned_outlives_the_loss_of_a_sensor() -> None:
     assert np.abs(estimate.triad_box[2000:].mean(axis=0)).max() < 0.02
     # Noise of one, and what 2000 frames leave unknown
     assert matrices(estimate.covariance_box)[-1].diagonal() == pytest.approx([0.01] * 3, rel=0.01)
+
+
+@pytest.mark.slow
+def test_smoothing_a_longer_log_takes_no_more_memory() -> None:
+    """The peak of Python's and numpy's own memory, of 12 s and of 48 s: 300 and 1200 segments."""
+    axes, model = whole()
+    peaks = []
+    for blocks in (4, 16):
+        optimal = Optimal({RATE: axes[RATE]}, model, period_s=PERIOD_S, segment_s=4 * PERIOD_S)
+
+        def log(count: int = blocks) -> Iterator[tuple[dict[str, Frames], None]]:
+            for block in range(count):
+                yield (
+                    {RATE: Frames(times(300) + block * 3_000_000_000, np.zeros((300, 6)), np.ones((300, 6), bool))},
+                    None,
+                )
+
+        tracemalloc.start()
+        for _ in optimal.smoothed(log):
+            pass
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.stability import Thermal, TurnOn
+from imuarray.calibrate.stability import BiasState, Thermal, TurnOn
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import axes_of
 from imuarray.fuse.optimal import ErrorModel, Optimal, error_model
@@ -52,7 +52,8 @@ def test_what_was_measured_is_taken(model: Callable[..., ErrorModel]) -> None:
     of = [found.axes["Gyro1", index] for index in range(3)]
     lsb = 0.01 * DPS  # 100 counts per dps
     assert [one.noise for one in of] == pytest.approx([17 * lsb] * 3)
-    assert [one.bias for one in of] == pytest.approx([5 * lsb, 5 * lsb, 13 * lsb])
+    # besides, Table 4: 0.0083 dps of 1 g, which nobody measured here
+    assert [one.bias for one in of] == pytest.approx(np.hypot([5 * lsb, 5 * lsb, 13 * lsb], 0.0083 * DPS))
     assert [one.response for one in of] == pytest.approx([0.002, 0.001, 0.003])
     assert [one.slope_per_degc for one in of] == pytest.approx([0.1 * lsb, 0.2 * lsb, np.hypot(1, 0.3) * lsb])
     assert {one.bias_degc for one in of} == {22.0}
@@ -71,14 +72,26 @@ def test_a_covariance_of_biases_stands_for_their_standard_errors(model: Callable
     assert found.axes["BMA1", 0].bias == pytest.approx(10 * lsb)
 
 
+def test_two_states_of_a_bias_widen_it(model: Callable[..., ErrorModel]) -> None:
+    """Half of the runs 12 counts from the others (as Table 7's Gyro3): a run differs from another by 12 or 0, a mean
+    square of 72.
+    """
+    states = tuple(BiasState(np.array([bias, 0.0, 0.0]), 0.5) for bias in (100.0, 112.0))
+    turn_on = TurnOn(np.full(3, 3.0), np.full(3, 4.0), np.zeros(3), np.zeros(3), 15, states)
+    measured = {"bias_sem_lsb": np.zeros(3), "turn_on": turn_on, "g_sensitivity_sem_lsb_per_g": np.full((3, 3), 2.0)}
+    found = model(GYRO, Gyro1=measured)
+    assert found.axes["Gyro1", 0].bias == pytest.approx(np.sqrt(25 + 72 + 4) * 0.01 * DPS)
+    assert found.axes["Gyro1", 1].bias == pytest.approx(np.sqrt(25 + 4) * 0.01 * DPS)
+
+
 def test_what_was_not_measured_is_as_such_sensors_are(model: Callable[..., ErrorModel]) -> None:
     """Table 11's turn-on: a sixth of a gyroscope's noise; Table 8's slopes, half of their square common."""
     found = model(GYRO, OTHER, Gyro1={"bias_sem_lsb": np.zeros(3)})
     calibrated, raw = found.axes["Gyro1", 1], found.axes["Gyro2", 1]
-    assert calibrated.bias == pytest.approx(0.17 * 0.17 * DPS)
+    assert calibrated.bias == pytest.approx(np.hypot(0.17 * 0.17, 0.0083) * DPS)
     assert raw.bias == pytest.approx(0.84 * DPS)
     assert calibrated.slope_per_degc == pytest.approx(0.022 / np.sqrt(2) * DPS)
-    assert calibrated.response == pytest.approx(0.03)
+    assert calibrated.response == pytest.approx(0.02)
     assert calibrated.drift == pytest.approx(0.04 * 0.17 * DPS)
     design = found.designs["l3g4200d", 1]
     assert design.slope_per_degc == pytest.approx(0.022 / np.sqrt(2) * DPS)
