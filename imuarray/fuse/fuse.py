@@ -133,8 +133,7 @@ class _Array(Generic[_Sensor]):
 
     def model(self, warming: Warming) -> ErrorModel:
         """The errors that the calibration leaves."""
-        known = all(sensor.name in warming.elements for sensor in self.inertial)
-        return error_model(self.inertial, self.calibration, thermometer=known)
+        return error_model(self.inertial, self.calibration, watched=warming.elements)
 
     def making(self, warming: Warming) -> Callable[[float], Pipeline[FusedBlock]]:
         """What makes the pipeline, of the seconds from frame to frame."""

@@ -7,7 +7,7 @@ the measuring range is) is given as a share of the noise of its readings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -65,22 +65,25 @@ UNWATCHED_DEGC = 3.0
 UNWATCHED_S = 1000.0
 
 
-def error_model(sensors: Sequence[Described], calibration: Calibration, *, thermometer: bool = True) -> ErrorModel:
+def error_model(
+    sensors: Sequence[Described], calibration: Calibration, *, watched: Container[str] | None = None
+) -> ErrorModel:
     """The errors of the inertial `sensors` of a log as `calibration` leaves them.
 
-    Without a `thermometer`, what slopes do becomes drift. FusionError for a sensor whose noise is not known.
+    `watched` names the sensors whose temperature will be told (None: every one); what slopes do to others becomes
+    drift. FusionError for a sensor whose noise is not known.
     """
     axes: dict[tuple[str, int], AxisErrors] = {}
     designs: dict[tuple[str, int], DesignErrors] = {}
     covariances: dict[str, Floats] = {}
     for sensor in sensors:
-        known = calibration.of(sensor)
+        known, told = calibration.of(sensor), watched is None or sensor.name in watched
         usual = USUAL[sensor.quantity]
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
-        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - COMMON_SHARE), thermometer)):
+        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - COMMON_SHARE), told)):
             axes[sensor.name, index] = errors
             slope = float(slopes[index] * np.sqrt(COMMON_SHARE))
-            shared = _of_design(usual.drift_share * errors.noise, slope, thermometer)
+            shared = _of_design(usual.drift_share * errors.noise, slope, told)
             quieter = designs.get((sensor.chip, index), shared)
             designs[sensor.chip, index] = min(shared, quieter, key=lambda design: design.common)
         if known.bias_covariance_lsb2 is not None:
@@ -88,14 +91,14 @@ def error_model(sensors: Sequence[Described], calibration: Calibration, *, therm
     return ErrorModel(MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances))
 
 
-def _of_design(wander: float, slope: float, thermometer: bool) -> DesignErrors:
+def _of_design(wander: float, slope: float, told: bool) -> DesignErrors:
     """What nobody measured: a design is taken to wander in common as far as its units do singly."""
-    if thermometer:
+    if told:
         return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)
     return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
 
 
-def _of_sensor(known: SensorCalibration, usual: Usual, slopes_per_degc: Floats, thermometer: bool) -> list[AxisErrors]:
+def _of_sensor(known: SensorCalibration, usual: Usual, slopes_per_degc: Floats, told: bool) -> list[AxisErrors]:
     """The three axes of one sensor; `slopes_per_degc` of their own where none were measured."""
     if known.noise_lsb is None:
         raise FusionError(
@@ -107,7 +110,8 @@ def _of_sensor(known: SensorCalibration, usual: Usual, slopes_per_degc: Floats, 
     bias, response = _bias(known, usual, noise), _response(known, usual)
     drift, time_constant_s = _drift(known, usual, noise)
     slope, bias_degc = _slope(known, slopes_per_degc)
-    if not thermometer:
+    if not told:  # nor does the bias follow the slopes that are known
+        slope = slope if known.thermal is None else np.hypot(slope, known.thermal.slope_lsb_per_degc / known.lsb_per_si)
         drift, slope = np.hypot(drift, UNWATCHED_DEGC * slope), np.zeros(3)
     correlation = known.noise_correlation
     return [

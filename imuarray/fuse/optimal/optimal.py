@@ -95,7 +95,7 @@ class Optimal:
         groups: dict[str, _Group] = {}
         for quantity, axes in self._axes.items():
             geometry, lever = geometry_of(axes, self._model), None
-            if quantity == _FORCE and _RATE in groups and placed(axes):
+            if quantity == _FORCE and _RATE in groups and placed(axes) and groups[_RATE].spans():
                 rate_covariance = groups[_RATE].noise_covariance()
                 lever = lever_of(axes, rate_covariance, self._period_s)
                 geometry = with_lever(geometry, axes, rate_covariance, self._period_s)
@@ -137,7 +137,11 @@ class _Group:
     def noise_covariance(self) -> Floats:
         """(3, 3) of the triad, by noise alone, with every axis."""
         rows, noise = self._geometry.rows, self._geometry.noise
-        return np.asarray(np.linalg.pinv(rows.T @ (rows / noise[:, None] ** 2), hermitian=True))
+        return np.asarray(np.linalg.inv(rows.T @ (rows / noise[:, None] ** 2)))
+
+    def spans(self) -> bool:
+        """Whether all axes together span space."""
+        return self._geometry.spans(np.ones(len(self._geometry.noise), bool))
 
     def turn_back(self) -> None:
         """From now on, frames are the same ones again."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import Any
 
@@ -26,12 +26,12 @@ BMA = Part("BMA1", sigma=(0.016, 0.018, 0.017))
 def model(write_run: WriteRun) -> Callable[..., ErrorModel]:
     """The model of these parts, their calibration changed by sensor."""
 
-    def made(*parts: Part, thermometer: bool = True, **changes: dict[str, Any]) -> ErrorModel:
+    def made(*parts: Part, watched: Container[str] | None = None, **changes: dict[str, Any]) -> ErrorModel:
         known = calibration(parts).sensors
         changed = {name: replace(one, **changes.get(name, {})) for name, one in known.items()}
         with open_log(write_run(parts, frames=5)) as log:
             sensors: list[SensorLog] = [log[part.name] for part in parts]
-            found = error_model(sensors, Calibration(changed), thermometer=thermometer)
+            found = error_model(sensors, Calibration(changed), watched=watched)
             Optimal(
                 {part.quantity: axes_of([log[part.name]], Calibration(changed)) for part in parts}, found, period_s=0.01
             )
@@ -99,10 +99,19 @@ def test_what_was_not_measured_is_as_such_sensors_are(model: Callable[..., Error
 
 
 def test_without_a_thermometer_slopes_become_drift(model: Callable[..., ErrorModel]) -> None:
-    found = model(GYRO, thermometer=False)
+    found = model(GYRO, watched=())
     assert found.axes["Gyro1", 0].slope_per_degc == found.designs["l3g4200d", 0].slope_per_degc == 0.0
     assert found.axes["Gyro1", 0].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 / np.sqrt(2)) * DPS)
     assert found.designs["l3g4200d", 0].common == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 / np.sqrt(2)) * DPS)
+
+
+def test_without_a_thermometer_slopes_that_are_known_are_drift_as_well(model: Callable[..., ErrorModel]) -> None:
+    """A slope of 4 counts and its standard error of 3, over 3 degC."""
+    thermal = Thermal(np.full(3, 4.0), np.full(3, 3.0), 25.0, ("bias",) * 3, "barometer")
+    found = model(GYRO, OTHER, watched=["Gyro2"], Gyro1={"thermal": thermal}, Gyro2={"thermal": thermal})
+    assert found.axes["Gyro1", 2].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 5 * 0.01) * DPS)
+    assert found.axes["Gyro2", 2].drift == pytest.approx(0.04 * 0.34 * DPS)
+    assert found.axes["Gyro2", 2].slope_per_degc == pytest.approx(3 * 0.01 * DPS)
 
 
 @pytest.mark.parametrize("noise", [None, np.array([1.0, 0.0, 1.0])])

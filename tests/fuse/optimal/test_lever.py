@@ -99,11 +99,13 @@ def test_a_gap_in_the_rate_is_bridged_by_the_accelerometers() -> None:
     assert np.abs(estimate.triad_box - force)[1005:1010].max() < 0.3
 
 
-@pytest.mark.parametrize("without", ["places", "gyroscopes"])
+@pytest.mark.parametrize("without", ["places", "gyroscopes", "a gyroscope axis"])
 def test_without_places_or_gyroscopes_it_is_left_out(without: str) -> None:
     axes, model = array([(0.0, 0.0, 0.0)] * 4 if without == "places" else PLACES)
     if without == "gyroscopes":
         del axes[RATE]
+    elif without == "a gyroscope axis":
+        axes[RATE] = axes[RATE][:2]
     frames, _, _ = turning(axes)
     optimal = Optimal(axes, model, period_s=PERIOD_S)
     estimate = optimal(frames)[FORCE]
