@@ -195,7 +195,10 @@ class Judge:
         count = count + 1 if self._count - last < _FORGOTTEN_WINDOWS else 1
         self._doubts[among[0]] = (count, self._count)
         if count == _DOUBTFUL_WINDOWS:
-            kind = self._kind(sensor, suspect.axes, drifted, seen, window)
+            others = ~self.out
+            others[list(suspect.axes)] = False
+            beside_it = self._seen_by(others, window) or seen
+            kind = self._kind(sensor, suspect.axes, drifted, beside_it, window)
             self.telling.doubted(suspect.axes, suspect.rivals, int(window.time[0]), kind, suspect.gain)
         doubted = np.zeros(len(self._axes), bool)
         doubted.reshape(-1, 3)[among] = True

@@ -30,11 +30,11 @@ _NOISE_ALIKE = 0.35
 _TOLD = 8.0
 """The signal is so many standard deviations of a reading at least, if a ratio is to be told from it."""
 
-_ROBUST = 1.4826
-"""From the median of magnitudes to the standard deviation of a normal variable."""
+_LOW, _LOW_SIGMAS = 0.4, 0.524
+"""Four of ten readings are within 0.524 standard deviations of normal noise."""
 
 _AS_EVER = 2.5
-"""Most readings scatter by less than so many times the usual."""
+"""Spikes leave those as they were: they scatter by less than so many times the usual."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +139,6 @@ def _by_scale(view: Beside, chosen: Sequence[int], about: Floats) -> Kind | None
 def _scattered(off: Floats, noise: Floats, scatter: float) -> Kind:
     """Spikes or noise: most readings are as ever, or all of them wilder."""
     about = np.abs(off - np.median(off, axis=0))
-    if (_ROBUST * np.median(about, axis=0) < _AS_EVER * noise).all():
+    if (np.quantile(about, _LOW, axis=0) < _AS_EVER * _LOW_SIGMAS * noise).all():
         return Kind("glitches", float(about.max()))
     return Kind("white_noise", scatter)

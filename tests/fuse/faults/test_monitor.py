@@ -1,0 +1,238 @@
+"""The stage itself: blocks, what it holds back, who comes back, what can't be told, and what is no fault."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.errors import FusionError
+from imuarray.fuse import Frames
+from imuarray.fuse.faults import FaultMonitor, monitored
+from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.stuck import Stuck
+from tests.fuse.faults.conftest import (
+    CALIBRATED,
+    QUANTITIES,
+    Floats,
+    Run,
+    faulty,
+    of_range,
+    part,
+    simulated,
+    watched,
+)
+
+
+def at_rest(quantity: str = "specific_force") -> Run:
+    return simulated("static", 25.0)[quantity]
+
+
+def spoilt() -> Frames:
+    """A sensor that is off for 2 s, then one that gets stuck, and readings that flags rule out."""
+    run = at_rest()
+
+    def change(values: Floats) -> None:
+        values[503:703, 4] += 1.0
+        values[1207:, 9:12] = values[1207, 9:12]
+
+    fed = faulty(run, change)
+    valid = fed.valid.copy()
+    valid[300:340, 0:3] = False
+    valid[::7, 15:18] = False
+    return replace(fed, valid=valid)
+
+
+@settings(max_examples=5, deadline=None)
+@given(cuts=st.lists(st.integers(0, 2500), max_size=12))
+def test_cuts_leave_no_trace(cuts: list[int]) -> None:
+    fed = spoilt()
+    whole, events = watched(at_rest().monitor(), fed)
+    edges = [0, *sorted(cuts), len(fed.time)]
+    blocks = [part(fed, start, stop) for start, stop in pairwise(edges)]
+    run = at_rest()
+    stage = monitored(blocks, run.axes, run.quantity, period_s=run.period_s)
+    given_ = list(stage)
+    assert (np.concatenate([each.valid for each in given_]) == whole.valid).all()
+    assert (np.concatenate([each.time for each in given_]) == fed.time).all()
+    assert (np.concatenate([each.values for each in given_]) == fed.values).all()
+    assert [event.time_ns for event in stage.events] == [event.time_ns for event in events]
+
+
+def test_flags_of_the_log_hold_and_nothing_else_is_touched() -> None:
+    fed = spoilt()
+    whole, _ = watched(at_rest().monitor(), fed)
+    assert not (whole.valid & ~fed.valid).any()
+    lost = (fed.valid & ~whole.valid).any(axis=0)
+    assert np.flatnonzero(lost).tolist() == [4, 9, 10, 11]
+
+
+def test_frame_by_frame_no_more_than_a_fifth_of_a_second_is_held_back() -> None:
+    run = at_rest()
+    monitor, given_ = run.monitor(), 0
+    for index in range(100):
+        given_ += len(monitor(part(run.frames, index, index + 1)).time)
+        assert (index + 1 - given_) * run.period_s <= 0.2
+    rest = monitor.finish()
+    assert rest is not None
+    assert given_ + len(rest.time) == 100
+
+
+def test_a_log_shorter_than_a_window_passes() -> None:
+    run = at_rest()
+    fed = part(run.frames, 0, 3)
+    whole, events = watched(run.monitor(), fed)
+    assert (whole.valid == fed.valid).all()
+    assert not events
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_it_comes_back_after_three_seconds_and_after_six_the_next_time(quantity: str) -> None:
+    """Off from 5 to 7 s, and from 12 to 14 s."""
+    run = at_rest(quantity)
+
+    def change(values: Floats) -> None:
+        values[500:700, 4] += 10 * run.noise[4]
+        values[1200:1400, 4] += 10 * run.noise[4]
+
+    whole, events = watched(run.monitor(), faulty(run, change))
+    assert [event.state for event in events] == ["isolated", "readmitted"] * 2
+    seconds = [event.time_ns * 1e-9 for event in events]
+    assert seconds == pytest.approx([5.0, 9.9, 12.0, 19.9], abs=0.25)
+    assert whole.valid[1020:1180, 4].all()
+    assert not whole.valid[1200:1400, 4].any()
+
+
+@pytest.mark.parametrize("pair", [("BMA1", "BMA2"), ("Gyro1", "Gyro2")])
+def test_of_two_triads_nobody_knows_who_is_off(pair: tuple[str, str]) -> None:
+    """A bias that grows within a second, so that not even a jump tells; both stay in use, and it is said."""
+    run = next(run for run in simulated("static", 25.0).values() if run.members(pair[0])).only(*pair)
+
+    def change(values: Floats) -> None:
+        values[1000:, 3] += 30 * run.noise[3] * np.clip((np.arange(len(values) - 1000)) / 100, 0, 1)
+
+    whole, events = watched(run.monitor(), faulty(run, change))
+    assert whole.valid.all()
+    assert [event.state for event in events] == ["not isolated"]
+    assert {events[0].sensor, *events[0].others} == set(pair)
+    assert "can't tell which" in events[0].sentence
+
+
+@pytest.mark.parametrize("fault", ["stuck", "range_reset", "noise"])
+@pytest.mark.parametrize("pair", [("BMA1", "BMA2"), ("Gyro1", "Gyro2")])
+def test_of_two_triads_a_stuck_a_reset_and_a_noisy_one_are_told(pair: tuple[str, str], fault: str) -> None:
+    """And that the one that is left is checked by nobody."""
+    run = next(run for run in simulated("static", 25.0).values() if run.members(pair[0])).only(*pair)
+    rng = np.random.default_rng(2)
+
+    def change(values: Floats) -> None:
+        if fault == "stuck":
+            values[1003:, 3:6] = values[1003, 3:6]
+        elif fault == "range_reset":
+            values[1003:, 3:6] *= of_range(run, pair[1])[2]
+        else:
+            values[1003:, 3:6] += rng.normal(0, 6 * run.noise[3:6], (len(values) - 1003, 3))
+
+    whole, events = watched(run.monitor(), faulty(run, change))
+    assert not whole.valid[1100:, 3:6].any()
+    assert whole.valid[:, :3].all()
+    assert [event.state for event in events] == ["isolated", "no redundancy"]
+    assert {event.sensor for event in events} == {pair[1]}
+    assert fault not in ("stuck", "range_reset") or events[0].kind == fault
+
+
+def test_the_last_triad_stays() -> None:
+    """All sensors of an array get stuck one after the other, then the last one: something is left to fuse."""
+    run = at_rest("angular_rate")
+
+    def change(values: Floats) -> None:
+        for sensor in range(3):
+            first = 1000 + 300 * sensor
+            values[first:, 3 * sensor : 3 * sensor + 3] = values[first, 3 * sensor : 3 * sensor + 3]
+
+    whole, events = watched(run.monitor(), faulty(run, change))
+    assert whole.valid[2000:, 6:9].all()
+    assert not whole.valid[2000:, :6].any()
+    assert "no redundancy" in [event.state for event in events]
+
+
+def test_a_walk_off_is_found_in_the_end() -> None:
+    """10 mg/s on one axis: any drift of a second is within the noise, 0.1 g is beyond what temperature does."""
+    run = simulated("static", 40.0)["specific_force"]
+
+    def change(values: Floats) -> None:
+        values[1000:, 1] += 0.01 * 9.80665 * (np.arange(len(values) - 1000) / 100)
+
+    _, events = watched(run.monitor(), faulty(run, change))
+    assert [(event.sensor, event.axes, event.kind) for event in events] == [("ADXL1", ("y",), "random_walk")]
+    assert 0.1 < events[0].size_si / 9.80665 < 0.25
+
+
+def test_a_sensor_that_falls_silent_is_told() -> None:
+    run = at_rest()
+    valid = run.frames.valid.copy()
+    valid[500:900, 6:9] = False
+    _, events = watched(run.monitor(), replace(run.frames, valid=valid))
+    assert [(event.sensor, event.state) for event in events] == [("BMA1", "silent"), ("BMA1", "back")]
+    assert [event.time_ns * 1e-9 for event in events] == pytest.approx([5.9, 9.9], abs=0.2)
+
+
+def test_effects_of_the_simulator_through_counts() -> None:
+    """Held counts, which their chip flags as stale, and 2 g instead of 16 g from the middle of a log on."""
+    changed = (("Gyro3", Stuck(onset_s=7.0)), ("BMA2", RangeReset(range=2.0, onset_s=7.0)))
+    runs = simulated("static", 12.0, changed=changed)
+    for quantity, sensor, kind in (("specific_force", "BMA2", "range_reset"), ("angular_rate", "Gyro3", "stuck")):
+        whole, events = watched(runs[quantity].monitor(), runs[quantity].frames)
+        assert [(event.sensor, event.kind) for event in events] == [(sensor, kind)]
+        assert not whole.valid[720:, runs[quantity].members(sensor)].any()
+    assert events[0].time_ns * 1e-9 == pytest.approx(7.0, abs=0.25)
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_noise_need_not_be_known(quantity: str) -> None:
+    """Learnt from the log's first seconds: nothing healthy is blamed, what is off by 10 sigma is found."""
+    run = at_rest(quantity)
+    unknown = tuple(replace(axis, noise_si=None) for axis in run.axes)
+
+    def change(values: Floats) -> None:
+        values[1500:, 3:6] += 10 * run.noise[3:6]
+
+    monitor = FaultMonitor(unknown, quantity, period_s=run.period_s)
+    _, events = watched(monitor, faulty(run, change))
+    assert [(event.sensor, event.state) for event in events] == [(run.axes[3].sensor, "isolated")]
+    assert events[0].time_ns * 1e-9 == pytest.approx(15.0, abs=0.15)
+
+
+def test_what_can_not_be_watched_is_refused() -> None:
+    axes = at_rest().axes
+    with pytest.raises(FusionError, match="whole triads"):
+        FaultMonitor(axes[:4], "specific_force", period_s=0.01)
+    with pytest.raises(FusionError, match="ADXL1"):
+        FaultMonitor((*axes[:2], axes[5]), "specific_force", period_s=0.01)
+    with pytest.raises(FusionError, match="period_s"):
+        FaultMonitor(axes, "specific_force", period_s=0.0)
+
+
+HEALTHY = (
+    ("static", 3600.0, "hand"),
+    ("heating", 4800.0, "hand"),
+    ("motion", 1200.0, "hand"),
+    ("motion", 1200.0, "vehicle"),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("experiment", "seconds", "drive"), HEALTHY)
+def test_healthy_sensors_are_left_alone(experiment: str, seconds: float, drive: str) -> None:
+    """None in three hours: at one exclusion an hour, that would be so once in e^3 = 20 times. The data sheet's
+    calibration: mountings off by up to 5 degrees, scales by 3 %, and 28 degC of heating.
+    """
+    for run in simulated(experiment, seconds, 25.0, 7, drive, ("range_reset",)).values():
+        whole, events = watched(run.monitor(), run.frames)
+        assert not [event.sentence for event in events if event.state in ("isolated", "not isolated")]
+        assert (whole.valid == run.frames.valid).all()
+    assert "range_reset" in CALIBRATED

@@ -1,0 +1,91 @@
+"""Parity residuals beside another derivation: least squares with and without what is to be found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.fuse.faults.parity import Floats, Parity, parity
+
+
+def drawn(seed: int, sensors: int) -> tuple[Floats, Floats, Floats]:
+    """Random triads (turned at random), weights and values."""
+    rng = np.random.default_rng(seed)
+    rows = np.concatenate([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(sensors)])
+    return rows, rng.uniform(0.5, 4.0, 3 * sensors), rng.normal(size=3 * sensors)
+
+
+def of(rows: Floats, weights: Floats) -> Parity:
+    found = parity(rows, weights)
+    assert found is not None
+    return found
+
+
+def squares(rows: Floats, weights: Floats, values: Floats) -> float:
+    """What weighted least squares leave."""
+    root = np.sqrt(weights)
+    solved = np.linalg.lstsq(root[:, None] * rows, root * values, rcond=None)[0]
+    return float((weights * (values - rows @ solved) ** 2).sum())
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6), sensors=st.integers(2, 5))
+def test_gains_are_what_a_free_error_takes_off_the_squares(seed: int, sensors: int) -> None:
+    """Twice the log-likelihood ratio of nested normal models is the difference of their weighted sums of squares."""
+    rows, weights, values = drawn(seed, sensors)
+    space, before = of(rows, weights), squares(rows, weights, values)
+    unit = np.eye(len(rows))
+    for axis, gain in enumerate(space.axis_gains(values)):
+        assert gain == pytest.approx(before - squares(np.c_[rows, unit[:, axis]], weights, values), abs=1e-9)
+    for sensor, gain in enumerate(space.sensor_gains(values)):
+        freed = np.c_[rows, unit[:, 3 * sensor : 3 * sensor + 3]]
+        assert gain == pytest.approx(before - squares(freed, weights, values), rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6), sensors=st.integers(2, 5))
+def test_motion_leaves_no_trace(seed: int, sensors: int) -> None:
+    rows, weights, values = drawn(seed, sensors)
+    space = of(rows, weights)
+    moved = values + rows @ np.array([30.0, -200.0, 7.0])
+    assert space.axis_gains(moved) == pytest.approx(space.axis_gains(values), rel=1e-6, abs=1e-7)
+
+
+def test_a_deleted_residual_is_the_reading_less_what_all_others_say() -> None:
+    rows, weights, values = drawn(5, 3)
+    deleted = of(rows, weights).deleted @ values
+    for axis in range(9):
+        others = np.delete(np.arange(9), axis)
+        root = np.sqrt(weights[others])
+        solved = np.linalg.lstsq(root[:, None] * rows[others], root * values[others], rcond=None)[0]
+        assert deleted[axis] == pytest.approx(values[axis] - rows[axis] @ solved)
+
+
+def test_without_a_fault_gains_are_chi_square() -> None:
+    """Mean 1 and 3 of 4000 draws, within five standard errors (sqrt(2 k / 4000)): 6e-7 per figure."""
+    rows, weights, _ = drawn(8, 4)
+    noise = np.random.default_rng(8).normal(size=(4000, 12)) / np.sqrt(weights)
+    space = of(rows, weights)
+    axis = np.mean([space.axis_gains(row) for row in noise], axis=0)
+    sensor = np.mean([space.sensor_gains(row) for row in noise], axis=0)
+    assert np.abs(axis - 1).max() < 5 * np.sqrt(2 / 4000)
+    assert np.abs(sensor - 3).max() < 5 * np.sqrt(6 / 4000)
+
+
+def test_of_two_triads_either_explains_all() -> None:
+    rows, weights, values = drawn(3, 2)
+    gains = of(rows, weights).sensor_gains(values)
+    assert gains[0] == pytest.approx(gains[1], rel=1e-6)
+
+
+def test_an_axis_that_nobody_checks_shows_nothing() -> None:
+    """x twice, y and z once: only x can be checked."""
+    space = of(np.eye(3)[[0, 1, 2, 0]], np.ones(4))
+    assert space.told.tolist() == [True, False, False, True]
+    assert space.axis_gains(np.array([0.0, 5.0, 5.0, 0.0])) == pytest.approx([0.0, 0.0, 0.0, 0.0])
+
+
+def test_too_few_axes_have_no_parity_space() -> None:
+    assert parity(np.eye(3), np.array([1.0, 1.0, 0.0])) is None
