@@ -33,7 +33,7 @@ _TOLD = 8.0
 _LOW, _LOW_SIGMAS = 0.4, 0.524
 """Four of ten readings are within 0.524 standard deviations of normal noise."""
 
-_AS_EVER = 2.5
+_AS_EVER = 3.0
 """Spikes leave those as they were: they scatter by less than so many times the usual."""
 
 

@@ -13,29 +13,30 @@ Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 _KNOWN_WINDOWS = 20
-_CALM_WINDOWS = 3
-"""After a standstill, windows that may hold the end of it."""
+"""So many windows tell what is normal for a sensor."""
+
+_RARE = 1e-3
+"""A sensor is judged by its changes only if no more than this share of its windows was quiet by itself: where noise is
+less than a count, windows without a change are normal; so are stale ones where a chip is slower than the frames."""
+
+_SHORT = 3
+"""Runs of no more windows may be what a sensor does by itself."""
 
 QUIETEST = 0.2
-"""A sensor is judged by its changes only if it never had a window with less than this share of its usual ones: where
-noise is less than a count, windows without a change are normal. Nothing is learnt of noise in such a window."""
+"""A window with less than this share of the usual changes may hold the begin or the end of a standstill: nothing is
+learnt of noise from it."""
 
 
 class Stillness:
     """Which sensors stand still, by two windows in a row; what is normal is learnt of the windows before."""
 
     def __init__(self, sensors: int) -> None:
-        self._windows = np.zeros(sensors)
-        self._least = np.full(sensors, np.inf)
-        self._stale_before = np.zeros(sensors, bool)
-        self._last_share = np.full(sensors, np.nan)
-        self._last_stale = np.zeros(sensors, bool)
-        self._since = np.full(sensors, _CALM_WINDOWS)
+        self._quiet, self._stale = _Runs(sensors), _Runs(sensors)
 
     @property
     def standing(self) -> Flags:
         """(s,) the sensors that show no change in the last window."""
-        return np.asarray((self._last_share < QUIET) | self._last_stale)
+        return np.asarray((self._quiet.length > 0) | (self._stale.length > 0))
 
     def __call__(self, window: Window, normal: Normal) -> Flags:
         """(s,) the sensors that stood still in this window and in the one before."""
@@ -43,16 +44,23 @@ class Stillness:
         whole: Flags = np.asarray(window.valid.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
         stale: Flags = np.zeros(len(share), bool)
         if window.stale is not None:
-            stale = np.asarray(window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)) & whole)
-        share = np.where(whole, share, np.nan)
-        known = self._windows >= _KNOWN_WINDOWS
-        quiet = known & (self._least > QUIETEST) & (share < QUIET) & (self._last_share < QUIET)
-        held = known & ~self._stale_before & stale & self._last_stale
-        going_on = (share < QUIET) | stale
-        self._since = np.where(going_on, 0, self._since + 1)
-        fine = (self._since >= _CALM_WINDOWS) & np.isfinite(self._last_share)
-        self._least = np.where(fine, np.fmin(self._least, self._last_share), self._least)
-        self._stale_before |= fine & self._last_stale
-        self._windows += np.isfinite(share)
-        self._last_share, self._last_stale = share, stale
-        return np.asarray(quiet | held)
+            stale = np.asarray(window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
+        return self._quiet(whole & (share < QUIET), whole) | self._stale(whole & stale, whole)
+
+
+class _Runs:
+    """Runs of windows that show something unusual, by sensor; and how usual it is."""
+
+    def __init__(self, sensors: int) -> None:
+        self.length = np.zeros(sensors, int)
+        self._windows = np.zeros(sensors)
+        self._by_itself = np.zeros(sensors)
+
+    def __call__(self, shows: Flags, judged: Flags) -> Flags:
+        """(s,) the sensors for which this window and the one before show it, though that is unusual."""
+        usual = self._by_itself > _RARE * self._windows
+        ended = ~shows & judged
+        self._by_itself += np.where(ended & ((self.length <= _SHORT) | usual), self.length, 0)
+        self.length = np.where(shows, self.length + 1, np.where(judged, 0, self.length))
+        self._windows += judged & ~shows
+        return np.asarray(~usual & (self._windows >= _KNOWN_WINDOWS) & (self.length == 2))
