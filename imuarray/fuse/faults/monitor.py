@@ -19,10 +19,12 @@ from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.faults.events import FaultEvent
 from imuarray.fuse.faults.judge import Judge
 from imuarray.fuse.faults.kinds import Ranges
+from imuarray.fuse.faults.lever import lever_arms
 from imuarray.fuse.faults.window import Window
 from imuarray.fuse.frames import Frames
 
 Flags = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float64]
 Scalar = TypeVar("Scalar", np.int8, np.bool_)
 
 WINDOW_S = 0.1
@@ -51,7 +53,11 @@ class FaultMonitor:
         _check(axes, period_s)
         self.window = max(LEAST_FRAMES, round(WINDOW_S / period_s))
         self._judge = Judge(axes, directions(axes), quantity, self.window, period_s, ranges)
+        self._rows = directions(axes)
+        self._positions_m = np.array([axis.position_m for axis in axes])
+        self._spread_out = quantity == "specific_force" and bool(np.ptp(self._positions_m, axis=0).any())
         self._held: Frames | None = None
+        self._rates = np.empty((0, 3))
         self._masks: list[Flags] = []
 
     @property
@@ -59,13 +65,20 @@ class FaultMonitor:
         """What was found so far, in order."""
         return tuple(self._judge.telling.events)
 
-    def __call__(self, frames: Frames) -> Frames:
-        """The frames that are done with, in order: none at all while the first window fills."""
+    def __call__(self, frames: Frames, rate_box: Floats | None = None) -> Frames:
+        """The frames that are done with, in order: none at all while the first window fills.
+
+        `rate_box` (n, 3) is the box's angular rate in rad/s at these frames. For accelerometers that sit apart it takes
+        out what they feel of turns by that (`Axis.position_m`); without it a fast turn may look like a fault.
+        """
+        if rate_box is None:
+            rate_box = np.zeros((len(frames.time), 3))
+        self._rates = np.concatenate([self._rates, rate_box])
         held = frames if self._held is None else _joined(self._held, frames)
         first = len(self._masks) * self.window
         for start in range(first, len(held.time) - self.window + 1, self.window):
             self._masks.append(np.zeros(held.valid.shape[1], bool))
-            self._judge(_window(held, start, start + self.window), self._masks[-2:])
+            self._judge(self._window_at(held, start), self._masks[-2:])
         return self._release(held, max(0, len(self._masks) - 1))
 
     def finish(self) -> Frames | None:
@@ -78,10 +91,19 @@ class FaultMonitor:
         self._masks.append(self._judge.out)
         return self._release(self._held, len(self._masks))
 
+    def _window_at(self, held: Frames, start: int) -> Window:
+        """The decision window that begins at a row."""
+        rows = slice(start, start + self.window)
+        values = held.values[rows]
+        if self._spread_out:
+            values = values - lever_arms(held.time[rows], self._rates[rows], self._positions_m, self._rows)
+        stale = None if held.stale is None else held.stale[rows]
+        return Window(held.time[rows], values, held.valid[rows], stale)
+
     def _release(self, held: Frames, windows: int) -> Frames:
         """The frames of the first `windows` windows, masked; the others stay."""
         stop = min(windows * self.window, len(held.time))
-        self._held = _part(held, stop, len(held.time))
+        self._held, self._rates = _part(held, stop, len(held.time)), self._rates[stop:]
         done = _part(held, 0, stop)
         masks, self._masks = self._masks[:windows], self._masks[windows:]
         if not any(mask.any() for mask in masks):
@@ -100,11 +122,6 @@ def _check(axes: Sequence[Axis], period_s: float) -> None:
             raise FusionError(f"sensor {triad[0].sensor}: a whole triad is wanted, {triad[1].label} is not of it")
     if not period_s > 0:
         raise FusionError(f"period_s: {period_s}; allowed is anything above 0")
-
-
-def _window(frames: Frames, start: int, stop: int) -> Window:
-    stale = None if frames.stale is None else frames.stale[start:stop]
-    return Window(frames.time[start:stop], frames.values[start:stop], frames.valid[start:stop], stale)
 
 
 def _part(frames: Frames, start: int, stop: int) -> Frames:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.fuse.faults.lever import slope
 from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.parity import Parity, Spaces, parity
 from imuarray.fuse.solve import solve_frames
@@ -88,7 +89,7 @@ def look(window: Window, normal: Normal, rows: Floats, included: Flags, spaces: 
         return None
     bias, valid = normal.state[:, 0], window.valid
     triad, told = _solve(window.values - bias, valid, white, weights, rows)
-    regressors = normal.regressors(triad, _slope(window.time, triad), rows)
+    regressors = normal.regressors(triad, slope(window.time, triad), rows)
     errors = window.values - normal.explains(regressors)
     triad, _ = _solve(errors, valid, white, weights, rows)
     residual = errors - triad @ rows.T
@@ -117,13 +118,3 @@ def _solve(values: Floats, valid: Flags, space: Parity, weights: Floats, rows: F
         return np.nan_to_num(triad), told
     last = np.maximum.accumulate(np.where(told, np.arange(len(triad)), -1))
     return np.asarray(triad[np.where(last < 0, told.argmax(), last)]), told
-
-
-def _slope(time: Times, triad: Floats) -> Floats:
-    """(n, 3) change per second: central differences, one-sided at the ends."""
-    seconds = (time - time[0]) * 1e-9
-    slope = np.empty_like(triad)
-    slope[1:-1] = (triad[2:] - triad[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
-    slope[0] = (triad[1] - triad[0]) / (seconds[1] - seconds[0])
-    slope[-1] = (triad[-1] - triad[-2]) / (seconds[-1] - seconds[-2])
-    return slope
