@@ -76,8 +76,8 @@ class Judge:
         """Judges the next window; `masks` (m,) of it (the last one) and of the one before get True where an axis is to
         be left out.
         """
-        if self._count == 0:
-            self._normal.begin(window.values)
+        if not self._normal.begun:
+            self._normal.begin(window.changes)
         self._count += 1
         before, time_ns = self.out, int(window.time[0])
         waiting = [exclusion for exclusion in self._out if not exclusion.named]

@@ -41,6 +41,9 @@ _KEEPS_S = 3600.0
 _WANDER = 0.05
 """Random walk of the bias, as a share of a single reading's noise, in a second."""
 
+_A_CHANGE = 1e-3
+"""An axis with less than this share of the others' mean square of changes does not show its noise."""
+
 _KAPPA_WINDOWS = 100
 _Q_WINDOWS = 50
 
@@ -62,7 +65,8 @@ class Normal:
         self._prior = np.diag(prior)
         self.covariance = np.tile(self._prior, (size, 1, 1))
         self.colour = np.full(size, max(1.0, window / 2))
-        self.change = np.full(size, np.nan)
+        self.change = 2 * self.variance
+        self._begun = ~self.learnt
         self._window = window
         keep = np.exp(-window * period_s / _KEEPS_S)
         self._keep = np.array([1.0, keep, keep, keep, keep])
@@ -71,15 +75,23 @@ class Normal:
         self._seen = np.zeros(size)
         self._before: Floats | None = None
 
-    def begin(self, values: Floats) -> None:
-        """The noise of axes that nobody measured, from the changes in a first window (n, m): they hold motion too, so
-        it is rather too large than too small; `learn` lets it fall.
+    @property
+    def begun(self) -> bool:
+        """Whether there is a noise for every axis."""
+        return bool(self._begun.all())
+
+    def begin(self, changes: Floats) -> None:
+        """The noise of axes that nobody measured, from the mean square of their changes (m,) in their first window:
+        those hold motion too, so it is rather too large than too small; `learn_noise` lets it fall. An axis without a
+        change (NaN or next to none) counts as one like the others until it shows one.
         """
-        guess = np.maximum((np.diff(values, axis=0) ** 2).mean(axis=0), 1e-12)
-        self.variance = np.where(self.learnt, guess, self.variance)
-        floor = 1e-6 * float(np.median(self.variance))
-        self.variance = np.maximum(self.variance, floor)
-        self.change = 2 * self.variance
+        usual = float(np.median(changes[changes > 0])) if (changes > 0).any() else 0.0
+        fresh = ~self._begun & (changes > _A_CHANGE * usual)
+        self.variance = np.where(fresh, changes, self.variance)
+        self._begun |= fresh
+        known = float(np.median(self.variance[self._begun])) if self._begun.any() else 1.0
+        self.variance = np.where(self._begun, self.variance, known)
+        self.change = np.where(fresh | ~self._begun | np.isnan(self.change), 2 * self.variance, self.change)
 
     def regressors(self, triad: Floats, slope: Floats, rows: Floats) -> Floats:
         """(m, n, 5) of a window with triads (n, 3) and their slopes (n, 3)."""

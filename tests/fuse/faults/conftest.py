@@ -34,7 +34,7 @@ ACCELEROMETERS = ("ADXL1", "ADXL2", "BMA1", "BMA2", "BMA3", "BMA4")
 GYROSCOPES = ("Gyro1", "Gyro2", "Gyro3")
 CALIBRATED = ("range_reset", "bias", "scale", "misalignment", "turn_on_bias")
 """Effects that a calibration would have taken out."""
-ARRAY, MODEL = Path("configs/martin2013.toml"), Path("configs/models/martin2013.toml")
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def simulated(
     """Both quantities of an experiment with the paper's array, calibrated but for effects that are not in `without`;
     `changed` effects by sensor besides.
     """
-    array, model = load_array(ARRAY), load_model(MODEL)
+    array, model = load_array(CONFIGS / "martin2013.toml"), load_model(CONFIGS / "models/martin2013.toml")
     plan = plan_of(array, rate_hz, seconds)
     effects = {name: list(chain) for name, chain in effects_of(plan, model, seed, without=without).items()}
     for sensor, effect in changed:

@@ -206,6 +206,23 @@ def test_noise_need_not_be_known(quantity: str) -> None:
     assert events[0].time_ns * 1e-9 == pytest.approx(15.0, abs=0.15)
 
 
+def test_noise_is_learnt_also_where_a_sensor_comes_late_or_starts_stuck() -> None:
+    """One without a valid reading for 5 s, and one that stands still for as long: nobody else is blamed for them."""
+    run = at_rest()
+    unknown = tuple(replace(axis, noise_si=None) for axis in run.axes)
+
+    def change(values: Floats) -> None:
+        values[:500, 9:12] = values[500, 9:12]
+        values[:500, 0:3] = 0.0
+
+    fed = faulty(run, change)
+    valid = fed.valid.copy()
+    valid[:500, 0:3] = False
+    whole, events = watched(FaultMonitor(unknown, run.quantity, period_s=run.period_s), replace(fed, valid=valid))
+    assert {event.sensor for event in events} <= {"ADXL1", "BMA2"}
+    assert whole.valid[1000:].all()
+
+
 def test_what_can_not_be_watched_is_refused() -> None:
     axes = at_rest().axes
     with pytest.raises(FusionError, match="whole triads"):

@@ -17,7 +17,7 @@ PERIOD_S = 0.01
 def learnt(values: Floats, sigma: float = 0.02, window: int = 10) -> Normal:
     """The normal model after all of `values` (n, 9)."""
     normal = Normal(np.full(9, sigma), "specific_force", window, PERIOD_S)
-    normal.begin(values[:window])
+    normal.begin((np.diff(values[:window], axis=0) ** 2).mean(axis=0))
     spaces, every = Spaces(ROWS), np.ones(9, bool)
     time = np.arange(len(values)) * int(PERIOD_S * 1e9)
     for start in range(0, len(values) - window + 1, window):
