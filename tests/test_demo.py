@@ -61,10 +61,12 @@ def test_blended_ranges_are_quieter_than_the_average(gains: list[dict[str, Any]]
 
 
 def test_no_technique_is_worse_than_the_average_elsewhere(gains: list[dict[str, Any]]) -> None:
-    """Length of the error vector, every case and quantity; 2 % is what the taper of `ranges` costs in a wild motion."""
+    """Length of the error vector, every case and quantity; 4 % is what `ranges` costs in a wild motion: 1 % its taper,
+    3 % that it waits for the low range's filter after every time it clipped, at 48 frames a second.
+    """
     for row in gains:
         if row["box_axis"] == "XYZ":
-            assert row["ratio"] < 1.02 + 3 * row["ratio_se"], row
+            assert row["ratio"] < 1.04 + 3 * row["ratio_se"], row
 
 
 def test_calibration_finds_the_papers_table_3_again(demo: Path) -> None:

@@ -74,11 +74,11 @@ def test_the_low_range_is_not_used_at_all_before_its_end(axis: int, sign: int) -
 
 
 def test_the_low_range_fades_without_a_step() -> None:
-    levels = np.linspace(0.7, 1.0, 601)
+    levels = np.linspace(0.7, 1.0, 151)
     share = np.array([low_share(level) for level in levels])
     assert (np.diff(share) <= 1e-9).all()
-    # A smooth cubic over 400 of the 600 steps is nowhere steeper than 1.5 times the average.
-    assert np.abs(np.diff(share)).max() < 1.6 * 0.8 / 400 * 2
+    # A smooth cubic over 100 of the 150 steps is nowhere steeper than 1.5 times the average.
+    assert np.abs(np.diff(share)).max() < 1.6 * 0.8 / 100 * 2
 
 
 @pytest.mark.parametrize("bias_g", [0.0, 0.05])
@@ -234,6 +234,32 @@ def test_the_covariance_holds_what_the_corrections_may_be_wrong() -> None:
     assert 0.4 < np.mean(found) < 2
 
 
+def test_what_is_not_known_grows_while_the_low_range_is_out() -> None:
+    """Held at 5 g for a minute and a half: the correction stays, its uncertainty does not."""
+    case = sensed(lambda seconds: manoeuvre(np.minimum(seconds, 12)), 102, 11)
+    error, estimate = error_g(case)
+    begin, end = slice(1200, 2200), slice(9200, 10200)
+    grown = estimate.covariance_box[end, 0].mean() - estimate.covariance_box[begin, 0].mean()
+    assert 1e-6 < grown < 3 * HIGH_G**2
+    assert error[end].mean() == pytest.approx(error[begin].mean(), abs=5 * HIGH_G / np.sqrt(500))
+
+
+def test_a_scale_that_is_left_out_leaves_its_share_to_the_bias() -> None:
+    """Along Z, 1 g and a sway of 50 mg, that hardly tell a scale of 1 %: what is read at 1 g is known all the same,
+    within 1.5 mg rms of 12 runs (the means of 200 readings scatter by 1.2 mg).
+    """
+    means = []
+    for seed in range(12):
+
+        def swaying(seconds: Floats) -> Floats:
+            return manoeuvre(seconds) + np.outer(0.05 * np.sin(2 * np.pi * seconds) * (seconds < 10), [0, 0, 1])
+
+        case = sensed(swaying, 14, seed, bias_g=0.0, scale=0.01, delay_s=0.0)
+        estimate = RangeBlend(pair())(case.frames)
+        means.append((estimate.triad_box[:, 2] - case.level[:, 2])[~estimate.used[:, 0]].mean())
+    assert np.sqrt(np.mean(np.square(means))) < 1.5 * HIGH_G / np.sqrt(200)
+
+
 def test_what_is_tracked_is_what_was_put_in() -> None:
     """Low less high along X within four standard errors, which are as small as twenty seconds of swaying allow."""
     technique = RangeBlend(pair())
@@ -355,7 +381,7 @@ def test_a_sensor_that_dies_leaves_its_share_of_the_level() -> None:
     fused = RangeBlend([*pair(), *third])(Frames(case.frames.time, values, valid)).triad_box
     level_g = 0.06 * HIGH_G**-2 / (LOW_G**-2 + 2 * HIGH_G**-2)
     assert fused[1000:2000].mean() == pytest.approx(level_g, abs=5e-4)
-    assert fused[7000:].mean() == pytest.approx(level_g, abs=2.5e-3)
+    assert fused[7000:].mean() == pytest.approx(level_g, abs=1.2e-3)
 
 
 def filtered(signal: Floats, bandwidth_hz: float, rate_hz: float) -> Floats:

@@ -1,8 +1,8 @@
 """How the axes of an array become one triad: the simple average and the paper's three techniques, each alone.
 
 All of them solve ``values = directions @ truth_box`` by weighted least squares, frame by frame. `opposed` corrects
-the values before, the others choose the weights. None of them, the average included, uses a reading whose flags say
-that it is clipped.
+the values before, `planes` chooses the weights, `ranges` does both. None of them, the average included, uses a reading
+whose flags say that it is clipped.
 """
 
 from __future__ import annotations

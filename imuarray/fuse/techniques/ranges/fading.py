@@ -47,9 +47,10 @@ def settling_s(bandwidth_hz: float | None, excess_si: float, noise_si: float) ->
 class Fading:
     """The share (n, m) of its weight that each axis keeps; fed with consecutive blocks.
 
-    A sensor's three axes fade together, by the largest of them, smoothly to exactly zero at `TAPER[1]` of its range.
-    Once it was there, or clipped, or the wide ranges felt more than it can, it stays out for its settling time
-    (`settling_s`), counted from the first frame that finds it back inside, and comes in again over another such time.
+    A sensor's three axes, which follow each other as `axes_of` gives them, fade together, by the largest of them,
+    smoothly to exactly zero at `TAPER[1]` of its range. Once it was there, or clipped, or the wide ranges felt more
+    than it can, it stays out for its settling time (`settling_s`), counted from the first frame that finds it back
+    inside, and comes in again over another such time.
     The widest range of a design never fades.
 
     A sensor clips before its low-pass: of a step steeper than the filter, the few frames until the wide ranges,
