@@ -4,7 +4,7 @@ what colour that is, and how the bias wanders.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,12 +28,17 @@ _FALSE_ALARM = 0.01
 _THERMOMETER_S = 5.0
 
 
-def calibrate_noise(*logs: Log, known: Calibration | None = None) -> Calibration:
+def calibrate_noise(
+    *logs: Log,
+    known: Calibration | None = None,
+    progress: Callable[[str, int, int], None] = lambda what, done, of: None,
+) -> Calibration:
     """Scatter of single readings, its colour, and the drift, of every inertial sensor, pooled over all still stretches
     of one log or of several; from the drift, what follows temperature by the slopes of `known` is taken out.
 
     Still stretches are the phases that name a face, `static` or `room`; in a log without such phases they are found
-    by the accelerometers. CalibrationError if there are none.
+    by the accelerometers. CalibrationError if there are none. `progress` hears what is done, how many sensors are, and
+    of how many.
     """
     poses = [pose for log in logs for pose in _still_stretches(log)]
     first = logs[0]
@@ -43,10 +48,10 @@ def calibrate_noise(*logs: Log, known: Calibration | None = None) -> Calibration
     if not sensors:
         raise CalibrationError(f"{first.path}: no inertial sensor in it")
     slopes = {} if known is None else {name: sensor.thermal for name, sensor in known.sensors.items()}
-    found = {
-        sensor.name: _noise(sensor, poses, slopes.get(sensor.name), _FALSE_ALARM / (3 * len(sensors)))
-        for sensor in sensors
-    }
+    found = {}
+    for number, sensor in enumerate(sensors, start=1):
+        found[sensor.name] = _noise(sensor, poses, slopes.get(sensor.name), _FALSE_ALARM / (3 * len(sensors)))
+        progress("noise", number, len(sensors))
     return Calibration(found, tuple(str(log.path) for log in logs))
 
 

@@ -75,9 +75,9 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
     from imuarray.calibrate import calibrate_noise, load_calibration
     from imuarray.commands.calibrate_noise import print_report, report_of
 
-    with _opened(runs, output, update, force) as logs:
+    with _opened(runs, output, update, force) as logs, _bars() as moved:
         known = load_calibration(output) if update and output.exists() else None
-        calibration = calibrate_noise(*logs, known=known).stamped(logs)
+        calibration = calibrate_noise(*logs, known=known, progress=moved).stamped(logs)
     _finish(calibration, report_of(calibration), print_report, output, update, force, as_json)
 
 

@@ -109,15 +109,15 @@ def _time_constant(row: dict[str, Any]) -> str:
         rms >= 2 * sem for rms, sem in zip(drift["rms_lsb"], drift["rms_sem_lsb"], strict=True)
     ):
         return ""
-    low, high = drift["time_constant_interval_s"] or (np.nan, np.nan)
-    first, last = (f"{end:.3g}" if np.isfinite(end) else "?" for end in (low, high))
+    ends = drift["time_constant_interval_s"] or (None, None)
+    first, last = ("?" if end is None or np.isnan(end) else f"{end:.3g}" for end in ends)
     return f"{drift['time_constant_s']:.3g} s ({first} to {last})"
 
 
 def _lines(row: dict[str, Any], axis: str) -> str:
     """Share of all lines of an axis in its variance."""
     share = sum(line["share"] for line in row["lines"] if line["axis"] == axis)
-    return f"{100 * share:.0f} %" if share else ""
+    return "" if share == 0 else f"{100 * share:.0f} %" if share >= 0.01 else "< 1 %"
 
 
 def _where(line: dict[str, Any]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from imuarray.calibrate import Calibration, calibrate_noise, nominal
 from imuarray.calibrate.drift import _likelihood, fit_drift
 from imuarray.calibrate.segments import Segments
 from imuarray.calibrate.stability import BIAS, Drift, Thermal
+from imuarray.cli import main
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase
 from tests.calibrate.conftest import EPOCH, Floats, gyroscope
@@ -147,3 +150,14 @@ def test_what_follows_temperature_by_known_slopes_is_no_drift(tmp_path: Path) ->
     assert raw is not None and told is not None and told.rms_upper_lsb is not None
     assert (raw.rms_lsb > 20).all()
     assert (told.rms_upper_lsb < 1.0).all()  # the noise of a mean of 128 rows is 0.44
+
+
+def test_an_open_interval_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The heat's rise goes on until the end: no upper end of the time constant, which JSON has as null."""
+    path = heated(tmp_path / "run.h5")
+    given = ["calibrate", "noise", str(path), "-o", str(tmp_path / "cal.toml"), "--force"]
+    assert main(given) == 0
+    assert re.search(r"G z .* s \([\d.]+ to \?\)$", capsys.readouterr().out, re.MULTILINE)
+    assert main([*given, "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["sensors"]
+    assert row["drift"]["time_constant_interval_s"][1] is None

@@ -104,6 +104,13 @@ def test_a_log_that_never_stood_still_is_refused(tmp_path: Path) -> None:
         calibrate_noise(log)
 
 
+def test_progress_is_told_sensor_by_sensor(tmp_path: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    with open_log(write(tmp_path, white(2000), [STILL])) as log:
+        calibrate_noise(log, progress=lambda *told_now: told.append(told_now))
+    assert told == [("noise", 1, 1)]
+
+
 def test_a_sensor_without_sound_readings_is_named(tmp_path: Path) -> None:
     path = write(tmp_path, white(100), [STILL], np.full(100, 32, np.uint16))
     with open_log(path) as log, pytest.raises(CalibrationError, match="sensor G: no sound readings"):
