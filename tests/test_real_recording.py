@@ -175,8 +175,8 @@ def test_from_run_to_run_opposed_sides_change_less(folder: Path) -> None:
     `experimental_data/calibration/exp_N/data.bin` of github.com/hcarlsso/Self-Calibration-Inertial-Sensor-Arrays-BCD.jl
     (commit 2f2a8b179882f05b2343e1be6e861af50d583b3d, MIT) as exp_N.bin in the folder that IMUARRAY_MIMU4444 names. The
     bias along z is 1/8.8 of a single unit's (rms) in the first and 1/6.1 in the sixth; its change is 1/6.1 of a single
-    unit's. Eight changes that share 7.8 mg and differ by 2.9 mg let expect 1/8.0 of a balanced mean, with a standard
-    error of half of that: an eighth can't be told from what there is of two recordings.
+    unit's: 1.34 mg of 8.23. Eight changes that share 7.8 mg and scatter by 2.9 mg leave 1.0 mg rms in a balanced mean,
+    1/7.9, so that two recordings neither show an eighth nor rule it out.
     """
     z = []
     for run in (1, 6):
