@@ -6,7 +6,7 @@ from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.evaluate import Error, errors_of, evaluate, quiet_noise
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
-from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, fuse, live
+from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
 from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, fused_block
 from imuarray.fuse.running import running_temperatures
 from imuarray.fuse.store import FusedHead, read_fused, read_fused_head, write_fused
@@ -31,6 +31,7 @@ __all__ = [
     "Making",
     "Pipeline",
     "Watch",
+    "aligned",
     "axes_of",
     "changes",
     "element_temperatures",

@@ -113,6 +113,18 @@ def live(
     return FusionStream(array.groups, calibration, making, warming, timeout_s=timeout_s, tell=tell)
 
 
+def aligned(
+    log: Log, calibration: Calibration, *, only: Collection[str] = (), block: int = BLOCK
+) -> Iterator[Gathered]:
+    """What techniques are given of a log: blocks of frames by quantity, with the temperatures of elements by sensor.
+    FusionError.
+    """
+    array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
+    warming = Warming(element_temperatures(log, array.inertial, calibration, of_all=True), {})
+    stream = FusionStream(array.groups, calibration, lambda period_s: Gathering(), warming, timeout_s=float("inf"))
+    return _replayed(log, stream, block)
+
+
 class _Array(Generic[_Sensor]):
     """Sensors by quantity, and what is to be done with them; FusionError for a technique that there isn't."""
 

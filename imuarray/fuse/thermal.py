@@ -47,10 +47,10 @@ def element_temperatures(
 
 
 def goes_with(kind: str, thermal: Thermal | None) -> bool:
-    """Whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has. No slopes go with
-    any.
+    """Whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has. Slopes that nobody
+    measured want one that compares with the temperature of the bias.
     """
-    return thermal is None or (kind == "relative") == (thermal.thermometer == "relative")
+    return (kind == "relative") == (thermal is not None and thermal.thermometer == "relative")
 
 
 def _behind(thermometer: Thermometer, thermal: Thermal) -> Thermometer:

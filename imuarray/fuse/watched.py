@@ -7,12 +7,15 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from imuarray.fuse.axes import Axis
+from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.faults import FaultEvent, FaultMonitor, Ranges
 from imuarray.fuse.frames import Floats, Frames
 from imuarray.fuse.pipeline import Pipeline
+from imuarray.fuse.solve import solve_frames
 
 Out = TypeVar("Out")
+
+_RATE = "angular_rate"
 
 
 class Watched(Generic[Out]):
@@ -33,15 +36,25 @@ class Watched(Generic[Out]):
             quantity: FaultMonitor(its, quantity, period_s=period_s, ranges=ranges) for quantity, its in axes.items()
         }
         self._found, self._told = found, dict.fromkeys(axes, 0)
+        self._gyroscopes = directions(axes.get(_RATE, []))
+        self._apart = any(axis.position_m != its[0].position_m for its in axes.values() for axis in its)
         self._degc: dict[str, Floats] = {}
         """Temperatures of the frames that the monitors hold back."""
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
         """See `Pipeline`."""
-        done = {quantity: self._monitors[quantity](part) for quantity, part in frames.items()}
+        rate_box = self._rate_box(frames)
+        done = {quantity: self._monitors[quantity](part, rate_box) for quantity, part in frames.items()}
         self._tell()
         self._degc = {name: np.concatenate([self._degc.get(name, values[:0]), values]) for name, values in degc.items()}
         yield from self._passed(done)
+
+    def _rate_box(self, frames: Mapping[str, Frames]) -> Floats | None:
+        """(n, 3) how fast the box turns, which sensors that sit apart feel; None where nobody tells."""
+        if _RATE not in frames or not self._apart:
+            return None
+        part = frames[_RATE]
+        return np.nan_to_num(solve_frames(part.values, part.valid.astype(float), self._gyroscopes))
 
     def finish(self) -> Iterator[Out]:
         """See `Pipeline`."""

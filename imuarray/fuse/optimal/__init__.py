@@ -6,7 +6,6 @@ from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorMod
 from imuarray.fuse.optimal.from_calibration import error_model
 from imuarray.fuse.optimal.learned import LearnedBias
 from imuarray.fuse.optimal.optimal import SEGMENT_S, Optimal, Temperatures
-from imuarray.fuse.optimal.temperatures import temperatures
 
 __all__ = [
     "SEGMENT_S",
@@ -17,5 +16,4 @@ __all__ = [
     "Optimal",
     "Temperatures",
     "error_model",
-    "temperatures",
 ]

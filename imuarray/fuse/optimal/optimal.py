@@ -79,17 +79,19 @@ class Optimal:
         `blocks` gives the consecutive blocks of a log, frames and temperatures, from its beginning, and is asked twice.
         """
         groups = self._made(recording=True)
-        for frames, degc in blocks():
-            _solved(groups, frames, degc or _NONE)
-        for group in groups.values():
-            group.turn_back()
-        for frames, _ in blocks():
-            solutions = _solved(groups, frames, _NONE)
-            self.angular_acceleration = _acceleration(solutions)
-            time = next(iter(frames.values())).time
-            yield time, {quantity: _estimate(solutions[quantity]) for quantity in frames}
-        for group in groups.values():
-            group.close()
+        try:
+            for frames, degc in blocks():
+                _solved(groups, frames, degc or _NONE)
+            for group in groups.values():
+                group.turn_back()
+            for frames, _ in blocks():
+                solutions = _solved(groups, frames, _NONE)
+                self.angular_acceleration = _acceleration(solutions)
+                time = next(iter(frames.values())).time
+                yield time, {quantity: _estimate(solutions[quantity]) for quantity in frames}
+        finally:  # somebody may not want them all
+            for group in groups.values():
+                group.close()
 
     def _made(self, *, recording: bool = False) -> dict[str, _Group]:
         groups: dict[str, _Group] = {}

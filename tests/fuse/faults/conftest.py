@@ -15,8 +15,7 @@ from imuarray.array import load_array
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.chips import CHIPS
-from imuarray.fuse import Axis, Frames, axes_of
-from imuarray.fuse.align import frames
+from imuarray.fuse import Axis, Frames, aligned, axes_of
 from imuarray.fuse.faults import FaultEvent, FaultMonitor
 from imuarray.log import Log, open_log
 from imuarray.simulate import Model, Simulation, load_model, plan_of, write_log
@@ -106,7 +105,7 @@ def _run(log: Log, quantity: str, model: Model, effects: Mapping[str, Sequence[E
         step = 2.0 if sensor.chip == "adxl345" else 1.0  # of quantisation: only even codes came out of an ADXL345
         known[sensor.name] = replace(known[sensor.name], noise_lsb=np.hypot(rms_lsb, step / 12**0.5))
     calibration = Calibration(known)
-    parts = list(frames(sensors, calibration, log.of("specific_force")[0]))
+    parts = [found[quantity] for found, _ in aligned(log, calibration)]
     whole = Frames(
         *(np.concatenate([getattr(p, k) for p in parts]) for k in ("time", "values", "valid", "clipped", "stale"))
     )
