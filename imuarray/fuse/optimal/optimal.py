@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from types import MappingProxyType
 
 import numpy as np
@@ -55,19 +56,22 @@ class Optimal:
         self._axes = {quantity: list(axes[quantity]) for quantity in (_RATE, _FORCE) if quantity in axes}
         self._model, self._period_s = model, period_s
         self._segment_frames = max(1, round(segment_s / period_s))
-        self._groups = self._made()
+        self._groups = self._latest = self._made()
         self.angular_acceleration: Estimate | None = None
 
     def __call__(self, frames: Mapping[str, Frames], degc: Temperatures | None = None) -> dict[str, Estimate]:
         """The estimates of the next frames, of both quantities on one grid, with what the frames before them told."""
+        self._latest = self._groups
         solutions = _solved(self._groups, frames, degc or _NONE)
         self.angular_acceleration = _acceleration(solutions)
         return {quantity: _estimate(solutions[quantity]) for quantity in frames}
 
     def learned(self) -> dict[str, list[LearnedBias]]:
-        """What the array knows by now of its own slow errors, by quantity."""
+        """What the array knows of its own slow errors, by quantity: at the last frame it was given, or after
+        `smoothed` at the end of that log.
+        """
         return {
-            quantity: learned_biases(self._axes[quantity], group.filter) for quantity, group in self._groups.items()
+            quantity: learned_biases(self._axes[quantity], group.filter) for quantity, group in self._latest.items()
         }
 
     def smoothed(
@@ -78,8 +82,10 @@ class Optimal:
 
         `blocks` gives the consecutive blocks of a log, frames and temperatures, from its beginning, and is asked twice.
         """
-        groups = self._made(recording=True)
-        try:
+        groups = self._latest = self._made(recording=True)
+        with ExitStack() as spools:
+            for group in groups.values():
+                spools.callback(group.close)
             for frames, degc in blocks():
                 _solved(groups, frames, degc or _NONE)
             for group in groups.values():
@@ -89,9 +95,6 @@ class Optimal:
                 self.angular_acceleration = _acceleration(solutions)
                 time = next(iter(frames.values())).time
                 yield time, {quantity: _estimate(solutions[quantity]) for quantity in frames}
-        finally:  # somebody may not want them all
-            for group in groups.values():
-                group.close()
 
     def _made(self, *, recording: bool = False) -> dict[str, _Group]:
         groups: dict[str, _Group] = {}
@@ -155,6 +158,7 @@ class _Group:
         self._again = Segments(self._segment_frames)
 
     def close(self) -> None:
+        """Give back the room on the disk."""
         if self._recorder is not None:
             self._recorder.close()
 

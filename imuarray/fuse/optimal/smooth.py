@@ -44,7 +44,6 @@ class Recorder:
             if len(stride[-1]) > len(Step._fields) - 1:
                 adjoint = self._back(stride[::-1], adjoint)
                 stride = []
-        self._steps.close()
 
     def view(self) -> View:
         """The next segment's."""
@@ -53,6 +52,7 @@ class Recorder:
 
     def close(self) -> None:
         """Give the room back."""
+        self._steps.close()
         self._views.close()
 
     def _back(self, stride: list[list[Floats]], adjoint: Adjoint) -> Adjoint:

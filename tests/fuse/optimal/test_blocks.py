@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -104,6 +105,18 @@ def test_a_log_may_be_smoothed_again_after_use() -> None:
         for _ in range(2)
     ]
     assert np.nanmax(np.abs(results[0] - results[1])) == 0.0
+
+
+def test_a_smoother_that_is_left_halfway_gives_back_its_room() -> None:
+    axes, model = whole()
+    frames, degc = readings(axes)
+    optimal = Optimal(axes, model, period_s=PERIOD_S)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    results = optimal.smoothed(lambda: blocks_of(frames, 100, degc))
+    next(results)
+    assert len(list(Path("/proc/self/fd").iterdir())) == before + 4
+    results.close()  # type: ignore[attr-defined]
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_no_frames_are_no_estimates() -> None:

@@ -72,6 +72,12 @@ def test_a_bias_that_the_others_contradict_is_learned() -> None:
     assert (learned.axis, learned.sd_before) == ("S2 x", 2.0)
     assert learned.bias == pytest.approx(1.0, abs=3.3 * sd)
     assert learned.sd == pytest.approx(sd, rel=0.02)
+    # The smoother ends with the same knowledge
+    again = optimal_of(axes, ErrorModel(errors))
+    for _ in again.smoothed(lambda: iter([({FORCE: frames_of(values)}, None)])):
+        pass
+    whole = again.learned()[FORCE][6]
+    assert (whole.bias, whole.sd) == pytest.approx((learned.bias, learned.sd), rel=0.1)
 
 
 def test_a_scale_that_is_wrong_is_learned_from_the_motion() -> None:
