@@ -30,8 +30,8 @@ _SECONDS_WAITING = 30.0
 """Of rows in the queue, at most."""
 _WRITE_S = 1.0
 """Frames of so long are written at once."""
-_SWITCH_S = 0.0005
-"""How long the thread may keep the interpreter from the recording."""
+_SWITCH_S = 5e-5
+"""How long the thread may keep the interpreter from the recording, which asks for it after every transaction."""
 
 
 class LiveFusion:

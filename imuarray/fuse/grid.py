@@ -9,12 +9,15 @@ import numpy as np
 
 from imuarray.errors import FusionError
 from imuarray.fuse.frames import Floats, Times
+from imuarray.fuse.rows import FOREVER_NS
 
 FIRST_ROWS = 64
 """Rows of each sensor by which the grid is chosen."""
 
 _APART = 0.9
 """Share of a period within which two rows are of one frame."""
+_SILENT = 1.75
+"""Periods without a row after which others stand in: more than a frame that takes longer than others."""
 _ALIKE = 0.25
 """Share by which periods of sensors that are read once a frame may differ."""
 _TIE = 0.001
@@ -31,24 +34,27 @@ class Grid:
     @property
     def ahead_ns(self) -> int:
         """How far beyond a time every row must be known for it to be certain whether it is in the grid."""
-        return round(len(self.order) * self.period_ns)
+        return round(_SILENT * len(self.order) * self.period_ns)
 
     def times(self, rows: Sequence[Times]) -> Times:
-        """The grid over some rows of all sensors: those of the best one, and of each further one those that are not of
-        a frame that is there. Certain up to `ahead_ns` from either end.
+        """The grid over some rows of all sensors: those of the best one, and of each further one those in the pauses of
+        the better ones. Certain up to `ahead_ns` from either end.
         """
         kept = rows[self.order[0]]
         for number in self.order[1:]:
             more = rows[number]
-            if len(kept):
-                after = np.searchsorted(kept, more)
-                before_ns = more - kept[np.maximum(after - 1, 0)]
-                after_ns = kept[np.minimum(after, len(kept) - 1)] - more
-                apart = np.minimum(np.abs(before_ns), np.abs(after_ns)) >= _APART * self.period_ns
-                more = more[apart]
-            if len(more):
+            if len(more := self._between(kept, more)):
                 kept = np.sort(np.concatenate([kept, more]))
         return kept
+
+    def _between(self, kept: Times, more: Times) -> Times:
+        """Those of `more` that stand in the pauses of `kept`; before its first and after its last row is a pause."""
+        edges = np.concatenate([[-FOREVER_NS // 2], kept, [FOREVER_NS // 2]])  # their difference is a time too
+        pauses = np.flatnonzero(np.diff(edges) >= _SILENT * self.period_ns)
+        apart_ns = round(_APART * self.period_ns)
+        first = np.searchsorted(more, edges[pauses] + apart_ns)
+        last = np.searchsorted(more, edges[pauses + 1] - apart_ns, "right")
+        return np.concatenate([more[:0], *(more[start:stop] for start, stop in zip(first, last, strict=True))])
 
 
 def choose(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Sequence[str]) -> Grid:
