@@ -84,7 +84,7 @@ def fuse(
         warming = running_temperatures(everything, array.inertial, calibration, of_all=array.is_optimal)
     else:
         of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
-        warming = Warming(of_all, {})
+        warming = Warming(of_all, {}, {})
     if array.is_optimal and not causal:
         yield from _smoothed(log, array, warming, block)
         return
@@ -120,7 +120,7 @@ def aligned(
     FusionError.
     """
     array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
-    warming = Warming(element_temperatures(log, array.inertial, calibration, of_all=True), {})
+    warming = Warming(element_temperatures(log, array.inertial, calibration, of_all=True), {}, {})
     stream = FusionStream(array.groups, calibration, lambda period_s: Gathering(), warming, timeout_s=float("inf"))
     return _replayed(log, stream, block)
 

@@ -24,6 +24,11 @@ from imuarray.fuse.frames import Floats, Times
 from imuarray.fuse.thermal import goes_with, slopes_of
 from imuarray.log import Block, SensorLog
 
+BAROMETER_S = 15.0
+"""How much older than a frame a barometer's rows are that it is told by: a recording gives them out only when later
+looks at the chip have vouched for them, and frames don't wait so long.
+"""
+
 _WIDTH_NS = round(SEGMENT_S * 1e9)
 _KEPT = 64
 """Segments that are kept beyond those that are asked for."""
@@ -39,11 +44,14 @@ class _Segment(NamedTuple):
 
 
 class RunningThermometer:
-    """Temperatures as they come, and what elements behind the lags (k,) have of them. Ask for no time before all rows
-    up to it were added, nor for times long before those that were asked for.
+    """Temperatures as they come, and what elements behind the lags (k,) have of them, by rows that are `delay_s` old.
+
+    Ask for no time before all rows up to `delay_s` earlier were added, nor for times long before those that were asked
+    for.
     """
 
-    def __init__(self, lags_s: Sequence[float]) -> None:
+    def __init__(self, lags_s: Sequence[float], delay_s: float = 0.0) -> None:
+        self.delay_s = delay_s
         self._lags = np.maximum(np.asarray(lags_s, float), 1e-9)
         self._closed: list[_Segment] = []
         self._begin_ns: int | None = None
@@ -95,15 +103,16 @@ class RunningThermometer:
         """The temperature (n,) behind one of the lags at times (n,) in s, NaN before there is any."""
         if self._begin_ns is None or len(time_s) == 0:
             return np.full(len(time_s), np.nan)
-        self._forget(float(time_s.min()))
+        known_s = time_s - self.delay_s
+        self._forget(float(known_s.min()))
         segments = [*self._closed, self._open()]
         end, mid, degc = (np.array([segment[k] for segment in segments]) for k in range(3))
         behind = np.array([segment.behind[column] for segment in segments])
-        last = np.searchsorted(end, time_s, "right") - 1
+        last = np.searchsorted(end, known_s, "right") - 1
         whole = np.maximum(last, 0)
         since = np.maximum(time_s - mid[whole], 0.0)
         held = degc[whole] + (behind - degc)[whole] * np.exp(-since / self._lags[column])
-        return np.where(last >= 0, held, self._at_first(time_s))
+        return np.where(last >= 0, held, self._at_first(known_s))
 
     def _at_first(self, time_s: Floats) -> Floats:
         """The mean of the rows so far; that of the first one before it."""
@@ -135,10 +144,13 @@ class Element:
 
 @dataclass(frozen=True)
 class Warming:
-    """The `elements` whose temperature the bias follows, and who must hear of rows for that, both by sensor."""
+    """The `elements` whose temperature the bias follows; who must hear of rows for that, and how much older than a
+    frame these may be; all by sensor.
+    """
 
     elements: Mapping[str, Warmth]
     feeds: Mapping[str, Callable[[Block], None]]
+    delays_s: Mapping[str, float]
 
 
 def running_temperatures(
@@ -156,12 +168,14 @@ def running_temperatures(
             wanted.setdefault(source.name, {})[sensor.name] = lag_s
     elements: dict[str, Warmth] = {}
     feeds: dict[str, Callable[[Block], None]] = {}
+    delays_s: dict[str, float] = {}
     for source in everything:
         if lags := wanted.get(source.name):
-            thermometer = RunningThermometer(list(lags.values()))
+            delays_s[source.name] = BAROMETER_S if source.quantity == "pressure" else 0.0
+            thermometer = RunningThermometer(list(lags.values()), delays_s[source.name])
             elements |= {name: Element(thermometer, column) for column, name in enumerate(lags)}
             feeds[source.name] = _feed(thermometer, source)
-    return Warming(elements, feeds)
+    return Warming(elements, feeds, delays_s)
 
 
 def _source(everything: Sequence[Described], sensor: Described) -> Described | None:

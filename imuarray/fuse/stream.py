@@ -65,6 +65,7 @@ class FusionStream(Generic[Out]):
             Unit(calibration.of(sensor), sensor.range * sensor.sensitivity, warming.elements.get(sensor.name))
             for sensor in inertial
         ]
+        self._delays_ns = {name: round(delay_s * 1e9) for name, delay_s in warming.delays_s.items()}
         self._elements = dict(warming.elements)
         self._groups: dict[str, Group] = {}
         for quantity, group in sensors.items():
@@ -150,12 +151,14 @@ class FusionStream(Generic[Out]):
         newest_ns = max(rows.newest_ns for rows in self._rows.values())
         known_ns = FOREVER_NS
         for name, rows in self._rows.items():
-            late = newest_ns - max(rows.newest_ns, 0) > self._timeout_ns
+            delay_ns = self._delays_ns.get(name, 0)
+            reached_ns = rows.newest_ns + delay_ns
+            late = newest_ns - max(reached_ns, delay_ns) > self._timeout_ns
             if late != (name in self._silent) and not rows.ended:
                 self._silent ^= {name}
                 self._tell(f"{name}: {'silent, fused without it' if late else 'fused again'}")
             if not rows.ended:
-                known_ns = min(known_ns, newest_ns if late else rows.newest_ns)
+                known_ns = min(known_ns, newest_ns if late else reached_ns)
         return known_ns
 
     def _choice(self, known_ns: int) -> Grid | None:

@@ -51,6 +51,19 @@ def test_behind_a_lag_a_ramp_is_late_by_it() -> None:
     assert thermometer.at(np.array([900.0 + 3.0]), 1) == pytest.approx([exact], abs=1e-6)
 
 
+def test_rows_that_come_late_are_waited_for_by_nobody() -> None:
+    """15 s old: as if it were 15 s earlier, but that the element has gone on towards the last mean since."""
+    prompt = fed(SECONDS, 20 + 0.1 * SECONDS, [0.0, 40.0])
+    late = RunningThermometer([0.0, 40.0], 15.0)
+    late.add((SECONDS * 1e9).astype(np.int64), 20 + 0.1 * SECONDS)
+    asked = np.array([615.1, 903.0])
+    assert late.at(asked, 0) == pytest.approx(prompt.at(asked - 15, 0))
+    held = prompt.at(asked - 15, 0)
+    gone = held + (prompt.at(asked - 15, 1) - held) * np.exp(-15 / 40)
+    assert late.at(asked, 1) == pytest.approx(gone)
+    assert late.at(np.array([3.0]), 0) == pytest.approx([20.0])
+
+
 def test_a_step_is_followed_as_an_exponential() -> None:
     """From 20 to 30 degC between two segments: the straight line between their middles is a part of the way."""
     lag_s, at_s = 60.0, 500.0

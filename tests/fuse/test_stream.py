@@ -134,9 +134,9 @@ def test_temperatures_are_those_that_were_known(warm: Path, seed: int) -> None:
         one = list(pushed(stream, read(log), seed, 300.0))
         same(one, list(fuse(log, with_slopes(), "mean", causal=True)))
         same(one, list(fuse(log, with_slopes(), "mean", causal=True, block=777)))
-        # Held for up to 7.5 s at 20 degC in 300 s, 0.5 degC of 3 counts each: not the same, but no more than that.
+        # Up to 22.5 s old at 20 degC in 300 s, 1.5 degC of 3 counts each: not the same, but no more than that.
         (_, early), (_, late) = joined(one), joined(list(fuse(log, with_slopes(), "mean")))
-        assert 1e-3 < np.abs(early - late).max() / 9.80665 * 512 < 1.5
+        assert 1e-3 < np.abs(early - late).max() / 9.80665 * 512 < 4.5
 
 
 def started(log: Log, timeout_s: float = 10.0, tell: Callable[[str], None] = lambda text: None) -> FusionStream:

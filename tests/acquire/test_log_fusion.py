@@ -1,0 +1,252 @@
+"""`log --fuse`: what is written beside the log is what fusing the log gives, and nothing of it harms the log."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from imuarray.calibrate import Calibration
+from imuarray.cli import main
+from imuarray.commands.log_fusion import LiveFusion
+from imuarray.errors import FusionError
+from imuarray.fuse import FusedBlock, FusionStream, read_fused
+from imuarray.log import Block, open_log
+from imuarray.log.format import SensorHeader
+
+SHAKEN = "emulated:?world=shaking&peak_g=3"
+HEADERS = [SensorHeader(f"A{i}", "bma180", "specific_force", "g", 16.0, 512.0) for i in range(2)]
+EPOCH = "2024-01-01T00:00:00Z"
+
+Log = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Log:
+    """``log(...)``: the emulated array into run.h5; exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str, bus: str = SHAKEN, seconds: str = "3") -> tuple[int, str, str]:
+        usual = ["log", "martin2013", "--bus", bus, "-o", "run.h5", "--seconds", seconds, "--rate-hz", "100"]
+        code = main([*usual, *arguments])
+        return code, *capsys.readouterr()
+
+    return call
+
+
+def columns(path: str) -> dict[str, np.ndarray]:
+    """All of a fused file."""
+    with h5py.File(path) as file:
+        return {name: column[:] for name, column in file["fused"].items()}
+
+
+def thermal_calibration(path: Path) -> None:
+    """Slopes over the barometer for one accelerometer, behind a lag."""
+    path.write_text(
+        """
+[calibration]
+format_version = 1
+[[sensor]]
+name = "BMA1"
+quantity = "specific_force"
+unit = "g"
+bias_lsb = [3.0, -4.0, 5.0]
+bias_sem_lsb = [1.0, 1.0, 1.0]
+response_lsb_per_unit = [[512.0, 0.0, 0.0], [0.0, 512.0, 0.0], [0.0, 0.0, 512.0]]
+temperature_degc = 20.0
+[sensor.thermal]
+slope_lsb_per_degc = [20.0, -10.0, 5.0]
+slope_sem_lsb_per_degc = [0.1, 0.1, 0.1]
+reference_degc = 20.0
+meaning = ["bias", "bias", "bias"]
+thermometer = "barometer"
+lag_s = 3.0
+"""
+    )
+
+
+@pytest.mark.parametrize(("technique", "warm"), [("opposed", False), ("mean", True)])
+def test_it_is_what_fusing_the_log_gives(log: Log, tmp_path: Path, technique: str, warm: bool) -> None:
+    more = ["--calibration", "cal.toml"] if warm else []
+    if warm:
+        thermal_calibration(tmp_path / "cal.toml")
+    code, out, _ = log("--fuse", "--technique", technique, "--json", *more, seconds="12" if warm else "3")
+    said = json.loads(out)["fusion"]
+    assert (code, said["fused"], said["skipped"], said["failure"]) == (0, "run_fused.h5", 0, "")
+    assert main(["fuse", "run.h5", "--causal", "--technique", technique, "-o", "again.h5", *more]) == 0
+    live, after = columns("run_fused.h5"), columns("again.h5")
+    assert live.keys() == after.keys()
+    assert said["frames"] == len(live["time"]) == json.loads(out)["frames"]
+    for name, column in live.items():
+        largest = np.nanmax(np.abs(after[name])) if np.isfinite(after[name]).any() else 1.0
+        np.testing.assert_allclose(column, after[name], rtol=0, atol=1e-9 * largest)
+    with h5py.File("run_fused.h5") as first, h5py.File("again.h5") as second:
+        assert dict(first.attrs) == dict(second.attrs)
+        for name, column in second["fused"].items():
+            assert {key: list(value) for key, value in first["fused"][name].attrs.items()} == {
+                key: list(value) for key, value in column.attrs.items()
+            }
+
+
+def test_the_log_is_the_same_with_and_without(log: Log) -> None:
+    with_it = log("--fuse", bus=f"{SHAKEN}&seed=3")
+    with open_log("run.h5") as run:
+        first = np.asarray(run["BMA1"].counts[:])
+    without = log("--force", bus=f"{SHAKEN}&seed=3")
+    with open_log("run.h5") as run:
+        assert (np.asarray(run["BMA1"].counts[:]) == first).all()
+    assert with_it[0] == without[0] == 0
+    assert "run_fused.h5: 300 frames fused while recording" in with_it[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--technique", "mean"], "--technique is of --fuse"),
+        (["--fused", "f.h5"], "--fused is of --fuse"),
+        (["--fuse", "--technique", "best"], "technique 'best': allowed are mean"),
+        (["--fuse", "--technique", "planes"], "its noise is not known"),
+        (["--fuse", "--fused", "there.h5"], "there.h5: exists already"),
+        (["--fuse", "--fused", "run.h5"], "run.h5"),
+    ],
+)
+def test_what_can_not_be_fused_is_refused_before_there_is_a_log(log: Log, arguments: list[str], words: str) -> None:
+    Path("there.h5").write_text("mine")
+    code, _, err = log(*arguments)
+    assert code == 2
+    assert words in err
+    assert not Path("run.h5").exists()
+    assert Path("there.h5").read_text() == "mine"
+
+
+def test_fusion_that_breaks_is_told_once_and_the_log_goes_on(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    pushes = 0
+    push = FusionStream.push
+
+    def breaking(self: FusionStream, sensor: str, block: Block) -> Iterator[FusedBlock]:
+        nonlocal pushes
+        pushes += 1
+        if pushes > 20:
+            raise ArithmeticError("one too many")
+        return push(self, sensor, block)
+
+    monkeypatch.setattr(FusionStream, "push", breaking)
+    code, out, err = log("--fuse", "--json", seconds="5")
+    assert code == 0
+    assert json.loads(out)["frames"] == 500
+    assert json.loads(out)["fusion"]["failure"] == "ArithmeticError: one too many"
+    assert err.count("fusion ends, the log goes on: ArithmeticError: one too many") == 1
+    with open_log("run.h5") as run:
+        assert len(run["BMA1"]) == 500
+
+
+def rows(start: int, count: int = 100) -> Block:
+    time_ns = (np.arange(start, start + count) * 10_000_000).astype(np.int64)
+    return Block(time_ns, np.tile(np.array([0, 0, 512], np.int16), (count, 1)), np.zeros(count, np.uint16))
+
+
+def test_rows_that_it_can_not_keep_up_with_are_skipped_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread stands still while twenty blocks come; the queue holds eight."""
+    said: list[str] = []
+    going = threading.Event()
+    push = FusionStream.push
+
+    def waiting(self: FusionStream, sensor: str, block: Block) -> Iterator[FusedBlock]:
+        going.wait(10)
+        return push(self, sensor, block)
+
+    monkeypatch.setattr(FusionStream, "push", waiting)
+    fusion = LiveFusion(
+        tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100, tell=said.append, waiting=8
+    )
+    fusion.begun(EPOCH, HEADERS)
+    begun = time.monotonic()
+    for second in range(10):
+        for header in HEADERS:
+            fusion.observe(header.name, rows(100 * second))
+    assert time.monotonic() - begun < 5
+    going.set()
+    deadline = time.monotonic() + 10
+    while fusion._queue.qsize() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    for header in HEADERS:
+        fusion.observe(header.name, rows(1000))
+    fusion.close()
+    assert 500 <= fusion.skipped <= 600  # 8 or 9 blocks of two sensors were taken
+    assert said[0] == "fusion can't keep up: frames are skipped in its file, the log has them"
+    assert said[-1] == f"{tmp_path / 'f.h5'}: {fusion.skipped} frames skipped: fusion could not keep up"
+    time_ns = np.concatenate([block.time for block in read_fused(tmp_path / "f.h5")])
+    assert len(time_ns) == fusion.frames == 1100 - fusion.skipped
+    assert time_ns[-1] == 10_990_000_000
+
+
+def test_its_file_can_be_read_while_it_is_written(tmp_path: Path) -> None:
+    fusion = LiveFusion(tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100)
+    fusion.begun(EPOCH, HEADERS)
+    for second in range(5):
+        for header in HEADERS:
+            fusion.observe(header.name, rows(100 * second))
+    deadline = time.monotonic() + 10
+    while not fusion.frames and time.monotonic() < deadline:
+        time.sleep(0.01)
+    program = f"import h5py; print(len(h5py.File({str(tmp_path / 'f.h5')!r}, 'r', swmr=True)['fused/time']))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=20)
+    assert fusion.status() == "0.0 0.0 1000.0 mg"
+    fusion.close()
+    assert int(done.stdout) >= 100
+    assert fusion.frames == 500
+    assert sys.getswitchinterval() == pytest.approx(0.005)
+
+
+def test_a_log_without_rows_leaves_no_fused_file(tmp_path: Path) -> None:
+    fusion = LiveFusion(
+        tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100, tell=lambda text: None
+    )
+    fusion.begun(EPOCH, HEADERS)
+    fusion.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_inertial_sensor_is_nothing_to_fuse(tmp_path: Path) -> None:
+    fusion = LiveFusion(tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100)
+    magnetometer = SensorHeader("M", "hmc5883", "magnetic_field", "gauss", 1.3, 1090.0)
+    with pytest.raises(FusionError, match="the array: no inertial sensor in it"):
+        fusion.begun(EPOCH, [magnetometer])
+    fusion.close()
+
+
+def test_an_interrupt_ends_both_cleanly(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "imuarray", "log", "martin2013", "--bus", "emulated:?clock=real", "-o", "run.h5"]
+    with subprocess.Popen(
+        [*command, "--fuse", "--json", "--rate-hz", "50"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        deadline = time.monotonic() + 30
+        while not (tmp_path / "run.h5").exists() and time.monotonic() < deadline and process.poll() is None:
+            time.sleep(0.02)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    said = json.loads(out)
+    assert said["fusion"]["failure"] == ""
+    time_ns = np.concatenate([block.time for block in read_fused(tmp_path / "run_fused.h5")])
+    with open_log(tmp_path / "run.h5") as run:
+        assert run.state == "finished"
+        newest_ns = min(int(sensor.time[-1]) for sensor in run.of("specific_force"))
+    assert newest_ns - time_ns[-1] < 3 * 20_000_000
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.h5", "run_fused.h5"]
