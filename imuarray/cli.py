@@ -25,6 +25,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "characterise": "Allan deviation, spectrum, codes and noise table of a log",
         "calibrate": "sensor parameters from logs: axes, tumble, noise, thermal, turn-on",
         "fuse": "one specific force and angular rate from all sensors",
+        "study": "what each technique gains on simulated experiments, and how far it is from the bound",
         "gap": "where recordings and simulations differ, why, and how far it shrinks: diagnose",
         "report": "one HTML page from any mix of logs, calibrations, fused results and diagnoses",
         "paper": "the paper's tables and conclusions, recomputed from its published data",

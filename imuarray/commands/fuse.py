@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.fuse import Error, FusedBlock
+    from imuarray.fuse import Error, FaultEvent, FusedBlock
     from imuarray.log import Log, SensorLog
 
 _NOTHING = "nothing on this array, it gives the mean (opposed: as many axes each way balance there already)"
@@ -34,19 +35,35 @@ _WORDS = {
     metavar="CAL.toml",
     help="default: the data sheets",
 )
-@click.option("--technique", default="mean", show_default=True, metavar="NAME", help="mean, opposed, planes or ranges")
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), metavar="FUSED.h5", help="the result")
+@click.option(
+    "--technique", default="mean", show_default=True, metavar="NAME", help="mean, opposed, planes, ranges or optimal"
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="FUSED.h5",
+    help="the result (may be left out to evaluate)",
+)
 @click.option("--only", default="", metavar="SENSOR,...", help="fuse only these sensors")
 @click.option("--causal", is_flag=True, help="by what was known at each frame, as `log --fuse` does")
+@click.option(
+    "--watch/--no-watch",
+    default=None,
+    help="find sensors that fail, say so and go on without them (default: with optimal)",
+)
+@click.option("--evaluate", is_flag=True, help="every technique against the log's truth, and against the mean")
 @force_option
 @json_option
 def command(
     run: Path,
     calibration_file: Path | None,
     technique: str,
-    output: Path,
+    output: Path | None,
     only: str,
     causal: bool,
+    watch: bool | None,
+    evaluate: bool,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -55,56 +72,97 @@ def command(
     \b
     mean     every axis weighs the same
     opposed  anti-parallel axes of one design balance each other: common-mode drift cancels
-    planes   in-plane against out-of-plane axes by their measured noise
+    planes   in-plane against out-of-plane axes by their measured noise and stability
     ranges   low and high measuring ranges blended, the low one fading out before it clips
+    optimal  every reading by all that is known of its errors; slow ones are followed, failing sensors left out
+
+    --evaluate compares all of them on a log that knows the truth: errors, ratios to the mean with their 95 % intervals,
+    whether covariances hold, and heading and velocity after coasting.
     """
     from imuarray.calibrate import Calibration, load_calibration
-    from imuarray.fuse import fuse, read_fused, write_fused
     from imuarray.log import open_log
 
-    refuse_existing(output, force, source=run)
+    if output is not None:
+        refuse_existing(output, force, source=run)
+    elif not evaluate:
+        raise click.UsageError("Missing option '-o' / '--output'.")
     calibration = load_calibration(calibration_file) if calibration_file else Calibration()
     with open_log(run) as log:
         names = [log[name].name for name in only.split(",")] if only else []
         uncalibrated = _uncalibrated(log, calibration, names, calibration_file)
         calibration, starts, names = _come_up(log, calibration, names)
         thermal = _thermal(log, calibration, names)
-        calibration = with_noise(log, calibration, technique)
-        rows = max(len(sensor) for sensor in log.sensors.values())
-        with progress(rows, technique) as done:
-            frames = write_fused(
-                output,
-                fuse(log, calibration, technique, only=names, causal=causal),
-                epoch=log.epoch,
-                technique=technique,
-                log=str(run),
-                calibration=str(calibration_file or ""),
-                sensors=_sensors(log, names),
-                force=force,
-                progress=done,
-            )
-        results = (
-            {"mean": _result(log, fuse(log, calibration, "mean", only=names, causal=causal))}
-            if technique != "mean"
-            else {}
-        )
-        results[technique] = _result(log, read_fused(output))
-        report = {
-            "fused": str(output),
+        calibration = with_noise(log, calibration, None if evaluate else technique)
+        work = _Work(log, calibration, technique, names, causal, watch)
+        report: dict[str, Any] = {
             "technique": technique,
-            "frames": frames,
             "uncalibrated": uncalibrated,
             "start_up": starts,
             "thermal": thermal,
             "changes": _changes(log, calibration, technique, names),
             "pairs": pairs_of(log, calibration, names) if technique == "opposed" else [],
-            "error": results[technique] if log.truth or log.reference else {},
-            "results": results,
         }
+        if output is not None:
+            report |= _written(work, output, str(calibration_file or ""), force)
+        if evaluate:
+            from imuarray.commands.fuse_evaluate import evaluated
+
+            report["evaluation"] = evaluated(log, calibration, names)
     if as_json:
         print_json(report)
     else:
         _print(report)
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What is fused, and how."""
+
+    log: Log
+    calibration: Calibration
+    technique: str
+    names: list[str]
+    causal: bool
+    watch: bool | None
+
+    def fused(self, technique: str, found: Callable[[FaultEvent], None]) -> Iterator[FusedBlock]:
+        """The result; `found` hears of sensors that fail."""
+        from imuarray.chips import CHIPS
+        from imuarray.fuse import Watch, fuse
+
+        watch = Watch(self.watch, {name: chip.sensitivity for name, chip in CHIPS.items()}, found)
+        return fuse(self.log, self.calibration, technique, only=self.names, causal=self.causal, watch=watch)
+
+
+def _written(work: _Work, output: Path, source: str, force: bool) -> dict[str, Any]:
+    """Write the fused file; where it is and what came of it, beside the average."""
+    from imuarray.fuse import read_fused, write_fused
+
+    log, technique = work.log, work.technique
+    events: list[FaultEvent] = []
+    rows = max(len(sensor) for sensor in log.sensors.values())
+    with progress(rows, technique) as done:
+        frames = write_fused(
+            output,
+            work.fused(technique, events.append),
+            epoch=log.epoch,
+            technique=technique,
+            log=str(log.path),
+            calibration=source,
+            sensors=_sensors(log, work.names),
+            force=force,
+            progress=done,
+        )
+    results = {} if technique == "mean" else {"mean": _result(log, work.fused("mean", lambda event: None))}
+    results[technique] = _result(log, read_fused(output))
+    known = bool(log.truth or log.reference)
+    return {
+        "fused": str(output),
+        "frames": frames,
+        "faults": [event.as_json() for event in events],
+        "error": results[technique] if known else {},
+        "results": results,
+    }
 
 
 def _uncalibrated(log: Log, calibration: Calibration, names: Sequence[str], file: Path | None) -> list[str]:
@@ -179,13 +237,16 @@ def _result(log: Log, blocks: Iterable[FusedBlock]) -> dict[str, Any]:
     return {quantity: {"noise": noise.tolist()} for quantity, noise in quiet_noise(blocks).items()}
 
 
-def with_noise(log: Log, calibration: Calibration, technique: str) -> Calibration:
-    """The calibration, with the noise measured in the log itself where the technique needs it and the file has none."""
+def with_noise(log: Log, calibration: Calibration, technique: str | None) -> Calibration:
+    """The calibration, with the noise measured in the log itself where the technique (None: any of them) needs it and
+    the file has none.
+    """
     from imuarray.calibrate import Calibration, calibrate_noise
     from imuarray.fuse import NEEDS_NOISE
 
     known = {sensor.name: calibration.of(sensor) for sensor in _inertial(log)}
-    if technique not in NEEDS_NOISE or all(sensor.noise_lsb is not None for sensor in known.values()):
+    needless = technique is not None and technique not in NEEDS_NOISE
+    if needless or all(sensor.noise_lsb is not None for sensor in known.values()):
         return calibration
     click.echo("imuarray: no noise in the calibration; measured where this log stands still", err=True)
     measured = calibrate_noise(log, known=calibration)
@@ -206,14 +267,28 @@ def _error(error: Error) -> dict[str, Any]:
 
 def _print(report: dict[str, Any]) -> None:
     technique = report["technique"]
-    click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
+    if "fused" in report:
+        click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
     if report["uncalibrated"]:
         click.echo(f"  not calibrated, data sheet's values: {', '.join(report['uncalibrated'])}")
     for sentence in report["start_up"]:
         click.echo(f"  {sentence}")
     if report["thermal"]:
         click.echo(f"  bias follows the log's temperature: {', '.join(report['thermal'])}")
-    if technique != "mean":
+    if "fused" in report:
+        _print_results(report)
+    if "evaluation" in report:
+        from imuarray.commands.fuse_evaluate import print_report
+
+        print_report(report["evaluation"])
+
+
+def _print_results(report: dict[str, Any]) -> None:
+    """What the technique changed, and its errors beside those of the average."""
+    technique = report["technique"]
+    for fault in report["faults"]:
+        click.echo(f"  {fault['sentence']}")
+    if technique not in ("mean", "optimal"):
         changes = ", ".join(report["changes"])
         click.echo(f"  {technique} changes {changes or _NOTHING}")
     for sentence in pair_sentences(report["pairs"]):

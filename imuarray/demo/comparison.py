@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imuarray.calibrate import Calibration
+from imuarray.fuse import Gain, gains
 from imuarray.log import open_log
-from imuarray.report import Gain, gains
 from imuarray.units import READABLE_SI
 
 BMA180S = ("BMA1", "BMA2", "BMA3", "BMA4")

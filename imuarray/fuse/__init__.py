@@ -1,12 +1,16 @@
-"""One specific force and one angular rate from all sensors of an array: the simple average and the paper's three
-techniques.
+"""One specific force and one angular rate from all sensors of an array: the simple average, the paper's three
+techniques, and the estimator of the whole array that contains them.
 """
 
 from imuarray.fuse.axes import Axis, axes_of
-from imuarray.fuse.evaluate import Error, errors_of, evaluate, quiet_noise
+from imuarray.fuse.coasting import Coasting, Errors, coasting
+from imuarray.fuse.compare import Comparison, Score, compare, compared, technique_names
+from imuarray.fuse.consistency import Consistency, consistency
+from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, errors_of, evaluate, quiet_noise
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
 from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
+from imuarray.fuse.gains import Gain, Ratio, gains, ratio_of
 from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, fused_block
 from imuarray.fuse.running import running_temperatures
 from imuarray.fuse.store import FusedHead, read_fused, read_fused_head, write_fused
@@ -20,30 +24,47 @@ __all__ = [
     "OPTIMAL",
     "TECHNIQUES",
     "Axis",
+    "Coasting",
+    "Comparison",
+    "Consistency",
     "EachAlone",
     "Error",
+    "ErrorFrames",
+    "Errors",
     "Estimate",
     "FaultEvent",
     "Frames",
     "FusedBlock",
     "FusedHead",
     "FusionStream",
+    "Gain",
     "Making",
     "Pipeline",
+    "Ratio",
+    "Score",
     "Watch",
     "aligned",
     "axes_of",
     "changes",
+    "coasting",
+    "compare",
+    "compared",
+    "consistency",
     "element_temperatures",
+    "error_frames",
+    "error_of",
     "errors_of",
     "evaluate",
     "fuse",
     "fused_block",
+    "gains",
     "live",
     "quiet_noise",
+    "ratio_of",
     "read_fused",
     "read_fused_head",
     "running_temperatures",
     "slopes_of",
+    "technique_names",
     "write_fused",
 ]

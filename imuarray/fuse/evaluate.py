@@ -4,8 +4,8 @@ reference.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -45,7 +45,7 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
     FusionError if the log has neither.
     """
     errors = errors_of(log, blocks, phases)
-    return {quantity: _error(rows) for quantity, (_, rows) in errors.items() if len(rows) > 1}
+    return {quantity: error_of(rows) for quantity, (_, rows) in errors.items() if len(rows) > 1}
 
 
 def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
@@ -64,15 +64,33 @@ def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
     return {quantity: np.quantile(parts, 0.25, axis=0) for quantity, parts in scatter.items() if parts}
 
 
+@dataclass(frozen=True)
+class ErrorFrames:
+    """n frames of one quantity: time (n,) ns, fused less true triad (n, 3), the truth (n, 3), and the covariance
+    (n, 6) that the fused result claims (`frames.ENTRIES`; NaN where it claims none), SI, box frame.
+    """
+
+    time: npt.NDArray[np.int64]
+    errors: Floats
+    truth: Floats
+    covariances: Floats
+
+
 def errors_of(
     log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()
 ) -> dict[str, tuple[npt.NDArray[np.int64], Floats]]:
     """Time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError if nothing is known."""
+    found = error_frames(log, blocks, phases)
+    return {quantity: (frames.time, frames.errors) for quantity, frames in found.items()}
+
+
+def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, ErrorFrames]:
+    """The same with the truth and the covariances."""
     track = log.truth or log.reference
     if track is None:
         raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
     stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
-    found: dict[str, list[tuple[npt.NDArray[np.int64], Floats]]] = {quantity: [] for quantity in INERTIAL}
+    found: dict[str, list[ErrorFrames]] = {quantity: [] for quantity in INERTIAL}
     for block in blocks:
         inside = np.ones(len(block.time), bool)
         if stretches:
@@ -81,12 +99,28 @@ def errors_of(
             felt = _felt(track, quantity, block.time)
             if felt is not None:
                 keep = inside & np.isfinite(triad - felt).all(axis=1)
-                found[quantity].append((block.time[keep], (triad - felt)[keep]))
-    return {
-        quantity: (np.concatenate([time for time, _ in parts]), np.concatenate([error for _, error in parts]))
-        for quantity, parts in found.items()
-        if parts
-    }
+                claimed = np.asarray(block.covariances.get(quantity, np.full((len(triad), 6), np.nan)), float)
+                found[quantity].append(ErrorFrames(block.time[keep], (triad - felt)[keep], felt[keep], claimed[keep]))
+    return {quantity: _joined(parts) for quantity, parts in found.items() if parts}
+
+
+def error_of(rows: Floats) -> Error:
+    """The figures of errors (n, 3), n > 1.
+
+    Noise is the scatter between neighbours (over sqrt 2), drift the spread of sixteen slow means.
+    """
+    slow = np.array([part.mean(axis=0) for part in np.array_split(rows, min(16, len(rows)))])
+    return Error(
+        mean=rows.mean(axis=0),
+        noise=np.std(np.diff(rows, axis=0), axis=0) / np.sqrt(2),
+        rms=np.sqrt(np.mean(rows**2, axis=0)),
+        drift=np.ptp(slow, axis=0),
+        frames=len(rows),
+    )
+
+
+def _joined(parts: Sequence[ErrorFrames]) -> ErrorFrames:
+    return ErrorFrames(*(np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(ErrorFrames)))
 
 
 def _felt(track: Track, quantity: str, time: npt.NDArray[np.int64]) -> Floats | None:
@@ -102,15 +136,3 @@ def _felt(track: Track, quantity: str, time: npt.NDArray[np.int64]) -> Floats | 
     if len(known) < 2:
         return np.full((len(time), 3), np.nan)
     return between_gaps(known, rows, time, gap_ns=5 * float(np.median(np.diff(known))))
-
-
-def _error(rows: Floats) -> Error:
-    """Noise is the scatter between neighbours (over sqrt 2), drift the spread of sixteen slow means."""
-    slow = np.array([part.mean(axis=0) for part in np.array_split(rows, min(16, len(rows)))])
-    return Error(
-        mean=rows.mean(axis=0),
-        noise=np.std(np.diff(rows, axis=0), axis=0) / np.sqrt(2),
-        rms=np.sqrt(np.mean(rows**2, axis=0)),
-        drift=np.ptp(slow, axis=0),
-        frames=len(rows),
-    )

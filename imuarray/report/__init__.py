@@ -2,7 +2,6 @@
 see.
 """
 
-from imuarray.report.gains import Gain, gains
 from imuarray.report.page import Figure, Section, Table, write_page
 
-__all__ = ["Figure", "Gain", "Section", "Table", "gains", "write_page"]
+__all__ = ["Figure", "Section", "Table", "write_page"]

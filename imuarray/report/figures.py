@@ -31,7 +31,7 @@ def drift_figure(
     """Slow errors (n,) of single sensors and of fused results over time, with the temperature (time, degC) below
     them.
     """
-    figure = _new_figure(8.0, 5.2)
+    figure = new_figure(8.0, 5.2)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     for number, values in enumerate(single.values()):
         upper.plot(
@@ -57,7 +57,7 @@ def motion_figure(
     felt: tuple[Floats, Floats], times_s: Mapping[str, Floats], errors_mg: Mapping[str, Floats], end_of_range_g: float
 ) -> Figure:
     """A motion (time, g) that leaves the low range, and below it the errors (n,) of several results at their times."""
-    figure = _new_figure(8.0, 5.6)
+    figure = new_figure(8.0, 5.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
     upper.plot(*felt, color="black", linewidth=1.0)
     for limit in (-end_of_range_g, end_of_range_g):
@@ -73,7 +73,7 @@ def motion_figure(
 
 def ratio_figure(labels: Sequence[str], ratios: Sequence[float], errors: Sequence[float]) -> Figure:
     """Error over that of the average, a dot a line, with two standard errors; left of 1 is better."""
-    figure = _new_figure(8.0, 0.8 + 0.24 * len(labels))
+    figure = new_figure(8.0, 0.8 + 0.24 * len(labels))
     axes = figure.subplots()
     rows = np.arange(len(labels))[::-1]
     better = [ratio < 1 - 2 * error for ratio, error in zip(ratios, errors, strict=True)]
@@ -93,7 +93,7 @@ def ratio_figure(labels: Sequence[str], ratios: Sequence[float], errors: Sequenc
 
 def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: Floats) -> Figure:
     """Residuals (sensors, poses) in mg: a row of dots for each sensor, a column for each pose."""
-    figure = _new_figure(8.0, 1.6 + 0.35 * len(sensors))
+    figure = new_figure(8.0, 1.6 + 0.35 * len(sensors))
     axes = figure.subplots()
     span = max(float(np.nanmax(np.abs(residual_mg), initial=0.0)), 0.1)
     for row, (name, values) in enumerate(zip(sensors, residual_mg, strict=True)):
@@ -110,7 +110,7 @@ def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: F
 
 def course_figure(time_s: Floats, triad: Floats, label: str) -> Figure:
     """A triad (n, 3) over time, a panel for each box axis."""
-    figure = _new_figure(8.0, 4.6)
+    figure = new_figure(8.0, 4.6)
     panels = figure.subplots(3, 1, sharex=True)
     for axis, panel in enumerate(panels):
         panel.plot(time_s, triad[:, axis], color=PALETTE[1 + axis], linewidth=0.9)
@@ -121,7 +121,7 @@ def course_figure(time_s: Floats, triad: Floats, label: str) -> Figure:
     return figure
 
 
-def _new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
     """An empty figure (inches) that needs no display; MissingExtraError without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

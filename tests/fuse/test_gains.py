@@ -11,10 +11,9 @@ import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.errors import FusionError
-from imuarray.fuse import errors_of, fuse
+from imuarray.fuse import Gain, errors_of, fuse, gains
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.report import Gain, gains
 
 G = 9.80665
 LOW = SensorHeader("A_LOW", "bma180", "specific_force", "g", 1.5, 16384.0)

@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import t as student
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
-from imuarray.fuse import errors_of, fuse
+from imuarray.fuse.evaluate import errors_of
+from imuarray.fuse.fuse import fuse
 from imuarray.log import Log
 from imuarray.log.format import Phase
 
@@ -60,14 +62,14 @@ def gains(
         time, mine, other = np.intersect1d(errors[0][quantity][0], errors[1][quantity][0], return_indices=True)
         before, after = errors[0][quantity][1][mine], errors[1][quantity][1][other]
         if slow:
-            before, after = (_ten_second_means(time, part) for part in (before, after))
+            before, after = (ten_second_means(time, part) for part in (before, after))
         for axis in range(3):
             rows.append(_gain(technique, quantity, "XYZ"[axis], before[:, axis], after[:, axis]))
         rows.append(_gain(technique, quantity, "XYZ", *(np.linalg.norm(part, axis=1) for part in (before, after))))
     return rows
 
 
-def _ten_second_means(time: npt.NDArray[np.int64], rows: Floats) -> Floats:
+def ten_second_means(time: npt.NDArray[np.int64], rows: Floats) -> Floats:
     """Means of ten seconds each, less the first: what standing still at the start would have taken out."""
     step = (time - time[0]) // 10_000_000_000
     _, first = np.unique(step, return_index=True)
@@ -79,11 +81,39 @@ def _gain(technique: str, quantity: str, box_axis: str, before: Floats, after: F
     count = min(BLOCKS, len(before) // 2)
     if count < FEWEST_BLOCKS:
         raise FusionError(f"technique {technique}: {len(before)} values with a truth, too few to compare")
-    parts = zip(np.array_split(before, count), np.array_split(after, count), strict=True)
-    squares = np.array([[np.sum(b**2), np.sum(a**2)] for b, a in parts])
-    total = squares.sum(axis=0)
+    found = ratio_of(block_squares(before, count), block_squares(after, count))
+    average, error = (float(np.sqrt(np.mean(rows**2))) for rows in (before, after))
+    return Gain(technique, quantity, box_axis, average, error, found.ratio, found.ratio_se)
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A ratio of rms errors, its jackknife standard error, and the ends of its 95 % interval."""
+
+    ratio: float
+    ratio_se: float
+    low: float
+    high: float
+
+
+def ratio_of(before: Floats, after: Floats) -> Ratio:
+    """The root of the ratio of two sums of squared errors from their parts (b,), blocks of a log or runs; b > 1.
+
+    Each part is left out in turn (jackknife, Tukey 1958) from the ratio; the interval is that of its logarithm,
+    Student's with b - 1 degrees of freedom: its ends stay positive, and are inverted with the ratio.
+    """
+    count = len(before)
+    total = before.sum(), after.sum()
+    if not total[0] > 0 or not total[1] > 0:
+        same = 1.0 if total[0] == total[1] else float("inf") if total[0] == 0 else 0.0
+        return Ratio(same, 0.0, same, same)
     ratio = float(np.sqrt(total[1] / total[0]))
-    left_out = np.sqrt((total[1] - squares[:, 1]) / (total[0] - squares[:, 0]))
+    left_out = np.sqrt(np.maximum(total[1] - after, 0) / np.maximum(total[0] - before, 1e-300))
     spread = float(np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean()) ** 2)))
-    average, error = (float(value) for value in np.sqrt(total / len(before)))
-    return Gain(technique, quantity, box_axis, average, error, ratio, spread)
+    reach = float(np.exp(student.ppf(0.975, count - 1) * spread / ratio))
+    return Ratio(ratio, spread, ratio / reach, ratio * reach)
+
+
+def block_squares(rows: Floats, count: int = BLOCKS) -> Floats:
+    """(count, ...) sums of squares of `count` consecutive stretches of rows (n, ...)."""
+    return np.array([np.sum(part**2, axis=0) for part in np.array_split(rows, count)])

@@ -1,0 +1,104 @@
+"""`imuarray study`."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imuarray.commands.options import (
+    force_option,
+    json_option,
+    prepare_folder,
+    print_json,
+    progress,
+    workers_option,
+)
+
+if TYPE_CHECKING:
+    from imuarray.study import Study
+
+EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion", "shaking")
+"""Those of `imuarray.study`, which takes NumPy along."""
+
+FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", "heating.png")
+
+
+@click.command("study")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="write study.json and, with matplotlib, figures and the page study.html into DIR",
+)
+@click.option("--seeds", type=click.IntRange(1, 1000), help="simulated arrays of each experiment (default: 6)")
+@click.option(
+    "--experiments",
+    metavar="NAME,...",
+    default=",".join(EXPERIMENTS),
+    show_default=True,
+    help="which ones; motion is a drive, shaking by hand",
+)
+@click.option("--quick", is_flag=True, help="two seeds of short logs: to see what it does, not to learn from")
+@workers_option
+@force_option
+@json_option
+def command(
+    output: Path | None,
+    seeds: int | None,
+    experiments: str,
+    quick: bool,
+    workers: int,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """What each fusion technique gains on simulated experiments of the paper's array.
+
+    Errors over those of the simple average of the same sensors, with calibrations made from simulated logs; and, with
+    the true parameters and a model that is right, over the Cramer-Rao bound: the least that any estimator can err.
+    Heading and velocity after coasting for a minute. Two minutes on two cores.
+    """
+    from imuarray.gap.workers import processes
+    from imuarray.study import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
+
+    names = tuple(dict.fromkeys(name.strip() for name in experiments.split(",") if name.strip()))
+    if not names or set(names) - set(EXPERIMENTS):
+        raise click.UsageError(f"--experiments {experiments!r}: allowed are {', '.join(EXPERIMENTS)}")
+    if output:
+        prepare_folder(output, FILES, force)
+    count = seeds or (QUICK_SEEDS if quick else SEEDS)
+    with ExitStack() as stack:
+        done = stack.enter_context(progress(len(names) * count, "study"))
+        executor = stack.enter_context(processes(workers)) if workers > 1 else None
+        seconds = QUICK_S if quick else None
+        found = study(names, count, seconds=seconds, executor=executor, progress=lambda so_far, *_: done(so_far))
+    if output:
+        _write(output, found)
+    if as_json:
+        print_json(found.as_json())
+    else:
+        click.echo(render_text(found), nl=False)
+
+
+def _write(folder: Path, found: Study) -> None:
+    """The numbers; figures and the page as far as the optional packages allow."""
+    import json
+
+    from imuarray.atomic import write_text
+    from imuarray.errors import MissingExtraError
+    from imuarray.study.heated import heated
+    from imuarray.study.page import drawings_of, write_study_page
+
+    text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_text(folder / "study.json", text, force=True)
+    try:
+        warm = heated(found.seeds[0], found.seconds) if found.of(experiment="heating") else None
+        drawings = drawings_of(found, warm)
+        for name, drawing in drawings.items():
+            drawing.savefig(folder / name, dpi=150, metadata={"Software": None})
+        write_study_page(folder / "study.html", found, drawings, force=True)
+    except MissingExtraError as error:
+        click.echo(f"{folder}: study.json only; figures and page: {error}", err=True)

@@ -1,0 +1,111 @@
+"""Every technique on one log that knows the truth, with the same calibration: errors, how they compare with the simple
+average of the same sensors, whether covariances hold, and what a navigator makes of it.
+
+Frames count that the average and the technique both know. An interval tells how far chance within this log could
+change a ratio; how a sensor came up this time is the same in all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imuarray.calibrate import Calibration
+from imuarray.errors import FusionError
+from imuarray.fuse.coasting import COAST_S, STILL_S, Coasting, Errors, coasting
+from imuarray.fuse.consistency import Consistency, consistency
+from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of
+from imuarray.fuse.frames import FusedBlock
+from imuarray.fuse.fuse import NAMES, fuse
+from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
+from imuarray.log import Log
+
+AVERAGE = "mean"
+
+AXES = ("X", "Y", "Z", "XYZ")
+"""Box axes of a ratio; "XYZ" is the length of the error."""
+
+Fused = Callable[[str], Iterator[FusedBlock]]
+"""A technique's name to its result."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """One technique, one quantity: its `error` per box axis; `ratio`, its rms error over that of the simple average by
+    box axis (`AXES`); whether its covariance holds (None: it claims none).
+    """
+
+    technique: str
+    quantity: str
+    error: Error
+    ratio: Mapping[str, Ratio]
+    consistency: Consistency | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All scores, and each technique's errors of heading and velocity (none without both quantities)."""
+
+    scores: tuple[Score, ...]
+    coasting: Mapping[str, Coasting]
+
+
+def technique_names() -> tuple[str, ...]:
+    """Every name that `fuse` takes."""
+    return NAMES
+
+
+def compare(
+    log: Log,
+    calibration: Calibration,
+    techniques: Sequence[str] = (),
+    *,
+    only: Collection[str] = (),
+    still_s: float = STILL_S,
+    coast_s: float = COAST_S,
+    heard: Callable[[str], None] = lambda technique: None,
+) -> Comparison:
+    """`techniques` (all of them, if none is named) on `log`, with `only` these sensors if any are named.
+
+    `heard` is told which one begins. FusionError without a truth, or with too few frames.
+    """
+
+    def fused(technique: str) -> Iterator[FusedBlock]:
+        heard(technique)
+        return fuse(log, calibration, technique, only=only)
+
+    return compared(log, fused, techniques or technique_names(), still_s=still_s, coast_s=coast_s)
+
+
+def compared(
+    log: Log, fused: Fused, techniques: Sequence[str], *, still_s: float = STILL_S, coast_s: float = COAST_S
+) -> Comparison:
+    """The same of results that come from anywhere; "mean" among them is fused once."""
+    average = error_frames(log, fused(AVERAGE))
+    scores, coasts = [], {}
+    for technique in techniques:
+        found = average if technique == AVERAGE else error_frames(log, fused(technique))
+        scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in found.items()]
+        if len(found) == 2:
+            coasts[technique] = coasting(both(found), still_s, coast_s)
+    return Comparison(tuple(scores), coasts)
+
+
+def both(found: Mapping[str, ErrorFrames]) -> Errors:
+    """The frames in which both quantities are known, as `coasting` takes them."""
+    rate, force = found["angular_rate"], found["specific_force"]
+    time, mine, other = np.intersect1d(rate.time, force.time, assume_unique=True, return_indices=True)
+    return Errors(time, rate.errors[mine], force.errors[other], rate.truth[mine], force.truth[other])
+
+
+def _score(technique: str, quantity: str, average: ErrorFrames, found: ErrorFrames) -> Score:
+    _, mine, other = np.intersect1d(average.time, found.time, assume_unique=True, return_indices=True)
+    count = min(BLOCKS, len(mine) // 2)
+    if count < FEWEST_BLOCKS:
+        raise FusionError(f"technique {technique}: {len(mine)} values of {quantity} with a truth, too few to compare")
+    before, after = (block_squares(part, count) for part in (average.errors[mine], found.errors[other]))
+    ratio = {axis: ratio_of(before[:, k], after[:, k]) for k, axis in enumerate(AXES[:3])}
+    ratio[AXES[3]] = ratio_of(before.sum(axis=1), after.sum(axis=1))
+    return Score(technique, quantity, error_of(found.errors), ratio, consistency(found.errors, found.covariances))

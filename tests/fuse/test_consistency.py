@@ -1,0 +1,80 @@
+"""Consistency of covariances: the stated error rate where they are right, a verdict where they are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from imuarray.fuse.consistency import Consistency, consistency
+from imuarray.fuse.frames import entries
+from tests.fuse.conftest import Floats
+
+COVARIANCE = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]])
+ROOT = np.linalg.cholesky(COVARIANCE)
+ROWS = 2000
+
+
+def judged(unit: Floats, claimed: float = 1.0) -> Consistency:
+    """Errors whose covariance is `COVARIANCE` if `unit` (n, 3) has unit variance, and `claimed` times that is said."""
+    found = consistency(unit @ ROOT.T, np.tile(entries(claimed * COVARIANCE), (len(unit), 1)))
+    assert found is not None
+    return found
+
+
+def white(rng: np.random.Generator) -> Floats:
+    return np.asarray(rng.normal(size=(ROWS, 3)))
+
+
+def slow(rng: np.random.Generator) -> Floats:
+    """First-order Gauss-Markov with a memory of 50 frames."""
+    phi = np.exp(-1 / 50)
+    return np.asarray(lfilter([np.sqrt(1 - phi**2)], [1, -phi], rng.normal(size=(ROWS + 500, 3)), axis=0)[500:])
+
+
+def constant(rng: np.random.Generator) -> Floats:
+    return np.tile(rng.normal(size=3), (ROWS, 1))
+
+
+def mixed(rng: np.random.Generator) -> Floats:
+    """A tenth of the variance stays, the rest is white."""
+    return np.sqrt(0.1) * constant(rng) + np.sqrt(0.9) * white(rng)
+
+
+@pytest.mark.parametrize(("kind", "fewest"), [(white, 86), (slow, 84), (mixed, 84)])
+def test_right_covariances_are_inside(kind: Callable[[np.random.Generator], Floats], fewest: int) -> None:
+    """Of 100 about 95; four standard errors of 2.2 allow 86; somewhat more where the memory itself is estimated."""
+    inside = sum(judged(kind(np.random.default_rng(seed))).holds for seed in range(100))
+    assert inside >= fewest
+
+
+def test_a_constant_error_counts_once() -> None:
+    """One draw: chi-square of one to three degrees of freedom, whatever the length."""
+    found = judged(constant(np.random.default_rng(1)))
+    assert 1 <= found.freedom <= 3.1
+    assert found.high > 3
+
+
+def test_white_errors_count_each() -> None:
+    found = judged(white(np.random.default_rng(2)))
+    assert found.freedom == pytest.approx(3 * ROWS, rel=0.15)
+    assert found.high - 1 == pytest.approx(1.96 * np.sqrt(2 / (3 * ROWS)), rel=0.1)
+
+
+@pytest.mark.parametrize(("claimed", "normalised"), [(0.8, 1.25), (1.25, 0.8)])
+def test_wrong_covariances_are_outside(claimed: float, normalised: float) -> None:
+    """A fifth off: 12 standard deviations of 6000 squares."""
+    found = judged(white(np.random.default_rng(3)), claimed)
+    assert found.normalised == pytest.approx(normalised, rel=0.08)
+    assert not found.holds
+
+
+def test_a_bias_that_nobody_claims_is_outside() -> None:
+    assert not judged(white(np.random.default_rng(4)) + 5.0).holds
+
+
+def test_unknown_covariances_are_not_judged() -> None:
+    assert consistency(np.zeros((100, 3)), np.full((100, 6), np.nan)) is None
+    assert consistency(np.zeros((5, 3)), np.tile(entries(COVARIANCE), (5, 1))) is None
