@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import signal
 import subprocess
@@ -15,9 +16,11 @@ import h5py
 import numpy as np
 import pytest
 
+from imuarray.acquire import Summary
 from imuarray.calibrate import Calibration
 from imuarray.cli import main
 from imuarray.commands.log_fusion import LiveFusion
+from imuarray.commands.log_screen import Screen
 from imuarray.errors import FusionError
 from imuarray.fuse import FusedBlock, FusionStream, read_fused
 from imuarray.log import Block, open_log
@@ -209,6 +212,19 @@ def test_its_file_can_be_read_while_it_is_written(tmp_path: Path) -> None:
     assert sys.getswitchinterval() == pytest.approx(0.005)
 
 
+def test_a_terminal_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    screen = Screen("r.h5", 50, None, lambda: "0.0 0.0 1000.0 mg")
+    screen.counted(Summary(frames=50))
+    screen.remark("G2: silent, fused without it")
+    line = "r.h5: 50 frames, 1 s, 0 readings lost; 0.0 0.0 1000.0 mg"
+    assert terminal.getvalue().split("\r\x1b[K")[1:] == [line, f"imuarray: G2: silent, fused without it\n{line}"]
+
+
 def test_a_log_without_rows_leaves_no_fused_file(tmp_path: Path) -> None:
     fusion = LiveFusion(
         tmp_path / "f.h5", tmp_path / "r.h5", Calibration(), "mean", rate_hz=100, tell=lambda text: None
@@ -226,6 +242,7 @@ def test_no_inertial_sensor_is_nothing_to_fuse(tmp_path: Path) -> None:
     fusion.close()
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_both_cleanly(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "imuarray", "log", "martin2013", "--bus", "emulated:?clock=real", "-o", "run.h5"]
     with subprocess.Popen(
