@@ -79,7 +79,7 @@ def print_report(report: dict[str, Any]) -> None:
                 f"{quantity.replace('_', ' ')}: errors against the truth along box x, y, z in {unit}, {frames} frames"
             )
             heads = "".join(f" {name:^23}" for name in _SHOWN)
-            click.echo(f"  {'':9}{heads}  {'rms over the mean':^23}  normalised^2 (95 %; ! beyond)")
+            click.echo(f"  {'':9}{heads}  {'rms over the mean':^23}  normalised^2")
         for score in scores:
             click.echo(_line(score, factor))
     _print_coasting(report["coasting"])

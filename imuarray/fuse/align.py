@@ -1,9 +1,9 @@
 """All sensor axes of one quantity on one time grid: a pure function of the readings around it.
 
-Each sensor gives its nearest reading within half a frame; what the motion did between the two instants is taken out
-with the slope of the array's own mean, which is far quieter than one sensor, so that no reading is smoothed by its
-neighbours. Values are calibrated, in SI, along each sensor axis, with the bias at the temperature of the reading where
-that is known.
+Each sensor gives its nearest reading within half a frame, which was made some time before it was read; what the motion
+did between the instant of the frame and that one is taken out with the slope of the array's own mean, which is far
+quieter than one sensor, so that no reading is smoothed by its neighbours. Values are calibrated, in SI, along each
+sensor axis, with the bias at the temperature of the reading where that is known.
 
 The slope m' of a spline through white noise scatters by 1.18 a frame, and makes the mean of readings whose mean delay
 is d noisier by ``9 (2 / sqrt 3 - 1) d^2`` of its variance, d in frames. The curvature m'' goes against the noise of the
@@ -37,6 +37,9 @@ _AT_END = 0.95
 
 _Kind = TypeVar("_Kind", bound=np.generic)
 
+_SAME_RATE = 0.1
+"""Share by which the chip's rate and that of the frames may differ for them to be one."""
+
 _SECOND_ORDER = 0.375 * (1 - 1 / np.sqrt(3))
 
 
@@ -50,11 +53,22 @@ class Warmth(Protocol):
 
 @dataclass(frozen=True)
 class Unit:
-    """One sensor of a quantity: its calibration, the end of its range in counts, how warm it was (None: unknown)."""
+    """One sensor of a quantity: its calibration, the end of its range in counts, how warm it was (None: unknown), how
+    long it takes to make a reading (0: unknown), and by how much its filter is behind.
+    """
 
     known: SensorCalibration
     end_lsb: float
     warmth: Warmth | None = None
+    conversion_s: float = 0.0
+    delay_s: float = 0.0
+
+    def age_s(self, period_s: float) -> float:
+        """How old a reading is on average when it is read: half a conversion, unless there is one a frame, which then
+        has the time at which it was made (a queue's, an imported recording's).
+        """
+        is_its_own = abs(self.conversion_s - period_s) < _SAME_RATE * period_s
+        return self.delay_s + (0.0 if is_its_own else self.conversion_s / 2)
 
 
 class _Part(NamedTuple):
@@ -98,11 +112,13 @@ def _on_grid(unit: Unit, block: Block | None, grid: Times, period_ns: float) -> 
     index = nearest(block.time, grid)
     time, status = block.time[index], block.status[index]
     late_ns = (time - grid).astype(float)
+    age_ns = 1e9 * unit.age_s(period_ns * 1e-9)
     counts = block.counts[index].astype(float)
     values = (counts - _bias(unit, time)) / unit.known.lsb_per_si
     near = np.abs(late_ns) <= int(period_ns / 2)
     if not near.all():  # whatever else there is belongs to other frames
         values, status, late_ns = np.where(near[:, None], values, 0.0), status * near, late_ns * near
+    late_ns -= age_ns * near
     valid = ((status & (SATURATED | SUSPECT)) == 0) & near
     return _Part(values, _clipped(unit, counts, status), valid, (status & STALE) != 0, late_ns * 1e-9)
 

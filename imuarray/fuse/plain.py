@@ -54,9 +54,15 @@ def plain_of(techniques: Mapping[str, object], units: Mapping[str, Sequence[Unit
     found = {
         quantity: Plain(technique, units[quantity])
         for quantity, technique in techniques.items()
-        if isinstance(technique, FixedWeighing) and all(unit.warmth is None for unit in units[quantity])
+        if isinstance(technique, FixedWeighing) and all(_is_plain(unit) for unit in units[quantity])
     }
     return found if len(found) == len(techniques) else {}
+
+
+def _is_plain(unit: Unit) -> bool:
+    """Whether nothing but its counts says what it feels, and when."""
+    known = unit.known
+    return unit.warmth is None and known.g_sensitivity_lsb_per_g is None and not unit.delay_s and not unit.conversion_s
 
 
 def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | None:

@@ -23,7 +23,9 @@ from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
 from imuarray.fuse.plain import Plain, plain_counts, plain_of
 from imuarray.fuse.rows import FOREVER_NS, Rows
 from imuarray.fuse.running import Warming
+from imuarray.fuse.solve import solve_frames
 from imuarray.log import Block
+from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 Out = TypeVar("Out")
 
@@ -62,7 +64,13 @@ class FusionStream(Generic[Out]):
         self._where = [sensor.where for sensor in inertial]
         self._rows = {name: Rows() for name in (*self._names, *(set(self._feeds) - set(self._names)))}
         self._units = [
-            Unit(calibration.of(sensor), sensor.range * sensor.sensitivity, warming.elements.get(sensor.name))
+            Unit(
+                calibration.of(sensor),
+                sensor.range * sensor.sensitivity,
+                warming.elements.get(sensor.name),
+                1 / sensor.rate_hz if sensor.rate_hz > 0 else 0.0,
+                (sensor.delay_ns or 0) * 1e-9,
+            )
             for sensor in inertial
         ]
         self._delays_ns = {name: round(delay_s * 1e9) for name, delay_s in warming.delays_s.items()}
@@ -213,8 +221,28 @@ class FusionStream(Generic[Out]):
             units = [self._units[number] for number in group.numbers]
             rows = [blocks[number] for number in group.numbers]
             frames[quantity] = _cut(align(units, rows, around, grid.period_ns, group.directions), inner)
+        self._felt(frames)
         seconds: Floats = np.asarray(around[inner] * 1e-9, float)
         return frames, {name: warmth.at(seconds) for name, warmth in self._elements.items()}
+
+    def _felt(self, frames: dict[str, Frames]) -> None:
+        """Takes out of what gyroscopes read what they feel of the specific force, as far as that was calibrated."""
+        force, rate = (self._groups.get(quantity) for quantity in INERTIAL)
+        if force is None or rate is None or all(response is None for response in self._responses(rate)):
+            return
+        feels = frames["specific_force"]
+        force_g = solve_frames(feels.values, feels.valid.astype(float), force.directions) / STANDARD_GRAVITY
+        for place, response in enumerate(self._responses(rate)):
+            if response is not None:
+                frames["angular_rate"].values[:, 3 * place : 3 * place + 3] -= np.nan_to_num(force_g) @ response.T
+
+    def _responses(self, group: Group) -> list[Floats | None]:
+        """What each sensor of a group reads, in SI along its axes, in one g along each box axis; None: not known."""
+        known = [self._units[number].known for number in group.numbers]
+        return [
+            None if one.g_sensitivity_lsb_per_g is None else one.g_sensitivity_lsb_per_g / one.lsb_per_si[:, None]
+            for one in known
+        ]
 
     def _forget(self, before_ns: int) -> None:
         for rows in self._rows.values():

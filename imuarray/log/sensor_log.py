@@ -52,6 +52,7 @@ class SensorLog:
         self.sensitivity = self._number("sensitivity")
         self.rate_hz = self._number("rate_hz", 0.0)
         self.bandwidth_hz = self._number("bandwidth_hz", 0.0)
+        self.delay_ns = round(self._number("delay_ns", 0.0))
         self.axes = self._text("axes")
         self.position_mm = self._numbers("position_mm", np.zeros(3))
         self.orientation = self._orientation()
