@@ -31,7 +31,7 @@ class AxisErrors:
     `noise` of a single reading and its `correlation` with the next one; `bias`: what a calibration left and what
     changed since, constant; `drift`: a first-order Gauss-Markov process of `drift_time_constant_s` (infinite: a
     constant); `slope_per_degc` away from `bias_degc`, the temperature at which the bias holds (None: the first that is
-    told); `response`: of each component of d, a share.
+    told); `response`: of each component of d, a share; `timing_s` of the time at which a reading holds.
     """
 
     noise: float
@@ -42,10 +42,11 @@ class AxisErrors:
     slope_per_degc: float = 0.0
     response: float = 0.0
     bias_degc: float | None = None
+    timing_s: float = 0.0
 
     def __post_init__(self) -> None:
         """FusionError for what no axis can have."""
-        spreads = (self.bias, self.drift, self.slope_per_degc, self.response)
+        spreads = (self.bias, self.drift, self.slope_per_degc, self.response, self.timing_s)
         if not (0 < self.noise < np.inf and all(0 <= spread < np.inf for spread in spreads)):
             raise FusionError(f"error model: noise {self.noise:g}, spreads {spreads}: positive and finite are wanted")
         if not (abs(self.correlation) < 1 and self.drift_time_constant_s > 0):

@@ -41,8 +41,8 @@ class Evidence:
         self._parities: dict[bytes, Floats] = {}
         self._sums: dict[bytes, _Sums] = {}
 
-    def add(self, readings: Readings, solution: Solution, frames: slice) -> None:
-        """Take in the readings of `frames` of the solution."""
+    def add(self, readings: Readings, solution: Solution, frames: slice, weights: Floats | None = None) -> None:
+        """Take in the readings of `frames` of the solution, by `weights` (n,) up to 1."""
         triad, covariance = solution.unknowns[frames, :3], solution.covariance[frames, :3, :3]
         for valid, which in patterns(self._fair(readings.valid, triad, solution.used[frames])):
             if not valid.any():
@@ -52,14 +52,16 @@ class Evidence:
                 self._parities[key] = self._geometry.parity(valid)
             sums = self._sums.setdefault(key, _Sums(self._terms, len(valid)))
             values = readings.values[which]
+            weight = np.ones(len(values)) if weights is None else weights[which]
             if self._terms == 1:
-                sums.squares += len(values)
-                sums.products += values.sum(axis=0)
+                sums.squares += weight.sum()
+                sums.products += weight @ values
                 continue
             felt = np.concatenate([np.ones((len(values), 1)), triad[which]], axis=1)
-            sums.squares += felt.T @ felt
-            sums.products += felt.T @ values
-            sums.blur += covariance[which].sum(axis=0)
+            weighted = (felt * weight[:, None]).T
+            sums.squares += weighted @ felt
+            sums.products += weighted @ values
+            sums.blur += np.tensordot(weight, covariance[which], axes=1)
 
     def measurements(self, rows: Floats) -> tuple[Floats, Floats]:
         """(p, n) and (p,): ``values = measurements @ states + errors`` of unit variance, from `rows` (terms, r, n) of

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from imuarray.fuse.frames import Floats
+from imuarray.fuse.optimal.dynamics import Dynamics
 from imuarray.fuse.optimal.evidence import Evidence
 from imuarray.fuse.optimal.geometry import Geometry
 from imuarray.fuse.optimal.kalman import Normal, corrected, predicted
@@ -69,6 +70,7 @@ class ArrayFilter:
         geometry: Geometry,
         states: States,
         segment_frames: int,
+        dynamics: Dynamics,
         record: Callable[[Step], None] | None = None,
     ) -> None:
         self.states, self.geometry = states, geometry
@@ -76,7 +78,7 @@ class ArrayFilter:
         self.warmer_degc = np.zeros(len(geometry.noise))
         self._segments = Segments(segment_frames)
         self._evidence = Evidence(geometry, states.terms)
-        self._record = record
+        self._record, self._dynamics = record, dynamics
         self._since: int | None = None
         self._stimulus = np.zeros(3)
         self._view: View | None = None
@@ -89,7 +91,7 @@ class ArrayFilter:
             part = readings.part(frames)
             view = self._begun(part, warmer(frames.start)) if starts or self._view is None else self._view
             solve(view, part, solution, frames)
-            self._evidence.add(part, solution, frames)
+            self._evidence.add(part, solution, frames, self._dynamics(view, part, solution, frames))
             if ends:
                 self.end()
         return solution
@@ -102,7 +104,7 @@ class ArrayFilter:
         self.belief = predicted(self.belief, left, added)
         self._since, self.warmer_degc = int(part.time[0]), warmer_degc
         self._view = view_of(self.states, self.geometry, self.belief, warmer_degc)
-        self._view.begin(part, self._stimulus)
+        self._view.begin(part, self._stimulus, self._dynamics.recent())
         self._stimulus = self._view.stimulus
         return self._view
 

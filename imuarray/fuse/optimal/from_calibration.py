@@ -8,7 +8,7 @@ the measuring range is) is given as a share of the noise of its readings.
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -59,6 +59,12 @@ COMMON_SHARE = 0.5
 DRIFT_TIME_CONSTANT_S = 600.0
 """Of drift whose time constant nobody measured; the paper's tables don't tell it closer than a factor of ten."""
 
+TIMING_S = 0.5e-3
+"""Of readings of a chip whose own rate is not told."""
+
+_AGE = 1 / np.sqrt(3)
+"""Root mean square, in periods of a chip's own rate, of the age of a reading that is asked for at any time."""
+
 UNWATCHED_DEGC = 3.0
 """Standard deviation, within `UNWATCHED_S`, of a temperature that no thermometer tells."""
 
@@ -81,6 +87,7 @@ def error_model(
         usual = USUAL[sensor.quantity]
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
         for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - COMMON_SHARE), told)):
+            errors = replace(errors, timing_s=_AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S)
             axes[sensor.name, index] = errors
             slope = float(slopes[index] * np.sqrt(COMMON_SHARE))
             shared = _of_design(usual.drift_share * errors.noise, slope, told)

@@ -27,13 +27,15 @@ are not a fair choice.
 class Geometry:
     """r rows, the m axes and then what else is known of the unknowns: `rows` (r, k), the first three unknowns being the
     triad in the box frame; `noise` (r,) standard deviations, and of means over many frames; `end` (r,) where a reading
-    becomes a bound, infinite for rows that are no axes.
+    becomes a bound, infinite for rows that are no axes; `timing` (r,) seconds, of
+    the time at which a reading holds.
     """
 
     rows: Floats
     noise: Floats
     noise_of_means: Floats
     end: Floats
+    timing: Floats
     axes: int
 
     @property
@@ -67,5 +69,6 @@ def geometry_of(axes: Sequence[Axis], model: ErrorModel) -> Geometry:
         noise=np.array([error.noise for error in errors]),
         noise_of_means=np.array([error.noise_of_means for error in errors]),
         end=AT_END * np.array([axis.range_si for axis in axes]),
+        timing=np.array([error.timing_s for error in errors]),
         axes=len(axes),
     )

@@ -55,6 +55,7 @@ def with_lever(geometry: Geometry, axes: Sequence[Axis], rate_covariance: Floats
         np.concatenate([geometry.noise, ones]),
         np.concatenate([geometry.noise_of_means, ones]),
         np.concatenate([geometry.end, never]),
+        np.concatenate([geometry.timing, np.zeros(ROWS)]),
         len(axes),
     )
 

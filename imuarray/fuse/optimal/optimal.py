@@ -18,6 +18,7 @@ import numpy as np
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Floats, Frames, Times, entries
+from imuarray.fuse.optimal.dynamics import Dynamics
 from imuarray.fuse.optimal.error_model import ErrorModel
 from imuarray.fuse.optimal.filter import ArrayFilter, Segments
 from imuarray.fuse.optimal.geometry import Geometry, geometry_of
@@ -104,7 +105,9 @@ class Optimal:
                 rate_covariance = groups[_RATE].noise_covariance()
                 lever = lever_of(axes, rate_covariance, self._period_s)
                 geometry = with_lever(geometry, axes, rate_covariance, self._period_s)
-            groups[quantity] = _Group(axes, self._model, geometry, lever, self._segment_frames, recording)
+            groups[quantity] = _Group(
+                axes, self._model, geometry, lever, self._segment_frames, self._period_s, recording
+            )
         return groups
 
 
@@ -118,18 +121,19 @@ class _Group:
         geometry: Geometry,
         lever: Lever | None,
         segment_frames: int,
+        period_s: float,
         recording: bool,
     ) -> None:
         self._geometry, self.lever = geometry, lever
         others = ROWS if lever is not None else 0
         states = states_of(axes, model, others)
         self._recorder = Recorder(geometry, states) if recording else None
-        self.filter = ArrayFilter(geometry, states, segment_frames, self._recorder)
+        self.filter = ArrayFilter(geometry, states, segment_frames, Dynamics(geometry, period_s), self._recorder)
         self._warmth = Warmth(axes, model, others)
         self._again: Segments | None = None
         self._view: View | None = None
         self._stimulus = np.zeros(3)
-        self._segment_frames = segment_frames
+        self._segment_frames, self._dynamics = segment_frames, Dynamics(geometry, period_s)
 
     def __call__(self, frames: Frames, degc: Temperatures, rate: Floats | None) -> Solution:
         readings = readings_of(frames, self._geometry)
@@ -168,10 +172,11 @@ class _Group:
             part = readings.part(frames)
             if (starts or self._view is None) and self._recorder is not None:
                 self._view = self._recorder.view()
-                self._view.begin(part, self._stimulus)
+                self._view.begin(part, self._stimulus, self._dynamics.recent())
                 self._stimulus = self._view.stimulus
             if self._view is not None:
                 solve(self._view, part, solution, frames)
+                self._dynamics(self._view, part, solution, frames)
         return solution
 
 

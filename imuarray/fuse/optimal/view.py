@@ -21,14 +21,15 @@ is so little off costs is of second order.
 
 class Usual(NamedTuple):
     """What most frames of a segment with the same rows in use have: `gain` (k, r), 0 for the others, what it makes of
-    the slow errors expected, (k,), and the covariances of what it makes of noise, (k, k), and of the slow errors'
-    terms, (terms^2, k, k).
+    the slow errors expected, (k,), and the covariances of what it makes of noise, (k, k), of the slow errors' terms,
+    (terms^2, k, k), and, for a unit of change in a second, of times, (k, k).
     """
 
     gain: Floats
     expected: Floats
     noise: Floats
     errors: Floats
+    timing: Floats
 
 
 class View:
@@ -40,13 +41,16 @@ class View:
     def __init__(self, geometry: Geometry, offset: Floats, response: Floats, errors: Floats, final: bool) -> None:
         self.geometry, self.final = geometry, final
         self.offset, self.response, self.errors = offset, response, errors
-        self.stimulus = np.zeros(3)
+        self.stimulus, self._variance = np.zeros(3), geometry.noise**2
         self.rows = geometry.rows.copy()
         self.rows[:, :3] += response
         self._usual: dict[bytes, Usual | None] = {}
 
-    def begin(self, readings: Readings, before: Floats) -> None:
-        """Make the stimulus of the first of the frames the usual one; `before` if that can't be told."""
+    def begin(self, readings: Readings, before: Floats, change: float) -> None:
+        """Make the stimulus of the first of the frames the usual one (`before` if that can't be told), and `change`,
+        the mean square of its change per second, what times in doubt are weighed by.
+        """
+        self._variance = self.geometry.noise**2 + self.geometry.timing**2 * change
         valid, self.stimulus = readings.valid[0], before
         if self.geometry.spans(valid):
             weighed = self.rows[valid] / self.geometry.noise[valid, None] ** 2
@@ -70,7 +74,7 @@ class View:
 
     def gains(self, valid: Flags, terms: Floats) -> Floats:
         """(n, k, p) best gains of the p rows in use."""
-        rows, noise = self.rows[valid], self.geometry.noise[valid] ** 2
+        rows, noise = self.rows[valid], self._variance[valid]
         if self.final:
             weighed: Floats = np.broadcast_to(rows / noise[:, None], (len(terms), *rows.shape))
         else:
@@ -94,7 +98,8 @@ class View:
         (gain[:, valid],) = self.gains(valid, self.terms(self.stimulus[None]))
         noise = (gain * self.geometry.noise**2) @ gain.T
         errors = (gain @ self.errors @ gain.T).reshape(-1, *noise.shape)
-        return Usual(gain, gain @ self.offset, noise, errors)
+        timing = (gain * self.geometry.timing**2) @ gain.T
+        return Usual(gain, gain @ self.offset, noise, errors, timing)
 
     def usual_spreads(self, usual: Usual, stimulus: Floats) -> Floats:
         """(n, k, k), or (1, k, k) for all, covariances of what the usual gain makes of frames of (n, 3)."""
@@ -110,7 +115,7 @@ class View:
             return np.inf
         own = np.einsum("jkrr->rjk", self.errors)
         usual = self.terms(self.stimulus[None])[0]
-        tolerated = _TOLERATED * (self.geometry.noise**2 + np.maximum(own @ usual @ usual, 0.0))
+        tolerated = _TOLERATED * (self._variance + np.maximum(own @ usual @ usual, 0.0))
         slope = 2 * np.linalg.norm(own[:, 1:] @ usual, axis=1)
         curvature = np.maximum(np.trace(own[:, 1:, 1:], axis1=1, axis2=2), 0.0)
         # A row stays within its tolerance up to a distance d: the root of curvature d^2 + slope d = tolerated.

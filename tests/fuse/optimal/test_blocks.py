@@ -33,7 +33,7 @@ def whole() -> tuple[dict[str, list[Axis]], ErrorModel]:
     ]
     rate = [axis for index in (4, 5) for axis in triad(f"S{index}", np.eye(3), "g", noise_si=0.01)]
     errors = {
-        (axis.sensor, axis.index): AxisErrors(axis.noise_si or 0.0, 0.2, 0.1, 0.05, 2.0, 0.01, 0.01)
+        (axis.sensor, axis.index): AxisErrors(axis.noise_si or 0.0, 0.2, 0.1, 0.05, 2.0, 0.01, 0.01, None, 0.001)
         for axis in [*force, *rate]
     }
     designs = {(chip, index): DesignErrors(0.1, 3.0, 0.01) for chip in "ag" for index in range(3)}
