@@ -21,6 +21,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "verify": "check every block of a log",
         "recover": "finish a log whose writing was cut short",
         "import": "turn a foreign recording into a log",
+        "export": "a log or fused result as CSV, npz, MCAP, MATLAB or Kalibr file",
         "simulate": "a log as an array would record it, from a model of its sensors",
         "characterise": "Allan deviation, spectrum, codes and noise table of a log",
         "calibrate": "sensor parameters from logs: axes, tumble, noise, thermal, turn-on",

@@ -12,6 +12,7 @@
     +-- SourceError               a foreign recording that `import` can't read: names the file and the row
     +-- CalibrationError          data from which the wanted parameters can't be had, or a bad calibration file
     +-- FusionError               a technique that this array or this log can't feed
+    +-- ExportError               an export into a format or in units that there are none of: names those that there are
     +-- OutputExistsError         a file that would be overwritten (`--force` allows it)
     +-- OutputError               a file that can't be written; exit code 3 if the disk is full
     +-- MissingExtraError         an optional package that a command needs is not installed
@@ -91,6 +92,10 @@ class CalibrationError(ImuArrayError):
 
 class FusionError(ImuArrayError):
     """A technique that this array or this log can't feed."""
+
+
+class ExportError(ImuArrayError):
+    """An export that can't be: a suffix that no format has, units that a file can't be given in."""
 
 
 class OutputExistsError(ImuArrayError):

@@ -21,7 +21,21 @@ def imu_files(result: Mapping[str, Any]) -> dict[str, str]:
     for sensor in result["sensors"]:
         if sensor["quantity"] in _PREFIX and _worst(sensor, "white") is not None:
             units.setdefault(_unit_name(sensor["name"]), []).append(sensor)
-    return {f"imu_{name}.yaml": "\n".join(_text(sensors, result)) + "\n" for name, sensors in units.items()}
+    return {f"imu_{name}.yaml": _joined(sensors, result) for name, sensors in units.items()}
+
+
+def imu_text(result: Mapping[str, Any]) -> str | None:
+    """The text of one IMU of all sensors of a result: an accelerometer, a gyroscope, or one of each; None if there are
+    others, or the noise of one could not be fitted.
+    """
+    sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] in _PREFIX]
+    alone = len({sensor["quantity"] for sensor in sensors}) == len(sensors) > 0
+    fitted = all(_worst(sensor, "white") is not None for sensor in sensors)
+    return _joined(sensors, result) if alone and fitted else None
+
+
+def _joined(sensors: list[Mapping[str, Any]], result: Mapping[str, Any]) -> str:
+    return "\n".join(_text(sensors, result)) + "\n"
 
 
 def _unit_name(name: str) -> str:

@@ -14,7 +14,6 @@ from imuarray.errors import ImuArrayError, MissingExtraError, OutputExistsError
 
 if TYPE_CHECKING:
     from imuarray.characterise.allan import Estimator
-    from imuarray.characterise.stretch import Stretch
     from imuarray.log import Log
 
 RESULT = "characterise.json"
@@ -86,6 +85,7 @@ def _characterise(
     calibration: Path | None,
 ) -> dict[str, Any]:
     """The result, with a bar on standard error while it is computed."""
+    from imuarray.calibrate.rest import longest_rest
     from imuarray.characterise import characterise_log
 
     chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]
@@ -93,25 +93,14 @@ def _characterise(
     count = itertools.count(1)
     with progress(columns, str(log.path)) as done:
         return characterise_log(
-            log, phase, sensors, lambda: done(next(count)), estimator, _scales(log, calibration), _at_rest(log, phase)
+            log,
+            phase,
+            sensors,
+            lambda: done(next(count)),
+            estimator,
+            _scales(log, calibration),
+            longest_rest(log, phase),
         )
-
-
-def _at_rest(log: Log, phase: str | None) -> Stretch | None:
-    """The longest pose that the sensors show, for a log in which no phase says that it is at rest."""
-    from imuarray.calibrate.poses import find_poses
-    from imuarray.characterise.stretch import Stretch, choose_stretch
-    from imuarray.errors import CalibrationError
-
-    if phase is not None or choose_stretch(log, None).phase is not None:
-        return None
-    try:
-        poses = [pose.phase for pose in find_poses(log)]
-    except CalibrationError:
-        return None
-    longest = max(poses, key=lambda pose: pose.end_ns - pose.start_ns, default=None)
-    chosen_by = "the longest at rest, as the sensors show: no phase says so"
-    return longest and Stretch(longest.start_ns, longest.end_ns, longest.name, "", chosen_by)
 
 
 def _scales(log: Log, calibration: Path | None) -> dict[str, list[float]]:

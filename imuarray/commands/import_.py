@@ -32,11 +32,17 @@ if TYPE_CHECKING:
 def command(
     source: Path, map_path: Path | None, format_name: str | None, output: Path, force: bool, as_json: bool
 ) -> None:
-    """Turn a recording made by another program into a log: a known format, or any table of numbers by its map."""
+    """Turn a recording made by another program into a log: a known format, or any table of numbers by its map.
+
+    What `imuarray export` wrote of raw counts, run.npz or run.csv, needs neither and comes back as it was:
+    imuarray import run.npz -o run2.h5
+    """
     from imuarray.importers import importer
+    from imuarray.importers.exported import importer_of
     from imuarray.importers.table import import_table
 
-    if (map_path is None) == (format_name is None):
+    ours = importer_of(source) if map_path is None and format_name is None else None
+    if ours is None and (map_path is None) == (format_name is None):
         raise click.UsageError(f"say either --map MAP.toml or --format {'|'.join(FORMATS)}")
     refuse_existing(output, force)
     size = source.stat().st_size if source.is_file() else 0
@@ -44,7 +50,7 @@ def command(
         if map_path is not None:
             summary = import_table(source, map_path, output, force=force, progress=done)
         else:
-            summary = importer(format_name or "")(source, output, force=force, progress=done)
+            summary = (ours or importer(format_name or ""))(source, output, force=force, progress=done)
     _tell(summary, output, as_json)
 
 
@@ -62,7 +68,10 @@ def _tell(summary: Summary, output: Path, as_json: bool) -> None:
             }
         )
         return
+    each = "each" if summary.same_rows else "at most"
     lost = "" if summary.lost is None else f", {summary.lost} lost"
-    click.echo(f"{output}: {len(summary.sensors)} sensors, {summary.rows} rows each over {summary.seconds:.1f} s{lost}")
+    click.echo(
+        f"{output}: {len(summary.sensors)} sensors, {summary.rows} rows {each} over {summary.seconds:.1f} s{lost}"
+    )
     for kind, count in summary.events.items():
         click.echo(f"  {kind}: {count} (see events: imuarray info {output})")

@@ -26,7 +26,8 @@ NO_WALL_TIME = "1970-01-01T00:00:00.000000Z"
 @dataclass(frozen=True)
 class Summary:
     """What an import wrote: `rows` of each sensor over `seconds`; `lost` rows that the source shows to be missing
-    (None: it numbers nothing, so nobody knows); how often each kind of event happened.
+    (None: it numbers nothing, so nobody knows); how often each kind of event happened. Without `same_rows`, `rows` are
+    those of the sensor that has most.
     """
 
     sensors: tuple[str, ...]
@@ -34,6 +35,7 @@ class Summary:
     lost: int | None
     seconds: float
     events: Mapping[str, int] = field(default_factory=dict)
+    same_rows: bool = True
 
 
 class Importer(Protocol):

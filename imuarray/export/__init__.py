@@ -1,0 +1,59 @@
+"""Logs and fused results as files that other tools open; the suffix of the output chooses the writer.
+
+::
+
+    .csv   a table for each sensor, readable by everything that reads text; comes back by `imuarray import`
+    .npz   numpy's archive, an array a column, a header in JSON, no pickle; comes back too
+    .mcap  Foxglove: messages of JSON with their schemas, IMU data in SI in the box frame, events
+    .mat   MATLAB, version 5: a struct for each sensor
+    .yaml  Kalibr's imu.yaml: noise figures of each IMU, from a log at rest or from characterise.json
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from imuarray.errors import ExportError
+from imuarray.export.formats import UNITS, WRITERS, Exported, Progress, Wanted
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from imuarray.calibrate import Calibration
+    from imuarray.log import Log
+
+__all__ = ["UNITS", "WRITERS", "Exported", "export"]
+
+
+def export(
+    source: Log | str | PathLike[str],
+    path: str | PathLike[str],
+    *,
+    sensors: Sequence[str] = (),
+    calibration: Calibration | None = None,
+    units: str | None = None,
+    force: bool = False,
+    progress: Progress = lambda share: None,
+) -> Exported:
+    """Write a log or a fused file to `path`, in the format of its suffix (`WRITERS`); whole or not at all.
+
+    `sensors`: only these. `units`: one of `UNITS`; by default raw counts with all that is needed to convert them (MCAP
+    and whatever has a `calibration`: SI in the box frame). ExportError for a suffix or units that there are none of,
+    LogError, CalibrationError, OutputExistsError, OutputError, MissingExtraError.
+    """
+    target = Path(path)
+    write = _writer(target)
+    log_path = source if isinstance(source, str | PathLike) else source.path
+    exported: Exported = write(Wanted(Path(log_path), tuple(sensors), calibration, units), target, force, progress)
+    return exported
+
+
+def _writer(path: Path) -> Any:
+    """The writer of a suffix."""
+    module = WRITERS.get(path.suffix.lower())
+    if module is None:
+        raise ExportError(f"{path}: no format has the suffix {path.suffix!r}; allowed are {', '.join(WRITERS)}")
+    return import_module(module).write

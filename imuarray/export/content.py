@@ -1,0 +1,155 @@
+"""A log or a fused file as tables: raw counts with all that is needed to convert them, or physical values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from imuarray.calibrate import Calibration
+from imuarray.errors import ExportError
+from imuarray.export.formats import UNITS, Wanted
+from imuarray.export.fused import FUSED, fused_content
+from imuarray.export.physical import compensated_columns, physical_columns, warmth
+from imuarray.export.tables import Column, Content, Table
+from imuarray.log import Log, SensorLog, open_log
+from imuarray.log.format import FORMAT, FORMAT_VERSION, SensorHeader
+from imuarray.log.headers import recorded_header
+from imuarray.units import SI_PER_UNIT
+
+_TRACK_UNITS = {"specific_force": "m s-2", "angular_rate": "rad s-1", "temperature": "degC"}
+_KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal"})
+
+
+@contextmanager
+def open_content(wanted: Wanted, usual: str = "counts") -> Iterator[Content]:
+    """The tables of a log, in `wanted.units`, else physical with a calibration, else in the `usual` ones; or those of a
+    fused file, which is in SI. ExportError for units that can't be, LogError, CalibrationError.
+    """
+    if wanted.units not in (None, *UNITS):
+        raise ExportError(f"units {wanted.units!r}: allowed are {', '.join(UNITS)}")
+    if wanted.units == "counts" and wanted.calibration is not None:
+        raise ExportError("raw counts need no calibration; leave it out, or say units si or sensor")
+    if _format_of(wanted.source) == FUSED:
+        with fused_content(wanted) as content:
+            yield content
+        return
+    with open_log(wanted.source) as log:
+        yield _content(log, wanted, wanted.units or ("si" if wanted.calibration else usual))
+
+
+def _format_of(path: Path) -> str:
+    """What a finished file says it is; "" for anything else, on which the log's reader has the last word."""
+    with suppress(OSError, ValueError, RuntimeError), h5py.File(path, "r") as file:
+        kind = file.attrs.get("format")
+        return kind if isinstance(kind, str) else ""
+    return ""
+
+
+def _content(log: Log, wanted: Wanted, units: str) -> Content:
+    sensors = [log[name] for name in wanted.sensors] or list(log.sensors.values())
+    calibration = wanted.calibration or Calibration()
+    warm = warmth(log, calibration) if units != "counts" else {}
+    tables = []
+    for sensor in sensors:
+        rest = _raw_columns(sensor) if units == "counts" else physical_columns(sensor, calibration, units, warm)
+        tables.append(_table(sensor, rest, sensor.name in calibration.sensors))
+    head = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "log": log.path.name,
+        "units": units,
+        "epoch": log.epoch,
+        "source": log.source,
+        "config": log.config,
+        "software": log.software,
+    }
+    beside = [] if wanted.sensors else list(_tracks(log))
+    return Content(units, log.epoch, head, (*tables, *beside), log.phases, log.events)
+
+
+def _table(sensor: SensorLog, rest: tuple[Column, ...], calibrated: bool) -> Table:
+    """A sensor's table, with its header."""
+    header = asdict(header_of(sensor))
+    more: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
+    if sensor.is_triad and sensor.sensitivity:
+        more["si_per_count"] = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
+    status = Column("status", "<u2", "1", (), lambda rows: np.asarray(sensor.status[rows]))
+    columns = (_time(sensor.time), *rest[:1], status, *rest[1:])
+    return Table(f"sensors/{sensor.name}", len(sensor), columns, header | more)
+
+
+def _raw_columns(sensor: SensorLog) -> tuple[Column, ...]:
+    """Everything that a log holds of a sensor, as it holds it."""
+    counts, degrees = sensor.counts, sensor.temperature_counts
+    kind = counts.dtype.newbyteorder("<").str
+    columns = [Column("counts", kind, "counts", _cells(sensor), lambda rows: np.asarray(counts[rows]))]
+    if degrees is not None:
+        width = degrees.dtype.newbyteorder("<").str
+        columns.append(Column("temperature_counts", width, "counts", (), lambda rows: np.asarray(degrees[rows])))
+    return (*columns, *compensated_columns(sensor))
+
+
+def _time(column: Any) -> Column:
+    return Column("time", "<i8", "ns", (), lambda rows: np.asarray(column[rows], np.int64))
+
+
+def _cells(sensor: SensorLog) -> tuple[str, ...]:
+    """What the columns of counts are called."""
+    count = int(sensor.counts.shape[1])
+    if sensor.is_triad:
+        return ("x", "y", "z")
+    stored = np.atleast_1d(np.asarray(sensor.attributes.get("columns", ()))).tolist()
+    names = tuple(item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item) for item in stored)
+    return names if len(set(names)) == count else tuple(str(index) for index in range(count))
+
+
+def header_of(sensor: SensorLog) -> SensorHeader:
+    """Everything that a log says of a sensor, as the header with which it would be written again."""
+    extra = {name: value for name, item in sensor.attributes.items() if (value := _plain(item)) is not None}
+    delay = extra.pop("delay_ns", None)
+    return replace(
+        recorded_header(sensor),
+        columns=_cells(sensor),
+        compensated=tuple(column.name for column in compensated_columns(sensor)),
+        delay_ns=delay if isinstance(delay, int) else None,
+        extra={name: value for name, value in extra.items() if name not in _KNOWN},
+    )
+
+
+def _plain(value: Any) -> int | float | str | None:
+    """An attribute that is one finite number or one text; None for any other."""
+    item = value.item() if isinstance(value, np.generic) else value
+    item = item.decode("utf-8", "replace") if isinstance(item, bytes) else item
+    if isinstance(item, float) and not math.isfinite(item):
+        return None
+    return item if isinstance(item, int | float | str) and not isinstance(item, bool) else None
+
+
+def _tracks(log: Log) -> Iterator[Table]:
+    """What stands beside the sensors: truth, reference, clocks."""
+    for name, track in (("truth", log.truth), ("reference", log.reference), ("clocks", log.clocks)):
+        if track is None:
+            continue
+        there = {part: column for part, column in track._asdict().items() if column is not None}
+        columns = tuple(_track_column(part, column) for part, column in there.items())
+        yield Table(name, len(track.time), columns, {"name": name, "frame": "box"})
+
+
+def _track_column(name: str, column: Any) -> Column:
+    if name == "time":
+        return _time(column)
+    kind, unit = ("<i8", "ns") if name not in _TRACK_UNITS else ("<f8", _TRACK_UNITS[name])
+    cells = ("x", "y", "z") if len(column.shape) == 2 else ()
+    return Column(name, kind, unit, cells, lambda rows: np.asarray(column[rows], kind))
+
+
+def head_with(content: Content, **more: Any) -> Mapping[str, Any]:
+    """The head with what is said of each table, and more."""
+    return {**content.head, "tables": {table.name: dict(table.about) for table in content.tables}, **more}

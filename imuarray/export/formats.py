@@ -1,0 +1,72 @@
+"""Which formats there are, what is asked of a writer and what it answers. Loads nothing: `--help` shows it too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from imuarray.calibrate import Calibration
+
+WRITERS: Mapping[str, str] = MappingProxyType(
+    {
+        ".csv": "imuarray.export.csv_files",
+        ".npz": "imuarray.export.npz_file",
+        ".mcap": "imuarray.export.mcap_file",
+        ".mat": "imuarray.export.mat_file",
+        ".yaml": "imuarray.export.kalibr_yaml",
+    }
+)
+"""Suffix and the module (loaded when it is asked for) that writes it: `write(wanted, path, force, progress)`."""
+
+UNITS = ("counts", "si", "sensor")
+"""Raw counts along the sensor's axes; m/s2, rad/s, T in the box frame; g, dps, gauss in the box frame."""
+
+CSV_MAGIC = "# imuarray-csv 1: "
+"""With which every CSV file of ours begins."""
+CSV_INDEX = ("file", "table", "rows")
+CSV_PHASES = ("start_s", "end_s", "name", "up")
+CSV_EVENTS = ("time_s", "sensor", "kind", "message")
+CSV_SUFFIX: Mapping[str, str] = MappingProxyType(
+    {
+        "m s-2": "_mps2",
+        "rad s-1": "_radps",
+        "m2 s-4": "_m2ps4",
+        "rad2 s-2": "_rad2ps2",
+        "T": "_t",
+        "Pa": "_pa",
+        "degC": "_degc",
+        "ns": "_ns",
+        "g": "_g",
+        "dps": "_dps",
+        "gauss": "_gauss",
+    }
+)
+"""How a unit ends the name of a column; counts and flags have none."""
+
+NPZ_HEADER = "header"
+"""The array of an npz file that holds everything but columns: the bytes of a JSON object."""
+
+Progress = Callable[[float], None]
+"""Told from time to time what share of the work is done, 0 ... 1."""
+
+
+class Wanted(NamedTuple):
+    """What is asked for: a log or fused file, `sensors` of it (none named: everything), one of `UNITS` (None: what
+    suits the format), and a calibration to convert with (None: the data sheets' figures).
+    """
+
+    source: Path
+    sensors: tuple[str, ...] = ()
+    calibration: Calibration | None = None
+    units: str | None = None
+
+
+class Exported(NamedTuple):
+    """What was written: files, rows by table, and one of `UNITS`, in which they are."""
+
+    files: tuple[Path, ...]
+    rows: Mapping[str, int]
+    units: str

@@ -1,0 +1,108 @@
+"""MATLAB, version 5: a struct for each sensor, a column a field, n-by-3 as in MATLAB; `load run.mat` is all it takes.
+
+`time_ns` is int64, exact; `time_s` beside it is double. Times count from `imuarray.epoch`. One sensor at a time is in
+memory. An array of 2 GB or more does not fit the format; there is no need to export it: a log is HDF5, and MATLAB reads
+it as it is, `h5read("run.h5", "/sensors/Gyro1/counts")`, 3-by-n there, because HDF5 counts dimensions the other way.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from scipy.io import savemat
+
+from imuarray.atomic import whole_file
+from imuarray.errors import ExportError
+from imuarray.export.content import head_with, open_content
+from imuarray.export.formats import Exported, Progress, Wanted
+from imuarray.export.tables import Content, Meter, Table
+
+MOST_BYTES = (1 << 31) - 1
+"""Of one array: lengths are 32 bits wide (MATLAB MAT-File Format, R2019b, chapter 1)."""
+
+_LONGEST_NAME = 63
+_HEAD = "imuarray"
+
+
+def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
+    """Write all tables, phases and events to `path`; ExportError for more than `MOST_BYTES` of an array."""
+    with open_content(wanted) as content:
+        for table in content.tables:
+            for column in table.columns:
+                if table.rows * column.row_bytes > MOST_BYTES:
+                    raise ExportError(
+                        f"{path}: {table.name}: {table.rows} rows are more than an array of this format holds;"
+                        ' read the log itself: h5read("RUN.h5", "/sensors/NAME/counts")'
+                    )
+        meter = Meter(content, progress)
+        names = _names(content.tables)
+        with whole_file(path, force=force) as draft, draft.open("wb") as file:
+            _save(file, _HEAD, _head(content, names))
+            for table, name in zip(content.tables, names, strict=True):
+                _save(file, name, _struct(table, meter))
+        return Exported((path,), content.rows, content.units)
+
+
+def _save(file: IO[bytes], name: str, struct: dict[str, Any]) -> None:
+    """One more variable behind those that the file has; scipy writes the file's head where there is none yet."""
+    savemat(file, {name: struct}, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _head(content: Content, names: list[str]) -> dict[str, Any]:
+    """What is said of the file: plain fields for people, all of it as JSON for programs."""
+    columns = zip(*content.phases, strict=True) if content.phases else [[]] * 4
+    start, end, phase, up = (list(column) for column in columns)
+    columns = zip(*content.events, strict=True) if content.events else [[]] * 4
+    time, sensor, kind, message = (list(column) for column in columns)
+    return {
+        "epoch": content.epoch,
+        "units": content.units,
+        "variables": _texts(names),
+        "header_json": json.dumps(head_with(content)),
+        "phases": {"start_ns": _times(start), "end_ns": _times(end), "name": _texts(phase), "up": _texts(up)},
+        "events": {"time_ns": _times(time), "sensor": _texts(sensor), "kind": _texts(kind), "message": _texts(message)},
+    }
+
+
+def _times(values: list[Any]) -> Any:
+    return np.array(values, np.int64)[:, None]
+
+
+def _texts(values: list[Any]) -> Any:
+    """A column of cells of text."""
+    cells = np.empty((len(values), 1), object)
+    cells[:, 0] = values
+    return cells
+
+
+def _struct(table: Table, meter: Meter) -> dict[str, Any]:
+    """A table as a struct; units of its columns and what else is known of it are in it."""
+    fields: dict[str, Any] = {}
+    for column in table.columns:
+        values = column.read(slice(0, table.rows))
+        if column.name == "time":
+            fields |= {"time_ns": values, "time_s": values * 1e-9}
+        else:
+            fields[column.name] = values
+        meter.add(table.rows)
+    fields["units"] = {column.name: column.unit for column in table.columns if column.name != "time"}
+    fields["cells"] = {column.name: _texts(list(column.cells)) for column in table.columns if column.cells}
+    return fields | {"about_json": json.dumps(dict(table.about))}
+
+
+def _names(tables: tuple[Table, ...]) -> list[str]:
+    """A variable for each table: its name, as far as MATLAB lets it be one, and different from all others."""
+    names: list[str] = []
+    for table in tables:
+        wish = re.sub(r"\W", "_", table.short, flags=re.ASCII)
+        wish = (wish if wish[:1].isalpha() else f"x{wish}")[: _LONGEST_NAME - 5]
+        tried, number = wish, 1
+        while tried in (_HEAD, *names):
+            number += 1
+            tried = f"{wish}_{number}"
+        names.append(tried)
+    return names

@@ -1,0 +1,75 @@
+"""npz: numpy's archive, one array a column, and the bytes of a JSON header; nothing in it needs pickle.
+
+>>> with numpy.load("run.npz", allow_pickle=False) as run:                         # doctest: +SKIP
+...     head = json.loads(run["header"].item())
+...     time_ns, counts = run["Gyro1_time"], run["Gyro1_counts"]
+
+`head["arrays"]` says by table and column what each array is called, should two names be alike. Arrays are written a
+stretch of rows at a time: memory doesn't grow with the log.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.lib import format as npy
+
+from imuarray.atomic import whole_file
+from imuarray.export.content import head_with, open_content
+from imuarray.export.formats import NPZ_HEADER, Exported, Progress, Wanted
+from imuarray.export.tables import Column, Content, Meter, Table
+
+
+def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
+    """Write all tables, phases and events to `path`."""
+    with (
+        open_content(wanted) as content,
+        whole_file(path, force=force) as draft,
+        zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+    ):
+        names = array_names(content.tables)
+        meter = Meter(content, progress)
+        _write_header(archive, content, names)
+        for table in content.tables:
+            for column in table.columns:
+                with archive.open(f"{names[table.name][column.name]}.npy", "w", force_zip64=True) as file:
+                    _write_column(file, table, column, meter)
+        return Exported((path,), content.rows, content.units)
+
+
+def array_names(tables: Iterable[Table]) -> dict[str, dict[str, str]]:
+    """What the array of each column of each table is called: Gyro1_counts; once more is Gyro1_counts_2."""
+    taken = {NPZ_HEADER}
+    names: dict[str, dict[str, str]] = {}
+    for table in tables:
+        for column in table.columns:
+            wish = tried = f"{table.short}_{column.name}"
+            number = 1
+            while tried in taken:
+                number += 1
+                tried = f"{wish}_{number}"
+            taken.add(tried)
+            names.setdefault(table.name, {})[column.name] = tried
+    return names
+
+
+def _write_header(archive: zipfile.ZipFile, content: Content, names: dict[str, dict[str, str]]) -> None:
+    """Everything that is no column, as bytes of ASCII: numpy's own text takes four bytes a letter."""
+    units = {table.name: {column.name: column.unit for column in table.columns} for table in content.tables}
+    head = head_with(content, arrays=names, column_units=units, phases=content.phases, events=content.events)
+    with archive.open(f"{NPZ_HEADER}.npy", "w", force_zip64=True) as file:
+        npy.write_array(file, np.array(json.dumps(head).encode("ascii")), allow_pickle=False)
+
+
+def _write_column(file: IO[bytes], table: Table, column: Column, meter: Meter) -> None:
+    """An array of a column: numpy's header, then its rows."""
+    shape = (table.rows, *column.tail)
+    npy.write_array_header_1_0(file, {"descr": column.kind, "fortran_order": False, "shape": shape})
+    for rows in table.blocks():
+        file.write(np.ascontiguousarray(column.read(rows), column.kind).tobytes())
+        meter.add(rows.stop - rows.start)

@@ -1,0 +1,91 @@
+"""What an export is made of: tables of equally long columns, read a stretch of rows at a time, and what they are.
+
+Every writer takes the same tables, whether they come from a log, in counts or in physical units, or from a fused file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.export.formats import Progress
+from imuarray.log.format import Event, Phase
+
+ROWS = 1 << 14
+"""Rows that are held at once; no output depends on it."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: a number a row, or one for each of `cells`; `kind` is its numpy type, `unit` as CF spells it
+    ("counts" for raw ones, "1" for flags).
+    """
+
+    name: str
+    kind: str
+    unit: str
+    cells: tuple[str, ...]
+    read: Callable[[slice], npt.NDArray[Any]]
+
+    @property
+    def tail(self) -> tuple[int, ...]:
+        """The shape of a row."""
+        return (len(self.cells),) if self.cells else ()
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a row."""
+        return np.dtype(self.kind).itemsize * max(1, len(self.cells))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Equally long columns, time in ns first; `name` as in its file ("sensors/Gyro1", "truth")."""
+
+    name: str
+    rows: int
+    columns: tuple[Column, ...]
+    about: Mapping[str, Any]
+
+    @property
+    def short(self) -> str:
+        """The sensor's name, or that of the group."""
+        return self.name.rsplit("/", 1)[-1]
+
+    def blocks(self, rows: int = ROWS) -> Iterator[slice]:
+        """Slices that cover the table."""
+        return (slice(start, min(start + rows, self.rows)) for start in range(0, self.rows, rows))
+
+
+@dataclass(frozen=True)
+class Content:
+    """An open log or fused file as tables; `head` is JSON-ready and says everything else but phases and events."""
+
+    units: str
+    epoch: str
+    head: Mapping[str, Any]
+    tables: tuple[Table, ...]
+    phases: tuple[Phase, ...] = ()
+    events: tuple[Event, ...] = ()
+
+    @property
+    def rows(self) -> dict[str, int]:
+        """Rows by table."""
+        return {table.name: table.rows for table in self.tables}
+
+
+class Meter:
+    """Counts rows of columns towards what there is of them."""
+
+    def __init__(self, content: Content, progress: Progress) -> None:
+        self._total = sum(table.rows * len(table.columns) for table in content.tables) or 1
+        self._done, self._progress = 0, progress
+
+    def add(self, rows: int, columns: int = 1) -> None:
+        """So many rows of so many columns are done."""
+        self._done += rows * columns
+        self._progress(min(1.0, self._done / self._total))

@@ -1,0 +1,191 @@
+"""What `imuarray export` wrote of a log's raw counts, read back: the same log again.
+
+Which format a file is of its first bytes say (`importer_of`). Nothing in it is believed before it is checked: its
+header as that of any log, its tables against the header. What this module has is common to all formats.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, cast
+
+import numpy as np
+
+from imuarray.axes import orientation_of
+from imuarray.errors import LogError, SourceError
+from imuarray.export.formats import CSV_MAGIC
+from imuarray.importers import Importer, Summary
+from imuarray.log import Block, LogWriter, Stimulus
+from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
+from imuarray.log.guard import check_note
+from imuarray.log.layout import BESIDE, STIMULI, Columns, Group, sensor_group
+from imuarray.log.preamble import Preamble
+from imuarray.printable import printable
+
+MAGICS: Mapping[bytes, str] = MappingProxyType(
+    {b"PK\x03\x04": "imuarray.importers.exported_npz", CSV_MAGIC.encode(): "imuarray.importers.exported_csv"}
+)
+"""First bytes, and the module that reads what begins so."""
+
+MAX_HEADER_BYTES = 1 << 26
+"""Of a header of JSON, phases and events in it."""
+
+_FIELDS = tuple(field.name for field in fields(SensorHeader))
+_NOT_READABLE = (ValueError, TypeError, AttributeError, KeyError, RecursionError)
+
+Read = Callable[[Group, tuple[str, ...]], Iterator[Columns]]
+"""The rows of a group, stretch by stretch; the names are those of the cells of its tables of several columns."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """The checked header of an export: what the log begins with, and which groups it has beside its sensors."""
+
+    preamble: Preamble
+    beside: tuple[str, ...]
+
+
+def importer_of(source: str | PathLike[str]) -> Importer | None:
+    """Who reads what `imuarray export` wrote; None for any other file. SourceError if it can't be read at all."""
+    path = Path(source)
+    try:
+        with path.open("rb") as file:
+            first = file.read(max(map(len, MAGICS)))
+    except OSError as error:
+        raise SourceError(
+            f"{path}: {'no such file' if isinstance(error, FileNotFoundError) else error.strerror}"
+        ) from None
+    for magic, module in MAGICS.items():
+        if first.startswith(magic):
+            return cast(Importer, import_module(module).import_file)
+    return None
+
+
+def parse_header(text: str | bytes, where: str) -> dict[str, Any]:
+    """A JSON object; SourceError."""
+    try:
+        head = json.loads(text)
+    except _NOT_READABLE:
+        head = None
+    if not isinstance(head, dict):
+        raise SourceError(f"{where}: no header that `imuarray export` writes")
+    return head
+
+
+def checked_head(head: Mapping[str, Any], where: str) -> Head:
+    """SourceError unless it is the header of a log's raw counts."""
+    if head.get("format") != FORMAT or head.get("format_version") != FORMAT_VERSION:
+        raise SourceError(f"{where}: what was exported is no log of format {FORMAT_VERSION}; only logs come back")
+    if head.get("units") != "counts":
+        raise SourceError(f"{where}: has physical values; only raw counts make a log: export with --units counts")
+    if head.get("source") not in SOURCES:
+        raise SourceError(f"{where}: source is {str(head.get('source'))[:40]!r}; allowed are {', '.join(SOURCES)}")
+    try:
+        tables = {str(name): dict(about) for name, about in head["tables"].items()}
+        sensors = [about for name, about in tables.items() if name not in BESIDE]
+        said = {name: head[name] for name in ("source", "epoch", "config", "software")}
+        listed = [{name: about[name] for name in _FIELDS} for about in sensors]
+        preamble = Preamble.from_json(json.dumps({**said, "sensors": listed}))
+        wanted = {f"sensors/{header.name}" for header in preamble.sensors} | set(tables).intersection(BESIDE)
+        if set(tables) != wanted or not preamble.sensors:
+            raise ValueError("tables and sensors have different names")
+        for header, about in zip(preamble.sensors, sensors, strict=True):
+            if not np.allclose(np.array(about["orientation"], float), orientation_of(header.axes), atol=1e-9):
+                raise ValueError(f"sensor {header.name}: its orientation is finer than axes can say")
+    except LogError as error:
+        raise SourceError(f"{where}: {error}") from None
+    except _NOT_READABLE as error:
+        raise SourceError(f"{where}: its header can't be read: {printable(str(error))[:200]}") from None
+    return Head(preamble, tuple(name for name in BESIDE if name in tables))
+
+
+def notes_of(phases: Any, events: Any, where: str) -> tuple[list[Phase], list[Event]]:
+    """Phases and events from lists of their fields; SourceError."""
+    try:
+        for row in phases:
+            check_note(row, 2)
+        for row in events:
+            check_note(row, 1)
+        found = [Phase(*row) for row in phases], [Event(*row) for row in events]
+        if any("\0" in text for row in (*found[0], *found[1]) for text in row if isinstance(text, str)):
+            raise ValueError("a text with a NUL")
+    except _NOT_READABLE as error:
+        raise SourceError(f"{where}: phases or events can't be read: {error}") from None
+    return found
+
+
+def write_log(
+    head: Head,
+    read: Read,
+    notes: tuple[list[Phase], list[Event]],
+    output: str | PathLike[str],
+    where: str,
+    *,
+    force: bool,
+) -> Summary:
+    """Write the log `output` again, table by table as `read` gives them; SourceError, OutputExistsError, LogError."""
+    preamble, (phases, events) = head.preamble, notes
+    rows: dict[str, int] = {}
+    span = _Span()
+    try:
+        with LogWriter(
+            output, preamble.sensors, source=preamble.source, epoch=preamble.epoch, config=preamble.config, force=force
+        ) as log:
+            for header in preamble.sensors:
+                rows[header.name] = 0
+                for columns in read(sensor_group(header), header.columns):
+                    log.append(header.name, _block(columns, header))
+                    rows[header.name] += len(columns["time"])
+                    span.add(columns["time"])
+            for name in head.beside:
+                for columns in read(Group(name, BESIDE[name]), ("x", "y", "z")):
+                    _append_beside(log, name, columns)
+            for phase in phases:
+                log.phase(phase)
+            for event in events:
+                log.event(event)
+    except (ValueError, OverflowError) as error:
+        raise SourceError(f"{where}: {error}") from None
+    kinds = Counter(event.kind for event in events)
+    same = len(set(rows.values())) == 1
+    return Summary(tuple(rows), max(rows.values()), None, span.seconds, dict(kinds), same_rows=same)
+
+
+class _Span:
+    """From the first row of all to the last."""
+
+    def __init__(self) -> None:
+        self._first: int | None = None
+        self._last = 0
+
+    def add(self, time: Any) -> None:
+        if len(time):
+            first, last = int(time[0]), int(time[-1])
+            self._first, self._last = (
+                (first, last) if self._first is None else (min(self._first, first), max(self._last, last))
+            )
+
+    @property
+    def seconds(self) -> float:
+        return 0.0 if self._first is None else (self._last - self._first) * 1e-9
+
+
+def _block(columns: Columns, header: SensorHeader) -> Block:
+    made = {name: columns[name] for name in header.compensated}
+    degrees = columns["temperature_counts"] if header.has_temperature else None
+    return Block(columns["time"], columns["counts"], columns["status"], degrees, made)
+
+
+def _append_beside(log: LogWriter, name: str, columns: Columns) -> None:
+    if name in STIMULI:
+        log.stimulus(name, Stimulus(**columns))
+        return
+    for row in zip(*(columns[column].tolist() for column, _, _ in BESIDE[name]), strict=True):
+        log.clocks(ClockRow(*row))

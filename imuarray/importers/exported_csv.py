@@ -1,0 +1,191 @@
+"""CSV files of `imuarray export`, read back: the list (run.csv) with the files that it names beside it, or the table of
+one sensor.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from os import PathLike
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import SourceError
+from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, CSV_SUFFIX
+from imuarray.importers import Summary, open_source
+from imuarray.importers.cells import Block, Column, Table, nanoseconds
+from imuarray.importers.exported import MAX_HEADER_BYTES, Head, checked_head, notes_of, parse_header, write_log
+from imuarray.importers.mapping import FileTable
+from imuarray.log.guard import MAX_TEXT_BYTES
+from imuarray.log.layout import Columns, Group
+from imuarray.printable import printable
+
+_UNITS = {"temperature": "degC", "pressure": "Pa", "specific_force": "m s-2", "angular_rate": "rad s-1"}
+_S = 1_000_000_000
+
+
+def import_file(
+    source: str | PathLike[str],
+    output: str | PathLike[str],
+    *,
+    force: bool = False,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Summary:
+    """Write the log that was exported to `source` again as `output`; SourceError, OutputExistsError, LogError."""
+    path = Path(source)
+    with open_source(path, output) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        said = _header(file, path)
+        head = checked_head(said, str(path))
+        files: Files = {str(said["table"]): (path, None)} if "table" in said else _listed(file, path, head)
+    reader = _Tables(files, path, output, lambda share: progress(int(size * share)))
+    notes = notes_of(reader.notes("phases", CSV_PHASES, 2), reader.notes("events", CSV_EVENTS, 1), str(path))
+    return write_log(head, reader.rows, notes, output, str(path), force=force)
+
+
+Files = dict[str, tuple[Path, int | None]]
+"""By table its file, and how many rows it has to have."""
+
+
+def _header(file: BinaryIO, path: Path) -> dict[str, Any]:
+    """The JSON of the second line; the file is then at the third. SourceError."""
+    first, second = file.readline(1 << 12), file.readline(MAX_HEADER_BYTES + 1)
+    if not first.startswith(CSV_MAGIC.encode()) or not first.endswith(b"\n") or not second.startswith(b"# {"):
+        raise SourceError(f"{path}: not begun as `imuarray export` begins a file: two lines of comment")
+    if len(second) > MAX_HEADER_BYTES:
+        raise SourceError(f"{path}: a header of more than {MAX_HEADER_BYTES} bytes")
+    return parse_header(second[2:], str(path))
+
+
+def _texts(file: BinaryIO, path: Path, names: Sequence[str]) -> list[list[str]]:
+    """The rows of a short table of texts, whose first row are the `names`; SourceError."""
+    data = file.read(MAX_TEXT_BYTES + 1)
+    if len(data) > MAX_TEXT_BYTES:
+        raise SourceError(f"{path}: more than {MAX_TEXT_BYTES} bytes of text")
+    try:
+        rows = list(csv.reader(io.StringIO(data.decode("utf-8"), newline=""), strict=True))
+    except (csv.Error, ValueError) as error:
+        raise SourceError(f"{path}: {error}") from None
+    if not rows or tuple(rows[0]) != tuple(names) or any(len(row) != len(names) for row in rows):
+        raise SourceError(f"{path}: its rows are not {', '.join(names)}")
+    return rows[1:]
+
+
+def _listed(file: BinaryIO, path: Path, head: Head) -> Files:
+    """The files of a list: beside it, and one for each table of the header; SourceError."""
+    files: Files = {}
+    for name, table, rows in _texts(file, path, CSV_INDEX):
+        if Path(name).name != name or "\0" in name or "\\" in name or not rows.isascii() or not rows.isdigit():
+            raise SourceError(f"{path}: {printable(name)[:80]!r}: its files are beside it, and have rows")
+        files[table] = (path.with_name(name), int(rows[:18]))
+    wanted = {f"sensors/{header.name}" for header in head.preamble.sensors} | {*head.beside, "phases", "events"}
+    if set(files) != wanted:
+        missing = ", ".join(sorted(wanted ^ set(files)))
+        raise SourceError(f"{path}: its list and its header differ: {printable(missing)[:200]}")
+    return files
+
+
+class _Tables:
+    """The tables of an export, each read from its file."""
+
+    def __init__(
+        self, files: Files, path: Path, output: str | PathLike[str], progress: Callable[[float], None]
+    ) -> None:
+        self._files, self._path, self._output, self._progress = files, path, output, progress
+        self._total = sum(rows or 0 for _, rows in files.values()) or 1
+        self._done = 0
+
+    def notes(self, table: str, names: Sequence[str], numbers: int) -> list[list[Any]]:
+        """Phases or events; none if there is no such file."""
+        if table not in self._files:
+            return []
+        path, _ = self._files[table]
+        with self._open(path) as file:
+            rows = _texts(file, path, names)
+        return [[*(_time(text, path) for text in row[:numbers]), *row[numbers:]] for row in rows]
+
+    def _open(self, path: Path) -> BinaryIO:
+        """A file behind its two lines of comment; SourceError, for what is no plain file too."""
+        if not path.is_file():
+            raise SourceError(f"{path}: no such file, though {self._path.name} says so")
+        file = open_source(path, self._output)
+        try:
+            _header(file, path)
+        except SourceError:
+            file.close()
+            raise
+        return file
+
+    def rows(self, group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
+        """The rows of a group, stretch by stretch; SourceError."""
+        if group.path not in self._files:
+            raise SourceError(f"{self._path}: holds no {group.path}")
+        path, wanted = self._files[group.path]
+        count, last_ns = 0, None
+        with ExitStack() as stack:
+            file = stack.enter_context(self._open(path))
+            table = Table(file, str(path), FileTable(), named=True)
+            table.line += 2
+            where = {name: [table.index(cell) for cell in _cells(name, tail, cells)] for name, _, tail in group.columns}
+            for block in table.blocks():
+                columns = _columns(group, block, where, table.names, last_ns)
+                last_ns = int(columns["time"][-1])
+                count += len(columns["time"])
+                self._done += len(columns["time"])
+                self._progress(min(1.0, self._done / self._total))
+                yield columns
+        if wanted is not None and count != wanted:
+            raise SourceError(f"{path}: {count} rows, where {self._path.name} says {wanted}")
+
+
+def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str]:
+    """What the columns of a table are called that a column of a log is written as."""
+    if name == "time":
+        return ["time_s"]
+    clocks = name in ("monotonic", "monotonic_raw", "boottime", "realtime")
+    suffix = CSV_SUFFIX.get("ns" if clocks else _UNITS.get(name, ""), "")
+    return [f"{name}_{cell}{suffix}" for cell in cells] if tail else [f"{name}{suffix}"]
+
+
+def _columns(
+    group: Group, block: Block, where: dict[str, list[int]], names: Sequence[str], last_ns: int | None
+) -> dict[str, npt.NDArray[Any]]:
+    """A stretch of rows as numbers."""
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for name, kind, tail in group.columns:
+        cells = [block.column(index, names[index]) for index in where[name]]
+        if name == "time":
+            columns[name] = nanoseconds(cells[0], _S, last_ns)
+        else:
+            values = [_numbers(cell, np.dtype(kind)) for cell in cells]
+            columns[name] = np.stack(values, axis=1) if tail else values[0]
+    return columns
+
+
+def _numbers(column: Column, kind: np.dtype[Any]) -> npt.NDArray[Any]:
+    """(n,) numbers of a kind; SourceError for a cell that is none."""
+    read = float if kind.kind == "f" else int
+    try:
+        return np.array([read(text) for text in column.texts], kind)
+    except (ValueError, OverflowError):
+        row = next(row for row, text in enumerate(column.texts) if not _fits(text, kind))
+    raise column.refuse(row, f"{column.texts[row][:40]!r} is no number of type {kind.name}")
+
+
+def _fits(text: str, kind: np.dtype[Any]) -> bool:
+    try:
+        np.array([float(text) if kind.kind == "f" else int(text)], kind)
+    except (ValueError, OverflowError):
+        return False
+    return True
+
+
+def _time(text: str, path: Path) -> int:
+    """Seconds as nanoseconds, exactly; SourceError."""
+    return int(nanoseconds(Column(str(path), "time", [0], [text]), _S, None)[0])

@@ -1,0 +1,163 @@
+"""An npz file of `imuarray export`, read back a stretch of rows at a time.
+
+What an array declares is compared with what the header says and with what the archive can hold, before a row of it is
+read; nothing is unpickled, and nothing is unpacked onto the disk.
+"""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from os import PathLike
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib import format as npy
+
+from imuarray.errors import SourceError
+from imuarray.export.formats import NPZ_HEADER
+from imuarray.importers import Summary, open_source
+from imuarray.importers.exported import MAX_HEADER_BYTES, checked_head, notes_of, parse_header, write_log
+from imuarray.log.inspection import MOST_DEFLATED
+from imuarray.log.layout import Columns, Group
+from imuarray.printable import printable
+
+MAX_MEMBERS = 4096
+_ROWS = 1 << 14
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError, struct.error)
+"""What zipfile raises on an archive that it can't make sense of."""
+_ENCRYPTED = 1
+_OVERHEAD = 1 << 12
+"""Bytes by which a short array may be longer than its data deflated say."""
+
+
+def import_file(
+    source: str | PathLike[str],
+    output: str | PathLike[str],
+    *,
+    force: bool = False,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Summary:
+    """Write the log that was exported to `source` again as `output`; SourceError, OutputExistsError, LogError."""
+    with open_source(source, output) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        try:
+            with zipfile.ZipFile(file) as archive:
+                arrays = _Arrays(archive, str(source), size, progress)
+                head = parse_header(arrays.header(), str(source))
+                checked = checked_head(head, str(source))
+                arrays.names = head.get("arrays")
+                notes = notes_of(head.get("phases"), head.get("events"), str(source))
+                return write_log(checked, arrays.rows, notes, output, str(source), force=force)
+        except _DAMAGED as error:
+            raise SourceError(f"{source}: damaged, or no npz file: {printable(str(error))[:200]}") from None
+
+
+class _Arrays:
+    """The arrays of an archive; `names` says by table and column what they are called."""
+
+    def __init__(self, archive: zipfile.ZipFile, where: str, size: int, progress: Callable[[int], None]) -> None:
+        """Look the archive's list through; SourceError."""
+        self._archive, self._where, self._size, self._progress = archive, where, size, progress
+        self.names: Any = {}
+        self._done = 0
+        members = archive.infolist()
+        if len(members) > MAX_MEMBERS or len({one.filename for one in members}) < len(members):
+            raise SourceError(f"{where}: {len(members)} arrays, or one of them twice; at most {MAX_MEMBERS}")
+        self._members: Mapping[str, zipfile.ZipInfo] = {one.filename: one for one in members}
+        self._total = sum(one.file_size for one in members) or 1
+        for one in members:
+            self._look_at(one)
+
+    def _look_at(self, one: zipfile.ZipInfo) -> None:
+        """SourceError for a packing that numpy has not, or that promises more than there can be."""
+        place = f"{self._where}: {printable(one.filename)[:80]}"
+        if one.flag_bits & _ENCRYPTED or one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise SourceError(f"{place}: encrypted, or packed in a way that numpy does not")
+        if one.compress_size > self._size or one.file_size > one.compress_size * MOST_DEFLATED + _OVERHEAD:
+            raise SourceError(f"{place}: declares {one.file_size} bytes, more than {one.compress_size} can hold")
+
+    def header(self) -> bytes:
+        """The bytes of the JSON header."""
+        info = self._member(f"{NPZ_HEADER}.npy")
+        if info.file_size > MAX_HEADER_BYTES:
+            raise SourceError(f"{self._where}: a header of {info.file_size} bytes; at most {MAX_HEADER_BYTES}")
+        with self._archive.open(info) as file:
+            dtype, shape = self._declared(file, NPZ_HEADER)
+            if dtype.kind != "S" or shape != ():
+                raise SourceError(f"{self._where}: its array {NPZ_HEADER!r} is no header that `imuarray export` writes")
+            return file.read(dtype.itemsize)
+
+    def _member(self, name: str) -> zipfile.ZipInfo:
+        info = self._members.get(name)
+        if info is None:
+            raise SourceError(f"{self._where}: no array {printable(name.removesuffix('.npy'))[:80]!r} in it")
+        return info
+
+    def _declared(self, file: IO[bytes], name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
+        """Type and shape that an array declares; SourceError."""
+        try:
+            version = npy.read_magic(file)
+            if version != (1, 0):
+                raise ValueError(f"npy format {version}")
+            shape, fortran, dtype = npy.read_array_header_1_0(file)
+            if fortran or dtype.hasobject:
+                raise ValueError("columns first, or objects")
+        except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError) as error:
+            raise SourceError(f"{self._where}: array {printable(name)[:80]}: {printable(str(error))[:100]}") from None
+        return dtype, shape
+
+    def rows(self, group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
+        """The rows of a group, stretch by stretch, from all its arrays at once; SourceError."""
+        del cells
+        with ExitStack() as stack:
+            files: dict[str, IO[bytes]] = {}
+            lengths = set()
+            for name, kind, tail in group.columns:
+                info = self._member(f"{self._called(group.path, name)}.npy")
+                files[name] = stack.enter_context(self._archive.open(info))
+                lengths.add(self._checked(files[name], info, np.dtype(kind), tail))
+            if len(lengths) != 1:
+                raise SourceError(f"{self._where}: {group.path}: arrays of different lengths")
+            (length,) = lengths
+            for start in range(0, length, _ROWS):
+                count = min(_ROWS, length - start)
+                yield {
+                    name: self._read(files[name], np.dtype(kind), (count, *tail)) for name, kind, tail in group.columns
+                }
+
+    def _called(self, table: str, column: str) -> str:
+        """What the array of a column is called."""
+        names = self.names.get(table) if isinstance(self.names, dict) else None
+        name = names.get(column) if isinstance(names, dict) else None
+        if not isinstance(name, str):
+            raise SourceError(f"{self._where}: its header names no array for {column} of {table}")
+        return name
+
+    def _checked(self, file: IO[bytes], info: zipfile.ZipInfo, kind: np.dtype[Any], tail: tuple[int, ...]) -> int:
+        """The rows of an array that has this type and rows of this shape, and bytes for all of them; SourceError."""
+        dtype, shape = self._declared(file, info.filename)
+        if dtype != kind or shape[1:] != tail or not shape:
+            came = f"{dtype.str} {shape}"
+            raise SourceError(
+                f"{self._where}: {printable(info.filename)}: {came}; wanted are rows of {kind.str} {tail}"
+            )
+        bytes_declared = kind.itemsize * int(np.prod([int(length) for length in shape], dtype=object))
+        if shape[0] < 0 or file.tell() + bytes_declared != info.file_size:
+            raise SourceError(f"{self._where}: {printable(info.filename)}: declares {shape}, which its bytes are not")
+        return int(shape[0])
+
+    def _read(self, file: IO[bytes], kind: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
+        """The next rows of an array; SourceError if it ends before."""
+        wanted = kind.itemsize * int(np.prod(shape))
+        data = file.read(wanted)
+        if len(data) != wanted:
+            raise SourceError(f"{self._where}: {printable(str(file.name))}: ends too early")
+        self._done += wanted
+        self._progress(int(self._size * min(1.0, self._done / self._total)))
+        return np.frombuffer(data, kind).reshape(shape)
