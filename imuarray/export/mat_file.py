@@ -85,7 +85,7 @@ def _struct(table: Table, meter: Meter) -> dict[str, Any]:
     for column in table.columns:
         values = column.read(slice(0, table.rows))
         if column.name == "time":
-            fields |= {"time_ns": values, "time_s": values * 1e-9}
+            fields |= {"time_ns": values, "time_s": values / 1e9}
         else:
             fields[column.name] = values
         meter.add(table.rows)

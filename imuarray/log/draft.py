@@ -44,7 +44,7 @@ class Draft:
         self._asked = 0
         try:
             self.part.unlink(missing_ok=True)
-            self.file = h5py.File(self.part, "w", libver="latest")
+            self.file = h5py.File(self.part, "w", libver=groups.LIBVER)
             self._room = Allowance(self.part, path, allocate=durable)
         except OSError as error:
             with contextlib.suppress(OSError):  # a full disk takes the name, and then not the first bytes

@@ -19,6 +19,11 @@ COMPRESSED: Mapping[str, Any] = {"compression": "gzip", "compression_opts": 1, "
 PLAIN: Mapping[str, Any] = {}
 """How the columns of a log are stored while it is written."""
 
+LIBVER = "v110"
+"""The format that a reader beside a writer needs (SWMR), and no later one: "latest" is another with every HDF5 that is
+installed, and MATLAB's library, say, can't read that of HDF5 2.0.
+"""
+
 _TEXT = h5py.string_dtype("utf-8")
 _BESIDE_UNITS = {
     "specific_force": "m s-2",

@@ -48,7 +48,7 @@ class LiveFile:
         self._chunk = chunk
         part = path.with_name(f".{path.name}.{os.getpid()}.live.part")
         part.unlink(missing_ok=True)
-        self.file = h5py.File(part, "w", libver="latest")
+        self.file = h5py.File(part, "w", libver=hdf5.LIBVER)
         self._room = Allowance(part, path)
         try:
             self._room.ask((len(self._groups) + 1) * _EMPTY_BYTES + len(preamble.config) * 8)
