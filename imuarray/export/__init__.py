@@ -3,7 +3,7 @@
 ::
 
     .csv   a table for each sensor, readable by everything that reads text; comes back by `imuarray import`
-    .npz   numpy's archive, an array a column, a header in JSON, no pickle; comes back too
+    .npz   numpy's archive, an array a column, a header in JSON; comes back too
     .mcap  Foxglove: messages of JSON with their schemas, IMU data in SI in the box frame, events
     .mat   MATLAB, version 5: a struct for each sensor
     .yaml  Kalibr's imu.yaml: noise figures of each IMU, from a log at rest or from characterise.json

@@ -76,7 +76,7 @@ def _content(log: Log, wanted: Wanted, units: str) -> Content:
 
 def _table(sensor: SensorLog, rest: tuple[Column, ...], calibrated: bool) -> Table:
     """A sensor's table, with its header."""
-    header = asdict(header_of(sensor))
+    header = asdict(full_header(sensor))
     more: dict[str, Any] = {"orientation": sensor.orientation.tolist(), "calibrated": calibrated}
     if sensor.is_triad and sensor.sensitivity:
         more["si_per_count"] = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
@@ -110,7 +110,7 @@ def _cells(sensor: SensorLog) -> tuple[str, ...]:
     return names if len(set(names)) == count else tuple(str(index) for index in range(count))
 
 
-def header_of(sensor: SensorLog) -> SensorHeader:
+def full_header(sensor: SensorLog) -> SensorHeader:
     """Everything that a log says of a sensor, as the header with which it would be written again."""
     extra = {name: value for name, item in sensor.attributes.items() if (value := _plain(item)) is not None}
     delay = extra.pop("delay_ns", None)

@@ -102,7 +102,7 @@ def _write_texts(
 ) -> None:
     with whole_file(path, force=force) as draft, draft.open("w", encoding="utf-8", newline="") as file:
         _begin(file, table, content, {"table": table, "epoch": content.epoch})
-        csv.writer(file, lineterminator="\n").writerows([names, *rows])
+        csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerows([names, *rows])
 
 
 def cell_names(column: Column) -> list[str]:

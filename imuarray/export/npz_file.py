@@ -1,11 +1,9 @@
-"""npz: numpy's archive, one array a column, and the bytes of a JSON header; nothing in it needs pickle.
+"""npz: numpy's archive, one array a column, and a header; nothing in it is an object: `allow_pickle=False` will do.
 
->>> with numpy.load("run.npz", allow_pickle=False) as run:                         # doctest: +SKIP
-...     head = json.loads(run["header"].item())
-...     time_ns, counts = run["Gyro1_time"], run["Gyro1_counts"]
-
-`head["arrays"]` says by table and column what each array is called, should two names be alike. Arrays are written a
-stretch of rows at a time: memory doesn't grow with the log.
+`Gyro1_time` (ns) and `Gyro1_counts` are two of the arrays; `header` holds the bytes of a JSON object, which
+`json.loads(run["header"].item())` gives, with everything that is no column. `arrays` in it says by table and column
+what each array is called, should two names be alike. Arrays are written a stretch of rows at a time: memory doesn't
+grow with the log.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ read; nothing is unpickled, and nothing is unpacked onto the disk.
 
 from __future__ import annotations
 
+import math
 import struct
 import zipfile
 import zlib
@@ -147,14 +148,14 @@ class _Arrays:
             raise SourceError(
                 f"{self._where}: {printable(info.filename)}: {came}; wanted are rows of {kind.str} {tail}"
             )
-        bytes_declared = kind.itemsize * int(np.prod([int(length) for length in shape], dtype=object))
+        bytes_declared = kind.itemsize * math.prod(shape)
         if shape[0] < 0 or file.tell() + bytes_declared != info.file_size:
             raise SourceError(f"{self._where}: {printable(info.filename)}: declares {shape}, which its bytes are not")
         return int(shape[0])
 
     def _read(self, file: IO[bytes], kind: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
         """The next rows of an array; SourceError if it ends before."""
-        wanted = kind.itemsize * int(np.prod(shape))
+        wanted = kind.itemsize * math.prod(shape)
         data = file.read(wanted)
         if len(data) != wanted:
             raise SourceError(f"{self._where}: {printable(str(file.name))}: ends too early")

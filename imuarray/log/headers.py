@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
-from imuarray.array import SensorConfig
 from imuarray.log.format import SensorHeader
 from imuarray.log.sensor_log import SensorLog
 from imuarray.units import Quantity
+
+if TYPE_CHECKING:
+    from imuarray.array import SensorConfig
 
 
 def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> SensorHeader:

@@ -77,7 +77,7 @@ READABLE = (h5t.INTEGER, h5t.FLOAT, h5t.STRING)
 
 
 def test_a_log_holds_only_what_h5read_reads(run: Path) -> None:
-    """Every column and every attribute is of numbers or text; the references of dimension scales are no one's values."""
+    """Every column and every attribute is of numbers or text, but for the references of dimension scales."""
     with h5py.File(run) as file:
         places = [file, *(file[name] for name in _names(file))]
         for place in places:

@@ -1,0 +1,142 @@
+"""CSV as other programs read it: two lines of comment, names, numbers."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.errors import CalibrationError, ExportError, LogError, OutputExistsError
+from imuarray.export import export
+from tests.export.conftest import ACC_COUNTS, EPOCH, MESSAGE
+
+
+def read(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Names and rows, by the standard library."""
+    with path.open(encoding="utf-8", newline="") as file:
+        assert file.readline().startswith("# imuarray-csv 1: ")
+        assert isinstance(json.loads(file.readline().removeprefix("# ")), dict)
+        names, *rows = csv.reader(file)
+    return names, rows
+
+
+def test_a_file_for_each_table_and_a_list_of_them(run: Path) -> None:
+    written = export(run, run.with_name("r.csv"))
+    names = [file.name for file in written.files]
+    tables = ["r_Acc.csv", "r_Baro.csv", "r_Gyro.csv", "r_truth.csv", "r_clocks.csv", "r_phases.csv", "r_events.csv"]
+    assert names == [*tables, "r.csv"]
+    assert written.rows == {"sensors/Acc": 5, "sensors/Baro": 2, "sensors/Gyro": 3, "truth": 5, "clocks": 1}
+    assert written.units == "counts"
+    rows = [["r_Acc.csv", "sensors/Acc", "5"], ["r_Baro.csv", "sensors/Baro", "2"], ["r_Gyro.csv", "sensors/Gyro", "3"]]
+    rows += [["r_truth.csv", "truth", "5"], ["r_clocks.csv", "clocks", "1"]]
+    rows += [["r_phases.csv", "phases", "2"], ["r_events.csv", "events", "2"]]
+    assert read(run.with_name("r.csv")) == (["file", "table", "rows"], rows)
+
+
+def test_counts(run: Path) -> None:
+    export(run, run.with_name("r.csv"))
+    names, rows = read(run.with_name("r_Acc.csv"))
+    assert names == ["time_s", "counts_x", "counts_y", "counts_z", "status", "temperature_counts"]
+    assert rows[1] == ["0.010000000", "-8192", "8191", "1", "4", "-1"]
+    assert read(run.with_name("r_Baro.csv")) == (
+        ["time_s", "counts_ut", "counts_up", "status", "temperature_degc", "pressure_pa"],
+        [
+            ["0.005000000", "27898", "190744", "0", "15.0", "69963.0"],
+            ["0.009000000", "27900", "190750", "0", "0.30000000000000004", "nan"],
+        ],
+    )
+    names, rows = read(run.with_name("r_events.csv"))
+    assert rows == [["0.030000000", "Acc", "lost", MESSAGE], ["-0.000000005", "", "simulated", ""]]
+
+
+def test_numpy_reads_a_table(run: Path) -> None:
+    export(run, run.with_name("one.csv"), sensors=["Acc"])
+    table = np.genfromtxt(run.with_name("one.csv"), delimiter=",", skip_header=2, names=True)
+    assert table["counts_y"].tolist() == [row[1] for row in ACC_COUNTS]
+    assert table["time_s"].tolist() == [0, 0.01, 0.02, 0.03, 0.04]
+    assert sorted(path.name for path in run.parent.iterdir()) == ["one.csv", "run.h5"]
+
+
+def test_the_header_says_how_to_convert(run: Path) -> None:
+    export(run, run.with_name("one.csv"), sensors=["Acc"])
+    head = json.loads(run.with_name("one.csv").read_text().splitlines()[1].removeprefix("# "))
+    assert (head["epoch"], head["source"], head["units"]) == (EPOCH, "simulated", "counts")
+    about = head["tables"]["sensors/Acc"]
+    force = np.array(about["orientation"]) @ [0, 0, 512] * about["si_per_count"]
+    np.testing.assert_allclose(force, [0, 0, -9.80665])  # one g along the chip's z, which points down
+
+
+def test_units_of_the_data_sheet(run: Path) -> None:
+    export(run, run.with_name("u.csv"), units="sensor")
+    names, rows = read(run.with_name("u_Gyro.csv"))
+    assert names == [
+        "time_s", "angular_rate_x_dps", "angular_rate_y_dps", "angular_rate_z_dps", "status", "temperature_counts",
+    ]  # fmt: skip
+    np.testing.assert_allclose(np.array(rows[0][1:4], float), [8.75, 0, -8.75])  # 8.75 mdps a count: L3G-40
+    names, rows = read(run.with_name("u_Acc.csv"))
+    assert names[1:] == [
+        "specific_force_x_g", "specific_force_y_g", "specific_force_z_g", "status", "temperature_degc",
+    ]  # fmt: skip
+    assert [float(cell) for cell in rows[0][1:]] == [-0.5, 1.0, 0.0, 0, 25.0]  # 24 degC at 0, half a degree a count
+
+
+def test_calibrated(run: Path) -> None:
+    """Bias (10, 20, 30), axes x and y exchanged and 500 counts per g: by hand."""
+    response = np.array([[0.0, 500.0, 0.0], [500.0, 0.0, 0.0], [0.0, 0.0, -500.0]])
+    known = SensorCalibration("Acc", "specific_force", "g", np.array([10.0, 20.0, 30.0]), response)
+    export(run, run.with_name("c.csv"), calibration=Calibration({"Acc": known}), sensors=["Acc"])
+    names, rows = read(run.with_name("c.csv"))
+    assert names[1:4] == ["specific_force_x_mps2", "specific_force_y_mps2", "specific_force_z_mps2"]
+    expected = np.array([-276 / 500, 502 / 500, 30 / 500]) * 9.80665
+    np.testing.assert_allclose(np.array(rows[0][1:4], float), expected, rtol=1e-12)
+
+
+def test_a_fused_result_is_one_table(fused: Path) -> None:
+    assert export(fused, fused.with_name("f.csv")).files == (fused.with_name("f.csv"),)
+    names, rows = read(fused.with_name("f.csv"))
+    row = dict(zip(names, rows[1], strict=True))
+    assert row["time_s"] == "0.010000000"
+    assert (row["specific_force_x_mps2"], row["angular_rate_z_radps"]) == ("0.1", repr(3 / 7))
+    assert (row["specific_force_covariance_yz_m2ps4"], row["specific_force_used_Acc2"]) == ("0.75", "0")
+    assert rows[2][names.index("specific_force_y_mps2")] == "nan"
+
+
+def test_what_can_not_be_asked_for(run: Path, fused: Path) -> None:
+    to = run.with_name("x.csv")
+    known = Calibration()
+    with pytest.raises(ExportError, match=r"'.xlsx'; allowed are .csv, .npz, .mcap, .mat, .yaml"):
+        export(run, run.with_name("x.xlsx"))
+    with pytest.raises(ExportError, match="units 'feet': allowed are counts, si, sensor"):
+        export(run, to, units="feet")
+    with pytest.raises(ExportError, match="raw counts need no calibration"):
+        export(run, to, units="counts", calibration=known)
+    with pytest.raises(ExportError, match="a fused result"):
+        export(fused, to, sensors=["Acc"])
+    with pytest.raises(LogError, match="no sensor 'Nobody'; it has Acc, Baro, Gyro"):
+        export(run, to, sensors=["Nobody"])
+    misfit = SensorCalibration("Acc", "specific_force", "g", np.zeros(3), np.eye(3) * 4096.0)
+    with pytest.raises(CalibrationError, match="another range"):
+        export(run, to, calibration=Calibration({"Acc": misfit}))
+    assert sorted(path.name for path in run.parent.iterdir()) == ["fused.h5", "run.h5"]
+
+
+def test_nothing_is_overwritten_unless_told(run: Path) -> None:
+    mine = run.with_name("r_Gyro.csv")
+    mine.write_text("mine")
+    with pytest.raises(OutputExistsError, match=r"r_Gyro\.csv: exists already"):
+        export(run, run.with_name("r.csv"))
+    assert sorted(path.name for path in run.parent.iterdir()) == ["r_Gyro.csv", "run.h5"]
+    export(run, run.with_name("r.csv"), force=True)
+    assert mine.read_text().startswith("# imuarray-csv 1: ")
+
+
+def test_progress_ends_at_one(run: Path) -> None:
+    for suffix in ("csv", "npz", "mat", "mcap"):
+        told: list[float] = []
+        export(run, run.with_name(f"p.{suffix}"), progress=told.append, force=True)
+        assert told == sorted(told)
+        assert told[-1] == pytest.approx(1.0) or suffix == "mcap"

@@ -1,0 +1,162 @@
+"""MCAP by its own reader: channels, schemas that every message keeps, order, values."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imuarray.errors import ExportError, MissingExtraError
+from imuarray.export import export
+from imuarray.log import Block, LogWriter
+from tests.export.conftest import ACC, EPOCH_NS, MESSAGE, MS
+
+Read = tuple[dict[str, Any], dict[str, list[tuple[int, dict[str, Any]]]]]
+
+
+def read(path: Path) -> Read:
+    """Schemas and messages (time, value) by topic; the reader checks every checksum."""
+    from mcap.reader import make_reader
+
+    schemas: dict[str, Any] = {}
+    messages: dict[str, list[tuple[int, dict[str, Any]]]] = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            schemas[channel.topic] = json.loads(schema.data) | {"registered as": schema.name}
+            messages[channel.topic].append((message.log_time, json.loads(message.data)))
+    return schemas, messages
+
+
+def misses(value: Any, schema: Mapping[str, Any], place: str = "") -> list[str]:
+    """Where a value is not as a JSON Schema says: of the words that ours use (json-schema.org, draft 2020-12)."""
+    if "oneOf" in schema:
+        return [] if sum(value == one["const"] for one in schema["oneOf"]) == 1 else [place]
+    kinds = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
+    if not isinstance(value, kinds[schema["type"]]) or isinstance(value, bool):
+        return [place]
+    found = [place for bound in ("minimum", "minItems") if bound in schema and _size(value) < schema[bound]]
+    found += [place for bound in ("maximum", "maxItems") if bound in schema and _size(value) > schema[bound]]
+    if schema["type"] == "array":
+        return found + [miss for item in value for miss in misses(item, schema["items"], f"{place}[]")]
+    if schema["type"] == "object":
+        found += [f"{place}.{name}" for name in schema["required"] if name not in value]
+        found += [f"{place}.{name}" for name in value if name not in schema["properties"]]
+        inner = [(name, schema["properties"][name]) for name in value if name in schema["properties"]]
+        found += [miss for name, one in inner for miss in misses(value[name], one, f"{place}.{name}")]
+    return found
+
+
+def _size(value: Any) -> float:
+    return len(value) if isinstance(value, list) else value
+
+
+@pytest.mark.parametrize("units", [None, "counts", "sensor"])
+def test_every_message_keeps_its_schema(run: Path, units: str | None) -> None:
+    export(run, run.with_name("r.mcap"), units=units)
+    schemas, messages = read(run.with_name("r.mcap"))
+    assert set(messages) == {"/sensors/Acc", "/sensors/Gyro", "/sensors/Baro", "/truth", "/events", "/phases"}
+    for topic, listed in messages.items():
+        assert schemas[topic]["type"] == "object"
+        assert [miss for _, value in listed for miss in misses(value, schemas[topic])] == [], topic
+
+
+def test_the_checker_of_schemas_finds_what_is_wrong() -> None:
+    schema = {"type": "object", "required": ["a"], "properties": {"a": {"type": "integer", "minimum": 0}}}
+    assert misses({"a": 1}, schema) == []
+    assert misses({"a": -1}, schema) == [".a"]
+    assert misses({"a": 0.5}, schema) == [".a"]
+    assert misses({"b": 1}, schema) == [".a", ".b"]
+
+
+def test_values_are_si_in_the_box_frame(run: Path) -> None:
+    export(run, run.with_name("r.mcap"))
+    _, messages = read(run.with_name("r.mcap"))
+    at_ns, first = messages["/sensors/Acc"][0]
+    assert at_ns == EPOCH_NS
+    assert first["timestamp"] == {"sec": EPOCH_NS // 10**9, "nsec": 250_000_000}
+    assert first["frame_id"] == "box"
+    force = first["specific_force"]
+    np.testing.assert_allclose([force["x"], force["y"], force["z"]], [-0.5 * 9.80665, 9.80665, 0])  # x along box Y
+    assert first["temperature"] == 25.0
+    at_ns, gyro = messages["/sensors/Gyro"][0]
+    assert at_ns == EPOCH_NS + 10 * MS + 1
+    assert gyro["angular_rate"]["x"] == pytest.approx(8.75 * np.pi / 180)
+    second = messages["/sensors/Baro"][1][1]
+    assert second["temperature"] == 0.1 + 0.2
+    assert "pressure" not in second  # nan, which JSON has not
+
+
+def test_messages_are_in_the_order_of_their_times(run: Path) -> None:
+    from mcap.reader import make_reader
+
+    export(run, run.with_name("r.mcap"))
+    with run.with_name("r.mcap").open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
+    assert times == sorted(times)
+    assert len(times) == 5 + 3 + 2 + 5 + 2 + 4
+
+
+def test_events_are_for_the_log_panel(run: Path) -> None:
+    export(run, run.with_name("r.mcap"))
+    schemas, messages = read(run.with_name("r.mcap"))
+    assert schemas["/events"]["registered as"] == "foxglove.Log"
+    assert [(value["level"], value["name"], value["message"]) for _, value in messages["/events"]] == [
+        (2, "array", "simulated: "),
+        (3, "Acc", f"lost: {MESSAGE}"),
+    ]  # 2 is INFO, 3 WARNING
+    texts = [value["message"] for _, value in messages["/phases"]]
+    assert texts == ["z_up begins, +Z up", "motion begins", "z_up ends", "motion ends"]
+
+
+def test_a_fused_result_is_as_in_ros(fused: Path) -> None:
+    export(fused, fused.with_name("f.mcap"))
+    schemas, messages = read(fused.with_name("f.mcap"))
+    values = [value for _, value in messages["/fused"]]
+    assert [miss for value in values for miss in misses(value, schemas["/fused"])] == []
+    assert values[0]["linear_acceleration"] == {"x": 0.0, "y": 0.5, "z": 9.8}
+    nine = [1.0, 0.25, 0.5, 0.25, 2.0, 0.75, 0.5, 0.75, 3.0]  # row by row of xx yy zz xy xz yz = 1 2 3 0.25 0.5 0.75
+    assert values[0]["linear_acceleration_covariance"] == nine
+    assert values[0]["angular_velocity_covariance"] == [0.0] * 9  # not known
+    assert values[0]["orientation_covariance"][0] == -1
+    assert "linear_acceleration" not in values[2]
+    assert values[2]["linear_acceleration_covariance"][0] == -1
+    assert values[2]["angular_velocity"]["x"] == 1 / 7
+
+
+def test_what_is_known_of_the_log_comes_along(run: Path) -> None:
+    from mcap.reader import make_reader
+
+    export(run, run.with_name("r.mcap"))
+    with run.with_name("r.mcap").open("rb") as file:
+        reader = make_reader(file)
+        (metadata,) = list(reader.iter_metadata())
+        assert (metadata.name, metadata.metadata["source"]) == ("imuarray", "simulated")
+        (attached,) = list(reader.iter_attachments())
+        assert (attached.name, attached.data.decode()) == ("array.toml", "[array]\nname = 'µ'\n")
+
+
+def test_times_before_1970(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a.h5", [ACC], source="imported", epoch="1970-01-01T00:00:00Z") as log:
+        log.append("Acc", Block(np.array([-1]), np.ones((1, 3)), np.zeros(1, np.uint16), np.zeros(1)))
+    with pytest.raises(ExportError, match="-1 ns since 1970; MCAP has no such times"):
+        export(tmp_path / "a.h5", tmp_path / "a.mcap")
+    with LogWriter(tmp_path / "b.h5", [ACC], source="imported", epoch="yesterday") as log:
+        pass
+    with pytest.raises(ExportError, match="the epoch 'yesterday' is no date"):
+        export(tmp_path / "b.h5", tmp_path / "b.mcap")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "b.h5"]
+
+
+def test_without_the_package(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'imuarray\[export\]'"):
+        export(run, run.with_name("r.mcap"))
