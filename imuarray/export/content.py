@@ -13,14 +13,16 @@ import h5py
 import numpy as np
 
 from imuarray.calibrate import Calibration
-from imuarray.errors import ExportError
+from imuarray.errors import ExportError, LogError
 from imuarray.export.formats import UNITS, Wanted
 from imuarray.export.fused import FUSED, fused_content
 from imuarray.export.physical import compensated_columns, physical_columns, warmth
 from imuarray.export.tables import Column, Content, Table
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SensorHeader
+from imuarray.log.guard import DAMAGE
 from imuarray.log.headers import recorded_header
+from imuarray.log.heaps import Inspected
 from imuarray.units import SI_PER_UNIT
 
 _TRACK_UNITS = {"specific_force": "m s-2", "angular_rate": "rad s-1", "temperature": "degC"}
@@ -46,7 +48,7 @@ def open_content(wanted: Wanted, usual: str = "counts") -> Iterator[Content]:
 
 def _format_of(path: Path) -> str:
     """What a finished file says it is; "" for anything else, on which the log's reader has the last word."""
-    with suppress(OSError, ValueError, RuntimeError), h5py.File(path, "r") as file:
+    with suppress(LogError, *DAMAGE), h5py.File(Inspected(path), "r") as file:  # nothing damaged in it is believed
         kind = file.attrs.get("format")
         return kind if isinstance(kind, str) else ""
     return ""

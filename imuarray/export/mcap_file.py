@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _BLOCK = 1 << 11
 """Rows of each table that are held at once."""
+_CHUNK_BYTES = 1 << 20
+"""Messages that are packed together: what must be read to see one of them."""
 _HARMLESS = frozenset({"imported", "simulated", "back", "recovered"})
 """Kinds of events that are no warnings."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -52,7 +54,7 @@ def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Export
     with open_content(wanted, "si") as content:
         zero_ns = epoch_ns(content.epoch, path)
         with whole_file(path, force=force) as draft, draft.open("wb") as file:
-            writer = Writer(file)
+            writer = Writer(file, chunk_size=_CHUNK_BYTES)
             writer.start(library=f"imuarray {__version__}")
             _say(writer, content)
             streams = _streams(writer, content, zero_ns, Meter(content, progress))

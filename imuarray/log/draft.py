@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from imuarray.log import groups
-from imuarray.log.format import Event, Phase
+from imuarray.log.format import CACHE_BYTES, Event, Phase
 from imuarray.log.layout import BESIDE, CHUNK, NOTES, Columns, Group, Notes, groups_of
 from imuarray.log.preamble import Preamble
 from imuarray.log.room import Allowance, unwritable
@@ -44,7 +44,7 @@ class Draft:
         self._asked = 0
         try:
             self.part.unlink(missing_ok=True)
-            self.file = h5py.File(self.part, "w", libver=groups.LIBVER)
+            self.file = h5py.File(self.part, "w", libver=groups.LIBVER, rdcc_nbytes=CACHE_BYTES)
             self._room = Allowance(self.part, path, allocate=durable)
         except OSError as error:
             with contextlib.suppress(OSError):  # a full disk takes the name, and then not the first bytes

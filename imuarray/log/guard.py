@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 
 from imuarray.errors import LogError
-from imuarray.log.format import FORMAT
+from imuarray.log.format import CACHE_BYTES, FORMAT
 from imuarray.log.heaps import LONGEST
 
 MAX_TEXT_BYTES = 1 << 26
@@ -29,7 +29,7 @@ def open_file(path: Path) -> h5py.File:
     if not path.is_file():
         raise LogError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
     try:
-        return h5py.File(path, "r")
+        return h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES)
     except OSError as error:
         kind = "is truncated" if "truncated" in str(error) else "is no HDF5 file or is damaged"
         raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}") from None

@@ -22,6 +22,7 @@ import h5py
 from imuarray.errors import DiskFullError, ImuArrayError, LogError
 from imuarray.log import groups as hdf5
 from imuarray.log.commits import COMMITS, Commit, block_crc, row_of, width
+from imuarray.log.format import CACHE_BYTES
 from imuarray.log.journal import JournalLock, JournalWriter, Mark
 from imuarray.log.layout import BESIDE, CHUNK, Columns, groups_of
 from imuarray.log.preamble import Preamble
@@ -48,7 +49,7 @@ class LiveFile:
         self._chunk = chunk
         part = path.with_name(f".{path.name}.{os.getpid()}.live.part")
         part.unlink(missing_ok=True)
-        self.file = h5py.File(part, "w", libver=hdf5.LIBVER)
+        self.file = h5py.File(part, "w", libver=hdf5.LIBVER, rdcc_nbytes=CACHE_BYTES)
         self._room = Allowance(part, path)
         try:
             self._room.ask((len(self._groups) + 1) * _EMPTY_BYTES + len(preamble.config) * 8)
