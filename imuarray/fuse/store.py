@@ -211,6 +211,7 @@ class _Fused:
         compressed: bool = True,
     ) -> None:
         file.attrs.update(format="imuarray-fused", format_version=1, **about, software=f"imuarray {__version__}")
+        file.attrs.update(NX_class="NXroot", default="fused")  # what viewers of NeXus files look for
         self._file, self._path, self._sensors = file, path, sensors
         self._group = file.create_group("fused")
         self._epoch = about["epoch"]
@@ -220,6 +221,11 @@ class _Fused:
         """More rows of every column. OSError."""
         _ask_for_room(self._path, block)
         columns = _columns(block)
+        if not len(self._group):
+            signal, *others = block.triads
+            self._group.attrs.update(
+                NX_class="NXdata", axes=["time", "."], signal=signal, auxiliary_signals=others or h5py.Empty("S1")
+            )
         for name in columns.keys() - self._group.keys():
             self._create(name, columns[name])
         for name, rows in columns.items():

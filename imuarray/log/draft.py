@@ -121,6 +121,9 @@ class Draft:
         for group in self.groups:
             if group.path in self.file:
                 groups.attach_scales(self.file[group.path])
+        names = [group.path.removeprefix("sensors/") for group in self.groups if "/" in group.path]
+        if names:
+            groups.write_plots(self.file, names)
         groups.write_table(self.file, "phases", Phase._fields, self.notes.phases_until(self._end_ns), _RENAMED)
         groups.write_table(self.file, "events", Event._fields, self.notes.events, _RENAMED)
         self.file.close()

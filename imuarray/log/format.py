@@ -15,6 +15,9 @@ from imuarray.units import Quantity
 FORMAT = "imuarray-log"
 FORMAT_VERSION = 1
 
+PLOTS = "plots"
+"""The group of a finished log that NeXus viewers open first."""
+
 CACHE_BYTES = 1 << 20
 """What HDF5 keeps of each column that is read or written; HDF5 2.0 would keep 8 MB, of fifty columns 400 MB."""
 

@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from imuarray.log.format import FORMAT, FORMAT_VERSION, LONG_NAME, SensorHeader
+from imuarray.log.format import FORMAT, FORMAT_VERSION, LONG_NAME, PLOTS, SensorHeader
 from imuarray.log.layout import BESIDE, STIMULI, Group, sensor_group
 from imuarray.log.preamble import Preamble
 from imuarray.units import SI_NAME, SI_PER_UNIT
@@ -25,6 +25,9 @@ installed, and MATLAB's library, say, can't read that of HDF5 2.0.
 """
 
 _TEXT = h5py.string_dtype("utf-8")
+_PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}
+"""NeXus: rows over time; what is beside each other has no axis of numbers."""
+
 _BESIDE_UNITS = {
     "specific_force": "m s-2",
     "angular_rate": "rad s-1",
@@ -76,8 +79,7 @@ def create_sensor(
         orientation=orientation,
         position_mm=np.array(header.position_mm),
         columns=list(header.columns),
-        NX_class="NXdata",
-        signal="counts",
+        NX_class="NXcollection",
         **header.extra,
     )
     if header.delay_ns is not None:
@@ -103,6 +105,7 @@ def create_beside(file: h5py.File, name: str, epoch: str, chunk: int, storage: M
     for column, _, _ in BESIDE[name][1:]:
         group[column].attrs["units"] = _BESIDE_UNITS[column]
     if name in STIMULI:
+        group.attrs.update(_PLOTTED, signal="specific_force", auxiliary_signals=["angular_rate"])
         group.create_dataset("axis", data=["X", "Y", "Z"], dtype=_TEXT)
     return group
 
@@ -118,6 +121,22 @@ def attach_scales(group: h5py.Group) -> None:
         dataset.dims[0].attach_scale(group["time"])
         if dataset.ndim == 2:
             dataset.dims[1].attach_scale(group["axis"])
+
+
+def write_plots(file: h5py.File, names: Sequence[str]) -> None:
+    """Write `/plots`: for each sensor its counts over time, as NeXus viewers (silx, h5web) look for them.
+
+    A sensor's own group can't say so: there, `axes` are those of the box. The columns are soft links to those of the
+    sensor, the only ones in a log; whoever reads it as a log does not follow them (`imuarray.log.inspection`).
+    """
+    plots = file.create_group(PLOTS)
+    plots.attrs.update(NX_class="NXentry", default=min(names))
+    file.attrs["default"] = PLOTS
+    for name in names:
+        plot = plots.create_group(name)
+        plot.attrs.update(_PLOTTED, signal="counts")
+        for column in ("time", "counts", "axis"):  # netCDF wants the names of both dimensions
+            plot[column] = h5py.SoftLink(f"/sensors/{name}/{column}")
 
 
 def write_table(

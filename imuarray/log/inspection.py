@@ -16,7 +16,7 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from imuarray.errors import LogError
-from imuarray.log.format import FORMAT
+from imuarray.log.format import FORMAT, PLOTS
 from imuarray.log.guard import DAMAGE, read_texts
 from imuarray.log.heaps import Inspected
 from imuarray.printable import printable
@@ -130,9 +130,20 @@ def _linked(group: _Place, where: str) -> Iterator[_Place]:
         place = f"{group.name}/{_shown(name)[:MAX_NAME_BYTES]}"
         if _shown(name).encode() != name or len(name) > MAX_NAME_BYTES:
             raise LogError(f"{where}: {place}: a name that is no word")
+        if kind == h5l.TYPE_SOFT and _is_plot(group, name):
+            continue
         if kind != h5l.TYPE_HARD:
             raise LogError(f"{where}: {place}: a link that leads elsewhere; a log holds its own data")
         yield _Place(h5o.open(group.item, name), group.path + b"/" + name)
+
+
+def _is_plot(group: _Place, name: bytes) -> bool:
+    """Whether a soft link is one of `/plots`, for viewers: to the column of this name, of the sensor that its group is
+    called after. It is not followed here; the column is looked at where it is.
+    """
+    _, *path = group.path.split(b"/")
+    target: bytes = group.item.links.get_val(name)
+    return len(path) == 2 and path[0] == PLOTS.encode() and target == b"/sensors/" + path[1] + b"/" + name
 
 
 def _look_at(found: _Place, place: str, file_bytes: int) -> list[_Text]:

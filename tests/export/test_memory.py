@@ -30,6 +30,7 @@ def peak(work: Callable[[], object]) -> int:
     return most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("suffix", "few", "many"), [("csv", 1500, 3000), ("npz", 8_000, 40_000), ("mcap", 1500, 3000)])
 def test_there_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, few: int, many: int) -> None:
     """A row takes half a kilobyte as text, and 16 bytes as an array: held, they would show."""

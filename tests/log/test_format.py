@@ -22,7 +22,7 @@ def test_root(small: Path) -> None:
         )
         assert attrs["config"] == "# toml"
         assert attrs["software"].startswith("imuarray ")
-        assert set(file) == {"sensors", "events", "phases", "truth"}
+        assert set(file) == {"sensors", "events", "phases", "truth", "plots"}
         assert set(file["sensors"]) == {"Acc", "Gyro", "Baro"}
 
 

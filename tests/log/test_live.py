@@ -119,7 +119,7 @@ def test_everything_that_a_header_says_stands_in_a_finished_log(tmp_path: Path, 
             if kept:
                 log.keep()
     with h5py.File(tmp_path / "live.h5") as one, h5py.File(tmp_path / "draft.h5") as other:
-        assert set(one) == set(other) == {"sensors", "phases", "events"}
+        assert set(one) == set(other) == {"sensors", "phases", "events", "plots"}
         assert set(one.attrs) == set(other.attrs)
         for name in ("Acc", "Gyro", "Baro"):
             ours, theirs = one["sensors"][name], other["sensors"][name]
