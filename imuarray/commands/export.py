@@ -77,10 +77,13 @@ def command(
         )
     if as_json:
         files = [str(file) for file in written.files]
-        print_json({"source": str(source), "files": files, "units": written.units, "rows": dict(written.rows)})
+        said = {"files": files, "units": written.units, "rows": dict(written.rows)}
+        print_json({"source": str(source), **said, "uncalibrated": list(written.uncalibrated)})
         return
     rows = sum(written.rows.values())
     click.echo(f"{output}: {rows} rows of {len(written.rows)} tables, units: {written.units}")
+    if written.uncalibrated:
+        click.echo(f"  not calibrated, data sheet's values: {', '.join(written.uncalibrated)}")
     for file in written.files:
         if file != output:
             click.echo(f"  {file}")

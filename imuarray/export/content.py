@@ -57,6 +57,7 @@ def _format_of(path: Path) -> str:
 def _content(log: Log, wanted: Wanted, units: str) -> Content:
     sensors = [log[name] for name in wanted.sensors] or list(log.sensors.values())
     calibration = wanted.calibration or Calibration()
+    uncalibrated = () if wanted.calibration is None else _uncalibrated(log, sensors, calibration)
     warm = warmth(log, calibration) if units != "counts" else {}
     tables = []
     for sensor in sensors:
@@ -73,7 +74,17 @@ def _content(log: Log, wanted: Wanted, units: str) -> Content:
         "software": log.software,
     }
     beside = [] if wanted.sensors else list(_tracks(log))
-    return Content(units, log.epoch, head, (*tables, *beside), log.phases, log.events)
+    return Content(units, log.epoch, head, (*tables, *beside), log.phases, log.events, uncalibrated)
+
+
+def _uncalibrated(log: Log, sensors: list[SensorLog], calibration: Calibration) -> tuple[str, ...]:
+    """Triads that a calibration does not know; ExportError if it knows none of them."""
+    triads = [sensor.name for sensor in sensors if sensor.is_triad]
+    unknown = tuple(name for name in triads if name not in calibration.sensors)
+    if triads and len(unknown) == len(triads):
+        known = ", ".join(calibration.sensors) or "no sensor"
+        raise ExportError(f"{log.path}: has {', '.join(triads)}; the calibration knows {known}")
+    return unknown
 
 
 def _table(sensor: SensorLog, rest: tuple[Column, ...], calibrated: bool) -> Table:

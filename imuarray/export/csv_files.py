@@ -15,6 +15,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.atomic import whole_file
-from imuarray.errors import OutputExistsError
 from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, CSV_SUFFIX, Exported, Progress, Wanted
 from imuarray.export.tables import Column, Content, Meter, Table
@@ -35,30 +35,34 @@ def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Export
         meter = Meter(content, progress)
         if len(content.tables) == 1 and (wanted.sensors or content.head["format"] != "imuarray-log"):
             (table,) = content.tables
-            _write_table(path, content, table, head_with(content, table=table.name), force, meter)
-            return Exported((path,), content.rows, content.units)
-        return Exported((*_write_set(path, content, force, meter), path), content.rows, content.units)
+            with whole_file(path, force=force) as draft:
+                _write_table(draft, content, table, head_with(content, table=table.name), meter)
+            return content.exported(path)
+        return content.exported(*_write_set(path, content, force, meter), path)
 
 
 def _write_set(path: Path, content: Content, force: bool, meter: Meter) -> list[Path]:
-    """A file for each table, for phases and for events, and their list; OutputExistsError before any is written."""
+    """A file for each table, for phases and for events, and their list: all of them or, if one can't be, none."""
     names = [*(table.short for table in content.tables), "phases", "events"]
     files = [path.with_name(name) for name in _file_names(path, names)]
-    for file in (path, *files):
-        if file.exists() and not force:
-            raise OutputExistsError(file)
-    for table, file in zip(content.tables, files, strict=False):
-        about = {"table": table.name, "epoch": content.epoch, "units": content.units, "about": dict(table.about)}
-        _write_table(file, content, table, about, force, meter)
     phases = [(seconds(one.start_ns), seconds(one.end_ns), one.name, one.up) for one in content.phases]
     events = [(seconds(one.time_ns), one.sensor, one.kind, one.message) for one in content.events]
-    _write_texts(files[-2], "phases", content, CSV_PHASES, phases, force)
-    _write_texts(files[-1], "events", content, CSV_EVENTS, events, force)
-    held = [*content.rows.items(), ("phases", len(phases)), ("events", len(events))]
-    index = [(file.name, table, rows) for file, (table, rows) in zip(files, held, strict=True)]
-    with whole_file(path, force=force) as draft, draft.open("w", encoding="utf-8", newline="") as text:
-        _begin(text, "what each file holds", content, head_with(content))
-        csv.writer(text, lineterminator="\n").writerows([CSV_INDEX, *index])
+    with ExitStack() as stack:  # files get their names when it is left, the list, entered first, after all others
+        listed, *drafts = (stack.enter_context(whole_file(file, force=force)) for file in (path, *files))
+        for table, draft in zip(content.tables, drafts, strict=False):
+            about = {"table": table.name, "epoch": content.epoch, "units": content.units, "about": dict(table.about)}
+            _write_table(draft, content, table, about, meter)
+        _write_texts(drafts[-2], "phases", content, CSV_PHASES, phases)
+        _write_texts(drafts[-1], "events", content, CSV_EVENTS, events)
+        held = [
+            *((table.name, table.rows) for table in content.tables),
+            ("phases", len(phases)),
+            ("events", len(events)),
+        ]
+        index = [(file.name, table, rows) for file, (table, rows) in zip(files, held, strict=True)]
+        with listed.open("w", encoding="utf-8", newline="") as text:
+            _begin(text, "what each file holds", content, head_with(content))
+            csv.writer(text, lineterminator="\n").writerows([CSV_INDEX, *index])
     return files
 
 
@@ -85,10 +89,8 @@ def _begin(file: IO[str], what: str, content: Content, head: Mapping[str, Any]) 
     file.write(f"{CSV_MAGIC}{printable(f'{what} of {source}, units {content.units}; {zero}')}\n# {json.dumps(head)}\n")
 
 
-def _write_table(
-    path: Path, content: Content, table: Table, head: Mapping[str, Any], force: bool, meter: Meter
-) -> None:
-    with whole_file(path, force=force) as draft, draft.open("w", encoding="utf-8", newline="") as file:
+def _write_table(path: Path, content: Content, table: Table, head: Mapping[str, Any], meter: Meter) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
         _begin(file, table.name, content, head)
         csv.writer(file, lineterminator="\n").writerow([name for one in table.columns for name in cell_names(one)])
         for rows in table.blocks():
@@ -97,10 +99,8 @@ def _write_table(
             meter.add(rows.stop - rows.start, len(table.columns))
 
 
-def _write_texts(
-    path: Path, table: str, content: Content, names: Sequence[str], rows: Sequence[Sequence[str]], force: bool
-) -> None:
-    with whole_file(path, force=force) as draft, draft.open("w", encoding="utf-8", newline="") as file:
+def _write_texts(path: Path, table: str, content: Content, names: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
         _begin(file, table, content, {"table": table, "epoch": content.epoch})
         csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerows([names, *rows])
 

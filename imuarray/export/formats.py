@@ -65,8 +65,11 @@ class Wanted(NamedTuple):
 
 
 class Exported(NamedTuple):
-    """What was written: files, rows by table, and one of `UNITS`, in which they are."""
+    """What was written: files, rows by table, one of `UNITS`, in which they are, and the sensors whose physical values
+    are the data sheets' though there was a calibration.
+    """
 
     files: tuple[Path, ...]
     rows: Mapping[str, int]
     units: str
+    uncalibrated: tuple[str, ...] = ()

@@ -44,7 +44,7 @@ def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Export
             _save(file, _HEAD, _head(content, names))
             for table, name in zip(content.tables, names, strict=True):
                 _save(file, name, _struct(table, meter))
-        return Exported((path,), content.rows, content.units)
+        return content.exported(path)
 
 
 def _save(file: IO[bytes], name: str, struct: dict[str, Any]) -> None:

@@ -64,7 +64,7 @@ def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Export
                 data = json.dumps(one.value, allow_nan=False, separators=(",", ":")).encode()
                 writer.add_message(one.channel, one.time_ns, data, one.time_ns, one.sequence)
             writer.finish()  # type: ignore[no-untyped-call]
-        return Exported((path,), content.rows, content.units)
+        return content.exported(path)
 
 
 def epoch_ns(epoch: str, path: Path) -> int:

@@ -37,7 +37,7 @@ def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Export
             for column in table.columns:
                 with archive.open(f"{names[table.name][column.name]}.npy", "w", force_zip64=True) as file:
                     _write_column(file, table, column, meter)
-        return Exported((path,), content.rows, content.units)
+        return content.exported(path)
 
 
 def array_names(tables: Iterable[Table]) -> dict[str, dict[str, str]]:

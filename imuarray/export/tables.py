@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.export.formats import Progress
+from imuarray.export.formats import Exported, Progress
 from imuarray.log.format import Event, Phase
 
 ROWS = 1 << 14
@@ -71,11 +72,12 @@ class Content:
     tables: tuple[Table, ...]
     phases: tuple[Phase, ...] = ()
     events: tuple[Event, ...] = ()
+    uncalibrated: tuple[str, ...] = ()
 
-    @property
-    def rows(self) -> dict[str, int]:
-        """Rows by table."""
-        return {table.name: table.rows for table in self.tables}
+    def exported(self, *files: Path) -> Exported:
+        """What there is to say once all of it is in `files`."""
+        rows = {table.name: table.rows for table in self.tables}
+        return Exported(files, rows, self.units, self.uncalibrated)
 
 
 class Meter:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -88,6 +90,8 @@ def test_calibrated(run: Path) -> None:
     """Bias (10, 20, 30), axes x and y exchanged and 500 counts per g: by hand."""
     response = np.array([[0.0, 500.0, 0.0], [500.0, 0.0, 0.0], [0.0, 0.0, -500.0]])
     known = SensorCalibration("Acc", "specific_force", "g", np.array([10.0, 20.0, 30.0]), response)
+    both = export(run, run.with_name("both.csv"), calibration=Calibration({"Acc": known}))
+    assert (both.units, both.uncalibrated) == ("si", ("Gyro",))
     export(run, run.with_name("c.csv"), calibration=Calibration({"Acc": known}), sensors=["Acc"])
     names, rows = read(run.with_name("c.csv"))
     assert names[1:4] == ["specific_force_x_mps2", "specific_force_y_mps2", "specific_force_z_mps2"]
@@ -118,6 +122,8 @@ def test_what_can_not_be_asked_for(run: Path, fused: Path) -> None:
         export(fused, to, sensors=["Acc"])
     with pytest.raises(LogError, match="no sensor 'Nobody'; it has Acc, Baro, Gyro"):
         export(run, to, sensors=["Nobody"])
+    with pytest.raises(ExportError, match="has Acc, Gyro; the calibration knows no sensor"):
+        export(run, to, calibration=known)
     misfit = SensorCalibration("Acc", "specific_force", "g", np.zeros(3), np.eye(3) * 4096.0)
     with pytest.raises(CalibrationError, match="another range"):
         export(run, to, calibration=Calibration({"Acc": misfit}))
@@ -132,6 +138,39 @@ def test_nothing_is_overwritten_unless_told(run: Path) -> None:
     assert sorted(path.name for path in run.parent.iterdir()) == ["r_Gyro.csv", "run.h5"]
     export(run, run.with_name("r.csv"), force=True)
     assert mine.read_text().startswith("# imuarray-csv 1: ")
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt(), LogError("damaged")])
+def test_all_of_it_or_nothing(run: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException) -> None:
+    """All tables are written when it fails; what stood there stays."""
+    run.with_name("r_Acc.csv").write_text("mine")
+
+    def breaks(*_: object) -> str:
+        raise failure
+
+    monkeypatch.setattr("imuarray.export.csv_files._write_texts", breaks)
+    with pytest.raises(type(failure)):
+        export(run, run.with_name("r.csv"), force=True)
+    assert sorted(path.name for path in run.parent.iterdir()) == ["r_Acc.csv", "run.h5"]
+    assert run.with_name("r_Acc.csv").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda file: file.__setitem__("fused/out", h5py.ExternalLink("/etc/passwd", "/x")), "a link that leads"),
+        (lambda file: file.__setitem__("fused/more", np.zeros(3)), "fused/more: no column of numbers as long as time"),
+        (lambda file: file.__setitem__("fused/more", np.zeros((4, 2, 2))), "fused/more: no column"),
+        (lambda file: file.__delitem__("fused/time"), "damaged or malformed"),
+        (lambda file: file["fused"].create_dataset("big", (1 << 40,), "i2", chunks=(4,)), "more than this file"),
+    ],
+)
+def test_a_fused_file_built_to_do_harm(fused: Path, spoil: Callable[[h5py.File], object], said: str) -> None:
+    with h5py.File(fused, "r+") as file:
+        spoil(file)
+    with pytest.raises(LogError, match=said):
+        export(fused, fused.with_name("f.csv"))
+    assert [path.name for path in fused.parent.iterdir()] == ["fused.h5"]
 
 
 def test_progress_ends_at_one(run: Path) -> None:
