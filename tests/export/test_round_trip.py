@@ -348,6 +348,29 @@ def test_a_bad_csv_is_refused_and_leaves_nothing(run: Path, kind: str) -> None:
     assert {path.name for path in run.parent.iterdir()} == {"run.h5", *(file.name for file in files)}
 
 
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_text_is_told_in_a_line(tmp_path: Path, data: st.DataObject) -> None:
+    """Some bytes of one of the files changed: SourceError, or no harm done."""
+    if not (tmp_path / "r.csv").exists():
+        export(write_run(tmp_path / "run.h5"), tmp_path / "r.csv")
+        for file in sorted(tmp_path.glob("*.csv")):
+            file.with_suffix(".good").write_bytes(file.read_bytes())
+    path = data.draw(st.sampled_from(sorted(tmp_path.glob("*.csv"))))
+    good = path.with_suffix(".good").read_bytes()
+    spoilt = bytearray(good)
+    first = len(b"# imuarray-csv 1: ")
+    for _ in range(data.draw(st.integers(1, 3))):
+        spoilt[data.draw(st.integers(first, len(spoilt) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(spoilt)
+    try:
+        back(tmp_path / "r.csv")
+    except SourceError as error:
+        assert "\n" not in str(error)
+    finally:
+        path.write_bytes(good)
+
+
 def test_a_csv_header_without_end(tmp_path: Path) -> None:
     (tmp_path / "h.csv").write_bytes(b"# imuarray-csv 1: x\n# {" + b" " * (1 << 26))
     with pytest.raises(SourceError, match="a header of more than 67108864 bytes"):
