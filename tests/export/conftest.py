@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from imuarray.fuse import FusedBlock, write_fused
+from imuarray.importers.exported import importer_of
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 
@@ -72,3 +73,12 @@ def write_fused_run(path: Path) -> Path:
 @pytest.fixture
 def fused(tmp_path: Path) -> Path:
     return write_fused_run(tmp_path / "fused.h5")
+
+
+def back(source: Path) -> Path:
+    """What was exported to `source`, imported again."""
+    output = source.with_name("back.h5")
+    importer = importer_of(source)
+    assert importer is not None
+    importer(source, output, force=True)
+    return output
