@@ -223,9 +223,9 @@ class _Fused:
         columns = _columns(block)
         if not len(self._group):
             signal, *others = block.triads
-            self._group.attrs.update(
-                NX_class="NXdata", axes=["time", "."], signal=signal, auxiliary_signals=others or h5py.Empty("S1")
-            )
+            self._group.attrs.update(NX_class="NXdata", axes=["time", "."], signal=signal)
+            if others:
+                self._group.attrs["auxiliary_signals"] = others
         for name in columns.keys() - self._group.keys():
             self._create(name, columns[name])
         for name, rows in columns.items():
