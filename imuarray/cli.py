@@ -17,6 +17,7 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "demo": "record the emulated array, calibrate, fuse, diagnose, write report.html",
         "detect": "what answers on the bus, and is it what the configuration says; or write one",
         "log": "record an array into a log",
+        "monitor": "watch a log while it is written: a page, or text",
         "info": "what a log holds",
         "verify": "check every block of a log",
         "recover": "finish a log whose writing was cut short",

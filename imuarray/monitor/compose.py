@@ -1,0 +1,105 @@
+"""A snapshot from what was read: sensors in their units, frames, room on the disk, the fused output."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imuarray.calibrate import Calibration
+from imuarray.errors import ImuArrayError
+from imuarray.log.room import WATERMARK, free_bytes
+from imuarray.monitor.fused import fused_beside, fused_now
+from imuarray.monitor.held import HeldLog
+from imuarray.monitor.snapshot import WRITTEN, Disk, FusedView, SensorView, Snapshot
+from imuarray.monitor.source import Source
+from imuarray.monitor.views import view_of
+from imuarray.monitor.window import Rows, Window
+from imuarray.units import INERTIAL
+
+_ALIKE = 0.05
+"""Sensors are read in the same frames if their rates differ by no more than this share."""
+_COPIES = 2
+"""A row stands in the journal and in the HDF5 file."""
+
+
+def snapshot_of(source: Source, calibration: Calibration, remark: str, quiet_s: float) -> Snapshot:
+    """What is to be seen of `source` now; nothing came for `quiet_s`."""
+    windows, told = source.seen.windows, source.seen.told
+    held = HeldLog(
+        source.path,
+        {name: (source.attributes[name], window.rows or _no_rows(source, name)) for name, window in windows.items()},
+    )
+    views = tuple(view_of(held[name], window, source.backlog.gaps(name)) for name, window in windows.items())
+    firsts = [window.first_ns for window in windows.values() if window.first_ns is not None]
+    ends = [int(window.time[-1]) for window in windows.values() if len(window.time)]
+    frames = _frames(views)
+    fused, not_fused = _fused(source, windows, calibration, max(ends, default=0))
+    return Snapshot(
+        source.path,
+        source.state,
+        remark,
+        source.source,
+        source.epoch,
+        told.phase if source.state == WRITTEN else "",
+        begins_ns=min(firsts, default=None),
+        ends_ns=max(ends, default=None),
+        quiet_s=max(0.0, quiet_s),
+        rate_hz=float(np.median([view.rate_hz for view in frames])) if frames else 0.0,
+        late=min((view.late for view in frames), default=0),
+        missed=min((view.missed for view in frames), default=0),
+        counted=source.backlog.counted,
+        events=told.kinds,
+        problems=told.problems,
+        recent=told.recent,
+        disk=_disk(source, views),
+        sensors=views,
+        fused=fused,
+        not_fused=not_fused,
+    )
+
+
+def _no_rows(source: Source, name: str) -> Rows:
+    """The columns of a sensor from which nothing came."""
+    columns = max(1, len(np.atleast_1d(source.attributes[name].get("columns", ("x", "y", "z")))))
+    return {"time": np.empty(0, np.int64), "counts": np.empty((0, columns), np.int16)}
+
+
+def _frames(views: Sequence[SensorView]) -> list[SensorView]:
+    """The sensors that are read once a frame: of the inertial ones, the most that have one rate. A frame that was
+    missed is missing from all of them, a reading that was lost from one.
+    """
+    inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
+
+    def alike(view: SensorView) -> list[SensorView]:
+        return [other for other in inertial if abs(other.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz]
+
+    return max((alike(view) for view in inertial), key=len, default=[])
+
+
+def _disk(source: Source, views: Sequence[SensorView]) -> Disk | None:
+    """Room, and how long it lasts; None where the disk does not say."""
+    try:
+        free = free_bytes(source.path)
+    except OSError:
+        return None
+    rates = {f"sensors/{view.name}": view.rate_hz for view in views}
+    written = source.state == WRITTEN
+    taken = _COPIES * sum(source.row_bytes.get(path, 0) * rate for path, rate in rates.items()) if written else 0.0
+    return Disk(free, taken, max(0.0, (free - WATERMARK) / taken) if taken else None)
+
+
+def _fused(
+    source: Source, windows: dict[str, Window], calibration: Calibration, end_ns: int
+) -> tuple[FusedView | None, str]:
+    """The fused output, or why there is none."""
+    beside = fused_beside(source.path, source.epoch, end_ns - source.seen.span_ns)
+    if beside is not None:
+        return beside, ""
+    spoken = {name: (source.attributes[name], window.rows) for name, window in windows.items() if len(window.time)}
+    if not spoken:
+        return None, "no readings"
+    try:
+        return fused_now(HeldLog(source.path, spoken), calibration), ""
+    except ImuArrayError as error:
+        return None, str(error).removeprefix(f"{source.path}: ")

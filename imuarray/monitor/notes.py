@@ -1,0 +1,83 @@
+"""What was noted while a log was recorded: the last events, how many of each kind there were, the phase that is on."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import LogError
+from imuarray.log.format import Event
+from imuarray.log.layout import Notes
+
+KEPT = 50
+"""Events that are kept to be shown."""
+
+HARMLESS = frozenset({"back", "reconfigured", "clock", "start_up", "recovered"})
+"""Kinds of events that tell of no trouble, or of its end."""
+
+_MOST_BYTES = 1 << 20
+"""Of earlier notes that are read, the last ones: some ten thousand events."""
+
+
+class Told:
+    """Events and phases that were taken so far."""
+
+    def __init__(self) -> None:
+        self._kinds: Counter[str] = Counter()
+        self._last: deque[Event] = deque(maxlen=KEPT)
+        self._on: dict[tuple[int, str], None] = {}
+        self.complete = True
+        """Whether all notes of the log were taken; False where there were too many before."""
+
+    def take(self, text: npt.NDArray[Any]) -> None:
+        """Take rows of the group `notes`, lines of text as bytes; lines that are none are passed over."""
+        notes = Notes()
+        try:
+            notes.add({"text": text})
+        except LogError:
+            self.complete = False
+        self.take_events(notes.events)
+        for begun in notes.begun:
+            self._on[begun.start_ns, begun.name] = None
+        for phase in notes.phases:
+            self._on.pop((phase.start_ns, phase.name), None)
+
+    def take_stored(self, column: Any, rows: int) -> None:
+        """Take the first `rows` bytes of a stored column of notes; the last mebibyte if there are more."""
+        start = max(0, rows - _MOST_BYTES)
+        text = np.asarray(column[start:rows], np.uint8)
+        if start:
+            self.complete = False
+            text = text[int(np.argmax(text == ord("\n"))) + 1 :]
+        self.take(text)
+
+    def take_events(self, events: Iterable[Event]) -> None:
+        """Take events, the oldest first."""
+        for event in events:
+            self._kinds[event.kind] += 1
+            self._last.append(event)
+
+    @property
+    def kinds(self) -> Mapping[str, int]:
+        """Events by kind, the most frequent first."""
+        return MappingProxyType(dict(self._kinds.most_common()))
+
+    @property
+    def problems(self) -> int:
+        """Events that tell of trouble."""
+        return sum(count for kind, count in self._kinds.items() if kind not in HARMLESS)
+
+    @property
+    def recent(self) -> tuple[Event, ...]:
+        """The last events, the newest first."""
+        return tuple(reversed(self._last))
+
+    @property
+    def phase(self) -> str:
+        """The phase that began last and has not ended, "" if there is none."""
+        return next(reversed(self._on), ("", ""))[1] if self._on else ""

@@ -1,0 +1,150 @@
+"""A snapshot as JSON: numbers as a program wants them, or thinned out as a page draws them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from imuarray.monitor.snapshot import Floats, FusedView, SensorView, Snapshot, Times
+from imuarray.printable import printable
+from imuarray.units import READABLE, READABLE_SI
+
+DRAWN = 160
+"""Pieces into which a curve is cut: of each its smallest and its largest value are drawn."""
+
+_DIGITS = 5
+_LOWEST_BIN = 1
+"""The bin at 0 holds what is left of the mean."""
+
+
+def described(snapshot: Snapshot) -> dict[str, Any]:
+    """The figures, without curves; None where there is nothing to say."""
+    return {
+        "log": snapshot.path.name,
+        "state": snapshot.state,
+        "remark": printable(snapshot.remark),
+        "source": snapshot.source,
+        "epoch": snapshot.epoch,
+        "phase": printable(snapshot.phase),
+        "begins_s": _seconds(snapshot.begins_ns),
+        "ends_s": _seconds(snapshot.ends_ns),
+        "quiet_s": round(snapshot.quiet_s, 1),
+        "rate_hz": round(snapshot.rate_hz, 2),
+        "late": snapshot.late,
+        "missed": snapshot.missed,
+        "counted": round(snapshot.counted, 3),
+        "events": {printable(kind): count for kind, count in (snapshot.events or {}).items()},
+        "problems": snapshot.problems,
+        "recent": [
+            {
+                "time_s": _seconds(event.time_ns),
+                "sensor": printable(event.sensor),
+                "kind": printable(event.kind),
+                "message": printable(event.message),
+            }
+            for event in snapshot.recent
+        ],
+        "disk": _disk(snapshot),
+        "sensors": [_sensor(view) for view in snapshot.sensors],
+        "fused": None if snapshot.fused is None else _fused(snapshot.fused),
+        "not_fused": printable(snapshot.not_fused),
+        "took_ms": round(snapshot.took_s * 1e3, 1),
+    }
+
+
+def drawn(snapshot: Snapshot) -> dict[str, Any]:
+    """The figures and the curves of the last seconds: times in s before the end, spectra as amplitude densities."""
+    found = described(snapshot)
+    end_ns = snapshot.ends_ns or 0
+    for shown, view in zip(found["sensors"], snapshot.sensors, strict=True):
+        shown["trace"] = _curves(view.time - end_ns, view.values, view.columns)
+        shown["density"] = _density(view)
+    if snapshot.fused is not None:
+        fused = snapshot.fused
+        for quantity, shown in found["fused"]["quantities"].items():
+            factor = READABLE_SI[quantity][0]
+            shown["trace"] = _curves(fused.time - end_ns, factor * fused.triads[quantity], ("x", "y", "z"))
+    return found
+
+
+def _seconds(time_ns: int | None) -> float | None:
+    return None if time_ns is None else round(time_ns * 1e-9, 3)
+
+
+def _disk(snapshot: Snapshot) -> dict[str, Any] | None:
+    disk = snapshot.disk
+    if disk is None:
+        return None
+    left = None if disk.left_s is None else round(disk.left_s)
+    return {"free_bytes": disk.free_bytes, "bytes_per_s": round(disk.bytes_per_s), "left_s": left}
+
+
+def _sensor(view: SensorView) -> dict[str, Any]:
+    return {
+        "name": printable(view.name),
+        "chip": printable(view.chip),
+        "quantity": view.quantity,
+        "unit": view.unit,
+        "columns": list(view.columns),
+        "rows": view.rows,
+        "rate_hz": _number(view.rate_hz),
+        "late": view.late,
+        "missed": view.missed,
+        "flags": dict(view.flags),
+        "density_unit": READABLE.get(view.unit, (1.0, view.unit))[1],
+        "mean": _numbers(view.mean),
+        "sd": _numbers(view.sd),
+        "use_percent": None if view.use is None else _numbers(100 * view.use),
+        "peak_use_percent": None if view.peak_use is None else _numbers(100 * view.peak_use),
+        "temperature_degc": None if view.temperature_degc is None else _number(view.temperature_degc),
+        "temperature_is_relative": view.relative,
+    }
+
+
+def _fused(fused: FusedView) -> dict[str, Any]:
+    quantities = {}
+    for quantity in fused.triads:
+        factor, unit = READABLE_SI[quantity]
+        quantities[quantity] = {
+            "unit": unit,
+            "mean": _numbers(factor * fused.mean[quantity]),
+            "noise": _numbers(factor * fused.noise[quantity]),
+        }
+    return {"technique": printable(fused.technique), "calibrated": fused.calibrated, "quantities": quantities}
+
+
+def _curves(since_end_ns: Times, values: Floats, columns: tuple[str, ...]) -> dict[str, list[float | None]]:
+    """Curves that fit on a page: of a piece its two ends, in their order."""
+    time_s, rows = since_end_ns * 1e-9, values
+    size = -(-len(time_s) // DRAWN)
+    if size > 2:
+        kept = len(time_s) // size * size  # of the oldest rows a few are left out
+        pieces = np.nan_to_num(values[-kept:]).reshape(-1, size, values.shape[1])
+        ends = np.sort(np.stack([pieces.argmin(axis=1), pieces.argmax(axis=1)], axis=1), axis=1)
+        rows = np.take_along_axis(pieces, ends, axis=1).reshape(-1, values.shape[1])
+        time_s = np.repeat(time_s[-kept::size], 2) + np.tile([0.0, 0.5], len(pieces)) * size * np.median(
+            np.diff(time_s)
+        )
+    curves: dict[str, list[float | None]] = {"t": [round(float(at_s), 3) for at_s in time_s]}
+    return curves | {name: _numbers(column) for name, column in zip(columns, rows.T, strict=True)}
+
+
+def _density(view: SensorView) -> dict[str, list[float | None]] | None:
+    """Square roots of the spectrum, per root hertz."""
+    if view.spectrum is None:
+        return None
+    kept = slice(_LOWEST_BIN, None)
+    density = READABLE.get(view.unit, (1.0, view.unit))[0] * np.sqrt(view.spectrum.density[kept])
+    curves = {"f": _numbers(view.spectrum.frequency_hz[kept])}
+    return curves | {name: _numbers(column) for name, column in zip(view.columns, density.T, strict=True)}
+
+
+def _numbers(values: Floats) -> list[float | None]:
+    return [_number(value) for value in values.tolist()]
+
+
+def _number(value: float) -> float | None:
+    """Five digits; None for what is no number."""
+    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None

@@ -1,0 +1,108 @@
+"""What is to be seen of a log at one moment. SI is left here for the units of the sensors: people read g and dps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.characterise.spectrum import Spectrum
+from imuarray.log.format import Event
+
+Floats = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+
+WAITING, WRITTEN, FINISHED, INTERRUPTED = "waiting", "being written", "finished", "interrupted"
+"""The states of a log that is watched."""
+
+
+@dataclass(frozen=True)
+class Disk:
+    """Bytes that are free beside the log, bytes a second that it takes, and seconds until the logger will end it for
+    want of room (None: it takes nothing).
+    """
+
+    free_bytes: int
+    bytes_per_s: float
+    left_s: float | None
+
+
+@dataclass(frozen=True)
+class SensorView:
+    """The last seconds of a sensor.
+
+    `rows` of the log so far; `late` and `missed` among those that were counted; `flags`, rows of the last seconds by
+    flag. `time` (n,) ns and `values` (n, k) in `unit`, their `mean` (k,) over the last second and `sd` (k,) over all of
+    them. `use` and `peak_use` (k,): share of the measuring range, in the last seconds and at most so far; None for a
+    sensor without a range. `temperature_degc` of the last second, where `relative` says that its zero is not known.
+    """
+
+    name: str
+    chip: str
+    quantity: str
+    unit: str
+    columns: tuple[str, ...]
+    rows: int
+    rate_hz: float
+    late: int
+    missed: int
+    flags: Mapping[str, int]
+    time: Times
+    values: Floats
+    mean: Floats
+    sd: Floats
+    use: Floats | None
+    peak_use: Floats | None
+    temperature_degc: float | None
+    relative: bool
+    spectrum: Spectrum | None
+
+
+@dataclass(frozen=True)
+class FusedView:
+    """The fused result of the last seconds by quantity: `time` (n,) ns, `triads` (n, 3) in SI in the box frame, their
+    `mean` (3,) over the last second, and `noise` (3,), the scatter from frame to frame. `technique` gave it.
+    """
+
+    technique: str
+    calibrated: bool
+    time: Times
+    triads: Mapping[str, Floats]
+    mean: Mapping[str, Floats]
+    noise: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A log at one moment.
+
+    `state` is one of the four above, `remark` what else is to be said of it ("" nothing). `begins_ns` and `ends_ns` are
+    the first and the last time in it, since `epoch`; `quiet_s` how long nothing came. `rate_hz`, `late` and `missed`
+    are of frames; `counted` is the share of the log that was counted so far. `events` by kind, of which `problems` tell
+    of trouble; `recent` are the last ones, the newest first. `took_s` is what it took to look.
+    """
+
+    path: Path
+    state: str
+    remark: str = ""
+    source: str = ""
+    epoch: str = ""
+    phase: str = ""
+    begins_ns: int | None = None
+    ends_ns: int | None = None
+    quiet_s: float = 0.0
+    rate_hz: float = 0.0
+    late: int = 0
+    missed: int = 0
+    counted: float = 1.0
+    events: Mapping[str, int] | None = None
+    problems: int = 0
+    recent: tuple[Event, ...] = ()
+    disk: Disk | None = None
+    sensors: tuple[SensorView, ...] = ()
+    fused: FusedView | None = None
+    not_fused: str = ""
+    took_s: float = 0.0

@@ -1,0 +1,156 @@
+"""A log watched from outside: `Watch(path).refresh(now_s)` gives what is to be seen of it, at bounded cost.
+
+It only reads, follows a log that is cut into parts from one to the next, and starts anew where another log takes the
+name.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from imuarray.calibrate import Calibration
+from imuarray.errors import ImuArrayError
+from imuarray.log.journal import JournalReader, is_running
+from imuarray.log.rotate import part_of
+from imuarray.monitor.compose import snapshot_of
+from imuarray.monitor.snapshot import WAITING, WRITTEN, Snapshot
+from imuarray.monitor.source import Growing, Seen, Source, Whole, look
+
+SPAN_S = 10.0
+"""The last seconds that are shown."""
+
+_MOST_TURNS = 1000
+"""Parts that are gone through at one look."""
+
+
+class Watch:
+    """The log at `path`, which need not be there yet, or of that name cut into parts; its last `span_s`. A context
+    manager.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        span_s: float = SPAN_S,
+        calibration: Calibration | None = None,
+        stopwatch: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.path = path
+        self._span_ns = round(span_s * 1e9)
+        self._calibration = calibration or Calibration()
+        self._stopwatch = stopwatch
+        self._there: tuple[object, ...] = ()
+        self._source: Source | None = None
+        self._fresh_s = 0.0
+        self._remark = ""
+
+    def refresh(self, now_s: float) -> Snapshot:
+        """What is to be seen now; `now_s` is a monotonic time. What is wrong with a log is told, not raised."""
+        start_s = self._stopwatch()
+        try:
+            self._look(now_s)
+        except (ImuArrayError, OSError) as error:
+            self.close()
+            self._remark = str(error) if isinstance(error, ImuArrayError) else f"{self.path}: {error.strerror}"
+        if self._source is None:
+            return Snapshot(self.path, WAITING, self._remark)
+        snapshot = snapshot_of(self._source, self._calibration, self._remark, now_s - self._fresh_s)
+        return replace(snapshot, took_s=self._stopwatch() - start_s)
+
+    def _look(self, now_s: float) -> None:
+        """Open what is there, read what is new, go on to the next part."""
+        source = self._source
+        if source is None or (source.state != WRITTEN and look(source.path) != self._there):
+            source = self._open(self._found() if source is None else source.path, now_s)
+            if source is None:
+                return
+        written = source.state == WRITTEN
+        rows = source.read()
+        if not rows or source.state != WRITTEN:
+            if written and source.state != WRITTEN and not is_running(source.path):
+                self._there = look(source.path)
+            source = self._turned(source)
+        self._fresh_s = now_s if rows else self._fresh_s
+        source.backlog.step({name: window.period_ns for name, window in source.seen.windows.items()})
+
+    def _found(self) -> Path:
+        """The log, or where there is none of that name, its newest part that has begun."""
+        if self.path.exists() or not self.path.parent.is_dir():
+            return self.path
+        pattern = re.compile(rf"{re.escape(self.path.stem)}_(\d{{3,}}){re.escape(self.path.suffix)}")
+        names = (pattern.fullmatch(one.name) for one in self.path.parent.iterdir())
+        numbers = sorted(int(name[1]) for name in names if name)
+        parts = [part_of(self.path, number) for number in numbers]
+        return next((part for part in reversed(parts) if _has_begun(part)), parts[-1] if parts else self.path)
+
+    def _open(self, path: Path, now_s: float) -> Source | None:
+        """Start anew with what is there; None if it is not there yet."""
+        self.close()
+        self._fresh_s = now_s
+        if not path.exists():
+            self._remark = f"{path}: not there yet"
+            return None
+        self._there, self._remark = look(path), ""
+        self._source = _opened(path, Seen(self._span_ns))
+        return self._source
+
+    def _turned(self, source: Source) -> Source:
+        """The next part, if the log goes on there: what was seen goes on with it."""
+        for _ in range(_MOST_TURNS):
+            following = _next_part(source.path)
+            if following is None or not _has_begun(following) or _epoch(following) != source.epoch:
+                break
+            self._there = look(following)
+            turned = _opened(following, source.seen if is_running(following) else Seen(self._span_ns))
+            source.close()
+            self._source = source = turned
+            self._remark = f"goes on in {following.name}"
+            source.read()
+        return source
+
+    def close(self) -> None:
+        """Let go of the files."""
+        if self._source is not None:
+            self._source.close()
+        self._source = None
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _opened(path: Path, seen: Seen) -> Source:
+    return Growing(path, seen) if is_running(path) else Whole(path, seen)
+
+
+def _next_part(path: Path) -> Path | None:
+    """The part behind this one, None for what is no part."""
+    found = re.fullmatch(r"(.+)_(\d{3,})", path.stem)
+    return None if found is None else part_of(path.with_stem(found[1]), int(found[2]) + 1)
+
+
+def _has_begun(path: Path) -> bool:
+    """Whether a log is there and has rows: the next part of one is begun seconds before it is wanted."""
+    if not path.exists():
+        return False
+    if not is_running(path):
+        return True
+    with JournalReader(path) as journal:
+        return any(journal.groups[record.group].path.startswith("sensors/") for record in journal.records())
+
+
+def _epoch(path: Path) -> str:
+    """The time 0 of a log."""
+    if is_running(path):
+        with JournalReader(path) as journal:
+            return journal.preamble.epoch
+    whole = Whole(path, Seen(0))
+    whole.close()
+    return whole.epoch

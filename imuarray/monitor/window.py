@@ -1,0 +1,113 @@
+"""The last seconds of one sensor's rows, and how many came late or never, counted while they pass.
+
+Frames are read there and back: a sensor that comes first in one frame comes last in the next, so that a row's neighbour
+may be anything up to two periods away, but the row after that is two periods away. Steps over two rows are therefore
+what is looked at. A frame that was missed makes two of them a period longer; one that is late by more than a quarter of
+a period makes one of them longer by that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Times = npt.NDArray[np.int64]
+Rows = Mapping[str, npt.NDArray[Any]]
+"""Columns of equal length by name, as a log has them."""
+
+MOST_ROWS = 1 << 16
+"""That a window holds, whatever its times say: 20 s at 3200 Hz."""
+
+STRIDE = 2
+"""Rows from one to the next that was read in the same order."""
+
+_LATE = 0.25
+"""Of a period."""
+_FEWEST = 8
+"""Rows from which a period is taken."""
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """Rows that came `late`, and twice the rows that are missing (each is seen in two steps)."""
+
+    late: int = 0
+    twice_missed: int = 0
+
+    def __add__(self, other: Gaps) -> Gaps:
+        return Gaps(self.late + other.late, self.twice_missed + other.twice_missed)
+
+    @property
+    def missed(self) -> int:
+        """Rows that are missing between others."""
+        return max(0, self.twice_missed // STRIDE)
+
+
+def period_of(time: Times) -> float:
+    """The usual distance in ns of neighbours among times (n,); 0 if there are too few."""
+    return float(np.median(time[STRIDE:] - time[:-STRIDE])) / STRIDE if len(time) >= _FEWEST else 0.0
+
+
+def gaps_of(time: Times, period_ns: float) -> Gaps:
+    """What the times (n,) of a sensor's rows say, where neighbours are usually `period_ns` apart."""
+    if period_ns <= 0 or len(time) <= STRIDE:
+        return Gaps()
+    periods = (time[STRIDE:] - time[:-STRIDE]) / period_ns
+    whole = np.rint(periods)
+    return Gaps(int((periods - whole > _LATE).sum()), int((whole - STRIDE).sum()))
+
+
+class Window:
+    """The rows of one sensor of the last `span_ns`: `rows`, columns by name; `period_ns` between two of them (0: too
+    few yet); `total` rows of the log so far, those before the window too; `gaps` of all rows that were added, and
+    `peak_lsb`, the largest magnitude of each column of counts in them.
+    """
+
+    def __init__(self, span_ns: int) -> None:
+        self._span_ns = span_ns
+        self.rows: Rows = {}
+        self.total = 0
+        self.first_ns: int | None = None
+        self.gaps = Gaps()
+        self.period_ns = 0.0
+        self.peak_lsb: npt.NDArray[np.float64] | None = None
+
+    @property
+    def time(self) -> Times:
+        """(n,) ns of the rows."""
+        return np.asarray(self.rows.get("time", np.empty(0, np.int64)))
+
+    def begins_behind(self, rows: int, first_ns: int) -> None:
+        """So many rows, the first of them at `first_ns`, are before those that will be added."""
+        self.total += rows
+        self.first_ns = first_ns if self.first_ns is None else self.first_ns
+
+    def add(self, rows: Rows) -> int:
+        """Take rows behind those that are there, and say how many; those that are not behind them are left out."""
+        known, new = self.time, np.asarray(rows["time"])
+        fresh = int(np.searchsorted(new, known[-1], side="right")) if len(known) else 0
+        count = len(new) - fresh
+        if not count:
+            return 0
+        self.total += count
+        self.first_ns = int(new[fresh]) if self.first_ns is None else self.first_ns
+        largest = np.abs(np.asarray(rows["counts"][fresh:], float)).max(axis=0)
+        self.peak_lsb = largest if self.peak_lsb is None else np.maximum(self.peak_lsb, largest)
+        joined = {
+            name: np.concatenate([self.rows[name], rows[name][fresh:]]) if self.rows else rows[name] for name in rows
+        }
+        self._count(np.asarray(joined["time"]), count)
+        start = int(np.searchsorted(joined["time"], int(new[-1]) - self._span_ns))
+        start = max(start, len(joined["time"]) - MOST_ROWS)
+        self.rows = {name: column[start:].copy() for name, column in joined.items()}  # not a view of all that came
+        return count
+
+    def _count(self, time: Times, count: int) -> None:
+        """Gaps among the last `count` rows; among all of them as soon as the period is known."""
+        known = self.period_ns > 0
+        self.period_ns = period_of(time)
+        self.gaps += gaps_of(time[-count - STRIDE :] if known else time, self.period_ns)
