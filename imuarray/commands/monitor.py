@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from contextlib import suppress
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
     from imuarray.monitor import Snapshot, Watch
 
-_HOME_AND_CLEAR = "\x1b[H\x1b[2J"
+_HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
+"""Where to write, and what to clear: what is written over does not flicker."""
 
 
 @click.command("monitor")
@@ -114,8 +116,13 @@ def _show_json(snapshot: Snapshot) -> None:
 
 
 def _show_text(snapshot: Snapshot, once: bool) -> None:
-    """On a terminal over what was there before."""
+    """On a terminal over what was there before, as much as there is room for."""
     from imuarray.monitor.text import lines_of
 
-    start = _HOME_AND_CLEAR if sys.stdout.isatty() and not once else ""
-    click.echo(start + "\n".join(lines_of(snapshot)), color=True if start else None)
+    lines = lines_of(snapshot)
+    if once or not sys.stdout.isatty():
+        click.echo("\n".join(lines))
+        return
+    room = shutil.get_terminal_size()
+    shown = [line[: room.columns] + _REST_OF_LINE for line in lines[: room.lines - 1]]
+    click.echo(_HOME + "\n".join(shown) + "\n" + _REST_OF_SCREEN, nl=False, color=True)

@@ -57,7 +57,7 @@ def figures(kinds: Iterable[Kind], theme: str, span_s: float) -> dict[str, Any]:
 
 def _figure(kind: Kind, theme: str, span_s: float) -> Any:
     """An empty figure; its data source is called "source"."""
-    from bokeh.models import ColumnDataSource, Range1d
+    from bokeh.models import ColumnDataSource, FixedTicker, Range1d
     from bokeh.plotting import figure
 
     over_time = kind.plot == "trace"
@@ -68,6 +68,9 @@ def _figure(kind: Kind, theme: str, span_s: float) -> Any:
         axes |= {"x_axis_type": "log", "y_axis_type": "log"}
     plot = figure(height=_HEIGHT, sizing_mode="stretch_width", tools="", toolbar_location=None, **axes)
     plot.min_border_right = _RIGHT
+    if not over_time:
+        plot.xaxis.ticker = plot.xgrid.ticker = FixedTicker(ticks=_ticks((1, 2, 5)))
+        plot.yaxis.ticker = plot.ygrid.ticker = FixedTicker(ticks=_ticks((1, 3)))
     source = ColumnDataSource({name: [] for name in (over, *kind.columns)}, name="source")
     for name, colour in zip(kind.columns, COLOURS[theme], strict=False):
         plot.line(over, name, source=source, color=colour, line_width=1.4)
@@ -75,6 +78,11 @@ def _figure(kind: Kind, theme: str, span_s: float) -> Any:
     plot.yaxis.axis_label = kind.unit if over_time else f"{kind.unit}/√Hz"
     _dress(plot, THEMES[theme])
     return plot
+
+
+def _ticks(steps: tuple[int, ...]) -> list[float]:
+    """Of an axis over decades."""
+    return [step * 10.0**decade for decade in range(-6, 7) for step in steps]
 
 
 def _dress(plot: Any, theme: Theme) -> None:

@@ -205,6 +205,10 @@ function row(sensor) {
     number(warm), number(whole(sensor.missed), sensor.missed > 0), make("td", {}, flags));
 }
 
+function rangeUsed(use, peak) {
+  return peak - use > 1 ? `${shown(use, 0)} %, peak ${shown(peak, 0)} %` : `${shown(use, 0)} % of range`;
+}
+
 function card(sensor) {
   const key = sensor.columns.join(",");
   const label = `${sensor.name}, ${LABELS[sensor.quantity] ?? sensor.quantity}`;
@@ -238,7 +242,7 @@ function sensors(now) {
     const uses = sensor.use_percent;
     const peaks = sensor.peak_use_percent;
     const smalls = sensor.columns.map((_, axis) => uses
-      ? `range ${shown(uses[axis], 0)} %, peak ${shown(peaks[axis], 0)} %` : `SD ${shown(sensor.sd[axis], digits + 1)}`);
+      ? rangeUsed(uses[axis], peaks[axis]) : `SD ${shown(sensor.sd[axis], digits + 1)}`);
     const values = sensor.mean.map((value) => `${shown(value, digits)} ${sensor.unit}`);
     node.querySelector(".now").replaceChildren(axes(sensor.columns, values, smalls, uses));
     const [trace, density] = node.querySelectorAll(".figure");

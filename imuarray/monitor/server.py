@@ -7,6 +7,7 @@ look. Nothing is written anywhere.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -102,25 +103,25 @@ def serve(
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or "bokeh", "monitor") from None
     wanted = "" if is_own(host) else (token or new_token())
-    sockets = _sockets(host, port)
+    listening = _socket(host, port)
     step_back()
     watch = Watch(path, calibration=calibration)
-    asyncio.run(_serve(sockets, Looks, watch, every_s, wanted, host, announce, parent))
+    asyncio.run(_serve(listening, watch, every_s, wanted, host, announce, parent))
 
 
-def _sockets(host: str, port: int) -> list[socket.socket]:
-    from tornado.netutil import bind_sockets
-
+def _socket(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        return bind_sockets(port, host)
+        found = socket.create_server((host.strip("[]"), port), family=family)
     except OSError as error:
-        why = error.strerror or str(error)
+        why = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
         raise ImuArrayError(f"{host}:{port}: can't serve there: {why}; choose another --port or --host") from None
+    found.setblocking(False)
+    return found
 
 
 async def _serve(
-    sockets: list[socket.socket],
-    looks_at: Callable[[Watch, float], Looks],
+    listening: socket.socket,
     watch: Watch,
     every_s: float,
     token: str,
@@ -132,12 +133,12 @@ async def _serve(
 
     from imuarray.monitor.handlers import application
 
-    looks = looks_at(watch, every_s)
+    looks = Looks(watch, every_s)
     server = HTTPServer(
         application(looks, token, files("imuarray.monitor")), max_body_size=1 << 10, max_header_size=1 << 14
     )
-    server.add_sockets(sockets)
-    announce(_address(host, sockets[0].getsockname()[1], token))
+    server.add_socket(listening)
+    announce(_address(host, listening.getsockname()[1], token))
     try:
         await _until_asked_to_end(looks, parent)
     finally:
@@ -156,8 +157,9 @@ async def _until_asked_to_end(looks: Looks, parent: int | None) -> None:
     """Ctrl-C ends it at once; where a page was looking a moment ago, SIGTERM and the end of `parent` a little later."""
     at_once, soon = asyncio.Event(), asyncio.Event()
     loop = asyncio.get_running_loop()
-    loop.add_signal_handler(signal.SIGINT, at_once.set)
-    loop.add_signal_handler(signal.SIGTERM, soon.set)
+    with contextlib.suppress(NotImplementedError):  # Windows: Ctrl-C ends it, with KeyboardInterrupt
+        loop.add_signal_handler(signal.SIGINT, at_once.set)
+        loop.add_signal_handler(signal.SIGTERM, soon.set)
     while not (at_once.is_set() or soon.is_set() or (parent is not None and os.getppid() != parent)):
         await asyncio.sleep(_STEP_S)
     end_s = time.monotonic() + LINGER_S

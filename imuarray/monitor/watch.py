@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count, takewhile
 from pathlib import Path
 
 from imuarray.calibrate import Calibration
@@ -22,9 +23,6 @@ from imuarray.monitor.source import Growing, Seen, Source, Whole, look
 
 SPAN_S = 10.0
 """The last seconds that are shown."""
-
-_MOST_TURNS = 1000
-"""Parts that are gone through at one look."""
 
 
 class Watch:
@@ -74,7 +72,7 @@ class Watch:
         if not rows or source.state != WRITTEN:
             if written and source.state != WRITTEN and not is_running(source.path):
                 self._there = look(source.path)
-            source = self._turned(source)
+            source = self._turned(source, written)
         self._fresh_s = now_s if rows else self._fresh_s
         source.backlog.step({name: window.period_ns for name, window in source.seen.windows.items()})
 
@@ -99,19 +97,24 @@ class Watch:
         self._source = _opened(path, Seen(self._span_ns))
         return self._source
 
-    def _turned(self, source: Source) -> Source:
-        """The next part, if the log goes on there: what was seen goes on with it."""
-        for _ in range(_MOST_TURNS):
-            following = _next_part(source.path)
-            if following is None or not _has_begun(following) or _epoch(following) != source.epoch:
-                break
-            self._there = look(following)
-            turned = _opened(following, source.seen if is_running(following) else Seen(self._span_ns))
-            source.close()
-            self._source = source = turned
-            self._remark = f"goes on in {following.name}"
-            source.read()
-        return source
+    def _turned(self, source: Source, followed: bool) -> Source:
+        """The part in which the log goes on. One that was `followed` while it was written is followed on, whatever
+        became of the next; what was seen goes on too, as long as no part is passed over.
+        """
+        parts = _parts_behind(source.path)
+        if not parts or not (followed or is_running(parts[-1])):
+            return source
+        parts = [part for part in parts if _has_begun(part) and _epoch(part) == source.epoch]
+        if not parts:
+            return source
+        goes_on = followed and is_running(parts[0])
+        part = parts[0] if goes_on else parts[-1]
+        self._there = look(part)
+        turned = _opened(part, source.seen if goes_on else Seen(self._span_ns))
+        source.close()
+        self._source, self._remark = turned, f"goes on in {part.name}"
+        turned.read()
+        return turned
 
     def close(self) -> None:
         """Let go of the files."""
@@ -130,10 +133,13 @@ def _opened(path: Path, seen: Seen) -> Source:
     return Growing(path, seen) if is_running(path) else Whole(path, seen)
 
 
-def _next_part(path: Path) -> Path | None:
-    """The part behind this one, None for what is no part."""
+def _parts_behind(path: Path) -> list[Path]:
+    """The parts that are there behind this one, in order; none for what is no part."""
     found = re.fullmatch(r"(.+)_(\d{3,})", path.stem)
-    return None if found is None else part_of(path.with_stem(found[1]), int(found[2]) + 1)
+    if found is None:
+        return []
+    named = (part_of(path.with_stem(found[1]), number) for number in count(int(found[2]) + 1))
+    return list(takewhile(Path.exists, named))
 
 
 def _has_begun(path: Path) -> bool:

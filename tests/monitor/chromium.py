@@ -90,12 +90,16 @@ async def browser(folder: Path, address: str) -> AsyncIterator[Browser]:
         pages = json.loads((await AsyncHTTPClient().fetch(f"http://127.0.0.1:{port}/json/list")).body)
         page = next(one for one in pages if one["type"] == "page")
         socket = await websocket_connect(page["webSocketDebuggerUrl"], max_message_size=1 << 26)
-        found = Browser(socket)
-        for domain in ("Page", "Runtime", "Log"):
-            await found.call(f"{domain}.enable")
-        await found.call("Page.navigate", url=address)
-        yield found
-        socket.close()
+        try:
+            found = Browser(socket)
+            for domain in ("Page", "Runtime", "Log"):
+                await found.call(f"{domain}.enable")
+            await found.call("Page.navigate", url=address)
+            yield found
+        finally:
+            socket.close()
+            while await socket.read_message() is not None:
+                pass
     finally:
         process.terminate()
         process.wait(20)

@@ -1,0 +1,165 @@
+"""The page's server: who is served, with which headers, and what it costs nobody to ask."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from imuarray.monitor.guard import HEADERS, is_own, new_token, refusal
+
+ROOT = Path(__file__).parents[2]
+
+
+class Answer(NamedTuple):
+    status: int
+    headers: dict[str, str]
+    text: str
+
+
+@contextmanager
+def served(path: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """The address of a page of the log at `path`, from a process of its own."""
+    program = [sys.executable, "-m", "imuarray", "monitor", str(path), "--port", "0", "--every", "0.2", *options]
+    process = subprocess.Popen(program, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip(), process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def asked(address: str, part: str = "", method: str = "GET", **headers: str) -> Answer:
+    base, _, query = address.partition("?")
+    url = f"{base}{part}" + (f"?{query}" if query else "")
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    try:
+        answer = urllib.request.urlopen(urllib.request.Request(url, headers=named, method=method), timeout=20)  # noqa: S310
+    except urllib.error.HTTPError as error:
+        answer = error
+    with answer:
+        return Answer(answer.status, dict(answer.headers.items()), answer.read().decode())
+
+
+@pytest.mark.parametrize(
+    ("token", "given", "host", "headers", "refused"),
+    [
+        ("", "", "127.0.0.1:8765", {}, None),
+        ("", "", "localhost:8765", {"Sec-Fetch-Site": "same-origin", "Origin": "http://localhost:8765"}, None),
+        ("", "", "[::1]:8765", {"Sec-Fetch-Site": "none"}, None),
+        ("", "", "[::1]", {}, None),
+        ("", "", "evil.example:8765", {}, "foreign name"),
+        ("", "", "127.0.0.1.evil.example", {}, "foreign name"),
+        ("", "", "127.0.0.1:8765", {"Sec-Fetch-Site": "cross-site"}, "another page"),
+        ("", "", "127.0.0.1:8765", {"Sec-Fetch-Site": "same-site"}, "another page"),
+        ("", "", "127.0.0.1:8765", {"Origin": "http://evil.example"}, "another page"),
+        ("", "", "127.0.0.1:8765", {"Origin": "null"}, "another page"),
+        ("right", "right", "pi.local:8765", {}, None),
+        ("right", "", "127.0.0.1:8765", {}, "token"),
+        ("right", "wrong", "pi.local:8765", {}, "token"),
+        ("right", "rightly", "pi.local:8765", {}, "token"),
+        ("right", "rïght", "pi.local:8765", {}, "token"),
+        ("right", "right", "pi.local:8765", {"Origin": "http://evil.example"}, "another page"),
+    ],
+)
+def test_who_is_served(token: str, given: str, host: str, headers: dict[str, str], refused: str | None) -> None:
+    why = refusal(token, given, host, headers)
+    assert why is None if refused is None else why is not None and refused in why
+
+
+@pytest.mark.parametrize(
+    ("host", "own"),
+    [("127.0.0.1", True), ("127.3.2.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("::", False),  # noqa: S104
+     ("192.168.1.5", False), ("raspberrypi", False), ("localhost.evil.example", False)],
+)  # fmt: skip
+def test_which_addresses_are_this_machines_own(host: str, own: bool) -> None:
+    assert is_own(host) == own
+
+
+def test_tokens_are_long_and_new() -> None:
+    tokens = {new_token() for _ in range(100)}
+    assert len(tokens) == 100
+    assert all(re.fullmatch(r"[\w-]{32}", token) for token in tokens)
+
+
+@pytest.mark.slow
+def test_the_page_on_this_machine(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
+    logger.go_on(3.0)
+    with served(log_path) as (address, process):
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
+        page = asked(address)
+        assert page.status == 200
+        assert {name: page.headers[name] for name in HEADERS} == dict(HEADERS)
+        assert "Access-Control-Allow-Origin" not in page.headers
+        assert "unsafe-eval" not in page.headers["Content-Security-Policy"]
+        parts = re.findall(r'(?:src|href)="([^"]+)"', page.text)
+        assert sorted(parts) == ["bokeh.min.js", "data:,", "page.css", "page.js"]  # nothing from elsewhere
+        assert [asked(address, part).status for part in ("page.css", "page.js", "bokeh.min.js")] == [200, 200, 200]
+        first = json.loads(asked(address, "snapshot.json").text)
+        assert (first["state"], [one["name"] for one in first["sensors"]]) == (
+            "being written", ["Acc", "Turned", "Gyro", "Baro"],
+        )  # fmt: skip
+        figures = json.loads(asked(address, "figures.json").text)
+        assert {"trace|x,y,z|g", "density|x,y,z|mg", "trace|pressure|hPa"} <= set(figures)
+        logger.go_on(1.0)
+        time.sleep(0.3)
+        assert json.loads(asked(address, "snapshot.json").text)["sensors"][0]["rows"] == 400
+        with pytest.raises(urllib.error.URLError, match="refused"):  # no other address, not even another of its own
+            asked(address.replace("127.0.0.1", "127.0.0.2"))
+        assert asked(address, "snapshot.json", Host="evil.example").status == 403
+        assert asked(address, "snapshot.json", Origin="http://evil.example").status == 403
+        assert asked(address, "snapshot.json", method="POST").status == 405
+        assert asked(address, "../pyproject.toml").status == 404
+        assert asked(address, "page.html").status == 404
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+        assert process.stderr is not None and process.stderr.read() == ""
+
+
+@pytest.mark.slow
+def test_another_address_wants_the_token(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
+    logger.go_on(1.0)
+    with served(log_path, "--host", "0.0.0.0") as (printed, _):  # noqa: S104
+        found = re.fullmatch(r"http://[^/]+:(\d+)/\?token=([\w-]{32})", printed)
+        assert found is not None
+        address = f"http://127.0.0.1:{found[1]}/"
+        for part in ("", "page.js", "snapshot.json", "figures.json", "nothing"):
+            assert asked(address, part).status == 403
+            assert asked(f"{address}?token={found[2][:-1]}", part).status == 403
+        page = asked(f"{address}?token={found[2]}")
+        assert page.status == 200 and f"page.js?token={found[2]}" in page.text
+        assert asked(f"{address}?token={found[2]}", "snapshot.json").status == 200
+
+
+@pytest.mark.slow
+def test_a_page_beside_a_logger_ends_with_it(log_path: Path) -> None:
+    """It is told where it is, on standard error, and no process is left."""
+    program = (
+        "import sys, time, pathlib\n"
+        "from imuarray.monitor.beside import page_beside\n"
+        "with page_beside(pathlib.Path(sys.argv[1]), port=0):\n"
+        "    print('inside', flush=True); sys.stdin.readline()\n"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", program, str(log_path)], cwd=ROOT, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert child.stderr is not None and child.stdin is not None
+    address = child.stderr.readline().strip()
+    assert json.loads(asked(address, "snapshot.json").text)["state"] == "waiting"
+    out, err = child.communicate("\n", timeout=30)
+    assert (child.returncode, out, err) == (0, "inside\n", "")
+    with pytest.raises(urllib.error.URLError):
+        asked(address)

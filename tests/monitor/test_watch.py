@@ -1,0 +1,335 @@
+"""What is to be seen of a log that is written, ended, interrupted, cut into parts, or replaced."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import imuarray.log.writer as writing
+from imuarray.calibrate import Calibration
+from imuarray.fuse import FusedBlock, write_fused
+from imuarray.log import LogWriter, RotatingWriter
+from imuarray.log.finish import recover
+from imuarray.log.format import Event, Phase
+from imuarray.monitor import SensorView, Snapshot, Watch
+from imuarray.monitor.notes import KEPT
+from tests.monitor.conftest import EPOCH, HEADERS, Logger, rows
+
+GRAVITY = 9.80665
+
+
+def sensor(snapshot: Snapshot, name: str) -> SensorView:
+    return next(view for view in snapshot.sensors if view.name == name)
+
+
+def test_a_log_that_is_not_there_yet_is_waited_for(log_path: Path) -> None:
+    with Watch(log_path) as watch:
+        first = watch.refresh(0.0)
+        assert (first.state, first.sensors) == ("waiting", ())
+        assert "not there yet" in first.remark
+        with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
+            writer.keep()
+            Logger(writer).go_on(1.0)
+            assert watch.refresh(1.0).state == "being written"
+
+
+def test_sensors_in_their_units_while_they_are_written(logger: Logger, log_path: Path) -> None:
+    logger.go_on(4.0)
+    with Watch(log_path) as watch:
+        seen = watch.refresh(100.0)
+    assert (seen.state, seen.source, seen.epoch) == ("being written", "emulated", EPOCH)
+    assert [view.name for view in seen.sensors] == ["Acc", "Turned", "Gyro", "Baro"]
+    acc, gyro, baro = (sensor(seen, name) for name in ("Acc", "Gyro", "Baro"))
+    np.testing.assert_allclose(acc.mean, [0.25, -0.5, 1.0], atol=1e-5)
+    np.testing.assert_allclose(gyro.mean, [10.0, -5.0, 2.5], atol=1e-3)
+    np.testing.assert_allclose(acc.sd, 1 / 2048, rtol=2e-3)  # a count up and down
+    assert (acc.unit, gyro.unit, baro.unit) == ("g", "dps", "hPa")
+    np.testing.assert_allclose(baro.mean, [1002.5])
+    assert acc.use is not None and acc.peak_use is not None
+    np.testing.assert_allclose(acc.use, [513 / 8192, 1025 / 8192, 2049 / 8192])
+    np.testing.assert_allclose(acc.peak_use, acc.use)
+    assert (acc.temperature_degc, acc.relative) == (28.0, False)  # BMA-63: 24 degC, half a degree a count
+    assert (gyro.temperature_degc, gyro.relative) == (-20.0, True)
+    assert (baro.temperature_degc, baro.relative, baro.use) == (21.5, False, None)
+    assert acc.rate_hz == pytest.approx(100) and baro.rate_hz == pytest.approx(4)
+    assert (acc.rows, baro.rows) == (400, 16)
+
+
+def test_the_spectrum_holds_the_variance(logger: Logger, log_path: Path) -> None:
+    logger.go_on(10.0)
+    with Watch(log_path) as watch:
+        spectrum = sensor(watch.refresh(0.0), "Acc").spectrum
+    assert spectrum is not None
+    assert spectrum.frequency_hz[-1] == pytest.approx(50)
+    power = spectrum.density.sum(axis=0) * spectrum.resolution_hz  # Parseval: a count squared, all of it at 50 Hz
+    np.testing.assert_allclose(power, 1 / 2048**2, rtol=0.35)
+    assert (spectrum.density.argmax(axis=0) == len(spectrum.frequency_hz) - 1).all()
+
+
+def test_all_sensors_average_to_what_both_tell(logger: Logger, log_path: Path) -> None:
+    logger.go_on(3.0)
+    with Watch(log_path) as watch:
+        fused = watch.refresh(0.0).fused
+    assert fused is not None and not fused.calibrated and fused.technique == "mean"
+    np.testing.assert_allclose(fused.mean["specific_force"], np.array([0.25, -0.5, 1.0]) * GRAVITY, atol=5e-3)
+    np.testing.assert_allclose(fused.mean["angular_rate"], np.radians([10.0, -5.0, 2.5]), atol=2e-4)
+    swing = np.radians(0.02)  # a count of 0.01 dps up and down: neighbours differ by two
+    np.testing.assert_allclose(fused.noise["angular_rate"], swing / math.sqrt(2), rtol=0.01)
+
+
+def test_a_fused_file_beside_it_is_shown_instead(logger: Logger, log_path: Path) -> None:
+    logger.go_on(3.0)
+    time = np.arange(300, dtype=np.int64) * 10_000_000
+    block = FusedBlock(time, {"angular_rate": np.tile([1.0, 2.0, 3.0], (300, 1))})
+    fused_path = log_path.with_name("run_fused.h5")
+    write_fused(fused_path, [block], epoch=EPOCH, technique="optimal", log="run.h5")
+    with Watch(log_path, span_s=2.0) as watch:
+        fused = watch.refresh(0.0).fused
+        assert fused is not None and fused.technique == "optimal"
+        assert fused.mean["angular_rate"].tolist() == [1.0, 2.0, 3.0]
+        assert fused.time[0] == 990_000_000
+        write_fused(fused_path, [block], epoch="2020-01-01T00:00:00Z", technique="optimal", log="x.h5", force=True)
+        other = watch.refresh(1.0).fused
+        assert other is not None and other.technique == "mean"  # that is another log's
+
+
+def test_a_calibration_that_does_not_fit_is_told(logger: Logger, log_path: Path) -> None:
+    from imuarray.calibrate.model import nominal
+    from imuarray.log import open_log
+
+    logger.go_on(1.0)
+    with open_log(log_path) as log:
+        wrong = Calibration({"Acc": nominal(log["Gyro"])})
+    with Watch(log_path, calibration=wrong) as watch:
+        seen = watch.refresh(0.0)
+    assert seen.fused is None
+    assert seen.not_fused == f"{log_path}, sensor Acc: calibrated as angular_rate in dps, logged as specific_force"
+    assert len(seen.sensors) == 4
+
+
+def test_frames_are_missing_from_all_and_readings_from_one(logger: Logger, log_path: Path) -> None:
+    logger.go_on(5.0)
+    logger.now_s += 0.05  # five frames
+    logger.go_on(2.0)
+    with Watch(log_path, span_s=3.0) as watch:
+        assert watch.refresh(0.0).missed == 5
+        logger.go_on(0.1, without=("Gyro",))
+        logger.go_on(2.0)
+        seen = watch.refresh(1.0)
+    assert (seen.missed, seen.late, seen.counted) == (5, 0, 1.0)
+    assert [view.missed for view in seen.sensors] == [5, 5, 15, 0]
+    assert seen.rate_hz == pytest.approx(100, rel=1e-3)
+
+
+def test_a_look_costs_what_came_since(log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reader that begins late does not read the journal from its start, yet knows all rows, gaps and events."""
+    monkeypatch.setattr(writing, "CHUNK", 256)
+    with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
+        writer.keep()
+        logger = Logger(writer)
+        writer.begins(Phase(0, 1 << 60, "static"))
+        writer.event(Event(1, "Acc", "lost", "no reading"))
+        logger.go_on(20.0)
+        logger.now_s += 0.03
+        for _ in range(20):
+            logger.go_on(1.0)
+        decoded: list[int] = []
+        from imuarray.log.journal import JournalReader
+
+        whole = JournalReader.records
+
+        def counted(self, start=None, newest_ns=None):  # type: ignore[no-untyped-def]
+            for record in whole(self, start, newest_ns):
+                decoded.append(record.rows)
+                yield record
+
+        monkeypatch.setattr(JournalReader, "records", counted)
+        with Watch(log_path, span_s=5.0) as watch:
+            seen = watch.refresh(0.0)
+            assert sum(decoded) < 3 * 1100
+            decoded.clear()
+            logger.go_on(1.0)
+            seen = watch.refresh(1.0)
+            assert sum(decoded) == 3 * 100 + 4
+    assert [view.rows for view in seen.sensors] == [4100, 4100, 4100, 164]
+    assert (seen.missed, seen.counted, seen.begins_ns) == (3, 1.0, 0)
+    assert (dict(seen.events or {}), seen.problems, seen.phase) == ({"lost": 1}, 1, "static")
+    assert len(sensor(seen, "Acc").time) == 501
+
+
+def test_events_are_counted_and_the_last_are_kept(logger: Logger, log_path: Path) -> None:
+    logger.go_on(0.5)
+    with Watch(log_path) as watch:
+        watch.refresh(0.0)
+        for number in range(KEPT + 20):
+            logger.writer.event(Event(number, "Acc", "stale", f"number {number}"))
+        logger.writer.event(Event(99, "Acc", "back", "answers again"))
+        logger.writer.flush()
+        seen = watch.refresh(1.0)
+    assert dict(seen.events or {}) == {"stale": KEPT + 20, "back": 1}
+    assert seen.problems == KEPT + 20
+    assert len(seen.recent) == KEPT and seen.recent[0].kind == "back"
+
+
+def test_quiet_time_and_room(logger: Logger, log_path: Path) -> None:
+    logger.go_on(2.0)
+    with Watch(log_path) as watch:
+        watch.refresh(10.0)
+        seen = watch.refresh(17.5)
+        assert (seen.state, seen.quiet_s) == ("being written", 7.5)
+        logger.go_on(1.0)
+        seen = watch.refresh(18.0)
+        assert seen.quiet_s == 0
+    disk = seen.disk
+    assert disk is not None and disk.left_s is not None
+    # time 8, counts 6, status 2, thermometer 2 bytes: at 100 Hz 18, 16 and 18; the barometer's 34 at 4 Hz; twice
+    assert disk.bytes_per_s == pytest.approx(2 * (100 * (18 + 16 + 18) + 4 * 34), rel=1e-3)
+    assert disk.left_s == pytest.approx((disk.free_bytes - (64 << 20)) / disk.bytes_per_s)
+
+
+def test_the_end_is_seen_with_the_last_rows(log_path: Path) -> None:
+    watch = Watch(log_path)
+    with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
+        writer.keep()
+        logger = Logger(writer)
+        logger.go_on(2.0)
+        assert watch.refresh(0.0).state == "being written"
+        logger.go_on(1.0)
+    watch.refresh(1.0)
+    ended = watch.refresh(2.0)
+    again = watch.refresh(3.0)
+    watch.close()
+    assert (ended.state, again.state) == ("finished", "finished")
+    assert sensor(ended, "Acc").rows == sensor(again, "Acc").rows == 300
+    with Watch(log_path) as late:
+        fresh = late.refresh(0.0)
+    assert (fresh.state, fresh.missed, sensor(fresh, "Acc").rows) == ("finished", 0, 300)
+    np.testing.assert_allclose(sensor(fresh, "Acc").values, sensor(ended, "Acc").values)
+
+
+def test_another_log_of_that_name_is_begun_anew(log_path: Path) -> None:
+    watch = Watch(log_path)
+    for number, seconds in enumerate((3.0, 1.0)):
+        with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, force=True) as writer:
+            writer.keep()
+            Logger(writer).go_on(seconds)
+            for step in range(3):
+                seen = watch.refresh(10.0 * number + step)
+            assert (seen.state, sensor(seen, "Acc").rows) == ("being written", 100 * seconds)
+    watch.close()
+
+
+def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
+    program = (
+        "import sys, time; from pathlib import Path; from tests.monitor.conftest import *\n"
+        "writer = LogWriter(Path(sys.argv[1]), HEADERS, source='emulated', epoch=EPOCH); writer.keep()\n"
+        "Logger(writer).go_on(2.0); print('written', flush=True); time.sleep(60)\n"
+    )
+    root = Path(__file__).parents[2]
+    child = subprocess.Popen(
+        [sys.executable, "-c", program, str(log_path)], cwd=root, stdout=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": str(root)},
+    )  # fmt: skip
+    try:
+        assert child.stdout is not None and child.stdout.readline() == b"written\n"
+        watch = Watch(log_path)
+        assert watch.refresh(0.0).state == "being written"
+    finally:
+        child.send_signal(signal.SIGKILL)
+        child.wait(20)
+        child.stdout.close() if child.stdout else None
+    left = watch.refresh(1.0)
+    assert (left.state, sensor(left, "Gyro").rows) == ("interrupted", 200)
+    with Watch(log_path) as late:
+        fresh = late.refresh(0.0)
+        assert (fresh.state, sensor(fresh, "Gyro").rows) == ("interrupted", 200)
+    recover(log_path)
+    finished = watch.refresh(2.0)
+    watch.close()
+    assert (finished.state, dict(finished.events or {})) == ("finished", {"recovered": 1})
+
+
+def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
+    path = tmp_path / "night.h5"
+    watch = Watch(path)
+    names, total = [], 0
+    with RotatingWriter(path, HEADERS, every_s=2.0, source="emulated", epoch=EPOCH) as writer:
+        writer.keep()
+        writer.starts(0)
+        for second in range(5):
+            for header in HEADERS:
+                writer.append(
+                    header.name, rows(header.name, second, 1.0, 250_000_000 if header.name == "Baro" else 10_000_000)
+                )
+            writer.flush()
+            for _ in range(3):
+                seen = watch.refresh(float(second))
+            names.append(seen.path.name)
+            total += 100
+            assert (seen.state, sensor(seen, "Acc").rows, seen.missed) == ("being written", total, 0)
+            assert len(sensor(seen, "Acc").time) == total  # the last seconds go on over the cut
+    watch.close()
+    assert sorted(set(names)) == [f"night_00{number}.h5" for number in (1, 2, 3)]
+    assert seen.remark == "goes on in night_003.h5"
+    with Watch(path) as late:
+        assert late.refresh(0.0).path.name == "night_003.h5"
+        assert late.refresh(1.0).remark == ""
+    with Watch(tmp_path / "night_001.h5") as first:  # nobody writes any of it: that part was asked for
+        assert first.refresh(0.0).path.name == "night_001.h5"
+
+
+def test_of_a_log_that_goes_on_its_newest_part_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "night.h5"
+    with RotatingWriter(path, HEADERS, every_s=1.0, source="emulated", epoch=EPOCH) as writer:
+        writer.keep()
+        writer.starts(0)
+        for second in range(3):
+            for header in HEADERS:
+                writer.append(header.name, rows(header.name, second, 1.0))
+        writer.flush()
+        for asked in (path, tmp_path / "night_001.h5"):
+            with Watch(asked) as watch:  # the parts before may be being finished just now
+                seen = next(seen for step in range(500) if (seen := watch.refresh(step)).path.name == "night_003.h5")
+            assert (seen.path.name, seen.state) == ("night_003.h5", "being written")
+
+
+def test_a_part_of_another_recording_is_not_followed(tmp_path: Path) -> None:
+    for number, epoch in ((1, EPOCH), (2, "2020-01-01T00:00:00Z")):
+        with LogWriter(tmp_path / f"run_00{number}.h5", HEADERS, source="emulated", epoch=epoch) as writer:
+            Logger(writer).go_on(1.0)
+    with Watch(tmp_path / "run_001.h5") as watch:
+        assert watch.refresh(0.0).path.name == "run_001.h5"
+
+
+def test_what_is_no_log_is_told(tmp_path: Path, log_path: Path) -> None:
+    log_path.write_bytes(b"no log at all")
+    with Watch(log_path) as watch:
+        seen = watch.refresh(0.0)
+        assert (seen.state, seen.sensors) == ("waiting", ())
+        assert "is no HDF5 file" in seen.remark
+        log_path.unlink()
+        with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
+            Logger(writer).go_on(1.0)
+        assert watch.refresh(1.0).state == "finished"
+    shutil.rmtree(tmp_path)
+    with Watch(log_path) as gone:
+        assert gone.refresh(0.0).state == "waiting"
+
+
+def test_a_sensor_without_rows_is_shown_as_such(logger: Logger, log_path: Path) -> None:
+    logger.go_on(2.0, without=("Acc", "Baro"))
+    with Watch(log_path) as watch:
+        seen = watch.refresh(0.0)
+    silent = sensor(seen, "Acc")
+    assert (silent.rows, silent.rate_hz, silent.use, silent.spectrum) == (0, 0.0, None, None)
+    assert np.isnan(silent.mean).all()
+    assert seen.fused is not None
+    assert sensor(seen, "Baro").rows == 0
