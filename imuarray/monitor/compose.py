@@ -47,7 +47,7 @@ def snapshot_of(source: Source, calibration: Calibration, remark: str, quiet_s: 
         quiet_s=max(0.0, quiet_s),
         rate_hz=float(np.median([view.rate_hz for view in frames])) if frames else 0.0,
         late=min((view.late for view in frames), default=0),
-        missed=min((view.missed for view in frames), default=0),
+        missed=max(told.missed, min((view.missed for view in frames), default=0)),
         counted=source.backlog.counted,
         events=told.kinds,
         problems=told.problems,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -20,6 +21,8 @@ KEPT = 50
 HARMLESS = frozenset({"back", "reconfigured", "clock", "start_up", "recovered"})
 """Kinds of events that tell of no trouble, or of its end."""
 
+_MISSED = re.compile(r"(in all )?(\d+) frames? missed")
+
 _MOST_BYTES = 1 << 20
 """Of earlier notes that are read, the last ones: some ten thousand events."""
 
@@ -31,6 +34,10 @@ class Told:
         self._kinds: Counter[str] = Counter()
         self._last: deque[Event] = deque(maxlen=KEPT)
         self._on: dict[tuple[int, str], None] = {}
+        self.missed = 0
+        """Frames that events tell to have been missed. A machine that is too slow all the time misses frames that the
+        times of its rows don't show: they come evenly, only too seldom."""
+        self._missed_first = 0
         self.complete = True
         """Whether all notes of the log were taken; False where there were too many before."""
 
@@ -61,6 +68,10 @@ class Told:
         for event in events:
             self._kinds[event.kind] += 1
             self._last.append(event)
+            if event.kind == "late" and not event.sensor and (told := _MISSED.match(event.message)):
+                frames = int(told[2])  # "in all" holds what was told when it began
+                self.missed += frames - (self._missed_first if told[1] else 0)
+                self._missed_first = 0 if told[1] else frames
 
     @property
     def kinds(self) -> Mapping[str, int]:

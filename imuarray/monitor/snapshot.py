@@ -81,7 +81,8 @@ class Snapshot:
 
     `state` is one of the four above, `remark` what else is to be said of it ("" nothing). `begins_ns` and `ends_ns` are
     the first and the last time in it, since `epoch`; `quiet_s` how long nothing came. `rate_hz`, `late` and `missed`
-    are of frames; `counted` is the share of the log that was counted so far. `events` by kind, of which `problems` tell
+    are of frames (late by more than a quarter of a period; missed by the times of the rows, or more if events say so);
+    `counted` is the share of the log that was counted so far. `events` by kind, of which `problems` tell
     of trouble; `recent` are the last ones, the newest first. `took_s` is what it took to look.
     """
 

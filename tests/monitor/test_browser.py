@@ -64,7 +64,7 @@ def test_the_page_says_that_the_monitor_is_gone_and_comes_back_with_it(log_path:
     writer = LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH)
     writer.keep()
     Logger(writer).go_on(2.0)
-    state = "document.getElementById('state-text').textContent"
+    state = "document.getElementById('state-text')?.textContent"
 
     async def visit(address: str, port: str) -> None:
         async with browser(tmp_path / "profile", address) as page:

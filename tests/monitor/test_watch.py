@@ -179,6 +179,19 @@ def test_events_are_counted_and_the_last_are_kept(logger: Logger, log_path: Path
     assert len(seen.recent) == KEPT and seen.recent[0].kind == "back"
 
 
+def test_a_machine_that_is_too_slow_all_the_time_tells_what_it_missed(logger: Logger, log_path: Path) -> None:
+    """Its rows come evenly: only the events know."""
+    logger.go_on(4.0)
+    why = "frames missed: the one before ended too late"
+    for number, text in enumerate((f"3 {why}", "in all 40 frames missed in 2.1 s", f"2 {why}", "1 frame missed: so")):
+        logger.writer.event(Event(number, "", "late", text))
+    logger.writer.event(Event(9, "Acc", "late", f"7 {why}"))
+    logger.writer.flush()
+    with Watch(log_path) as watch:
+        seen = watch.refresh(0.0)
+    assert (seen.missed, sensor(seen, "Acc").missed) == (43, 0)
+
+
 def test_quiet_time_and_room(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0)
     with Watch(log_path) as watch:
