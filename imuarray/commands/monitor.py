@@ -92,7 +92,7 @@ def _look_on(run: Path, calibration: Calibration | None, every_s: float, *, as_j
         while True:
             snapshot = _counted(watch) if once else watch.refresh(time.monotonic())
             _show_json(snapshot) if as_json else _show_text(snapshot, once)
-            if once or snapshot.state in ("finished", "interrupted"):
+            if once or (snapshot.state in ("finished", "interrupted") and snapshot.counted == 1.0):
                 return
             time.sleep(every_s)
 

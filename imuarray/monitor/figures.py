@@ -57,7 +57,7 @@ def figures(kinds: Iterable[Kind], theme: str, span_s: float) -> dict[str, Any]:
 
 def _figure(kind: Kind, theme: str, span_s: float) -> Any:
     """An empty figure; its data source is called "source"."""
-    from bokeh.models import ColumnDataSource, FixedTicker, Range1d
+    from bokeh.models import BasicTickFormatter, ColumnDataSource, FixedTicker, Range1d
     from bokeh.plotting import figure
 
     over_time = kind.plot == "trace"
@@ -70,6 +70,7 @@ def _figure(kind: Kind, theme: str, span_s: float) -> Any:
     plot.min_border_right = _RIGHT
     if not over_time:
         plot.xaxis.ticker = plot.xgrid.ticker = FixedTicker(ticks=_ticks((1, 2, 5)))
+        plot.axis.formatter = BasicTickFormatter(use_scientific=False)
         plot.yaxis.ticker = plot.ygrid.ticker = FixedTicker(ticks=_ticks((1, 3)))
     source = ColumnDataSource({name: [] for name in (over, *kind.columns)}, name="source")
     for name, colour in zip(kind.columns, COLOURS[theme], strict=False):

@@ -41,7 +41,8 @@ function write(node, text) {
 // ---- figures -------------------------------------------------------------------------------------------------------
 
 let figures = null;
-let asked = false;
+let colours = 0; // counts changes of the theme: what was begun before one is done again
+let asked = -1;
 const slots = new Map();
 if (typeof Bokeh !== "undefined") Bokeh.set_log_level("error"); // it warns of figures that have no data yet
 
@@ -57,44 +58,56 @@ const seen = new IntersectionObserver((entries) => {
 
 function figure(key, label) {
   const node = make("div", { class: "figure", role: "img", "aria-label": label });
-  slots.set(node, { node, key, visible: false, source: null, data: null, busy: false });
+  slots.set(node, { node, key, visible: false, data: null, busy: false, place: null, colours: -1 });
   seen.observe(node);
   return node;
 }
 
 async function fetchFigures() {
-  if (asked) return;
-  asked = true;
+  if (asked === colours) return;
+  const mine = asked = colours;
   try {
-    const theme = dark.matches ? "dark" : "light";
-    const parts = `theme=${theme}`;
-    const answer = await fetch(`figures.json${query ? `${query}&${parts}` : `?${parts}`}`);
-    if (answer.ok) figures = await answer.json();
-  } finally {
-    asked = false;
+    const theme = `theme=${dark.matches ? "dark" : "light"}`;
+    const answer = await fetch(`figures.json${query ? `${query}&${theme}` : `?${theme}`}`);
+    const found = answer.ok ? await answer.json() : null;
+    if (mine === colours) figures = found;
+  } catch (error) {
+    console.warn(error);
   }
-  for (const slot of slots.values()) draw(slot);
+  if (!figures && asked === mine) asked = -1; // once more, with the next snapshot
+  slots.forEach(draw);
+}
+
+function take(slot) {
+  if (slot.place) Bokeh.documents.splice(Bokeh.documents.indexOf(slot.place), 1);
+  slot.place = null;
+  slot.node.replaceChildren();
+}
+
+async function embed(slot) {
+  const mine = colours;
+  slot.busy = true;
+  try {
+    take(slot);
+    const views = await Bokeh.embed.embed_item(structuredClone(figures[slot.key]), slot.node);
+    slot.place = [...views][0].model.document;
+    slot.colours = mine;
+  } finally {
+    slot.busy = false;
+  }
 }
 
 async function draw(slot) {
   if (!slot.visible || slot.busy || !slot.data || typeof Bokeh === "undefined") return;
-  if (!slot.source) {
-    if (!figures || !figures[slot.key]) {
-      if (!figures) fetchFigures();
-      return;
-    }
-    slot.busy = true;
-    slot.node.replaceChildren();
-    const views = await Bokeh.embed.embed_item(structuredClone(figures[slot.key]), slot.node);
-    const place = [...views][0].model.document;
-    slot.source = place.get_model_by_name("source");
-    slot.ranges = ["x", "y"].map((name) => place.get_model_by_name(name));
-    slot.busy = false;
+  while (slot.colours !== colours) {
+    if (!figures) fetchFigures();
+    if (!figures || !figures[slot.key]) return;
+    await embed(slot);
   }
   const data = {};
   for (const [name, column] of Object.entries(slot.data)) data[name] = column.map((one) => (one === null ? NaN : one));
-  slot.source.data = data;
-  if (data.f) decades(slot.ranges, data);
+  slot.place.get_model_by_name("source").data = data;
+  if (data.f) decades(["x", "y"].map((name) => slot.place.get_model_by_name(name)), data);
 }
 
 // Whole decades, so that the axes of a spectrum stand still.
@@ -114,15 +127,21 @@ function feed(node, data) {
 }
 
 function forgetFigures() {
+  colours += 1;
   figures = null;
-  for (const slot of slots.values()) {
-    slot.source = null;
-    slot.node.replaceChildren();
-  }
-  if (typeof Bokeh !== "undefined") Bokeh.documents.splice(0).forEach((one) => one.clear());
   fetchFigures();
 }
 dark.addEventListener("change", forgetFigures);
+
+// Other cards in the place of those that are there.
+function deal(box, cards) {
+  for (const node of box.querySelectorAll(".figure")) {
+    seen.unobserve(node);
+    if (slots.get(node).place) take(slots.get(node));
+    slots.delete(node);
+  }
+  box.replaceChildren(...cards);
+}
 
 // ---- what is shown -------------------------------------------------------------------------------------------------
 
@@ -176,7 +195,7 @@ function fused(now) {
   const signature = quantities.map(([name]) => name).join();
   if (box.dataset.holds !== signature) {
     box.dataset.holds = signature;
-    box.replaceChildren(...quantities.map(([name, one]) => make("article", { class: "card" },
+    deal(box, quantities.map(([name, one]) => make("article", { class: "card" },
       make("div", { class: "head" }, make("h3", {}, LABELS[name] ?? name), make("span", {}, one.unit)),
       make("div", { class: "now" }),
       figure(`trace|x,y,z|${one.unit}`, `${LABELS[name] ?? name}, fused, over the last seconds; its values stand above`))));
@@ -230,7 +249,7 @@ function sensors(now) {
   const signature = now.sensors.map((sensor) => `${sensor.name}|${sensor.unit}|${sensor.columns}`).join();
   if (box.dataset.holds !== signature) {
     box.dataset.holds = signature;
-    box.replaceChildren(...now.sensors.map(card));
+    deal(box, now.sensors.map(card));
     if (figures) forgetFigures();
   }
   now.sensors.forEach((sensor, index) => {

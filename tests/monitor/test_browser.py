@@ -10,6 +10,7 @@ import pytest
 
 from imuarray.log import LogWriter
 from imuarray.log.format import Event
+from imuarray.monitor.figures import THEMES
 from tests.monitor.chromium import CHROMIUM, browser
 from tests.monitor.conftest import ACC, EPOCH, HEADERS, Logger, rows
 from tests.monitor.test_server import served
@@ -19,10 +20,13 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no 
 DRAWN = """(() => {
   const canvases = (node) => [...node.querySelectorAll('*')].reduce(
     (sum, one) => sum + (one.tagName === 'CANVAS') + (one.shadowRoot ? canvases(one.shadowRoot) : 0), 0);
-  const fed = Bokeh.documents.filter((one) => one.get_model_by_name('source').data.x?.length > 10);
+  const data = (one) => one.get_model_by_name('source').data;
+  const fed = Bokeh.documents.filter((one) => (data(one).t ?? data(one).f).length > 10);
   return Math.min(fed.length, [...document.querySelectorAll('.figure')].filter((one) => canvases(one) > 0).length);
 })()"""
 """Figures that have data, and canvases on which to draw them."""
+LIGHT = f"""Bokeh.documents.every((one) => JSON.stringify(
+  one.roots()[0].below[0].major_label_text_color).includes('{THEMES["light"].text}'))"""
 ROWS = "document.querySelectorAll('#sensors tbody tr').length"
 NEWEST = "document.querySelector('#tiles .more').textContent"
 
@@ -54,6 +58,10 @@ def test_the_page_shows_the_log_and_changes_with_it(logger: Logger, log_path: Pa
             for width in (1366, 390):  # nothing sticks out of a laptop's or a phone's screen
                 await page.screen(width, 800, dark=True)
                 assert await page.value("document.documentElement.scrollWidth") <= width
+            for dark in (False, True, False, True, False):  # as fast as it goes: no figure keeps the other's colours
+                await page.screen(1366, 2500, dark=dark)
+            await page.until(f"Bokeh.documents.length === 9 && {LIGHT}")
+            await page.until(f"{DRAWN} === 9")
             assert page.said == []
 
     with served(log_path) as (address, _):
