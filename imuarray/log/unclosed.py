@@ -2,7 +2,9 @@
 
 Its superblock says that it is open for writing, so HDF5 refuses it, unless it is opened as a reader beside a living
 writer (SWMR). But such a reader waits for damage to go away, twice as long each time, for ever in the end; and after a
-power cut nobody is there to repair it. So HDF5 is shown the file with that one flag cleared.
+power cut nobody is there to repair it. So HDF5 is shown the file with that one flag cleared, and with the end that it
+really has: the superblock tells the one that it had at the last flush of the whole file, and behind that may stand a
+chunk that was flushed alone.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from imuarray.log.heaps import Inspected
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _FLAGS = 11
+_END = slice(28, 36)
 _LENGTH = 44
 """Bytes of a superblock of version 3 with 8-byte addresses; its check sum follows (HDF5 file format, II.A)."""
 
@@ -31,7 +34,7 @@ def _is_version_3(head: bytes) -> bool:
 
 
 class Unclosed(Inspected):
-    """The bytes of a file, with the flags in its superblock cleared; for h5py's driver for Python files."""
+    """The bytes of a file, its superblock without flags and with its real end; for h5py's driver for Python files."""
 
     def __init__(self, path: Path, *, looks: bool = True) -> None:
         """`looks` as of `Inspected`."""
@@ -39,7 +42,9 @@ class Unclosed(Inspected):
         head = os.pread(self._file.fileno(), _LENGTH + 4, 0)
         self._head = head
         if _is_version_3(head[:_LENGTH]) and head[_LENGTH:] == _checksum(head[:_LENGTH]):
-            cleared = head[:_FLAGS] + b"\0" + head[_FLAGS + 1 : _LENGTH]
+            end = max(int.from_bytes(head[_END], "little"), os.fstat(self._file.fileno()).st_size)
+            ended = head[_FLAGS + 1 : _END.start] + end.to_bytes(8, "little") + head[_END.stop : _LENGTH]
+            cleared = head[:_FLAGS] + b"\0" + ended
             self._head = cleared + _checksum(cleared)
 
     def readinto(self, buffer: Any, /) -> int:

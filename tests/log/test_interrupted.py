@@ -105,6 +105,21 @@ def check(path: Path, rows: int = ROWS) -> None:
             assert log.phases == (Phase(0, 10, "static", ""),)
 
 
+@pytest.mark.parametrize("commits", [1, 2, 64, 65, 66, 129])
+def test_a_log_that_is_written_is_read_from_its_file_after_any_number_of_commits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, commits: int
+) -> None:
+    """The table of commits gets a chunk of its own for every 64: it stands behind the end that the superblock tells."""
+    monkeypatch.setattr(writing, "CHUNK", 8)
+    with LogWriter(tmp_path / "run.h5", HEADERS, source="emulated", epoch="2026-01-01T00:00:00Z") as log:
+        log.keep()
+        for number in range(commits):
+            log.append("Acc", acc(10 * number, 10))
+            log.flush()
+        with open_log(tmp_path / "run.h5") as seen:
+            assert (seen.is_rebuilt, len(seen["Acc"]), seen.losses) == (False, 10 * commits, ())
+
+
 def test_it_is_read_and_not_changed(run: Path) -> None:
     before = {path: path.read_bytes() for path in run.parent.iterdir()}
     assert says_unclosed(run)
