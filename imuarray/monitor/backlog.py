@@ -11,7 +11,7 @@ from imuarray.errors import LogError
 from imuarray.log.guard import DAMAGE
 from imuarray.monitor.window import STRIDE, Gaps, gaps_of
 
-AT_ONCE = 1 << 20
+AT_ONCE = 1 << 19
 """Rows that are read at one look."""
 
 

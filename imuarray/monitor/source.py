@@ -1,40 +1,19 @@
-"""What a monitor reads from: a log that is being written, through its journal, or one that is not, through its file.
-
-A reader of the journal goes on from where it was, so that a look costs what came since, however long the log is. What
-was before it began is known from the HDF5 file's last commits; rows of the file are read as far as they were committed.
-"""
+"""What a monitor reads from, and what it has read so far."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
-import h5py
-import numpy as np
-
-from imuarray.errors import LogError
-from imuarray.log import Log, SensorLog, open_log
-from imuarray.log.commits import COMMITS, Commit, read_commits
-from imuarray.log.guard import DAMAGE
-from imuarray.log.inspection import refuse_hostile
-from imuarray.log.journal import JournalReader, is_running, journal_of
-from imuarray.log.layout import NOTES, Group
-from imuarray.log.live import PREAMBLE
-from imuarray.log.preamble import Preamble
-from imuarray.log.unclosed import Unclosed, says_unclosed
+from imuarray.log.journal import journal_of
+from imuarray.log.unclosed import says_unclosed
 from imuarray.monitor.backlog import Backlog
 from imuarray.monitor.held import Attributes
 from imuarray.monitor.notes import Told
-from imuarray.monitor.snapshot import FINISHED, INTERRUPTED, WRITTEN
 from imuarray.monitor.window import Window
-from imuarray.units import INERTIAL
-
-_SENSORS = "sensors/"
-_MOST_BYTES = 1 << 25
-"""Of the journal that are read at one look: after a long sleep it takes several to catch up."""
 
 
 @dataclass
@@ -71,145 +50,7 @@ class Source(Protocol):
         """Let go of the files."""
 
 
-class Growing:
-    """A log that is being written. LogError, OSError if it can't be read (yet)."""
-
-    def __init__(self, path: Path, seen: Seen) -> None:
-        """Of the rows from before the last `seen.span_ns` at least are read at the first `read`."""
-        self.path, self.state, self.seen = path, WRITTEN, seen
-        self._journal_file = _identity(journal_of(path))
-        self._reader = JournalReader(path)
-        try:
-            self._begin()
-        except BaseException:
-            self._reader.close()
-            raise
-
-    def _begin(self) -> None:
-        seen, preamble = self.seen, self._reader.preamble
-        seen.expect(header.name for header in preamble.sensors)
-        self.source, self.epoch = preamble.source, preamble.epoch
-        groups = self._reader.groups
-        self.row_bytes = {group.path: group.row_bytes for group in groups}
-        file = _opened(self.path, preamble)
-        try:
-            self.attributes: dict[str, Attributes] = {
-                header.name: dict(file[_SENSORS + header.name].attrs) for header in preamble.sensors
-            }
-            commits = read_commits(file[COMMITS][:], preamble.identity, groups)
-            commit = _before(file, groups, commits, seen.span_ns)
-            rows = commit.rows if commit else (0,) * len(groups)
-            self._mark = commit.mark if commit else self._reader.start
-            columns = {}
-            for group, count in zip(groups, rows, strict=True):
-                name = group.path.removeprefix(_SENSORS)
-                if group.path == NOTES:
-                    seen.told.take_stored(file[NOTES]["text"], count)
-                elif name in seen.windows and count:
-                    seen.windows[name].begins_behind(count, int(file[group.path]["time"][0]))
-                    if self.attributes[name].get("quantity") in INERTIAL:
-                        columns[name] = (file[group.path]["time"], count)
-            self.backlog = Backlog(columns, file.close)
-        except BaseException as error:
-            file.close()
-            if isinstance(error, DAMAGE):
-                raise LogError(f"{self.path}: damaged or malformed") from None
-            raise
-
-    def read(self) -> int:
-        """What came into the journal since; where nothing did, whether anybody writes it still."""
-        count = self._drain()
-        if not count and not (self._is_ours() and is_running(self.path)):
-            count = self._drain()  # what was written between the two looks
-            if not count:
-                self.state = INTERRUPTED if self._is_ours() else FINISHED
-        return count
-
-    def _drain(self) -> int:
-        rows, most = 0, self._mark.position + _MOST_BYTES
-        for record in self._reader.records(self._mark):
-            self._mark = record.after
-            group = self._reader.groups[record.group]
-            if group.path == NOTES:
-                self.seen.told.take(group.decode(record.payload, record.rows)["text"])
-            elif group.path.startswith(_SENSORS):
-                window = self.seen.windows[group.path.removeprefix(_SENSORS)]
-                rows += window.add(group.decode(record.payload, record.rows))
-            if record.after.position > most:
-                break
-        return rows
-
-    def _is_ours(self) -> bool:
-        """Whether the journal by that name is the one that is read."""
-        return _identity(journal_of(self.path)) == self._journal_file
-
-    def close(self) -> None:
-        """Let go of the files."""
-        self.backlog.close()
-        self._reader.close()
-
-
-class Whole:
-    """A log that nobody writes: finished, or interrupted. LogError."""
-
-    def __init__(self, path: Path, seen: Seen) -> None:
-        self.path, self.seen = path, seen
-        log = open_log(path)
-        try:
-            self.state = FINISHED if log.state == "finished" else INTERRUPTED
-            self.source, self.epoch = log.source, log.epoch
-            self.attributes: dict[str, Attributes] = {
-                name: dict(sensor.attributes) for name, sensor in log.sensors.items()
-            }
-            self.row_bytes: dict[str, int] = {}
-            self.backlog = Backlog({}, lambda: None)
-            seen.expect(log.sensors)
-            seen.told.take_events(sorted(log.events, key=lambda event: event.time_ns))
-        except BaseException:
-            log.close()
-            raise
-        self._log: Log | None = log
-
-    def read(self) -> int:
-        """The last rows, once; then nothing is new."""
-        if self._log is None:
-            return 0
-        log, self._log = self._log, None
-        ends = [int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)]
-        start_ns = max(ends, default=0) - self.seen.span_ns
-        columns: dict[str, tuple[Any, int]] = {}
-        for name, sensor in log.sensors.items():
-            if not len(sensor):
-                continue
-            first = sensor.between(start_ns, start_ns).start
-            self.seen.windows[name].begins_behind(first, int(sensor.time[0]))
-            self.seen.windows[name].add(_rows_of(sensor, first))
-            if sensor.quantity in INERTIAL:
-                columns[name] = (sensor.time, first)
-        self.backlog = Backlog(columns, log.close)
-        return sum(len(sensor) for sensor in log.sensors.values())
-
-    def close(self) -> None:
-        """Let go of the file."""
-        self.backlog.close()
-        if self._log is not None:
-            self._log.close()
-
-
-def _rows_of(sensor: SensorLog, first: int) -> dict[str, Any]:
-    """The columns of a sensor from a row on."""
-    columns = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
-    if sensor.temperature_counts is not None:
-        columns["temperature_counts"] = sensor.temperature_counts
-    for name in ("temperature", "pressure") if sensor.quantity == "pressure" else ():
-        try:
-            columns[name] = sensor.compensated(name)
-        except LogError:  # imported without it, say
-            continue
-    return {name: np.asarray(column[first:]) for name, column in columns.items()}
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
+def identity(path: Path) -> tuple[int, int] | None:
     """Which file has that name now."""
     try:
         found = path.stat()
@@ -223,37 +64,4 @@ def look(path: Path) -> tuple[object, ...]:
     unclosed = False
     with contextlib.suppress(OSError):
         unclosed = says_unclosed(path)
-    return _identity(path), _identity(journal_of(path)), unclosed
-
-
-def _opened(path: Path, preamble: Preamble) -> h5py.File:
-    """The HDF5 file of a log with that preamble; LogError."""
-    try:
-        file = h5py.File(Unclosed(path, looks=False), "r")
-    except DAMAGE:
-        raise LogError(f"{path}: is not there yet, or damaged") from None
-    try:
-        with h5py.File(Unclosed(path), "r") as inspected:
-            refuse_hostile(file, inspected, str(path))
-        if Preamble.from_json(str(file.attrs[PREAMBLE])) != preamble:
-            raise LogError(f"{path}: its journal is another log's")
-        return file
-    except BaseException as error:
-        file.close()
-        if isinstance(error, DAMAGE):
-            raise LogError(f"{path}: is no log that is being written") from None
-        raise
-
-
-def _before(file: h5py.File, groups: Sequence[Group], commits: list[Commit], span_ns: int) -> Commit | None:
-    """The last commit behind which there are `span_ns` at least; None: all of the journal is wanted."""
-    sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(_SENSORS)]
-
-    def newest_ns(commit: Commit) -> int:
-        times = (file[path]["time"][commit.rows[number] - 1] for number, path in sensors if commit.rows[number])
-        return max((int(time) for time in times), default=0)
-
-    if not commits:
-        return None
-    end_ns = newest_ns(commits[-1])
-    return next((commit for commit in reversed(commits[:-1]) if end_ns - newest_ns(commit) >= span_ns), None)
+    return identity(path), identity(journal_of(path)), unclosed

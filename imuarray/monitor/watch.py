@@ -18,8 +18,10 @@ from imuarray.errors import ImuArrayError
 from imuarray.log.journal import JournalReader, is_running
 from imuarray.log.rotate import part_of
 from imuarray.monitor.compose import snapshot_of
+from imuarray.monitor.growing import Growing
 from imuarray.monitor.snapshot import WAITING, WRITTEN, Snapshot
-from imuarray.monitor.source import Growing, Seen, Source, Whole, look
+from imuarray.monitor.source import Seen, Source, look
+from imuarray.monitor.whole import Whole
 
 SPAN_S = 10.0
 """The last seconds that are shown."""
@@ -110,6 +112,8 @@ class Watch:
         goes_on = followed and is_running(parts[0])
         part = parts[0] if goes_on else parts[-1]
         self._there = look(part)
+        for name, window in source.seen.windows.items():
+            window.gaps += source.backlog.gaps(name)
         turned = _opened(part, source.seen if goes_on else Seen(self._span_ns))
         source.close()
         self._source, self._remark = turned, f"goes on in {part.name}"

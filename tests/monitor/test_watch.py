@@ -165,6 +165,21 @@ def test_a_look_costs_what_came_since(log_path: Path, monkeypatch: pytest.Monkey
     assert len(sensor(seen, "Acc").time) == 501
 
 
+@pytest.mark.parametrize("commits", [1, 2, 64, 65, 66])
+def test_a_log_is_seen_after_any_number_of_commits(
+    log_path: Path, monkeypatch: pytest.MonkeyPatch, commits: int
+) -> None:
+    monkeypatch.setattr(writing, "CHUNK", 8)
+    with LogWriter(log_path, HEADERS[:1], source="emulated", epoch=EPOCH) as writer:
+        writer.keep()
+        for number in range(commits):
+            writer.append("Acc", rows("Acc", number * 0.1, 0.1))
+            writer.flush()
+        with Watch(log_path, span_s=0.1) as watch:
+            seen = watch.refresh(0.0)
+    assert (seen.state, seen.remark, seen.sensors[0].rows, seen.missed) == ("being written", "", 10 * commits, 0)
+
+
 def test_events_are_counted_and_the_last_are_kept(logger: Logger, log_path: Path) -> None:
     logger.go_on(0.5)
     with Watch(log_path) as watch:
@@ -297,6 +312,27 @@ def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
         assert late.refresh(1.0).remark == ""
     with Watch(tmp_path / "night_001.h5") as first:  # nobody writes any of it: that part was asked for
         assert first.refresh(0.0).path.name == "night_001.h5"
+
+
+def test_what_was_missed_before_anybody_looked_is_not_forgotten_in_the_next_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "CHUNK", 64)
+    path = tmp_path / "night.h5"
+    with RotatingWriter(path, HEADERS, every_s=5.0, source="emulated", epoch=EPOCH) as writer:
+        writer.keep()
+        writer.starts(0)
+        with Watch(path, span_s=0.5) as watch:
+            for start_s, seconds in ((0.0, 0.7), (0.75, 0.75), (1.5, 1.5), (3.0, 1.5), (4.5, 1.5)):  # five are missing
+                for header in HEADERS[:3]:
+                    writer.append(header.name, rows(header.name, start_s, seconds))
+                writer.flush()
+                if start_s >= 3:
+                    seen = next(seen for step in range(9) if (seen := watch.refresh(step)).counted == 1)
+                    assert seen.missed == 5
+            assert seen.path.name == "night_001.h5"
+            seen = next(seen for step in range(500) if (seen := watch.refresh(step)).path.name == "night_002.h5")
+            assert (seen.missed, seen.begins_ns) == (5, 0)
 
 
 def test_of_a_log_that_goes_on_its_newest_part_is_shown(tmp_path: Path) -> None:
