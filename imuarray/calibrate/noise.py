@@ -55,6 +55,18 @@ def calibrate_noise(
     return Calibration(found, tuple(str(log.path) for log in logs))
 
 
+def with_noise_of(log: Log, calibration: Calibration) -> Calibration:
+    """The calibration, with the noise that the log itself shows at rest for the sensors of which it knows none.
+    CalibrationError if the log shows none.
+    """
+    known = {sensor.name: calibration.of(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL}
+    lacking = [name for name, sensor in known.items() if sensor.noise_lsb is None]
+    if not lacking:
+        return calibration
+    measured = calibrate_noise(log, known=calibration)
+    return calibration.merged(Calibration({name: measured.sensors[name] for name in lacking}, measured.sources))
+
+
 def _still_stretches(log: Log) -> list[Pose]:
     named = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name in _STILL_PHASES]
     return named or find_poses(log)

@@ -241,7 +241,7 @@ def with_noise(log: Log, calibration: Calibration, technique: str | None) -> Cal
     """The calibration, with the noise measured in the log itself where the technique (None: any of them) needs it and
     the file has none.
     """
-    from imuarray.calibrate import Calibration, calibrate_noise
+    from imuarray.calibrate.noise import with_noise_of
     from imuarray.fuse import NEEDS_NOISE
 
     known = {sensor.name: calibration.of(sensor) for sensor in _inertial(log)}
@@ -249,9 +249,7 @@ def with_noise(log: Log, calibration: Calibration, technique: str | None) -> Cal
     if needless or all(sensor.noise_lsb is not None for sensor in known.values()):
         return calibration
     click.echo("imuarray: no noise in the calibration; measured where this log stands still", err=True)
-    measured = calibrate_noise(log, known=calibration)
-    lacking = {name: measured.sensors[name] for name, sensor in known.items() if sensor.noise_lsb is None}
-    return calibration.merged(Calibration(lacking, measured.sources))
+    return with_noise_of(log, calibration)
 
 
 def _error(error: Error) -> dict[str, Any]:

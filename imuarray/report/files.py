@@ -25,6 +25,7 @@ from imuarray.report.calibration_sheet import calibration_sections, calibration_
 from imuarray.report.fused_sheet import fused_sections, fused_summary
 from imuarray.report.log_sheet import log_sections, log_summary
 from imuarray.report.page import Section, write_page
+from imuarray.report.techniques_sheet import techniques_section
 
 _MOST_BYTES = 1 << 26
 """Of a file of text."""
@@ -53,6 +54,8 @@ def _log(path: Path, together: Together) -> Sayings:
         sections = list(log_sections(log, scales, drawn=together.drawn))
         if fitting and (residuals := residual_section(log, known, drawn=together.drawn)):
             sections.append(residuals)
+        if gained := techniques_section(log, known, drawn=together.drawn):
+            sections.append(gained)
         return list(log_summary(log)), sections
 
 

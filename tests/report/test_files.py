@@ -42,10 +42,11 @@ def test_each_file_says_its_part(made: Path, tmp_path: Path) -> None:
         "tumble.h5: what was recorded",
         "tumble.h5: noise",
         "tumble.h5: what calibration leaves",
+        "tumble.h5: what each technique gains",
         "cal.toml: calibration",
         "fused.h5: fused by mean",
     ]
-    assert text.count("<img") == text.count("alt=") == 5
+    assert text.count("<img") == text.count("alt=") == 6
     assert not re.search(r'(src|href)="(?!#|data:)', text)  # it needs nothing beside it
 
 

@@ -1,0 +1,75 @@
+"""What each fusion technique gains over the simple average on a log that knows the truth, on a page."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.noise import with_noise_of
+from imuarray.errors import ImuArrayError
+from imuarray.fuse import Comparison, Score, compare
+from imuarray.log import Log
+from imuarray.report.figures import ratio_figure
+from imuarray.report.page import Figure, Section, Table
+from imuarray.units import READABLE_SI
+
+_Z95 = 1.96
+
+
+def techniques_section(log: Log, calibration: Calibration, *, drawn: bool) -> Section | None:
+    """Every technique beside the average; None for a log that knows no truth."""
+    if log.truth is None and log.reference is None:
+        return None
+    title = f"{log.path.name}: what each technique gains"
+    try:
+        found = compare(log, with_noise_of(log, calibration))
+    except ImuArrayError as error:
+        return Section(title, f"Nothing can be said of it: {error}.")
+    scores = [score for score in found.scores if score.technique != "mean"]
+    words = (
+        "Rms error against the log's truth over that of the simple average of the same sensors. Left of one is better."
+    )
+    parts: list[Table | Figure] = []
+    if drawn:
+        labels = [f"{score.technique}: {score.quantity.replace('_', ' ')}" for score in scores]
+        ratios, errors = zip(*(_ratio(score) for score in scores), strict=True)
+        drawing = ratio_figure(labels, ratios, errors)
+        caption = "Blue: better than the average beyond chance; bars are two standard errors of this log alone."
+        told = ", ".join(f"{label} {ratio:.3f}" for label, ratio in zip(labels, ratios, strict=True))
+        parts.append(Figure(drawing, caption, f"{caption} {told}."))
+    return Section(title, words, [*parts, _table(found), *_coasting(found)])
+
+
+def _ratio(score: Score) -> tuple[float, float]:
+    """Of the whole vector, with its standard error."""
+    ratio = score.ratio["XYZ"]
+    wide = (ratio.high - ratio.low) / (2 * _Z95)
+    return ratio.ratio, wide if np.isfinite(wide) else 0.0
+
+
+def _table(found: Comparison) -> Table:
+    rows = []
+    for score in found.scores:
+        factor, unit = READABLE_SI[score.quantity]
+        ratio, held = score.ratio["XYZ"], score.consistency
+        interval = f" ({ratio.low:.3f} to {ratio.high:.3f})" if np.isfinite([ratio.low, ratio.high]).all() else ""
+        claimed = "–" if held is None else f"{held.normalised:.2f} ({held.low:.2f} to {held.high:.2f})"
+        axes = [f"{factor * value:.3f}" for value in score.error.rms]
+        name = f"{score.technique}: {score.quantity.replace('_', ' ')}"
+        rows.append([name, unit, *axes, f"{ratio.ratio:.3f}{interval}", claimed])
+    heading = ["technique", "unit", "rms X", "rms Y", "rms Z", "over the average (95 %)", "squared error over its own"]
+    caption = (
+        "The last column is the squared error over the one that the result claims, with the interval in which it should"
+        " lie: beyond it the result is worse than it says."
+    )
+    return Table(heading, rows, caption, (1,))
+
+
+def _coasting(found: Comparison) -> list[Table]:
+    rows = [
+        [name, f"{coast.heading_rms_deg:.3f}", f"{coast.velocity_rms_mps:.3f}", str(len(coast.begins_s))]
+        for name, coast in found.coasting.items()
+        if len(coast.begins_s)
+    ]
+    caption = "A navigator that stood still for ten seconds and then had nothing but this for a minute."
+    return [Table(["technique", "heading °", "velocity m/s", "coasts"], rows, caption)] if rows else []
