@@ -96,9 +96,9 @@ def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: F
     figure = new_figure(8.0, 1.6 + 0.35 * len(sensors))
     axes = figure.subplots()
     span = max(float(np.nanmax(np.abs(residual_mg), initial=0.0)), 0.1)
-    for row, (name, values) in enumerate(zip(sensors, residual_mg, strict=True)):
+    for row, values in enumerate(residual_mg):
         axes.axhline(row, color=PALETTE[0], linewidth=0.5)
-        axes.plot(values, np.full(len(values), row), linestyle="none", marker="o", markersize=5, alpha=0.75, label=name)
+        axes.scatter(values, np.full(len(values), row), s=26, alpha=0.75, color=PALETTE[1], zorder=3)
     axes.axvline(0, color="black", linewidth=0.8)
     axes.set_xlim(-1.15 * span, 1.15 * span)
     axes.set_ylim(len(sensors) - 0.4, -0.6)
