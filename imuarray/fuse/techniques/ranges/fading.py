@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Flags, Floats, Frames
+from imuarray.fuse.frames import Flags, Floats, Frames, Times
 
 TAPER = (0.75, 0.95)
 """Share of the measuring range at which a low-range sensor begins to be trusted less, and at which it is not used at
@@ -49,9 +49,8 @@ class Fading:
 
     A sensor's three axes, which follow each other as `axes_of` gives them, fade together, by the largest of them,
     smoothly to exactly zero at `TAPER[1]` of its range. Once it was there, or clipped, or the wide ranges felt more
-    than it can, it stays out for its settling time (`settling_s`), counted from the first frame that finds it back
-    inside, and comes in again over another such time.
-    The widest range of a design never fades.
+    than it can, it stays out for its settling time (`settling_s`), counted from the middle between the last frame out
+    and the first one in, and comes in again over another such time. The widest range of a design never fades.
 
     A sensor clips before its low-pass: of a step steeper than the filter, the few frames until the wide ranges,
     filtered too, show that it was too much are not known for what they are.
@@ -75,6 +74,7 @@ class Fading:
         )
         self._out_ns = np.full(len(sensors), _NEVER)
         self._was_at_end = np.zeros(len(sensors), bool)
+        self._last_ns: Times | None = None
 
     def __call__(self, frames: Frames, felt: Floats) -> Floats:
         """The shares of the next block; `felt` (n, m): what each axis should read by the wide ranges (NaN: unknown)."""
@@ -91,9 +91,11 @@ class Fading:
     def _settled(self, frames: Frames, at_end: Flags) -> Floats:
         """(n, s) from 0 while a sensor is settling to 1."""
         before = np.concatenate([self._was_at_end[None], at_end[:-1]])
-        seen = np.where(at_end | before, frames.time[:, None], _NEVER)
+        times = np.concatenate([frames.time[:1] if self._last_ns is None else self._last_ns, frames.time])
+        came_back = times[1:] - np.diff(times) // 2  # some time between two frames: in the middle of them, on average
+        seen = np.where(at_end, frames.time[:, None], np.where(before, came_back[:, None], _NEVER))
         out_ns = np.maximum(np.maximum.accumulate(seen, axis=0), self._out_ns)
-        self._out_ns, self._was_at_end = out_ns[-1], at_end[-1]
+        self._out_ns, self._was_at_end, self._last_ns = out_ns[-1], at_end[-1], frames.time[-1:]
         return _smooth((frames.time[:, None] - out_ns) / self._settling_ns - 1)
 
 
