@@ -79,7 +79,7 @@ def print_report(report: dict[str, Any]) -> None:
                 f"{quantity.replace('_', ' ')}: errors against the truth along box x, y, z in {unit}, {frames} frames"
             )
             heads = "".join(f" {name:^23}" for name in _SHOWN)
-            click.echo(f"  {'':9}{heads}  {'rms over the mean':^23}  normalised^2")
+            click.echo(f"  {'':8}{heads} {'rms over the mean':^22} normalised^2")
         for score in scores:
             click.echo(_line(score, factor))
     _print_coasting(report["coasting"])
@@ -91,7 +91,7 @@ def _line(score: dict[str, Any], factor: float) -> str:
     interval = "-" if ratio["high"] is None else f"{ratio['ratio']:6.3f} ({ratio['low']:.3f} to {ratio['high']:.3f})"
     normal = "-" if held is None else f"{held['normalised']:.3g} ({held['low']:.2f} to {held['high']:.2f})"
     wrong = "" if held is None or held["holds"] else " !"
-    return f"  {score['technique']:9} {figures}  {interval:23}  {normal}{wrong}"
+    return f"  {score['technique']:8} {figures} {interval:22} {normal}{wrong}"
 
 
 def _print_coasting(coasting: dict[str, Any]) -> None:
