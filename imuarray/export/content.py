@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
-from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from imuarray.calibrate import Calibration
-from imuarray.errors import ExportError, LogError
+from imuarray.errors import ExportError
 from imuarray.export.formats import UNITS, Wanted
-from imuarray.export.fused import FUSED, fused_content
+from imuarray.export.fused import fused_content
 from imuarray.export.physical import compensated_columns, physical_columns, warmth
 from imuarray.export.tables import Column, Content, Table
+from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SensorHeader
-from imuarray.log.guard import DAMAGE
 from imuarray.log.headers import recorded_header
-from imuarray.log.heaps import Inspected
 from imuarray.units import SI_PER_UNIT
 
 _TRACK_UNITS = {"specific_force": "m s-2", "angular_rate": "rad s-1", "temperature": "degC"}
@@ -38,20 +35,12 @@ def open_content(wanted: Wanted, usual: str = "counts") -> Iterator[Content]:
         raise ExportError(f"units {wanted.units!r}: allowed are {', '.join(UNITS)}")
     if wanted.units == "counts" and wanted.calibration is not None:
         raise ExportError("raw counts need no calibration; leave it out, or say units si or sensor")
-    if _format_of(wanted.source) == FUSED:
+    if wanted.source.is_file() and is_fused(wanted.source):
         with fused_content(wanted) as content:
             yield content
         return
     with open_log(wanted.source) as log:
         yield _content(log, wanted, wanted.units or ("si" if wanted.calibration else usual))
-
-
-def _format_of(path: Path) -> str:
-    """What a finished file says it is; "" for anything else, on which the log's reader has the last word."""
-    with suppress(LogError, *DAMAGE), h5py.File(Inspected(path), "r") as file:  # nothing damaged in it is believed
-        kind = file.attrs.get("format")
-        return kind if isinstance(kind, str) else ""
-    return ""
 
 
 def _content(log: Log, wanted: Wanted, units: str) -> Content:

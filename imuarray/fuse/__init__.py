@@ -10,10 +10,11 @@ from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, e
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
 from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
+from imuarray.fuse.fused_file import FusedHead, read_fused, read_fused_head
 from imuarray.fuse.gains import Gain, Ratio, gains, ratio_of
 from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, fused_block
 from imuarray.fuse.running import running_temperatures
-from imuarray.fuse.store import FusedHead, read_fused, read_fused_head, write_fused
+from imuarray.fuse.store import write_fused
 from imuarray.fuse.stream import FusionStream
 from imuarray.fuse.techniques import TECHNIQUES, changes
 from imuarray.fuse.thermal import element_temperatures, slopes_of

@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -27,13 +25,9 @@ import numpy.typing as npt
 
 from imuarray import __version__
 from imuarray.atomic import whole_file
-from imuarray.errors import LogError, OutputError, OutputExistsError
+from imuarray.errors import OutputError, OutputExistsError
 from imuarray.fuse.frames import ENTRIES, FusedBlock
-from imuarray.log.guard import open_file
-from imuarray.log.heaps import Inspected
-from imuarray.log.inspection import refuse_hostile
 from imuarray.log.room import free_bytes
-from imuarray.units import INERTIAL
 
 _SLACK_BYTES = 1 << 18
 """What HDF5 holds back or adds: a chunk of each column, and where they are."""
@@ -49,7 +43,10 @@ UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 
-_COVARIANCE, _USED = "_covariance", "_used"
+FORMAT, FORMAT_VERSION = "imuarray-fused", 1
+
+COVARIANCE, USED = "_covariance", "_used"
+"""Behind a quantity: the name of a column of its covariances, of the sensors used."""
 
 
 def write_fused(
@@ -76,46 +73,6 @@ def write_fused(
             frames += len(block.time)
             progress(frames)
     return frames
-
-
-@dataclass(frozen=True)
-class FusedHead:
-    """What a fused file says of itself: `log` and `calibration` are the paths it was made from, `sensors` names, per
-    quantity, those whose use it tells.
-    """
-
-    technique: str
-    log: str
-    calibration: str
-    epoch: str
-    frames: int
-    sensors: Mapping[str, tuple[str, ...]]
-
-
-def read_fused_head(path: str | PathLike[str]) -> FusedHead:
-    """The head of a file that `write_fused` wrote; LogError for another one, or one built to do harm."""
-    with _opened(Path(path)) as file:
-        group = file["fused"]
-        sensors = {
-            name.removesuffix(_USED): tuple(str(one) for one in group[name].attrs.get("sensors", ()))
-            for name in group
-            if name.endswith(_USED)
-        }
-        technique, log, calibration, epoch = (
-            str(file.attrs.get(name, "")) for name in ("technique", "log", "calibration", "epoch")
-        )
-        return FusedHead(technique, log, calibration, epoch, int(group["time"].shape[0]), sensors)
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
-    """A fused file that does no harm; LogError."""
-    with open_file(path) as file:
-        with h5py.File(Inspected(path), "r") as inspected:
-            refuse_hostile(file, inspected, str(path))
-        if str(file.attrs.get("format")) != "imuarray-fused" or "time" not in file.get("fused", {}):
-            raise LogError(f"{path}: no fused result")
-        yield file
 
 
 class LiveFused:
@@ -166,25 +123,6 @@ class LiveFused:
         self.close()
 
 
-def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[FusedBlock]:
-    """The blocks of a file that `write_fused` wrote, `block` frames at a time; LogError for one built to do harm."""
-    with _opened(Path(path)) as file:
-        group = file["fused"]
-        for start in range(0, group["time"].shape[0], block):
-            rows = slice(start, start + block)
-            yield FusedBlock(
-                group["time"][rows],
-                {name: group[name][rows] for name in group if name in INERTIAL},
-                _parts(group, _COVARIANCE, rows),
-                _parts(group, _USED, rows),
-            )
-
-
-def _parts(group: h5py.Group, suffix: str, rows: slice) -> dict[str, npt.NDArray[Any]]:
-    """Rows of the columns with a suffix, by quantity."""
-    return {name.removesuffix(suffix): group[name][rows] for name in group if name.endswith(suffix)}
-
-
 def _ask_for_room(path: Path, block: FusedBlock) -> None:
     """OSError where there is no room for a block, before HDF5 runs into it: that it does not survive."""
     wanted = _SLACK_BYTES + sum(rows.nbytes for rows in _columns(block).values())
@@ -194,8 +132,8 @@ def _ask_for_room(path: Path, block: FusedBlock) -> None:
 
 def _columns(block: FusedBlock) -> dict[str, npt.NDArray[Any]]:
     """The columns of a block by name."""
-    covariances = {name + _COVARIANCE: rows.astype(np.float32) for name, rows in block.covariances.items()}
-    used = {name + _USED: np.asarray(rows) for name, rows in block.used.items()}
+    covariances = {name + COVARIANCE: rows.astype(np.float32) for name, rows in block.covariances.items()}
+    used = {name + USED: np.asarray(rows) for name, rows in block.used.items()}
     return {"time": block.time, **block.triads, **covariances, **used}
 
 
@@ -210,7 +148,7 @@ class _Fused:
         sensors: Mapping[str, Sequence[str]],
         compressed: bool = True,
     ) -> None:
-        file.attrs.update(format="imuarray-fused", format_version=1, **about, software=f"imuarray {__version__}")
+        file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION, **about, software=f"imuarray {__version__}")
         file.attrs.update(NX_class="NXroot", default="fused")  # what viewers of NeXus files look for
         self._file, self._path, self._sensors = file, path, sensors
         self._group = file.create_group("fused")
@@ -241,7 +179,7 @@ class _Fused:
             name, (0, *tail), rows.dtype, maxshape=(None, *tail), chunks=(4096, *tail), **self._filters
         )
         column.attrs["units"] = UNITS.get(name, f"nanoseconds since {self._epoch}")
-        if name.endswith(_COVARIANCE):
+        if name.endswith(COVARIANCE):
             column.attrs["columns"] = list(ENTRIES)
-        elif name.endswith(_USED) and (names := self._sensors.get(name.removesuffix(_USED))):
+        elif name.endswith(USED) and (names := self._sensors.get(name.removesuffix(USED))):
             column.attrs["sensors"] = list(names)

@@ -6,16 +6,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import LogError
 from imuarray.fuse import FusedBlock, fuse
+from imuarray.fuse.fused_file import fused_columns, rows_of
 from imuarray.log import Log
-from imuarray.log.guard import DAMAGE, open_file
-from imuarray.log.heaps import Inspected
-from imuarray.log.inspection import refuse_hostile
+from imuarray.log.column import NamedColumn
 from imuarray.monitor.snapshot import Floats, FusedView
 from imuarray.units import INERTIAL
 
@@ -40,26 +38,23 @@ def fused_beside(path: Path, epoch: str, start_ns: int) -> FusedView | None:
     if not beside.is_file():
         return None
     try:
-        with open_file(beside) as file:
-            with h5py.File(Inspected(beside), "r") as inspected:
-                refuse_hostile(file, inspected, str(beside))
-            if str(file.attrs.get("epoch", "")) != epoch:
+        with fused_columns(beside) as (said, columns):
+            if said.get("epoch") != epoch:
                 return None
-            group = file["fused"]
-            first = _first_at(group["time"], start_ns)
-            time = np.asarray(group["time"][first:], np.int64)
+            first, last = _first_at(columns["time"], start_ns), rows_of(columns)
+            time = np.asarray(columns["time"][first:last], np.int64)
             triads: dict[str, Floats] = {
-                str(name): np.asarray(group[name][first:], float) for name in INERTIAL if name in group
+                name: np.asarray(columns[name][first:last], float) for name in INERTIAL if name in columns
             }
-            if len(time) < 2 or any(triad.shape != (len(time), 3) for triad in triads.values()):
+            if len(time) < 2:
                 return None
-            technique = str(file.attrs.get("technique", "fused"))
-            return _view(technique, bool(file.attrs.get("calibration", "")), FusedBlock(time, triads))
-    except (LogError, *DAMAGE):
+            technique = said.get("technique", "fused")
+            return _view(technique, bool(said.get("calibration")), FusedBlock(time, triads))
+    except LogError:
         return None
 
 
-def _first_at(time: h5py.Dataset, at_ns: int) -> int:
+def _first_at(time: NamedColumn, at_ns: int) -> int:
     """The first row whose time is `at_ns` or later; by bisection."""
     low, high = 0, int(time.shape[0])
     while low < high:

@@ -19,8 +19,8 @@ from typing import Any
 from imuarray.calibrate import Calibration, load_calibration
 from imuarray.errors import LogError
 from imuarray.fuse import read_fused_head
+from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, open_log
-from imuarray.log.guard import open_file
 from imuarray.report.calibration_sheet import calibration_sections, calibration_summary, residual_section
 from imuarray.report.fused_sheet import fused_sections, fused_summary
 from imuarray.report.log_sheet import log_sections, log_summary
@@ -151,7 +151,7 @@ def _recognise() -> Iterator[tuple[str, Callable[[Path], bool]]]:
         lambda path: isinstance(table := _json(path), Mapping) and {"verdict", "causes"} <= set(table),
     )
     yield "calibration", lambda path: path.suffix == ".toml" and "calibration" in _toml(path)
-    yield "fused result", lambda path: _hdf5_format(path) == "imuarray-fused"
+    yield "fused result", lambda path: path.is_file() and is_fused(path)
     yield "log", lambda path: path.is_file() and path.suffix in (".h5", ".hdf5")
 
 
@@ -180,14 +180,3 @@ def _toml(path: Path) -> Mapping[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError, RecursionError):
         return {}
-
-
-def _hdf5_format(path: Path) -> str:
-    """The format that an HDF5 file says it is; "" for one that can't be asked."""
-    if not path.is_file() or path.suffix not in (".h5", ".hdf5"):
-        return ""
-    try:
-        with open_file(path) as file:
-            return str(file.attrs.get("format", ""))
-    except (LogError, OSError):
-        return ""

@@ -95,7 +95,7 @@ def _course(path: Path, frames: int) -> _Course:
         {quantity: np.concatenate(parts) for quantity, parts in triads.items()},
         frames,
         {quantity: counts / max(frames, 1) for quantity, counts in used.items()},
-        {quantity: np.sqrt(total / max(frames, 1)) for quantity, total in variance.items()},
+        {quantity: np.sqrt(np.maximum(total, 0) / max(frames, 1)) for quantity, total in variance.items()},
     )
 
 

@@ -16,6 +16,7 @@ import pytest
 import imuarray.log.writer as writing
 from imuarray.calibrate import Calibration
 from imuarray.fuse import FusedBlock, write_fused
+from imuarray.fuse.store import LiveFused
 from imuarray.log import LogWriter, RotatingWriter
 from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase
@@ -99,6 +100,17 @@ def test_a_fused_file_beside_it_is_shown_instead(logger: Logger, log_path: Path)
         write_fused(fused_path, [block], epoch="2020-01-01T00:00:00Z", technique="optimal", log="x.h5", force=True)
         other = watch.refresh(1.0).fused
         assert other is not None and other.technique == "mean"  # that is another log's
+
+
+def test_a_fused_file_is_shown_while_it_is_written(logger: Logger, log_path: Path) -> None:
+    logger.go_on(3.0)
+    time = np.arange(300, dtype=np.int64) * 10_000_000
+    with LiveFused(log_path.with_name("run_fused.h5"), epoch=EPOCH, technique="optimal", log="run.h5") as live:
+        live.append(FusedBlock(time, {"angular_rate": np.tile([1.0, 2.0, 3.0], (300, 1))}))
+        with Watch(log_path, span_s=2.0) as watch:
+            fused = watch.refresh(0.0).fused
+    assert fused is not None and fused.technique == "optimal"
+    assert fused.mean["angular_rate"].tolist() == [1.0, 2.0, 3.0]
 
 
 def test_a_calibration_that_does_not_fit_is_told(logger: Logger, log_path: Path) -> None:

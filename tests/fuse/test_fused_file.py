@@ -1,0 +1,155 @@
+"""Fused files that were damaged, cut short or built to do harm: a line that says where, or what is still good."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from imuarray.errors import LogError
+from imuarray.export import export
+from imuarray.fuse import FusedBlock, read_fused, read_fused_head, write_fused
+from imuarray.fuse.store import LiveFused
+from imuarray.report.files import kind_of
+from imuarray.report.fused_sheet import fused_sections
+from imuarray.report.page import Table
+from tests.fuse.conftest import EPOCH
+
+FRAMES = 50
+
+
+def block(frames: int = FRAMES) -> FusedBlock:
+    """So many frames of a force and of who went into it."""
+    time = np.arange(frames, dtype=np.int64) * 10_000_000
+    triad, covariance = np.tile([0.0, 0.0, 9.8], (frames, 1)), np.ones((frames, 6))
+    used = np.full((frames, 2), 7, np.uint8)
+    return FusedBlock(time, {"specific_force": triad}, {"specific_force": covariance}, {"specific_force": used})
+
+
+def written(path: Path) -> Path:
+    sensors = {"specific_force": ["A", "B"]}
+    write_fused(path, [block()], epoch=EPOCH, technique="mean", log="run.h5", sensors=sensors)
+    return path
+
+
+def other(name: str, values: Any) -> Callable[[h5py.File], None]:
+    """A column with other values."""
+
+    def change(file: h5py.File) -> None:
+        del file["fused"][name]
+        file["fused"][name] = values
+
+    return change
+
+
+def group_at(name: str) -> Callable[[h5py.File], None]:
+    """A group in place of a column."""
+
+    def change(file: h5py.File) -> None:
+        del file["fused"][name]
+        file["fused"].create_group(name)
+
+    return change
+
+
+def said(**attributes: Any) -> Callable[[h5py.File], None]:
+    return lambda file: file.attrs.update(attributes)
+
+
+FORCE, COVARIANCE, USED = "specific_force", "specific_force_covariance", "specific_force_used"
+BAD: dict[str, tuple[Callable[[h5py.File], Any], str]] = {
+    "no time": (lambda file: file["fused"].pop("time"), "no fused result"),
+    "a group as time": (group_at("time"), "fused/time: no column of numbers"),
+    "one time": (other("time", 5), r"fused/time: its shape is \(\)"),
+    "no times at all": (other("time", h5py.Empty("i8")), r"fused/time: its shape is \(\)"),
+    "times of two columns": (other("time", np.zeros((FRAMES, 2), np.int64)), r"wanted is \(n,\)"),
+    "times that are none": (other("time", np.full(FRAMES, np.nan)), "type int64"),
+    "times in words": (other("time", np.array([b"x"] * FRAMES)), "type int64"),
+    "a force of one axis": (other(FORCE, np.zeros(FRAMES)), r"wanted is \(n, 3\)"),
+    "a force of four axes": (other(FORCE, np.zeros((FRAMES, 4))), r"wanted is \(n, 3\)"),
+    "matrices for a force": (other(FORCE, np.zeros((FRAMES, 3, 3))), r"wanted is \(n, 3\)"),
+    "a force in words": (other(FORCE, np.full((FRAMES, 3), b"x")), "type float"),
+    "a force without end": (other(FORCE, np.full((FRAMES, 3), np.inf)), "infinite values"),
+    "a group as force": (group_at(FORCE), "fused/specific_force: no column"),
+    "covariances of two entries": (other(COVARIANCE, np.zeros((FRAMES, 2))), r"wanted is \(n, 6\)"),
+    "covariances of one": (other(COVARIANCE, np.zeros(FRAMES)), r"wanted is \(n, 6\)"),
+    "fractions of an axis": (other(USED, np.zeros((FRAMES, 2))), "type uint8"),
+    "use of nobody": (other(USED, np.zeros(FRAMES, np.uint8)), "at most 1024"),
+    "use of a crowd": (other(USED, np.zeros((FRAMES, 3000), np.uint8)), "at most 1024"),
+    "a later format": (said(format_version=2), "format_version is 2; this software reads 1"),
+    "no version": (lambda file: file.attrs.pop("format_version"), "format_version is None"),
+    "several versions": (said(format_version=[1, 1]), "damaged or malformed"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_what_is_no_column_is_told_in_a_line(tmp_path: Path, kind: str) -> None:
+    change, words = BAD[kind]
+    path = written(tmp_path / "bad.h5")
+    with h5py.File(path, "a") as file:
+        change(file)
+    with pytest.raises(LogError, match=words) as caught:
+        read_fused_head(path)
+        list(read_fused(path))
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [5, [5, 6], "AB", np.zeros((2, 2)), h5py.Empty("S3")], ids=str)
+def test_names_that_are_none_are_left_out(tmp_path: Path, value: Any) -> None:
+    path = written(tmp_path / "f.h5")
+    assert read_fused_head(path).sensors == {"specific_force": ("A", "B")}
+    with h5py.File(path, "a") as file:
+        file["fused"][USED].attrs["sensors"] = value
+    assert read_fused_head(path).sensors == {"specific_force": ()}
+
+
+def test_columns_that_the_format_has_not_are_passed_over(tmp_path: Path) -> None:
+    path = written(tmp_path / "f.h5")
+    with h5py.File(path, "a") as file:
+        file["fused"]["x_used"] = np.zeros((3, 1 << 10))
+        file["fused"]["y_covariance"] = b"?"
+    (back,) = read_fused(path)
+    assert list(back.used) == list(back.covariances) == ["specific_force"]
+
+
+def test_damaged_rows_are_named(tmp_path: Path) -> None:
+    path = written(tmp_path / "f.h5")
+    with h5py.File(path) as file:
+        at = file["fused"][FORCE].id.get_chunk_info(0).byte_offset
+    data = bytearray(path.read_bytes())
+    data[at + 2 : at + 40] = b"\xff" * 38
+    path.write_bytes(data)
+    with pytest.raises(LogError, match="fused/specific_force: rows 0 to 49 are damaged"):
+        list(read_fused(path))
+
+
+def test_a_variance_below_zero_does_no_harm(tmp_path: Path) -> None:
+    path = written(tmp_path / "f.h5")
+    with h5py.File(path, "a") as file:
+        other(COVARIANCE, np.full((FRAMES, 6), -1.0))(file)
+    (section,) = fused_sections(path, read_fused_head(path), drawn=False)
+    assert isinstance(section.parts[0], Table)
+    assert [row[-1] for row in section.parts[0].rows] == ["0.000"] * 3
+
+
+def test_a_result_can_be_read_while_it_is_written_and_if_its_writing_was_cut_short(tmp_path: Path) -> None:
+    """HDF5 refuses a file that says it is open for writing; one column is longer, for it came first."""
+    live = LiveFused(tmp_path / "live.h5", epoch=EPOCH, technique="mean", log="run.h5")
+    live.append(block())
+    path, beside = tmp_path / "live.h5", tmp_path / "cut.h5"
+    with live:
+        (back,) = read_fused(path)
+        assert (back.time == block().time).all()
+        assert (back.triads[FORCE] == block().triads[FORCE]).all()
+        live._fused._group["time"].resize(FRAMES + 10, axis=0)
+        live._fused._group["time"].flush()
+        beside.write_bytes(path.read_bytes())
+    assert read_fused_head(beside).frames == FRAMES
+    assert [len(part.time) for part in read_fused(beside, block=30)] == [30, 20]
+    assert sum(export(beside, tmp_path / "f.csv").rows.values()) == FRAMES
+    assert kind_of(beside) == "fused result"
