@@ -89,13 +89,27 @@ def explore(bus: OpenBus) -> list[Found]:
 
 
 def _find_mux(bus: OpenBus) -> int | None:
-    """The address that answers as a multiplexer; a BMP180 has one of the eight addresses too (PCA-11)."""
+    """The address that answers as a multiplexer: some barometers have one of the eight addresses too (PCA-11)."""
     for address in pca9544a.ADDRESSES:
         with contextlib.suppress(OSError):
-            bus.transfer(address, read=1)
-            if not _answers(bus, address, bmp180.CHIP_ID):
+            if not _answers(bus, address, bmp180.CHIP_ID) and _keeps_control(bus, address):
                 return address
     return None
+
+
+def _keeps_control(bus: OpenBus, address: int) -> bool:
+    """Does it read as it was written (PCA-02), with channel 1 connected and then with none? To a chip with registers
+    the byte is where to read next.
+    """
+    for control in (pca9544a.ENABLE(1) | pca9544a.CHANNEL(1), pca9544a.ENABLE(0) | pca9544a.CHANNEL(0)):
+        bus.transfer(address, bytes([control.value]))
+        read = bus.transfer(address, read=1)[0]
+        if (pca9544a.ENABLE.of(read), pca9544a.CHANNEL.of(read)) != (
+            pca9544a.ENABLE.of(control.value),
+            pca9544a.CHANNEL.of(control.value),
+        ):
+            return False
+    return True
 
 
 def _strangers(mux_address: int | None, taken: set[tuple[int | None, int]], bus: OpenBus) -> list[Found]:

@@ -7,8 +7,11 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+import tomli_w
+
 from imuarray.acquire.detect import MUX, Found
 from imuarray.errors import SensorError
+from imuarray.printable import printable
 
 _SETTINGS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
     {
@@ -29,8 +32,6 @@ _HEAD = """\
 # Axes: `imuarray calibrate axes` finds them from three poses held by hand; without a line of axes they are "+X+Y+Z".
 
 [array]
-name = "{name}"
-bus  = "{bus}"
 """
 
 
@@ -41,9 +42,9 @@ def propose(found: Sequence[Found], bus: str, name: str = "array") -> str:
         raise SensorError(
             f"{bus}: no chip answered, nothing to write a configuration of; try `imuarray detect --doctor`"
         )
-    text = _HEAD.format(name=name, bus=bus)
+    text = _HEAD.format(bus=printable(bus)) + tomli_w.dumps({"name": name, "bus": bus})
     text += "".join(
-        f'mux  = {{ chip = "{MUX}", address = {line.address:#04x} }}\n' for line in found if line.found == MUX
+        f'mux = {{ chip = "{MUX}", address = {line.address:#04x} }}\n' for line in found if line.found == MUX
     )
     counts = Counter(chip for chip, _ in chips)
     numbers: Counter[str] = Counter()

@@ -21,6 +21,9 @@ Reader = Callable[[object, str], object]
 T = TypeVar("T")
 
 _HUGE = 1e6
+_BEYOND = 1e30
+_NOTHING = 1e-60
+"""What is smaller is read as zero: its square would be, and something would be divided by it."""
 _ASYMMETRY = 1e-6
 """Nine written digits leave a covariance this far from symmetric and from non-negative, of its largest entry."""
 
@@ -95,7 +98,7 @@ def numbers(*shape: int, lowest: float = -np.inf, highest: float = np.inf, unkno
         if (array < lowest).any() or (array > highest).any():
             way = f"below {lowest:g}" if (array < lowest).any() else f"above {highest:g}"
             raise CalibrationError(f"{where} is {way}")
-        return array
+        return np.where(np.abs(array) < _NOTHING, 0.0, array)
 
     return read
 
@@ -111,8 +114,8 @@ def _array(value: object, shape: tuple[int, ...]) -> Floats | None:
 
 
 def _is_number(value: object) -> bool:
-    """Whole numbers beyond a float's reach are none that a sensor could have."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and (value != value or abs(value) < 1e300)
+    """Numbers whose square's square is beyond a float's reach are none that a sensor could have."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and (value != value or abs(value) < _BEYOND)
 
 
 def covariance(value: object, where: str) -> Floats:

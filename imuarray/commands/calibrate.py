@@ -163,7 +163,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
         if not log.config:
             raise click.UsageError(f"{run}: no configuration in this log, nothing to write the axes into")
         found = find_pointing(log, held_poses(log, poses.split(",") if poses else ()))
-        text = with_axes(log.config, found)
+        text = with_axes(log.config, found, str(run))
         report = report_of(found, {name: sensor.axes for name, sensor in log.sensors.items()})
     write_text(output, text, force=force)
     report = {**_known(report), "configuration": str(output)}

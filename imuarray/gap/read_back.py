@@ -17,6 +17,8 @@ from imuarray.gap.diagnosis import Diagnosis
 _NAMES = {"unshown": "cannot_tell"}
 _NOT_KEPT: Mapping[str, Any] = types.MappingProxyType({"overlays": (), "repaired": None})
 _DEPTH = 12
+_HUGE = 1e30
+"""No figure of a diagnosis comes near it."""
 
 
 def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
@@ -61,7 +63,9 @@ def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
     if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
         if not isinstance(value, Mapping):
             raise LogError(f"{where}: an object is wanted")
-        return {key: _read(one, inside[1], where, depth - 1) for key, one in value.items()}
+        return {_text(key, where): _read(one, inside[1], where, depth - 1) for key, one in value.items()}
+    if kind is Any or kind is object:
+        return _anything(value, where, depth)
     return _plain(value, kind, where)
 
 
@@ -78,25 +82,54 @@ def _dataclass(value: Any, kind: Any, where: str, depth: int) -> Any:
 
 def _array(value: Any, where: str) -> Any:
     try:
-        return np.array([[nan if one is None else float(one) for one in row] for row in value], float).reshape(
-            len(value), -1
-        )
-    except (TypeError, ValueError):
+        rows = [[nan if one is None else float(one) for one in row] for row in value]
+        found = np.array(rows, float).reshape(len(value), -1)
+        if (np.abs(found) >= _HUGE).any():
+            raise ValueError("beyond any figure of a diagnosis")
+        return found
+    except (TypeError, ValueError, OverflowError):
         raise LogError(f"{where}: rows of numbers are wanted") from None
 
 
 def _plain(value: Any, kind: Any, where: str) -> Any:
     """A text, a number or a flag."""
     if kind is float:
-        if value is None:
-            return nan
-        kind = (int, float)
+        return nan if value is None else _number(value, where)
     if get_origin(kind) is Literal:
         if value not in get_args(kind):
             raise LogError(f"{where}: {value!r:.40}; allowed are {', '.join(get_args(kind))}")
         return value
-    if kind is Any or kind is object:
-        return value
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         raise LogError(f"{where}: {value!r:.40} is not what stands there")
+    if kind is int:
+        _number(value, where)
+    return _text(value, where) if kind is str else value
+
+
+def _anything(value: Any, where: str, depth: int) -> Any:
+    """A value of which no type is known, with nothing in it that no float is or no file can hold."""
+    if depth == 0:
+        raise LogError(f"{where}: nested without end")
+    if isinstance(value, Mapping):
+        return {_text(key, where): _anything(one, where, depth - 1) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_anything(one, where, depth - 1) for one in value]
+    if isinstance(value, str):
+        return _text(value, where)
+    return value if value is None or isinstance(value, bool) else _number(value, where)
+
+
+def _number(value: Any, where: str) -> float:
+    """A number, as it stands; JSON's whole numbers have no end."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) >= _HUGE:
+        raise LogError(f"{where}: {str(value)[:40]!r} is no number that stands there")
+    return value
+
+
+def _text(value: str, where: str) -> str:
+    """A text that a file can hold: JSON can spell halves of characters."""
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise LogError(f"{where}: {value!r:.40}: half a character") from None
     return value

@@ -23,7 +23,6 @@ HEADERS: Mapping[str, str] = MappingProxyType(
 )
 """Of every answer. Bokeh styles what it draws in the page, hence 'unsafe-inline' for styles alone."""
 
-_OWN_NAMES = frozenset({"127.0.0.1", "localhost", "[::1]"})
 _OWN_SITE = frozenset({"", "none", "same-origin"})
 _TOKEN_BYTES = 24
 
@@ -54,4 +53,4 @@ def refusal(token: str, given: str, host: str, headers: Mapping[str, str]) -> st
         given_right = hmac.compare_digest(given.encode(), token.encode())
         return None if given_right else "the token is missing or wrong: use the address that imuarray printed"
     name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
-    return None if name in _OWN_NAMES else "asked for under a foreign name: use http://127.0.0.1"
+    return None if is_own(name) else "asked for under a foreign name: use http://127.0.0.1"

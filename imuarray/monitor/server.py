@@ -138,7 +138,7 @@ async def _serve(
         application(looks, token, files("imuarray.monitor")), max_body_size=1 << 10, max_header_size=1 << 14
     )
     server.add_socket(listening)
-    announce(_address(host, listening.getsockname()[1], token))
+    announce(address_of(host, listening.getsockname()[1], token))
     try:
         await _until_asked_to_end(looks, parent)
     finally:
@@ -146,10 +146,11 @@ async def _serve(
         looks.close()
 
 
-def _address(host: str, port: int, token: str) -> str:
+def address_of(host: str, port: int, token: str) -> str:
     """What to open in a browser."""
     anywhere = host in ("0.0.0.0", "::", "")  # noqa: S104  # compared, not bound
-    name = socket.gethostname() if anywhere else (f"[{host}]" if ":" in host else host)
+    bare = host.strip("[]")
+    name = socket.gethostname() if anywhere else (f"[{bare}]" if ":" in bare else bare)
     return f"http://{name}:{port}/" + (f"?token={token}" if token else "")
 
 

@@ -34,6 +34,40 @@ def test_a_bus_without_a_multiplexer() -> None:
     assert [(sensor.name, sensor.channel, sensor.address) for sensor in array.sensors] == [("ADXL1", None, 0x53)]
 
 
+def test_a_chip_that_nobody_knows_is_no_multiplexer() -> None:
+    """A BME280 sits at 0x76, an address of the multiplexer too; it has an ADXL345 beside it."""
+    bus = Chips({0x76: {0x00: 0x00, 0x05: 0x00, 0xD0: 0x60}, 0x53: {0x00: 0xE5}})
+    found = explore(bus)
+    assert [(line.found, line.channel, line.address) for line in found] == [("adxl345", None, 0x53)]
+
+
+class Chips:
+    """Chips by address, each with its registers behind an address pointer; a bus."""
+
+    source = "i2c"
+
+    def __init__(self, registers: dict[int, dict[int, int]]) -> None:
+        self.registers, self.pointers = registers, dict.fromkeys(registers, 0)
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        if address not in self.registers:
+            raise OSError(121, "nobody acknowledges this address")
+        if write:
+            self.pointers[address] = write[0]
+        first = self.pointers[address]
+        return bytes(self.registers[address].get(first + step, 0xFF) for step in range(read))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("bus", "name"), [('i2c:/dev/"x"', 'a"b\\c'), ("x\ny = 1", "a\nb"), ("serial:/µ", "Größe 🎈")])
+def test_names_are_quoted(bus: str, name: str) -> None:
+    found = [Found("trunk address 0x77", "", "", "bmp180", True, "", None, 0x77)]
+    array = parse_array(propose(found, bus, name))
+    assert (array.bus, array.name) == (bus, name)
+
+
 def test_nothing_answered() -> None:
     with pytest.raises(SensorError, match="no chip answered"):
         propose([], "i2c:/dev/i2c-1")

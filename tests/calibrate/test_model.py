@@ -145,14 +145,14 @@ sensors = st.builds(
 
 
 def assert_alike(before: object, after: object) -> None:
-    """Arrays to nine digits (nan is nan), everything else exactly."""
+    """Arrays to nine digits (nan is nan; what is next to nothing is 0), everything else exactly."""
     if is_dataclass(before):
         assert type(before) is type(after)
         for item in fields(before):
             assert_alike(getattr(before, item.name), getattr(after, item.name))
     elif isinstance(before, np.ndarray):
         assert isinstance(after, np.ndarray)
-        assert after == pytest.approx(before, rel=1e-8, abs=0, nan_ok=True)
+        assert after == pytest.approx(before, rel=1e-8, abs=1e-60, nan_ok=True)
     elif isinstance(before, Mapping):
         assert isinstance(after, Mapping) and before.keys() == after.keys()
         for key, value in before.items():
@@ -214,6 +214,8 @@ REFUSED = {
     "temperature NaN": HEAD + SENSOR + "temperature_degc = nan\n",
     "sensor no table": HEAD.replace("[cal", "sensor = ['A']\n[cal"),
     "one sensor table": HEAD + SENSOR.replace("[[sensor]]", "[sensor]"),
+    "a square beyond any float": HEAD + SENSOR.replace("[1, 2, 3]", "[1e299, 2, 3]"),
+    "drift beyond any float": HEAD + SENSOR + WANDERED.replace("rms_lsb = [1", "rms_lsb = [1e200"),
     "huge whole number": HEAD + SENSOR.replace("[1, 2, 3]", f"[1{'0' * 400}, 2, 3]"),
     "5000 digits": HEAD + f"x = {'9' * 5000}\n",
     "deep nesting": "x = " + "[" * 5000,
@@ -315,6 +317,14 @@ def test_a_damaged_file_is_read_or_refused(place: int, inserted: bytes, removed:
             load_calibration(path)
         except ImuArrayError as error:
             assert str(error).startswith(str(path))
+
+
+def test_what_is_next_to_nothing_is_nothing(tmp_path: Path) -> None:
+    """A noise whose square is zero, by which somebody would divide."""
+    path = tmp_path / "cal.toml"
+    path.write_text(HEAD + SENSOR + "noise_lsb = [1e-300, 1e-9, 2]\n")
+    noise = load_calibration(path).sensors["A"].noise_lsb
+    assert noise is not None and noise.tolist() == [0.0, 1e-9, 2.0]
 
 
 @pytest.mark.parametrize("name", ["missing.toml", "."])

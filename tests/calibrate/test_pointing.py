@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imuarray.calibrate.pointing import TURNS, find_pointing, held_poses
-from imuarray.errors import CalibrationError
+from imuarray.calibrate.pointing import TURNS, Pointing, find_pointing, held_poses
+from imuarray.commands.calibrate_axes import with_axes
+from imuarray.errors import CalibrationError, ConfigError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
 from tests.calibrate.conftest import EPOCH, Floats, ideal
@@ -144,3 +145,38 @@ def test_two_poses_leave_a_gyroscope_untold(written: Written) -> None:
 def test_an_unknown_pose_is_refused(written: Written) -> None:
     with open_log(written(AXES, ("+Z", "+X", "+Y"))) as log, pytest.raises(CalibrationError, match="allowed are"):
         held_poses(log, ("+Z", "X", "+Y"))
+
+
+FOUND = [Pointing("A", "bma180", "+Y+X-Z", 0.01, 1.0)]
+
+
+def test_axes_go_into_a_configuration_that_stays_as_it_is() -> None:
+    text = '# mine\r\n[[sensor]]\nname = "A" # low\n\n[[sensor]]\nname = "B"\n'
+    assert with_axes(text, FOUND, "run.h5") == text.replace("low\n", 'low\naxes = "+Y+X-Z"\n')
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("no toml [", "not TOML: Invalid key"),
+        ("\0\x1b[31m", "not TOML"),
+        ("a = " + "[" * 100_000, "not TOML"),
+        ("a = 1\na = 2", "not TOML"),
+        ('[[sensor]]\nname = "A"\naxes = "x"\n[sensor.axes]', "not TOML"),
+        ("sensor = 5", r"no list of \[\[sensor\]\] tables"),
+        ('sensor = "A"', r"no list of"),
+        ('[sensor]\nname = "A"', r"no list of"),
+        ('sensor = ["A"]', r"no list of"),
+        ("#" * (1 << 21), "has 2097152 characters"),
+    ],
+    ids=range(10),
+)
+def test_a_configuration_that_is_none_is_told_in_a_line(text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=rf"^run\.h5: its configuration .*{said}") as caught:
+        with_axes(text, FOUND, "run.h5")
+    assert str(caught.value).isprintable()
+
+
+def test_names_that_are_none_are_nobodys() -> None:
+    text = '[[sensor]]\nname = ["A"]\n[[sensor]]\nname = {A = 1}\n[[sensor]]\n'
+    assert with_axes(text, FOUND, "run.h5") == text

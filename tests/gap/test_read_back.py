@@ -34,9 +34,16 @@ def test_all_that_json_holds_comes_back() -> None:
         (("where",), {"a": 1}, "where: a list is wanted"),
         (("causes",), [3], "causes: an object is wanted"),
         (("seed",), True, "seed: True"),
+        (("seed",), 10**400, "seed: '1000"),
+        (("gap", "before"), 10**400, "gap.before: '1000"),
+        (("gap", "before"), 1e300, "gap.before: '1e"),
+        (("map", "before"), [[10**400]], "rows of numbers"),
+        (("causes", 0, "parameters"), {"a": [10**400]}, "parameters: '1000"),
+        (("sentence",), "\ud800", "sentence: .*: half a character"),
+        (("causes", 0, "parameters"), {"\ud800": 1}, "parameters: .*: half a character"),
     ],
 )
-def test_what_is_wrong_is_named(path: tuple[str, ...], value: object, said: str) -> None:
+def test_what_is_wrong_is_named(path: tuple[str | int, ...], value: object, said: str) -> None:
     found = table()
     place: Any = found
     for key in path[:-1]:

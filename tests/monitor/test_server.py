@@ -18,6 +18,7 @@ from typing import NamedTuple
 import pytest
 
 from imuarray.monitor.guard import HEADERS, is_own, new_token, refusal
+from imuarray.monitor.server import address_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -60,6 +61,8 @@ def asked(address: str, part: str = "", method: str = "GET", **headers: str) -> 
         ("", "", "localhost:8765", {"Sec-Fetch-Site": "same-origin", "Origin": "http://localhost:8765"}, None),
         ("", "", "[::1]:8765", {"Sec-Fetch-Site": "none"}, None),
         ("", "", "[::1]", {}, None),
+        ("", "", "127.0.0.2:8765", {}, None),  # no name, so that nobody can have made it lead here
+        ("", "", "[::ffff:192.168.1.5]:8765", {}, "foreign name"),
         ("", "", "evil.example:8765", {}, "foreign name"),
         ("", "", "127.0.0.1.evil.example", {}, "foreign name"),
         ("", "", "127.0.0.1:8765", {"Sec-Fetch-Site": "cross-site"}, "another page"),
@@ -86,6 +89,15 @@ def test_who_is_served(token: str, given: str, host: str, headers: dict[str, str
 )  # fmt: skip
 def test_which_addresses_are_this_machines_own(host: str, own: bool) -> None:
     assert is_own(host) == own
+
+
+@pytest.mark.parametrize(
+    ("host", "address"),
+    [("127.0.0.1", "http://127.0.0.1:1/"), ("::1", "http://[::1]:1/"), ("[::1]", "http://[::1]:1/")],
+)
+def test_what_to_open(host: str, address: str) -> None:
+    assert address_of(host, 1, "") == address
+    assert address_of(host, 1, "t") == f"{address}?token=t"
 
 
 def test_tokens_are_long_and_new() -> None:
