@@ -10,14 +10,16 @@ from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, e
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
 from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
-from imuarray.fuse.fused_file import FusedHead, read_fused, read_fused_head
+from imuarray.fuse.fused_file import FusedHead, read_fused, read_fused_events, read_fused_head
 from imuarray.fuse.gains import Gain, Ratio, gains, ratio_of
 from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, fused_block
 from imuarray.fuse.running import running_temperatures
 from imuarray.fuse.store import write_fused
+from imuarray.fuse.stored_events import FusedEvent
 from imuarray.fuse.stream import FusionStream
 from imuarray.fuse.techniques import TECHNIQUES, changes
 from imuarray.fuse.thermal import element_temperatures, slopes_of
+from imuarray.fuse.told import Told, told_by
 
 __all__ = [
     "NAMES",
@@ -36,6 +38,7 @@ __all__ = [
     "FaultEvent",
     "Frames",
     "FusedBlock",
+    "FusedEvent",
     "FusedHead",
     "FusionStream",
     "Gain",
@@ -43,6 +46,7 @@ __all__ = [
     "Pipeline",
     "Ratio",
     "Score",
+    "Told",
     "Watch",
     "aligned",
     "axes_of",
@@ -63,9 +67,11 @@ __all__ = [
     "quiet_noise",
     "ratio_of",
     "read_fused",
+    "read_fused_events",
     "read_fused_head",
     "running_temperatures",
     "slopes_of",
     "technique_names",
+    "told_by",
     "write_fused",
 ]

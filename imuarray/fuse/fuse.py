@@ -23,6 +23,7 @@ from imuarray.fuse.running import Warming, running_temperatures
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.fuse.thermal import element_temperatures
+from imuarray.fuse.told import Told, told_by
 from imuarray.fuse.watched import Watched
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.format import SensorHeader
@@ -70,13 +71,15 @@ def fuse(
     only: Collection[str] = (),
     causal: bool = False,
     watch: Watch = WATCH,
+    told: Callable[[Told], None] = lambda told: None,
     block: int = BLOCK,
 ) -> Iterator[FusedBlock]:
     """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`, one of `NAMES` or what makes
     a pipeline for their axes; FusionError if they can't feed it.
 
     Biases follow the temperature that the log tells, where the calibration says how. `causal`: by what was known when
-    each frame was read, as `live` does; otherwise `optimal` smooths: every frame by what the whole log tells.
+    each frame was read, as `live` does; otherwise `optimal` smooths: every frame by what the whole log tells. `told`
+    hears, after the last block, what the technique has found out about the sensors.
     """
     everything = list(log.sensors.values())
     array = _Array(_chosen(everything, only, str(log.path)), calibration, technique, watch)
@@ -86,10 +89,11 @@ def fuse(
         of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
         warming = Warming(of_all, {}, {})
     if array.is_optimal and not causal:
-        yield from _smoothed(log, array, warming, block)
+        yield from _smoothed(log, array, warming, told, block)
         return
     stream = FusionStream(array.groups, calibration, array.making(warming), warming, timeout_s=float("inf"))
     yield from _replayed(log, stream, block)
+    told(told_by(stream.pipeline))
 
 
 def live(
@@ -167,7 +171,9 @@ class _Array(Generic[_Sensor]):
         return Watched(pipeline, axes, period_s, self.watch.ranges, found)
 
 
-def _smoothed(log: Log, array: _Array[SensorLog], warming: Warming, block: int) -> Iterator[FusedBlock]:
+def _smoothed(
+    log: Log, array: _Array[SensorLog], warming: Warming, told: Callable[[Told], None], block: int
+) -> Iterator[FusedBlock]:
     """Every frame by what the whole log tells: it is read twice."""
     axes, model = array.axes, array.model(warming)
     period_s = _period_s(array)
@@ -184,7 +190,7 @@ def _smoothed(log: Log, array: _Array[SensorLog], warming: Warming, block: int) 
         )
         return _replayed(log, stream, block)
 
-    yield from smoothed(blocks, axes, model, period_s)
+    yield from smoothed(blocks, axes, model, period_s, told)
 
 
 def _period_s(array: _Array[SensorLog]) -> float:

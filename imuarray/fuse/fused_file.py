@@ -20,6 +20,7 @@ import numpy.typing as npt
 from imuarray.errors import LogError
 from imuarray.fuse.frames import ENTRIES, Floats, FusedBlock
 from imuarray.fuse.store import COVARIANCE, FORMAT, FORMAT_VERSION, USED
+from imuarray.fuse.stored_events import FusedEvent, events_in
 from imuarray.log.column import NamedColumn
 from imuarray.log.guard import DAMAGE, open_file
 from imuarray.log.inspection import refuse_hostile
@@ -83,6 +84,14 @@ def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[Fuse
             yield FusedBlock(
                 columns["time"][rows], triads, _parts(columns, COVARIANCE, rows), _parts(columns, USED, rows)
             )
+
+
+def read_fused_events(path: str | PathLike[str]) -> tuple[FusedEvent, ...]:
+    """What became of sensors, in the order in which it was found; none of a file that does not say. LogError."""
+    with fused_columns(path):
+        pass  # it is a fused result, and does no harm
+    with _opened(Path(path)) as file:
+        return events_in(file, str(path))
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, axis_bits
 from imuarray.fuse.techniques import TECHNIQUES, Technique
+from imuarray.fuse.told import Remarking, Told
 
 Out_co = TypeVar("Out_co", covariant=True)
 
@@ -64,6 +65,11 @@ class EachAlone:
     def finish(self) -> Iterator[FusedBlock]:
         """Nothing."""
         return iter(())
+
+    def told(self) -> Told:
+        """What the techniques remark."""
+        remarking = {quantity: its for quantity, its in self.techniques.items() if isinstance(its, Remarking)}
+        return Told(remarks=[text for quantity, its in remarking.items() for text in its.remarks(quantity)])
 
 
 def fused_block(time: Times, estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]) -> FusedBlock:

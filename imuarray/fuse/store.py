@@ -7,6 +7,8 @@
             specific_force (n, 3) m/s2, angular_rate (n, 3) rad/s, box frame; NaN: not enough axes
             specific_force_covariance (n, 6) (m/s2)^2, ...: xx yy zz xy xz yz (attr columns); NaN: a noise is not known
             specific_force_used (n, s) uint8, ...: which axes of each sensor (attr sensors) went into it: 1 x, 2 y, 4 z
+    /events time (m,) int64 ns since epoch, and text (m,): sensor, kind, state, message: which sensors failed, were left
+            out and came back (`imuarray.fuse.FaultEvent`); empty where nobody watched, not there in older files
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ import numpy.typing as npt
 from imuarray import __version__
 from imuarray.atomic import whole_file
 from imuarray.errors import OutputError, OutputExistsError
+from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import ENTRIES, FusedBlock
+from imuarray.fuse.stored_events import StoredEvents
 from imuarray.log.room import free_bytes
 
 _SLACK_BYTES = 1 << 18
@@ -58,11 +62,13 @@ def write_fused(
     log: str,
     calibration: str = "",
     sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    events: Sequence[FaultEvent] = (),
     force: bool = False,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> int:
     """Write blocks as they come, under a temporary name until all are there; the number of frames. `sensors` names, per
-    quantity, those whose use a block tells. OutputExistsError, OutputError.
+    quantity, those whose use a block tells; `events` are read after the last block, so that they may be what `Watch`
+    finds in the meantime. OutputExistsError, OutputError.
     """
     about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
     with whole_file(path, force=force) as draft, h5py.File(draft, "w") as file:
@@ -72,6 +78,8 @@ def write_fused(
             fused.append(block)
             frames += len(block.time)
             progress(frames)
+        for event in events:
+            fused.events.append(event)
     return frames
 
 
@@ -109,6 +117,10 @@ class LiveFused:
         self.frames += len(block.time)
         if not self._file.swmr_mode:
             self._file.swmr_mode = True
+
+    def event(self, event: FaultEvent) -> None:
+        """What became of a sensor. OSError."""
+        self._fused.events.append(event)
 
     def close(self) -> None:
         """Complete the file; one without frames goes."""
@@ -152,6 +164,7 @@ class _Fused:
         file.attrs.update(NX_class="NXroot", default="fused")  # what viewers of NeXus files look for
         self._file, self._path, self._sensors = file, path, sensors
         self._group = file.create_group("fused")
+        self.events = StoredEvents(file, about["epoch"])
         self._epoch = about["epoch"]
         self._filters: dict[str, Any] = {"compression": "gzip", "shuffle": True} if compressed else {}
 

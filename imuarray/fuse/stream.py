@@ -104,6 +104,11 @@ class FusionStream(Generic[Out]):
         return self._feeds.keys()
 
     @property
+    def pipeline(self) -> Pipeline[Out] | None:
+        """What it feeds; None before the first frames."""
+        return self._pipeline
+
+    @property
     def rows_kept(self) -> int:
         """Rows that wait for those of other sensors, or that frames to come depend on."""
         return sum(len(rows) for rows in self._rows.values())

@@ -12,6 +12,7 @@ from imuarray.fuse.faults import FaultEvent, FaultMonitor, Ranges
 from imuarray.fuse.frames import Floats, Frames
 from imuarray.fuse.pipeline import Pipeline
 from imuarray.fuse.solve import solve_frames
+from imuarray.fuse.told import Told, told_by
 
 Out = TypeVar("Out")
 
@@ -62,6 +63,10 @@ class Watched(Generic[Out]):
         self._tell()
         yield from self._passed({quantity: part for quantity, part in last.items() if part is not None})
         yield from self._inner.finish()
+
+    def told(self) -> Told:
+        """What the pipeline behind it tells."""
+        return told_by(self._inner)
 
     def _passed(self, frames: Mapping[str, Frames]) -> Iterator[Out]:
         """Frames that are done with, and their temperatures."""

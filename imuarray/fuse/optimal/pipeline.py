@@ -9,6 +9,7 @@ from imuarray.fuse.frames import Floats, Frames, FusedBlock
 from imuarray.fuse.optimal.error_model import ErrorModel
 from imuarray.fuse.optimal.optimal import Optimal
 from imuarray.fuse.pipeline import fused_block
+from imuarray.fuse.told import Told
 
 Gathered = tuple[Mapping[str, Frames], Mapping[str, Floats]]
 """Frames by quantity, and the temperatures of their elements by sensor."""
@@ -30,6 +31,10 @@ class AsTheyCome:
         """Nothing."""
         return iter(())
 
+    def told(self) -> Told:
+        """The slow errors of every axis as they are felt at the last frame."""
+        return Told(self._optimal.learned())
+
 
 class Gathering:
     """A `Pipeline` that gives its frames as they are, for those who want them all."""
@@ -44,9 +49,16 @@ class Gathering:
 
 
 def smoothed(
-    blocks: Callable[[], Iterator[Gathered]], axes: Mapping[str, Sequence[Axis]], model: ErrorModel, period_s: float
+    blocks: Callable[[], Iterator[Gathered]],
+    axes: Mapping[str, Sequence[Axis]],
+    model: ErrorModel,
+    period_s: float,
+    told: Callable[[Told], None] = lambda told: None,
 ) -> Iterator[FusedBlock]:
-    """All frames by what all of them tell; `blocks` gives them from the beginning, and is asked twice. FusionError."""
+    """All frames by what all of them tell; `blocks` gives them from the beginning, and is asked twice. `told` hears at
+    the end which slow errors there were. FusionError.
+    """
     optimal = Optimal(axes, model, period_s=period_s)
     for time, estimates in optimal.smoothed(blocks):
         yield fused_block(time, estimates, axes)
+    told(Told(optimal.learned()))

@@ -23,6 +23,9 @@ from imuarray.units import READABLE_SI
 AVERAGED = 100
 """Readings over which the error is weighed: a second at 100 Hz. One would weigh by noise, very many by stability."""
 
+_REMARKABLE_SIGMAS = 3.0
+"""An axis that stands watch is told of if it differs by so much."""
+
 _KINDS = {True: "x and y", False: "z"}
 
 
@@ -74,6 +77,16 @@ class PlaneBlend:
         """What the axes that weigh less have shown so far."""
         watched = zip(self._watched.tolist(), self._sums.T, strict=True)
         return [self._monitor(self._axes[index], *sums) for index, sums in watched]
+
+    def remarks(self, quantity: str) -> list[str]:
+        """What axes that weigh less read otherwise than the others; how many do not."""
+        found = self.monitors()
+        apart = [monitor for monitor in found if not abs(monitor.sigmas) < _REMARKABLE_SIGMAS]
+        said = [monitor.sentence(quantity) for monitor in apart]
+        if agreed := len(found) - len(apart):
+            more = "more " if apart else ""
+            said.append(f"{agreed} {more}axes that stand watch differ by less than {_REMARKABLE_SIGMAS:g} sigma")
+        return said
 
     def _watch(self, frames: Frames) -> None:
         """Add up what the watched axes read otherwise than the others: frames, sum, sum of squares. A reading that was

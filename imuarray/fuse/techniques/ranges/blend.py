@@ -60,6 +60,14 @@ class RangeBlend:
         extra = self._uncertainty(states, weights, frames.valid, share, estimate.triad_box, slope)
         return replace(estimate, covariance_box=estimate.covariance_box + extra)
 
+    def remarks(self, quantity: str) -> list[str]:
+        """What the sensors of low ranges read otherwise than the blend of all."""
+        if self._fading is None:
+            return []
+        fades = self._fading.fades.repeat(3)
+        found = zip(self.tracker.relative(), fades, strict=True)
+        return [relative.sentence(quantity) for relative, low in found if low]
+
     def _slope(self, time: npt.NDArray[np.int64], triad: Floats) -> Floats:
         """(n, 3) change per second over the last two frames, so that nothing of the future is needed; zero where that
         is not known.

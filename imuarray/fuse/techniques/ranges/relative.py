@@ -27,6 +27,7 @@ from imuarray.fuse.frames import Flags, Floats
 from imuarray.fuse.techniques.ranges.blends import Blends
 from imuarray.fuse.techniques.ranges.fading import UNKNOWN_BANDWIDTH_HZ
 from imuarray.fuse.techniques.ranges.moments import SEGMENT, Moments, Rows, moments
+from imuarray.units import READABLE_SI
 
 MEMORY_S = 20.0
 """How far back the bias looks."""
@@ -54,6 +55,20 @@ class Relative:
     scale_sem: float
     delay_s: float
     delay_sem_s: float
+
+    def sentence(self, quantity: str) -> str:
+        """ "BMA3 x beside the blend: +12.300 +- 0.400 mg, +0.12 +- 0.05 %"; a scale or a delay that is told from none by
+        less than two standard errors is not said. `quantity` as in the log.
+        """
+        factor, unit = READABLE_SI[quantity]
+        words = [f"{factor * self.bias_si:+.3f} +- {factor * self.bias_sem_si:.3f} {unit}"]
+        for value, sem, scale, name in (
+            (self.scale, self.scale_sem, 1e2, "%"),
+            (self.delay_s, self.delay_sem_s, 1e3, "ms"),
+        ):
+            if abs(value) > 2 * sem:
+                words.append(f"{scale * value:+.2f} +- {scale * sem:.2f} {name}")
+        return f"{self.label} beside the blend: {', '.join(words)}"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,45 @@
+"""What techniques have to say of the sensors they were given, once a log is fused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+from imuarray.fuse.optimal.learned import LearnedBias
+
+
+@dataclass(frozen=True)
+class Told:
+    """The slow errors that were learnt of every axis, by quantity (`optimal` does), and `remarks`: sentences."""
+
+    biases: Mapping[str, Sequence[LearnedBias]] = field(default_factory=dict)
+    remarks: Sequence[str] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON-ready, in SI."""
+        biases = {quantity: [asdict(bias) for bias in found] for quantity, found in self.biases.items()}
+        return {"biases": biases, "remarks": list(self.remarks)}
+
+
+@runtime_checkable
+class Remarking(Protocol):
+    """A technique that has something to say of the axes it was given."""
+
+    def remarks(self, quantity: str) -> list[str]:
+        """Sentences; `quantity` is what the axes measure, as a log calls it."""
+        ...
+
+
+@runtime_checkable
+class Telling(Protocol):
+    """A pipeline that has found out something."""
+
+    def told(self) -> Told:
+        """What it knows by the frames so far."""
+        ...
+
+
+def told_by(pipeline: object) -> Told:
+    """What a pipeline tells; nothing, if it is none that does."""
+    return pipeline.told() if isinstance(pipeline, Telling) else Told()

