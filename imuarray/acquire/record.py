@@ -43,6 +43,7 @@ def record(
     judge: Judge | None = None,
     service: Service | None = None,
     begun: Callable[[str, Sequence[SensorHeader]], None] = lambda epoch, sensors: None,
+    started: Callable[[int], None] = lambda time_ns: None,
     force: bool = False,
 ) -> Summary:
     """Record `array` on `bus` into a new log at `path`: `rate_hz` frames a second for `seconds`, or until `stopped()`.
@@ -52,7 +53,7 @@ def record(
     far. `judge` says how sensors came up; one that came up wrong is flagged and set up again. `rotate_s` cuts the log
     into parts of so many seconds, each a log of its own (`imuarray.log.rotate`). `service` is told how it goes (None:
     the one that this process belongs to). `begun` hears the log's epoch and what it says of its sensors before there is
-    a log; what it raises ends the recording. `wall_time` is the UTC time of the start (None: that of the transcript
+    a log; what it raises ends the recording; `started` when the first of several parts begins. `wall_time` is the UTC time of the start (None: that of the transcript
     that is replayed, or the wall clock, read once).
 
     Raises SensorError before the first frame if a sensor is missing or wrong, OutputExistsError if the log exists,
@@ -69,7 +70,7 @@ def record(
     told = service or Service()
     begun(_iso(epoch), headers)
     about = {"source": bus.source, "epoch": _iso(epoch), "config": array.text, "force": force}
-    with _writer(path, headers, rotate_s, **about) as log:
+    with _writer(path, headers, rotate_s, started, **about) as log:
         loop = Streaming if streams(bus, stations) else Poll
 
         def written(frames: int) -> None:
@@ -95,11 +96,17 @@ def record(
     return recording.summary
 
 
-def _writer(path: str | PathLike[str], headers: Sequence[SensorHeader], rotate_s: float | None, **about: Any) -> Writer:
+def _writer(
+    path: str | PathLike[str],
+    headers: Sequence[SensorHeader],
+    rotate_s: float | None,
+    started: Callable[[int], None],
+    **about: Any,
+) -> Writer:
     """One log, or one cut into parts of so many seconds."""
     if rotate_s is None:
         return LogWriter(path, headers, **about)
-    return RotatingWriter(path, headers, every_s=rotate_s, **about)
+    return RotatingWriter(path, headers, every_s=rotate_s, started=started, **about)
 
 
 def _since(phases: Sequence[Phase], start_ns: int) -> list[Phase]:

@@ -98,12 +98,17 @@ def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> 
     """
     means = _first_means(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])
     found = in_this_pose(state_of(means, calibration, ranges=ranges), calibration)
+    return in_states(found, calibration), found
+
+
+def in_states(found: Mapping[str, StartUp], calibration: Calibration) -> Calibration:
+    """The calibration with the biases of the states in which gyroscopes came up."""
     sensors = dict(calibration.sensors)
     for name, start in found.items():
         known = sensors[name].turn_on
         if known is not None and len(known.states) > 1 and not start.fault:
             sensors[name] = replace(sensors[name], bias_lsb=_bias_in(start.state, sensors[name], known))
-    return replace(calibration, sensors=sensors), found
+    return replace(calibration, sensors=sensors)
 
 
 def _bias_in(state: int, sensor: SensorCalibration, known: TurnOn) -> Floats:

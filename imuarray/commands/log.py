@@ -70,13 +70,18 @@ _HANG_UP: int | None = getattr(signal, "SIGHUP", None)  # Windows has none
     " set it up again; with --fuse: what the fusion knows of the sensors",
 )
 @click.option("--fuse", is_flag=True, help="also fuse the readings as they come (a second or two behind)")
-@click.option("--technique", metavar="NAME", help="of --fuse: mean, opposed, planes or ranges  [default: mean]")
+@click.option("--technique", metavar="NAME", help="of --fuse: mean, opposed, planes, ranges or optimal  [default: mean]")
 @click.option(
     "--fused",
     "fused_file",
     type=click.Path(path_type=Path),
     metavar="FUSED.h5",
-    help="where --fuse writes  [default: RUN_fused.h5]",
+    help="where --fuse writes  [default: RUN_fused.h5]; with --rotate a file for each part: RUN_001_fused.h5, ...",
+)
+@click.option(
+    "--watch/--no-watch",
+    default=None,
+    help="of --fuse: find sensors that fail, say so and go on without them (default: with optimal)",
 )
 @click.option(
     "--rotate",
@@ -101,6 +106,7 @@ def command(
     fuse: bool,
     technique: str | None,
     fused_file: Path | None,
+    watch: bool | None,
     rotate_s: float | None,
     force: bool,
     as_json: bool,
@@ -122,10 +128,12 @@ def command(
     refuse_existing(output if rotate_s is None else part_of(output, 1), force)
     if output.suffix not in (".h5", ".hdf5"):
         raise click.UsageError(f"{output}: a log is an HDF5 file; name it {output.name}.h5")
-    if (technique or fused_file) and not fuse:
-        raise click.UsageError(f"{'--technique' if technique else '--fused'} is of --fuse: say that too")
-    fusion = _fusion(output, fused_file, calibration, technique or "mean", rate_hz, force) if fuse else None
+    asked = {"--technique": technique, "--fused": fused_file, "--watch": watch}
+    if not fuse and (of_fuse := [name for name, value in asked.items() if value is not None]):
+        raise click.UsageError(f"{of_fuse[0]} is of --fuse: say that too")
     judge = _judge(array, calibration, only_if_it_can=fuse) if calibration else None
+    options = {"rate_hz": rate_hz, "watch": watch, "rotate_s": rotate_s, "force": force}
+    fusion = _fusion(output, fused_file, calibration, technique or "mean", judge, options) if fuse else None
     with ExitStack() as stack:
         bus, recorder = _connected(stack, url, array, transcript, force)
         stop = stack.enter_context(_Interruptible())
@@ -150,6 +158,7 @@ def command(
             judge=judge,
             force=force,
             begun=fusion.begun if fusion else lambda epoch, sensors: None,
+            started=fusion.started if fusion else lambda time_ns: None,
             observe=fusion.observe if fusion else lambda sensor, block: None,
         )
     with suppress(OSError) if stop.hung_up else nullcontext():  # nobody is there to be told
@@ -182,17 +191,30 @@ def _judge(array: ArrayConfig, calibration: Path, only_if_it_can: bool) -> Start
 
 
 def _fusion(
-    output: Path, fused_file: Path | None, calibration: Path | None, technique: str, rate_hz: float, force: bool
+    output: Path,
+    fused_file: Path | None,
+    calibration: Path | None,
+    technique: str,
+    judge: StartUpJudge | None,
+    options: dict[str, Any],
 ) -> LiveFusion:
     """What fuses beside the log."""
     from imuarray.calibrate import Calibration, load_calibration
+    from imuarray.commands.log_fused_files import beside
     from imuarray.commands.log_fusion import LiveFusion
 
-    fused = fused_file or output.with_name(f"{output.stem}_fused.h5")
-    refuse_existing(fused, force, source=output)
     known = load_calibration(calibration) if calibration else Calibration()
-    source = str(calibration or "")
-    return LiveFusion(fused, output, known, technique, rate_hz=rate_hz, calibration_file=source, force=force)
+    fusion = LiveFusion(
+        fused_file or beside(output),
+        output,
+        known,
+        technique,
+        calibration_file=str(calibration or ""),
+        came_up=judge.in_states if judge else None,
+        **options,
+    )
+    refuse_existing(fusion.first_path, options["force"], source=output)
+    return fusion
 
 
 def _connected(
@@ -236,7 +258,9 @@ def _tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusio
     where = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
     click.echo(f"{where}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
     if fusion:
-        click.echo(f"  {fusion.path}: {counted(fusion.frames, 'frame')} fused while recording")
+        files = fusion.paths or [fusion.path]
+        named = files[0] if len(files) == 1 else f"{files[0]} ... {files[-1].name}"
+        click.echo(f"  {named}: {counted(fusion.frames, 'frame')} fused while recording")
     if summary.missed:
         missed = counted(summary.missed, "frame")
         click.echo(f"  {missed} missed: the array can't be read so fast, or this machine was busy")

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from imuarray.acquire.start_up import Verdict
 from imuarray.array import ArrayConfig
-from imuarray.calibrate import load_calibration
-from imuarray.calibrate.start_up import StartUp, in_this_pose, state_of
+from imuarray.calibrate import Calibration, load_calibration
+from imuarray.calibrate.start_up import StartUp, in_states, in_this_pose, state_of
 
 PARTS = 10
 _RESTLESS = 25.0
@@ -31,11 +31,16 @@ class StartUpJudge:
         self._calibration = load_calibration(calibration)
         self._ranges = {sensor.name: sensor.spec.sensitivity for sensor in array.sensors if sensor.spec.sensitivity}
         self._means: dict[str, npt.NDArray[Any]] = {}
+        self._starts: dict[str, StartUp] = {}
 
     @property
     def knows_states(self) -> bool:
         """Whether the calibration says of any sensor how it comes up."""
         return any(sensor.turn_on is not None for sensor in self._calibration.sensors.values())
+
+    def in_states(self) -> Calibration:
+        """The calibration with the biases of the states in which sensors came up, as far as that is known by now."""
+        return in_states(dict(self._starts), self._calibration)
 
     def __call__(self, readings: Mapping[str, npt.NDArray[Any]]) -> dict[str, Verdict]:
         """Verdicts by sensor; a sensor that is judged again is seen beside what the others read at first."""
@@ -46,6 +51,7 @@ class StartUpJudge:
         self._means.update((name, counts.mean(axis=0)) for name, counts in readings.items())
         found = state_of(self._means, self._calibration, ranges=self._ranges)
         starts = {name: start for name, start in in_this_pose(found, self._calibration).items() if name in readings}
+        self._starts.update(starts)
         verdicts = {name: self._verdict(name, start) for name, start in starts.items()}
         if not any(verdict.text for verdict in verdicts.values()):
             usual = f"{len(starts)} sensors came up as ever"

@@ -2,7 +2,8 @@
 
 Each sensor gives its nearest reading within half a frame, which was made some time before it was read; what the motion
 did between the instant of the frame and that one is taken out with the slope of the array's own mean, which is far
-quieter than one sensor, so that no reading is smoothed by its neighbours. Values are calibrated, in SI, along each
+quieter than one sensor, so that no reading is smoothed by its neighbours (and of which a sensor that fails does not get
+hold: `consensus.py`). Values are calibrated, in SI, along each
 sensor axis, with the bias at the temperature of the reading where that is known.
 
 The slope m' of a spline through white noise scatters by 1.18 a frame, and makes the mean of readings whose mean delay
@@ -22,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate import SensorCalibration
+from imuarray.fuse.consensus import consensus
 from imuarray.fuse.frames import Flags, Floats, Frames, Times
 from imuarray.fuse.grid import nearest
-from imuarray.fuse.solve import solve_frames
 from imuarray.fuse.splines import derivatives
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
@@ -94,7 +95,8 @@ def align(
     valid = _by_axis([part.valid for part in parts])
     late_s = _by_axis([part.late_s for part in parts])
     if late_s.any():
-        values -= _motion(grid, values, valid, late_s, period_ns, directions)
+        mean = consensus(values, valid, directions, units[0].known.quantity)
+        values -= _motion(grid, mean, valid, late_s, period_ns, directions)
     clipped = np.concatenate([part.clipped for part in parts], axis=1)
     return Frames(grid, values, valid, clipped, _by_axis([part.stale for part in parts]))
 
@@ -140,11 +142,10 @@ def _clipped(unit: Unit, counts: Floats, status: npt.NDArray[np.uint16]) -> npt.
     return np.where(at_end, np.sign(counts), 0).astype(np.int8)
 
 
-def _motion(grid: Times, values: Floats, valid: Flags, late_s: Floats, period_ns: float, directions: Floats) -> Floats:
-    """(n, m) what the motion did along each axis between the grid and the reading; zero where too little is valid to
-    tell.
+def _motion(grid: Times, mean: Floats, valid: Flags, late_s: Floats, period_ns: float, directions: Floats) -> Floats:
+    """(n, m) what the motion, the array's `mean` (n, 3), did along each axis between the grid and the reading; zero
+    where too little is valid to tell.
     """
-    mean = solve_frames(values, valid.astype(float), directions)
     slope, curvature = derivatives(grid, mean, gap_ns=5 * period_ns)
     usual_s = (late_s * valid).sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=1, keepdims=True), 1)
     return np.asarray(late_s * ((slope - _SECOND_ORDER * usual_s * curvature) @ directions.T))

@@ -17,13 +17,13 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
 from imuarray.fuse.align import MARGIN, Unit, align
 from imuarray.fuse.axes import axes_of, directions
+from imuarray.fuse.consensus import consensus
 from imuarray.fuse.frames import Floats, Frames, Times
 from imuarray.fuse.grid import FIRST_ROWS, Grid, choose
 from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
 from imuarray.fuse.plain import Plain, plain_counts, plain_of
 from imuarray.fuse.rows import FOREVER_NS, Rows
 from imuarray.fuse.running import Warming
-from imuarray.fuse.solve import solve_frames
 from imuarray.log import Block
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
@@ -236,7 +236,7 @@ class FusionStream(Generic[Out]):
         if force is None or rate is None or all(response is None for response in self._responses(rate)):
             return
         feels = frames["specific_force"]
-        force_g = solve_frames(feels.values, feels.valid.astype(float), force.directions) / STANDARD_GRAVITY
+        force_g = consensus(feels.values, feels.valid, force.directions, "specific_force") / STANDARD_GRAVITY
         for place, response in enumerate(self._responses(rate)):
             if response is not None:
                 frames["angular_rate"].values[:, 3 * place : 3 * place + 3] -= np.nan_to_num(force_g) @ response.T

@@ -8,10 +8,10 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from imuarray.fuse.axes import Axis, directions
+from imuarray.fuse.consensus import consensus
 from imuarray.fuse.faults import FaultEvent, FaultMonitor, Ranges
 from imuarray.fuse.frames import Floats, Frames
 from imuarray.fuse.pipeline import Pipeline
-from imuarray.fuse.solve import solve_frames
 from imuarray.fuse.told import Told, told_by
 
 Out = TypeVar("Out")
@@ -55,7 +55,7 @@ class Watched(Generic[Out]):
         if _RATE not in frames or not self._apart:
             return None
         part = frames[_RATE]
-        return np.nan_to_num(solve_frames(part.values, part.valid.astype(float), self._gyroscopes))
+        return np.nan_to_num(consensus(part.values, part.valid, self._gyroscopes, _RATE))
 
     def finish(self) -> Iterator[Out]:
         """See `Pipeline`."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
@@ -54,8 +54,11 @@ class RotatingWriter:
         force: bool = False,
         watermark: int = WATERMARK,
         sync_s: float = SYNC_S,
+        started: Callable[[int], None] = lambda time_ns: None,
     ) -> None:
-        """Create the first part; ValueError unless `every_s` is positive, and as LogWriter."""
+        """Create the first part; ValueError unless `every_s` is positive, and as LogWriter. `started` hears when the
+        first part begins, before there are rows.
+        """
         if every_s <= 0:
             raise ValueError(f"parts of {every_s} s: a positive length is wanted")
         self.path = Path(path)
@@ -71,7 +74,7 @@ class RotatingWriter:
             watermark=watermark,
             sync_s=sync_s,
         )
-        self._keep = False
+        self._keep, self._started = False, started
         self._open: dict[int, LogWriter] = {}
         self._first = 0
         self._origin_ns = 0
@@ -106,6 +109,7 @@ class RotatingWriter:
     def starts(self, time_ns: int) -> None:
         """The first frame is at this time: the first part lasts `every_s` from here on."""
         self._origin_ns = time_ns
+        self._started(time_ns)
 
     def _number(self, time_ns: int) -> int:
         """Of the part in which this time lies."""
