@@ -53,8 +53,8 @@ def record(
     far. `judge` says how sensors came up; one that came up wrong is flagged and set up again. `rotate_s` cuts the log
     into parts of so many seconds, each a log of its own (`imuarray.log.rotate`). `service` is told how it goes (None:
     the one that this process belongs to). `begun` hears the log's epoch and what it says of its sensors before there is
-    a log; what it raises ends the recording; `started` when the first of several parts begins. `wall_time` is the UTC time of the start (None: that of the transcript
-    that is replayed, or the wall clock, read once).
+    a log; what it raises ends the recording; `started` when the first of several parts begins. `wall_time` is the UTC
+    time of the start (None: that of the transcript that is replayed, or the wall clock, read once).
 
     Raises SensorError before the first frame if a sensor is missing or wrong, OutputExistsError if the log exists,
     LogBusyError if it is being written, DiskFullError if it had to be ended early.

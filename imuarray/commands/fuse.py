@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.fuse_pairs import pair_sentences, pairs_of
+from imuarray.commands.fuse_told import told_sentences
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
 from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.fuse import Error, FaultEvent, FusedBlock
+    from imuarray.fuse import Error, FaultEvent, FusedBlock, Told
     from imuarray.log import Log, SensorLog
 
 _NOTHING = "nothing on this array, it gives the mean (opposed: as many axes each way balance there already)"
@@ -102,8 +103,10 @@ def command(
             "changes": _changes(log, calibration, technique, names),
             "pairs": pairs_of(log, calibration, names) if technique == "opposed" else [],
         }
+        told = None
         if output is not None:
-            report |= _written(work, output, str(calibration_file or ""), force)
+            written, told = _written(work, output, str(calibration_file or ""), force)
+            report |= written
         if evaluate:
             from imuarray.commands.fuse_evaluate import evaluated
 
@@ -111,7 +114,7 @@ def command(
     if as_json:
         print_json(report)
     else:
-        _print(report)
+        _print(report, told)
 
 
 @dataclass(frozen=True)
@@ -125,44 +128,53 @@ class _Work:
     causal: bool
     watch: bool | None
 
-    def fused(self, technique: str, found: Callable[[FaultEvent], None]) -> Iterator[FusedBlock]:
-        """The result; `found` hears of sensors that fail."""
+    def fused(
+        self,
+        technique: str,
+        found: Callable[[FaultEvent], None] = lambda event: None,
+        told: Callable[[Told], None] = lambda told: None,
+    ) -> Iterator[FusedBlock]:
+        """The result; `found` hears of sensors that fail, `told` what the technique has to say at the end."""
         from imuarray.chips import CHIPS
         from imuarray.fuse import Watch, fuse
 
         watch = Watch(self.watch, {name: chip.sensitivity for name, chip in CHIPS.items()}, found)
-        return fuse(self.log, self.calibration, technique, only=self.names, causal=self.causal, watch=watch)
+        return fuse(self.log, self.calibration, technique, only=self.names, causal=self.causal, watch=watch, told=told)
 
 
-def _written(work: _Work, output: Path, source: str, force: bool) -> dict[str, Any]:
-    """Write the fused file; where it is and what came of it, beside the average."""
+def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], Told]:
+    """Write the fused file; where it is and what came of it, beside the average, and what the technique has to say."""
     from imuarray.fuse import read_fused, write_fused
 
     log, technique = work.log, work.technique
     events: list[FaultEvent] = []
+    told: list[Told] = []
     rows = max(len(sensor) for sensor in log.sensors.values())
     with progress(rows, technique) as done:
         frames = write_fused(
             output,
-            work.fused(technique, events.append),
+            work.fused(technique, events.append, told.append),
             epoch=log.epoch,
             technique=technique,
             log=str(log.path),
             calibration=source,
             sensors=_sensors(log, work.names),
+            events=events,
             force=force,
             progress=done,
         )
-    results = {} if technique == "mean" else {"mean": _result(log, work.fused("mean", lambda event: None))}
+    results = {} if technique == "mean" else {"mean": _result(log, work.fused("mean"))}
     results[technique] = _result(log, read_fused(output))
     known = bool(log.truth or log.reference)
-    return {
+    report = {
         "fused": str(output),
         "frames": frames,
         "faults": [event.as_json() for event in events],
+        "learned": told[0].as_json(),
         "error": results[technique] if known else {},
         "results": results,
     }
+    return report, told[0]
 
 
 def _uncalibrated(log: Log, calibration: Calibration, names: Sequence[str], file: Path | None) -> list[str]:
@@ -263,7 +275,7 @@ def _error(error: Error) -> dict[str, Any]:
     }
 
 
-def _print(report: dict[str, Any]) -> None:
+def _print(report: dict[str, Any], told: Told | None) -> None:
     technique = report["technique"]
     if "fused" in report:
         click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")
@@ -275,6 +287,8 @@ def _print(report: dict[str, Any]) -> None:
         click.echo(f"  bias follows the log's temperature: {', '.join(report['thermal'])}")
     if "fused" in report:
         _print_results(report)
+    for sentence in told_sentences(told) if told else ():
+        click.echo(f"  {sentence}")
     if "evaluation" in report:
         from imuarray.commands.fuse_evaluate import print_report
 

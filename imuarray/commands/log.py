@@ -70,7 +70,9 @@ _HANG_UP: int | None = getattr(signal, "SIGHUP", None)  # Windows has none
     " set it up again; with --fuse: what the fusion knows of the sensors",
 )
 @click.option("--fuse", is_flag=True, help="also fuse the readings as they come (a second or two behind)")
-@click.option("--technique", metavar="NAME", help="of --fuse: mean, opposed, planes, ranges or optimal  [default: mean]")
+@click.option(
+    "--technique", metavar="NAME", help="of --fuse: mean, opposed, planes, ranges or optimal  [default: mean]"
+)
 @click.option(
     "--fused",
     "fused_file",

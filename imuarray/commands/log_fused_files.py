@@ -97,8 +97,9 @@ class FusedFiles:
 
 
 def _part(block: FusedBlock, rows: slice) -> FusedBlock:
-    triads, covariances, used = (
-        {quantity: values[rows] for quantity, values in columns.items()}
-        for columns in (block.triads, block.covariances, block.used)
+    return FusedBlock(
+        block.time[rows],
+        {quantity: values[rows] for quantity, values in block.triads.items()},
+        {quantity: values[rows] for quantity, values in block.covariances.items()},
+        {quantity: values[rows] for quantity, values in block.used.items()},
     )
-    return FusedBlock(block.time[rows], triads, covariances, used)

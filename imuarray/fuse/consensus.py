@@ -1,11 +1,12 @@
 """What an array agrees on before anybody has looked for faults: the mean, in which none weighs more than a little who
 is far from the rest.
 
-Where all readings of a frame are about what their mean says, it is the mean. Else each reading's difference from the
-median of the sensors' triads is limited to `TOLERATED_SI` and some times the median of all differences (in a fast
-motion sensors that are read one after the other differ, by as much as they are apart in time), and the mean is that of
-the readings so limited: Huber's estimator of location, one step from the median (P. J. Huber, Robust Statistics, 1981,
-section 6.7). The limit grows and shrinks with the differences, so that nothing jumps when somebody passes it.
+Where all readings of a frame are about what their mean says, it is the mean. Else each sensor's difference from the
+median of their triads is limited, on its worst axis, to `TOLERATED_SI` and some times the median of all differences (in
+a fast motion sensors that are read one after the other differ, by as much as they are apart in time), and the mean is
+that of the readings so limited: Huber's estimator of location, one step from the median (P. J. Huber, Annals of
+Mathematical Statistics 35, 1964). What is far off is drawn in and not thrown away, so that nothing jumps when somebody
+passes the limit.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from imuarray.fuse.solve import solve_frames
 from imuarray.units import STANDARD_GRAVITY
 
 TOLERATED_SI: Mapping[str, float] = MappingProxyType(
-    {"specific_force": 0.25 * STANDARD_GRAVITY, "angular_rate": np.radians(10.0)}
+    {"specific_force": 0.25 * STANDARD_GRAVITY, "angular_rate": np.radians(2.0)}
 )
-"""By quantity: five times the noise of a noisy sensor (an ADXL345's z axis; an L3G4200D's, ten times)."""
+"""By quantity: five times the noise of an ADXL345's z axis, ten times that of an L3G4200D. Axes whose bias is more than
+that tell the mean no more than where they are, which does no harm to its slope.
+"""
 
 _TIMES_USUAL = 4.0
 
@@ -33,24 +36,30 @@ def consensus(values: Floats, valid: Flags, rows: Floats, quantity: str) -> Floa
     """
     mean = solve_frames(values, valid.astype(float), rows)
     apart = np.abs(values - mean @ rows.T)
-    doubtful = ((apart > TOLERATED_SI[quantity] / 2) & valid).any(axis=1)
-    if len(rows) < 9 or not doubtful.any():  # of two sensors none is more right than the other
-        return mean
-    some, present = values[doubtful], valid[doubtful]
-    whole = present.reshape(len(some), -1, 3).all(axis=2)
-    known = whole.sum(axis=1) > 2
-    doubtful[doubtful] = known
-    if known.any():
-        mean[doubtful] = _limited(some[known], present[known], whole[known], rows, TOLERATED_SI[quantity])
+    whole: Flags = np.asarray(valid.reshape(len(valid), -1, 3).all(axis=2))
+    doubtful: Flags = (apart > TOLERATED_SI[quantity] / 2) & valid
+    checked: Flags = np.asarray(whole.sum(axis=1) > 2)  # of two sensors none is more right than the other
+    some = np.flatnonzero(doubtful.any(axis=1) & checked)
+    if len(some):
+        mean[some] = _limited(values[some], valid[some], whole[some], rows, TOLERATED_SI[quantity])
     return mean
 
 
 def _limited(values: Floats, valid: Flags, whole: Flags, rows: Floats, tolerated: float) -> Floats:
-    """(n, 3) the mean of the readings whose differences from the median are limited."""
+    """(n, 3) the mean of the readings when the differences of sensors from their median are limited."""
     back = np.linalg.inv(rows.reshape(-1, 3, 3))
     triads = np.einsum("sij,nsj->nsi", back, values.reshape(len(values), -1, 3))
-    middle = np.nanmedian(np.where(whole[:, :, None], triads, np.nan), axis=1)
+    middle = _medians(np.where(whole[:, :, None], triads, np.nan))
     apart = values - middle @ rows.T
-    usual = np.nanmedian(np.where(valid, np.abs(apart), np.nan), axis=1)
+    usual = _medians(np.where(valid, np.abs(apart), np.nan))
     limit = (tolerated + _TIMES_USUAL * usual)[:, None]
-    return middle + solve_frames(np.clip(apart, -limit, limit), valid.astype(float), rows)
+    most = np.where(valid, np.abs(apart), 0.0).reshape(len(values), -1, 3).max(axis=2)
+    share = np.minimum(1.0, limit / np.maximum(most, 1e-300)).repeat(3, axis=1)
+    return middle + solve_frames(share * apart, valid.astype(float), rows)
+
+
+def _medians(values: Floats) -> Floats:
+    """Medians along the second axis of what is not NaN."""
+    ordered, known = np.sort(values, axis=1), np.isfinite(values).sum(axis=1, keepdims=True)
+    low, high = (np.take_along_axis(ordered, middle, axis=1) for middle in ((known - 1) // 2, known // 2))
+    return np.asarray((low + high)[:, 0] / 2)

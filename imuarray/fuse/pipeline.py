@@ -68,8 +68,11 @@ class EachAlone:
 
     def told(self) -> Told:
         """What the techniques remark."""
-        remarking = {quantity: its for quantity, its in self.techniques.items() if isinstance(its, Remarking)}
-        return Told(remarks=[text for quantity, its in remarking.items() for text in its.remarks(quantity)])
+        remarks: list[str] = []
+        for quantity, technique in self.techniques.items():
+            remarking: object = technique
+            remarks += remarking.remarks(quantity) if isinstance(remarking, Remarking) else []
+        return Told(remarks=remarks)
 
 
 def fused_block(time: Times, estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]) -> FusedBlock:

@@ -1,4 +1,6 @@
-"""A fused result on a page: by which technique, how quiet it is, which sensors it stood on, and how its values went."""
+"""A fused result on a page: by which technique, how quiet it is, which sensors it stood on, what became of them, and
+how its values went.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.fuse import FusedBlock, FusedHead, quiet_noise, read_fused
+from imuarray.fuse import FusedBlock, FusedHead, quiet_noise, read_fused, read_fused_events
 from imuarray.report.figures import course_figure
 from imuarray.report.page import Figure, Section, Table
 from imuarray.units import READABLE_SI
@@ -18,6 +20,9 @@ Floats = npt.NDArray[np.float64]
 
 _POINTS = 2000
 """Means that are drawn of a course, however long."""
+
+_EVENTS = 50
+"""Events that are told one by one: the first ones."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,9 @@ def fused_summary(path: Path, head: FusedHead) -> Iterator[str]:
     """A line."""
     calibration = Path(head.calibration).name or "the data sheets"
     yield f"{path.name}: {head.frames} frames of {Path(head.log).name} by {head.technique}, by {calibration}."
+    failed = sorted({event.sensor for event in read_fused_events(path) if event.state == "isolated"})
+    if failed:
+        yield f"{path.name}: left out for a time, because they failed: {', '.join(failed)}."
 
 
 def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> Iterator[Section]:
@@ -54,9 +62,20 @@ def fused_sections(path: Path, head: FusedHead, *, drawn: bool) -> Iterator[Sect
     if use := _use_rows(head, course):
         words = "Share of the frames in which an axis of the sensor went into the result; below one it was left out."
         parts.append(Table(["sensor", "x", "y", "z"], use, words))
+    if events := _events(path):
+        parts.append(events)
     if drawn:
         parts += [_drawn(quantity, course) for quantity in course.triads]
     yield Section(f"{path.name}: fused by {head.technique}", "The result in the box frame.", parts)
+
+
+def _events(path: Path) -> Table | None:
+    """What became of sensors; None if nothing did."""
+    events = read_fused_events(path)
+    rows = [[event.sensor, event.kind.replace("_", " "), event.message] for event in events[:_EVENTS]]
+    more = f" The first {_EVENTS} of {len(events)}." if len(events) > _EVENTS else ""
+    caption = f"Sensors that failed, by what their readings showed, and what was done about it.{more}"
+    return Table(["sensor", "fault", "in words"], rows, caption, (1, 2)) if rows else None
 
 
 def _drawn(quantity: str, course: _Course) -> Figure:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from imuarray.errors import FusionError, LogError, OutputExistsError
-from imuarray.fuse import FusedBlock, read_fused, write_fused
+from imuarray.fuse import FaultEvent, FusedBlock, read_fused, read_fused_events, write_fused
+from imuarray.fuse.store import LiveFused
 from tests.fuse.conftest import EPOCH
 
 
@@ -98,3 +99,61 @@ def test_covariances_and_the_sensors_used_come_back(tmp_path: Path) -> None:
     with h5py.File(path) as file:
         assert list(file["fused/specific_force_used"].attrs["sensors"]) == ["A", "B"]
         assert list(file["fused/specific_force_covariance"].attrs["columns"]) == ["xx", "yy", "zz", "xy", "xz", "yz"]
+
+
+STUCK = FaultEvent(2_100_000_000, "specific_force", "A1", ("x", "y", "z"), "stuck", "isolated", 0.0, 10.0)
+BACK = FaultEvent(5_000_000_000, "angular_rate", "Gyro é", ("x",), "bias", "readmitted", 0.1, 0.0)
+TOLD = [
+    (2_100_000_000, "A1", "stuck", "isolated", "2.10 s: A1 is stuck (10 sigma): left out"),
+    (5_000_000_000, "Gyro é", "bias", "readmitted", "5.00 s: Gyro é x agrees with the others again: taken back"),
+]
+
+
+def test_events_that_come_while_blocks_do(tmp_path: Path) -> None:
+    path, events = tmp_path / "fused.h5", []
+
+    def watched() -> Iterator[FusedBlock]:
+        for block, event in zip(blocks(2), (STUCK, BACK), strict=True):
+            events.append(event)
+            yield block
+
+    write_fused(path, watched(), epoch=EPOCH, technique="mean", log="run.h5", events=events)
+    assert list(read_fused_events(path)) == TOLD
+    with h5py.File(path) as file:
+        assert file["events/time"].attrs["units"] == f"nanoseconds since {EPOCH}"
+        assert file["events/message"].asstr()[1] == TOLD[1][-1]
+
+
+def test_events_are_read_while_the_file_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "fused.h5"
+    first, second = blocks(2)
+    with LiveFused(path, epoch=EPOCH, technique="mean", log="run.h5") as live:
+        live.append(first)
+        with h5py.File(path, "r", swmr=True) as file:
+            live.event(STUCK)
+            column = file["events/message"]
+            column.refresh()
+            assert column.asstr()[:].tolist() == [TOLD[0][-1]]
+        live.append(second)
+        live.event(BACK)
+    assert list(read_fused_events(path)) == TOLD
+
+
+def test_a_very_long_name_is_cut_between_characters(tmp_path: Path) -> None:
+    event = FaultEvent(0, "specific_force", "é" * 1000, ("x",), "bias", "isolated", 0.1, 9.0)
+    write_fused(tmp_path / "f.h5", blocks(1), epoch=EPOCH, technique="mean", log="run.h5", events=[event])
+    (told,) = read_fused_events(tmp_path / "f.h5")
+    assert told.sensor == "é" * 128
+    assert told.message.startswith("0.00 s: éé")
+
+
+def test_older_files_have_no_events_and_broken_ones_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "f.h5"
+    write_fused(path, blocks(1), epoch=EPOCH, technique="mean", log="run.h5", events=[STUCK])
+    with h5py.File(path, "r+") as file:
+        del file["events/kind"]
+    with pytest.raises(LogError, match="its events can't be read"):
+        read_fused_events(path)
+    with h5py.File(path, "r+") as file:
+        del file["events"]
+    assert read_fused_events(path) == ()

@@ -57,8 +57,9 @@ class Relative:
     delay_sem_s: float
 
     def sentence(self, quantity: str) -> str:
-        """ "BMA3 x beside the blend: +12.300 +- 0.400 mg, +0.12 +- 0.05 %"; a scale or a delay that is told from none by
-        less than two standard errors is not said. `quantity` as in the log.
+        """ "BMA3 x beside the blend: +12.300 +- 0.400 mg, +0.12 +- 0.05 %"; `quantity` as in the log.
+
+        A scale or a delay that is told from none by less than two standard errors is not said.
         """
         factor, unit = READABLE_SI[quantity]
         words = [f"{factor * self.bias_si:+.3f} +- {factor * self.bias_sem_si:.3f} {unit}"]

@@ -1,0 +1,36 @@
+"""What `imuarray fuse` says of the sensors that it was given: the slow errors that it learnt, and remarks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from imuarray.units import READABLE_SI
+
+if TYPE_CHECKING:
+    from imuarray.fuse import Told
+    from imuarray.fuse.optimal import LearnedBias
+
+_MOST = 40
+"""Remarks that are told on the screen."""
+
+
+def told_sentences(told: Told) -> Iterator[str]:
+    """A table of biases, a row a sensor, and the remarks."""
+    for quantity, biases in told.biases.items():
+        yield from _table(quantity, biases)
+    yield from told.remarks[:_MOST]
+    if len(told.remarks) > _MOST:
+        yield f"{len(told.remarks) - _MOST} more remarks (--json lists all)"
+
+
+def _table(quantity: str, biases: Sequence[LearnedBias]) -> Iterator[str]:
+    """Of one quantity: what every sensor's axes are off by, and how sure that is beside what was known before."""
+    factor, unit = READABLE_SI[quantity]
+    before = [factor * bias.sd_before for bias in biases]
+    span = f"{min(before):.3g}" if max(before) < 1.005 * min(before) else f"{min(before):.3g} to {max(before):.3g}"
+    yield f"slow errors of the {quantity} sensors at the end, {unit} (before: 0 +- {span})"
+    for sensor, axes in groupby(biases, key=lambda bias: bias.axis.rpartition(" ")[0]):
+        cells = (f"{each.axis[-1]} {factor * each.bias:+9.3f} +- {factor * each.sd:.3f}" for each in axes)
+        yield f"  {sensor:8} {'  '.join(cells)}"

@@ -1,0 +1,82 @@
+"""What an array agrees on: the mean, of which nobody who is far off gets hold, nor of what is made of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.fuse import aligned
+from imuarray.fuse.consensus import TOLERATED_SI, consensus
+from imuarray.log import open_log
+from tests.fuse.conftest import Floats, G, Part, WriteRun, calibration, pointing
+
+AXES = ("+X+Y+Z", "-Y-X-Z", "+Y+X-Z", "+Y-X+Z", "+X-Y-Z")
+ROWS = np.concatenate([pointing(axes) for axes in AXES])
+FORCE = "specific_force"
+LIMIT = TOLERATED_SI[FORCE]
+
+
+def agreed(values: Floats) -> Floats:
+    return consensus(values, np.ones(values.shape, bool), ROWS, FORCE)
+
+
+@given(seed=st.integers(0, 1 << 32))
+@settings(max_examples=20, deadline=None)
+def test_who_agree_are_averaged(seed: int) -> None:
+    """Of triads that point along the box's axes, however turned, that is the plain mean of their vectors."""
+    rng = np.random.default_rng(seed)
+    vectors = rng.normal(0, 5, (4, 1, 3)) + rng.uniform(-LIMIT / 5, LIMIT / 5, (4, len(AXES), 3))
+    values = np.einsum("sij,nsj->nsi", ROWS.reshape(-1, 3, 3), vectors).reshape(4, -1)
+    np.testing.assert_allclose(agreed(values), vectors.mean(axis=1), atol=1e-12)
+
+
+@pytest.mark.parametrize("off", [1.0, 10.0, 1e4])
+def test_whoever_is_far_off_counts_for_no_more_than_the_limit(off: float) -> None:
+    """One of five, by `off` limits along the box's X: it pulls by a fifth of the limit."""
+    truth = np.array([[1.0, -2.0, G]])
+    values = truth @ ROWS.T
+    values[:, :3] += off * LIMIT * ROWS[:3, 0]
+    np.testing.assert_allclose(agreed(values) - truth, [[min(off, 1.0) * LIMIT / 5, 0, 0]], atol=1e-12)
+
+
+def test_nothing_jumps_when_somebody_passes_the_limit() -> None:
+    """No step of the result is larger than the step of that one reading; all the others differ a little."""
+    rng = np.random.default_rng(5)
+    off = np.linspace(0, 5 * LIMIT, 4001)
+    values = np.tile(rng.normal(0, LIMIT / 10, len(ROWS)), (len(off), 1))
+    values[:, 0] += off
+    assert np.abs(np.diff(agreed(values), axis=0)).max() <= off[1] * (1 + 1e-9)
+
+
+def test_frames_without_enough_axes_are_not_known() -> None:
+    valid = np.ones((2, len(ROWS)), bool)
+    valid[1, 2:] = False
+    found = consensus(np.full(valid.shape, 100.0), valid, ROWS, FORCE)
+    assert np.isfinite(found[0]).all()
+    assert np.isnan(found[1]).all()
+
+
+def test_a_sensor_in_another_range_does_not_move_the_others_in_time(write_run: WriteRun) -> None:
+    """Sensors are read up to 4 ms after each other while the force swings; one reads eight times as much. The mean's
+    slope would be 2.4 times too steep, and the others off by up to 1.4 x 4 ms of motion.
+    """
+
+    def swinging(seconds: Floats) -> Floats:
+        swing = np.array([0.3, 0.2, 0.4]) * np.sin(2 * np.pi * np.outer(seconds, [0.5, 0.4, 0.3]))
+        return np.asarray(swing + np.array([0.0, 0.0, 1.0]))
+
+    parts = [Part(f"A{i}", axes, late_s=0.001 * i, sensitivity=8000.0, range=4.0) for i, axes in enumerate(AXES)]
+    wrong = parts[3]._replace(error=lambda seconds: 7 * swinging(seconds) @ pointing(AXES[3]).T, range=30.0)
+    wrong = wrong._replace(sensitivity=1000.0)
+    parts[3] = wrong
+    with open_log(write_run(parts, force=swinging)) as log:
+        blocks = [frames[FORCE] for frames, _ in aligned(log, calibration(parts))]
+    time = np.concatenate([block.time for block in blocks])
+    values = np.concatenate([block.values for block in blocks]) / G
+    truth = swinging(time * 1e-9) @ ROWS.T
+    sound = [index for index in range(len(ROWS)) if index // 3 != 3]
+    fastest = 2 * np.pi * 0.5 * 0.3  # g/s: 0.94, of which 1.4 x 4 ms are 5 mg
+    error = np.abs(values - truth)[5:-5, sound].max()
+    assert error < 0.1 * 1.4 * 0.004 * fastest
