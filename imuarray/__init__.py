@@ -2,7 +2,7 @@
 
 Words: an *array* is all sensors of one box; a *frame* is one pass over it; a *log* holds counts, the raw signed
 register values; specific force (m/s2) and angular rate (rad/s) are given in the box frame. The names below are loaded
-when first used.
+when first used. What works on logs has packages of its own: `imuarray.calibrate`, `imuarray.fuse`, `imuarray.gap`, ...
 """
 
 from __future__ import annotations

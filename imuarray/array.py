@@ -145,7 +145,12 @@ class ArrayConfig(BaseModel):
 
 
 def load_array(path: str | PathLike[str]) -> ArrayConfig:
-    """Read an array's TOML file; ConfigError names the file and, one after the other, every mistake in it."""
+    """Read an array's TOML file; ConfigError names the file and, one after the other, every mistake in it.
+
+    >>> array = load_array("configs/martin2013.toml")
+    >>> len(array.sensors), array.sensors[0].chip
+    (12, 'adxl345')
+    """
     return parse_array(read_text(path), str(path))
 
 

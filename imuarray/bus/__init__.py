@@ -22,6 +22,12 @@ def open_bus(url: str, array: ArrayConfig) -> OpenBus:
     """Open the bus that `url` names, for the sensors of `array`; a context manager.
 
     BusUrlError when the URL names no bus, or the bus can't be opened here.
+
+    >>> from imuarray import load_array
+    >>> with open_bus("emulated:", load_array("configs/martin2013.toml")) as bus:
+    ...     selected = bus.transfer(0x70, b"\\x04")  # the multiplexer: channel 0, from the STOP on
+    ...     bus.transfer(0x53, b"\\x00", 1).hex()  # register 0 of an ADXL345
+    'e5'
     """
     scheme, colon, rest = url.partition(":")
     if not colon or scheme not in _SCHEMES:

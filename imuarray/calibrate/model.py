@@ -245,7 +245,12 @@ def nominal(sensor: Described) -> SensorCalibration:
 
 
 def load_calibration(path: str | PathLike[str]) -> Calibration:
-    """Read a calibration file; CalibrationError names the file, the sensor and the key."""
+    """Read a calibration file; CalibrationError names the file, the sensor and the key.
+
+    >>> calibration = load_calibration("cal.toml")
+    >>> calibration.sensors["Gyro1"].bias_lsb.shape
+    (3,)
+    """
     try:
         file = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:

@@ -50,6 +50,9 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     With phases that name the six faces (z_up, x_down, ...), in one log or in a log each, by the paper's Appendix B;
     without, from at least nine static poses that are found in the logs. Gyroscopes get their scale factors and axes
     from at least six turns between poses of one log. Faces and poses that were disturbed are left out and named.
+
+    \b
+    imuarray calibrate tumble z_up.h5 x_up.h5 y_up.h5 z_down.h5 x_down.h5 y_down.h5 -o cal.toml
     """
     from imuarray.calibrate import calibrate_tumble
     from imuarray.commands.calibrate_tumble import print_report, report_of
@@ -71,6 +74,9 @@ def noise(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_js
 
     The colour is the correlation of neighbouring readings and the lines of the spectrum. Drift needs stretches of some
     minutes; with --update, what follows temperature by the slopes in CAL.toml is taken out of it.
+
+    \b
+    imuarray calibrate noise rest.h5 -o cal.toml --update
     """
     from imuarray.calibrate import calibrate_noise, load_calibration
     from imuarray.commands.calibrate_noise import print_report, report_of
@@ -92,6 +98,9 @@ def thermal(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
 
     One orientation does not tell a bias from a scale factor on the axis that carries gravity; logs of opposite faces
     do. Opposing axes of one design are compared: what their mean drifts less than each.
+
+    \b
+    imuarray calibrate thermal heat_up.h5 heat_down.h5 -o cal.toml --update
     """
     from imuarray.calibrate import calibrate_thermal
     from imuarray.commands.calibrate_thermal import print_report, report_of
@@ -112,6 +121,9 @@ def turn_on(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_
     """How much biases change from one switch-on to the next.
 
     From a log a run, all in one pose, or one log whose phases `run 1`, `run 2`, ... are the runs; at least three.
+
+    \b
+    imuarray calibrate turn-on boot_*.h5 -o cal.toml --update
     """
     from imuarray.calibrate import calibrate_turn_on
     from imuarray.chips import CHIPS

@@ -58,6 +58,9 @@ def command(
     Prints mean and spread of every axis, the white noise, bias instability and random walk of its Allan deviation with
     intervals and how well they fit, what stands out (lines, missing codes, gaps, ...), and which stretch of the log it
     is from. DIR also gets a Kalibr file (imu_NAME.yaml) for each accelerometer and gyroscope.
+
+    \b
+    imuarray characterise run.h5 --phase z_up -o noise
     """
     from imuarray.characterise import render_text
     from imuarray.log import open_log

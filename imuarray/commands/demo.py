@@ -32,6 +32,9 @@ def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool)
     """Record the emulated paper array, calibrate it, fuse it, diagnose it, and write report.html.
 
     No hardware is needed: the chips are emulated to the register, and the drivers do not know.
+
+    \b
+    imuarray demo -o demo
     """
     from imuarray.demo import run_demo
 

@@ -56,7 +56,9 @@ def command(
     .mat   MATLAB (which also reads RUN.h5 itself: h5read)
     .yaml  Kalibr's imu.yaml, from a log at rest or characterise.json
 
-    .csv and .npz of raw counts come back by `imuarray import`, equal. For example:
+    .csv and .npz of raw counts come back by `imuarray import`, equal.
+
+    \b
     imuarray export run.h5 --calibration cal.toml -o run.mcap
     """
     from imuarray.calibrate import load_calibration

@@ -79,6 +79,9 @@ def command(
 
     --evaluate compares all of them on a log that knows the truth: errors, ratios to the mean with their 95 % intervals,
     whether covariances hold, and heading and velocity after coasting.
+
+    \b
+    imuarray fuse run.h5 --calibration cal.toml --technique optimal -o fused.h5
     """
     from imuarray.calibrate import Calibration, load_calibration
     from imuarray.log import open_log

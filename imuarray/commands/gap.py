@@ -88,6 +88,9 @@ def diagnose(
     Logs of one array, of any experiments: static, tumble, heating, turn-on, motion. Parameters are fitted to one part
     of them; what is said of causes is judged on the rest. Without --model the simulator has what the data sheets of the
     chips in the log's configuration say, with noise, bias and temperature slope as fitted.
+
+    \b
+    imuarray gap diagnose static.h5 tumble.h5 -o gap
     """
     from imuarray.gap.diagnose import diagnose as diagnosed
     from imuarray.gap.diagnose import library

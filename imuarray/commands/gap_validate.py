@@ -66,6 +66,9 @@ def validate(
     The logs come from the emulated array with physical mechanisms at work in it, which shares no code with the
     simulator that the diagnosis believes in. Each case's truth goes into DIR/sealed, which is opened when all cases are
     done. Exit code 1 if a figure misses its bar by more than chance.
+
+    \b
+    imuarray gap validate --size glance -o checked
     """
     from imuarray.validation.plans import SIZES, cases
 

@@ -34,7 +34,9 @@ def command(
 ) -> None:
     """Turn a recording made by another program into a log: a known format, or any table of numbers by its map.
 
-    What `imuarray export` wrote of raw counts, run.npz or run.csv, needs neither and comes back as it was:
+    What `imuarray export` wrote of raw counts, run.npz or run.csv, needs neither and comes back as it was.
+
+    \b
     imuarray import run.npz -o run2.h5
     """
     from imuarray.importers import importer

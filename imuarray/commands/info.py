@@ -18,7 +18,11 @@ if TYPE_CHECKING:
 @log_argument
 @json_option
 def command(run: Path, as_json: bool) -> None:
-    """What a log holds: sensors, rates, phases, flags, events."""
+    """What a log holds: sensors, rates, phases, flags, events.
+
+    \b
+    imuarray info run.h5
+    """
     from imuarray.log import open_log
 
     with open_log(run) as log:

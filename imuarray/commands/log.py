@@ -119,6 +119,10 @@ def command(
     terminal that goes away ends the log.
 
     The bus is --bus or the configuration's; with neither, nothing is recorded.
+
+    \b
+    imuarray log array.toml -o run.h5 --phase z_up --seconds 60
+    imuarray log array.toml -o night.h5 --rotate 1h --fuse --calibration cal.toml
     """
     from imuarray.acquire import record
     from imuarray.commands.log_screen import Screen

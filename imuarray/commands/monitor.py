@@ -61,7 +61,10 @@ def command(
     """Watch a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
 
     Serves a page to this machine's browser; with --text the same in the terminal. It only reads, at low priority, and
-    follows a log that is cut into parts. Example: imuarray monitor night.h5 --text
+    follows a log that is cut into parts.
+
+    \b
+    imuarray monitor night.h5 --text
     """
     known = _calibration(calibration)
     if once and not (as_text or as_json):

@@ -43,6 +43,9 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
 
     Everything follows from the tables of Martin, Groves, Newman and Faragher (ION GNSS+ 2013), which come with this
     program: what agrees to the printed digits, what does not, and which conclusions hold.
+
+    \b
+    imuarray paper --replica -o replica
     """
     if replica and gap:
         raise click.UsageError("--replica and --gap: one at a time")

@@ -24,6 +24,9 @@ def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
     """Finish a log whose writing was cut short: every acknowledged row, compressed and checked, in its place.
 
     Every command reads such a log without this; recovering makes one small file of it and its journal.
+
+    \b
+    imuarray recover run.h5
     """
     from imuarray.log import open_log
     from imuarray.log.finish import recover

@@ -155,6 +155,10 @@ def command(
 
     Effects between truth and counts are those of the model, unit by unit; /truth holds what the box felt. The same seed
     gives the same log.
+
+    \b
+    imuarray simulate martin2013 --experiment tumble -o simulated.h5
+    imuarray simulate --like run.h5 --calibration cal.toml -o twin.h5
     """
     from imuarray.simulate import Simulation, effects_of
 

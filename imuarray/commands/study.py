@@ -60,6 +60,9 @@ def command(
     Errors over those of the simple average of the same sensors, with calibrations made from simulated logs; and, with
     the true parameters and a model that is right, over the Cramer-Rao bound: the least that any estimator can err.
     Heading and velocity after coasting for a minute. Two minutes on two cores.
+
+    \b
+    imuarray study --experiments static,heating -o study
     """
     from imuarray.gap.workers import processes
     from imuarray.study import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study

@@ -22,6 +22,9 @@ def command(run: Path, as_json: bool) -> None:
     """Read all of a log and check every block of it: exit code 0 if all is well, 2 if rows are damaged.
 
     Nothing is changed. A log that is being written, or whose writing was cut short, can be checked too.
+
+    \b
+    imuarray verify run.h5
     """
     from imuarray.log import open_log
     from imuarray.log.verify import verify

@@ -43,6 +43,13 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
     """Errors of a fused result against `/truth` (or `/reference`) by quantity; only inside `phases` if there are any.
 
     FusionError if the log has neither.
+
+    >>> from imuarray import load_calibration, open_log
+    >>> from imuarray.fuse import fuse
+    >>> with open_log("run.h5") as log:
+    ...     errors = evaluate(log, fuse(log, load_calibration("cal.toml"), "mean"))
+    >>> errors["specific_force"].rms.shape  # along x, y and z of the box
+    (3,)
     """
     errors = errors_of(log, blocks, phases)
     return {quantity: error_of(rows) for quantity, (_, rows) in errors.items() if len(rows) > 1}

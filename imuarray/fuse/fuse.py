@@ -80,6 +80,12 @@ def fuse(
     Biases follow the temperature that the log tells, where the calibration says how. `causal`: by what was known when
     each frame was read, as `live` does; otherwise `optimal` smooths: every frame by what the whole log tells. `told`
     hears, after the last block, what the technique has found out about the sensors.
+
+    >>> from imuarray import load_calibration, open_log
+    >>> with open_log("run.h5") as log:
+    ...     blocks = list(fuse(log, load_calibration("cal.toml"), "ranges"))
+    >>> sorted(blocks[0].triads), blocks[0].triads["angular_rate"].shape[1]
+    (['angular_rate', 'specific_force'], 3)
     """
     everything = list(log.sensors.values())
     array = _Array(_chosen(everything, only, str(log.path)), calibration, technique, watch)

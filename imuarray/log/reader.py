@@ -220,6 +220,11 @@ def open_log(path: str | PathLike[str]) -> Log:
 
     One that is being written, or whose writing was cut short, is read as far as its rows were acknowledged when it was
     opened (`Log.state`); nothing on the disk is changed.
+
+    >>> with open_log("run.h5") as log:
+    ...     gyro = log["Gyro1"]
+    ...     gyro.counts[:100].shape, str(gyro.counts[:100].dtype), gyro.unit
+    ((100, 3), 'int16', 'dps')
     """
     return Log(path)
 
