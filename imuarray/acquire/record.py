@@ -69,7 +69,7 @@ def record(
     headers = [header_of(station.sensor, station.driver.header()) for station in stations]
     told = service or Service()
     begun(_iso(epoch), headers)
-    about = {"source": bus.source, "epoch": _iso(epoch), "config": array.text, "force": force}
+    about = {"source": bus.source, "epoch": _iso(epoch), "config": array.text, "frame_rate_hz": rate_hz, "force": force}
     with _writer(path, headers, rotate_s, started, **about) as log:
         loop = Streaming if streams(bus, stations) else Poll
 

@@ -61,6 +61,7 @@ def _content(log: Log, wanted: Wanted, units: str) -> Content:
         "source": log.source,
         "config": log.config,
         "software": log.software,
+        "frame_rate_hz": log.frame_rate_hz,
     }
     beside = [] if wanted.sensors else list(_tracks(log))
     return Content(units, log.epoch, head, (*tables, *beside), log.phases, log.events, uncalibrated)

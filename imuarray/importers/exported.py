@@ -91,6 +91,7 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
         tables = {str(name): dict(about) for name, about in head["tables"].items()}
         sensors = [about for name, about in tables.items() if name not in BESIDE]
         said = {name: head[name] for name in ("source", "epoch", "config", "software")}
+        said["frame_rate_hz"] = head.get("frame_rate_hz", 0.0)  # earlier exports don't say it
         listed = [{name: about[name] for name in _FIELDS} for about in sensors]
         preamble = Preamble.from_json(json.dumps({**said, "sensors": listed}))
         wanted = {f"sensors/{header.name}" for header in preamble.sensors} | set(tables).intersection(BESIDE)
@@ -136,7 +137,13 @@ def write_log(
     span = _Span()
     try:
         with LogWriter(
-            output, preamble.sensors, source=preamble.source, epoch=preamble.epoch, config=preamble.config, force=force
+            output,
+            preamble.sensors,
+            source=preamble.source,
+            epoch=preamble.epoch,
+            config=preamble.config,
+            frame_rate_hz=preamble.frame_rate_hz,
+            force=force,
         ) as log:
             for header in preamble.sensors:
                 rows[header.name] = 0

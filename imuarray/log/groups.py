@@ -51,6 +51,8 @@ def begin(file: h5py.File, preamble: Preamble) -> None:
         Conventions="CF-1.8",
         NX_class="NXroot",
     )
+    if preamble.frame_rate_hz:
+        file.attrs["frame_rate_hz"] = float(preamble.frame_rate_hz)
 
 
 def create_columns(file: h5py.File, group: Group, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:

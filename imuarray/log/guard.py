@@ -5,10 +5,12 @@ What is looked at before anything in it is believed: `imuarray.log.inspection`.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.log.format import CACHE_BYTES, FORMAT
@@ -33,6 +35,13 @@ def open_file(path: Path) -> h5py.File:
     except OSError as error:
         kind = "is truncated" if "truncated" in str(error) else "is no HDF5 file or is damaged"
         raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}") from None
+
+
+def positive(value: Any) -> float:
+    """An attribute that is one positive, finite number; else 0."""
+    number = value.item() if isinstance(value, np.generic) else value
+    fits = isinstance(number, int | float) and not isinstance(number, bool) and 0 < number < math.inf
+    return float(number) if fits else 0.0
 
 
 def check_note(fields: Any, numbers: int) -> None:

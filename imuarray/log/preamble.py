@@ -15,6 +15,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.printable import printable
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
+_NO_TEXTS = frozenset({"sensors", "frame_rate_hz"})
 _TUPLES = ("position_mm", "columns", "compensated")
 _RESERVED = frozenset({"time", "counts", "status", "temperature_counts", "axis"})
 _OWN_ATTRIBUTES = frozenset({"orientation", "NX_class", "signal"})
@@ -26,7 +27,9 @@ _MOST_SENSORS = 512
 
 @dataclass(frozen=True)
 class Preamble:
-    """`identity` tells a log and its journal from those of another recording."""
+    """`identity` tells a log and its journal from those of another recording. `frame_rate_hz` is the frame rate that was
+    asked for, 0 where there is none: an imported log's sensors may have been read at any time.
+    """
 
     sensors: tuple[SensorHeader, ...]
     source: str
@@ -34,6 +37,7 @@ class Preamble:
     config: str
     software: str
     identity: str = ""
+    frame_rate_hz: float = 0.0
 
     def to_json(self) -> str:
         """One line of JSON."""
@@ -54,9 +58,11 @@ class Preamble:
             preamble = cls(sensors=sensors, **values)
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             raise LogError(f"the log's preamble can't be read: {printable(repr(error))[:_LONGEST_TEXT]}") from None
-        texts = [getattr(preamble, field.name) for field in fields(cls) if field.name != "sensors"]
+        texts = [getattr(preamble, field.name) for field in fields(cls) if field.name not in _NO_TEXTS]
         if not all(isinstance(text, str) and "\0" not in text for text in texts):
             raise LogError("the log's preamble can't be read: text is wanted")
+        if not _is_number(preamble.frame_rate_hz) or preamble.frame_rate_hz < 0:
+            raise LogError("the log's preamble can't be read: a frame rate is a positive number, or 0")
         return preamble
 
 

@@ -19,7 +19,7 @@ import h5py
 
 from imuarray.errors import LogError
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, Event, Phase
-from imuarray.log.guard import DAMAGE, open_file, read_texts
+from imuarray.log.guard import DAMAGE, open_file, positive, read_texts
 from imuarray.log.inspection import inspect
 from imuarray.log.interrupted import LiveView, Rebuilt, may_be_unfinished, open_interrupted
 from imuarray.log.journal import is_running
@@ -120,6 +120,11 @@ class Log:
     def software(self) -> str:
         """What wrote the log."""
         return _text(self._file.attrs.get("software", ""))
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Frames per second that were asked for; 0 if the log does not say, or says no such number."""
+        return positive(self._file.attrs.get("frame_rate_hz"))
 
     def __getitem__(self, name: str) -> SensorLog:
         """One sensor by name; LogError names those that there are."""

@@ -71,12 +71,14 @@ class LogWriter:
         source: str,
         epoch: str,
         config: str = "",
+        frame_rate_hz: float = 0.0,
         force: bool = False,
         watermark: int = WATERMARK,
         sync_s: float = SYNC_S,
     ) -> None:
-        """Create `path` for `sensors`; `epoch` is the ISO 8601 UTC wall time of time 0. A kept log ends with
-        DiskFullError when less than `watermark` bytes are free. OutputExistsError, LogBusyError, LogError.
+        """Create `path` for `sensors`; `epoch` is the ISO 8601 UTC wall time of time 0, `frame_rate_hz` what was asked
+        for (0: not known). A kept log ends with DiskFullError when less than `watermark` bytes are free.
+        OutputExistsError, LogBusyError, LogError.
         """
         self.path = Path(path)
         self.epoch = epoch
@@ -86,7 +88,8 @@ class LogWriter:
             raise LogBusyError(path)
         if self.path.exists() and not force:
             raise OutputExistsError(path)
-        self._preamble = Preamble(tuple(sensors), source, epoch, config, f"imuarray {__version__}", uuid.uuid4().hex)
+        software, identity = f"imuarray {__version__}", uuid.uuid4().hex
+        self._preamble = Preamble(tuple(sensors), source, epoch, config, software, identity, frame_rate_hz)
         self._force, self._watermark, self._sync_s = force, watermark, sync_s
         self._draft = Draft(self.path, self._preamble, CHUNK)
         self.paths = (self.path,)

@@ -62,9 +62,17 @@ def write_log(
     """
     headers = [sensor.header for sensor in simulation.sensors.values()]
     written, lost = dict.fromkeys(simulation.sensors, 0), dict.fromkeys(simulation.sensors, 0)
-    frames = simulation.plan.frames
+    plan, frames = simulation.plan, simulation.plan.frames
     seconds = frames.rows * frames.period_ns * 1e-9
-    with LogWriter(path, headers, source="simulated", epoch=epoch, config=simulation.plan.config, force=force) as log:
+    with LogWriter(
+        path,
+        headers,
+        source="simulated",
+        epoch=epoch,
+        config=plan.config,
+        frame_rate_hz=plan.frame_rate_hz,
+        force=force,
+    ) as log:
         if note:
             log.event(Event(0, "", "simulated", note))
         for phase in phases_within(simulation.motion.phases, round(seconds * 1e9)):

@@ -39,6 +39,8 @@ class Plan:
     frames: Polled
     """When each frame begins: the times of `/truth`."""
     config: str = ""
+    frame_rate_hz: float = 0.0
+    """That was asked for; 0: not known."""
 
 
 def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
@@ -46,7 +48,7 @@ def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
     lines = poll(array, frame_rate_hz, seconds)
     sensors = {sensor.name: (header_of(sensor, {}), lines[sensor.name]) for sensor in array.sensors}
     frames, period_ns = frames_in(frame_rate_hz, seconds)
-    return Plan(sensors, Polled(frames, period_ns), array.text)
+    return Plan(sensors, Polled(frames, period_ns), array.text, frame_rate_hz)
 
 
 def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
@@ -65,7 +67,7 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
         raise LogError(f"{log.path}: nothing was read in it")
     end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))
     frames, period_ns = frames_in(_FRAMES_LIKE_HZ, (end_ns + 1) * 1e-9)
-    return Plan(sensors, Polled(frames, period_ns), log.config)
+    return Plan(sensors, Polled(frames, period_ns), log.config, log.frame_rate_hz)
 
 
 class Simulation:
