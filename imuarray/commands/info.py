@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.options import json_option, log_argument, print_json
-from imuarray.printable import printable
+from imuarray.printable import counted, printable
 
 if TYPE_CHECKING:
     from imuarray.log import Log, SensorLog
@@ -35,6 +35,8 @@ def command(run: Path, as_json: bool) -> None:
 
 def describe(log: Log) -> dict[str, Any]:
     """The log as one JSON-ready object."""
+    from imuarray.log.pace import missed_frames
+
     return {
         "log": str(log.path),
         "state": log.state,
@@ -43,6 +45,8 @@ def describe(log: Log) -> dict[str, Any]:
         "epoch": log.epoch,
         **_span(log),
         "software": log.software,
+        "frame_rate_hz": log.frame_rate_hz or None,
+        "missed": missed_frames(log),
         "sensors": [_sensor(sensor) for sensor in log.sensors.values()],
         "phases": [
             {"name": phase.name, "up": phase.up, "start_s": phase.start_ns * 1e-9, "end_s": phase.end_ns * 1e-9}
@@ -117,6 +121,9 @@ def _print(summary: dict[str, Any]) -> None:
         _say(f"  {summary['state']}: {shown} is shown{hint}")
     for loss in summary["losses"]:
         _say(f"  {loss}")
+    if summary["frame_rate_hz"]:
+        missed = "" if summary["missed"] is None else f", {counted(summary['missed'], 'frame')} missed"
+        _say(f"  {summary['frame_rate_hz']:g} frames a second were asked for{missed}")
     for sensor in summary["sensors"]:
         scale = f"+-{sensor['range']:g} {sensor['unit']}" if sensor["range"] else sensor["unit"]
         flags = ", ".join(f"{count} {name}" for name, count in sensor["flags"].items())

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,9 +13,6 @@ import click
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
     from imuarray.monitor import Snapshot, Watch
-
-_HOME, _REST_OF_LINE, _REST_OF_SCREEN = "\x1b[H", "\x1b[K", "\x1b[J"
-"""Where to write, and what to clear: what is written over does not flicker."""
 
 
 @click.command("monitor")
@@ -86,18 +82,26 @@ def _calibration(path: Path | None) -> Calibration | None:
 
 
 def _look_on(run: Path, calibration: Calibration | None, every_s: float, *, as_json: bool, once: bool) -> None:
-    """Look and show, again and again until the log has ended."""
+    """Look and show, again and again until the log has ended, or Ctrl-C."""
+    from imuarray.commands.monitor_screen import Screen
     from imuarray.monitor import Watch
     from imuarray.monitor.priority import step_back
+    from imuarray.monitor.text import lines_of
 
     step_back()
-    with Watch(run, calibration=calibration) as watch:
+    ends = nullcontext() if once else suppress(KeyboardInterrupt)  # Ctrl-C is the usual end of looking on
+    with ends, Watch(run, calibration=calibration) as watch, Screen() as screen:
         while True:
             snapshot = _counted(watch) if once else watch.refresh(time.monotonic())
-            _show_json(snapshot) if as_json else _show_text(snapshot, once)
+            if as_json:
+                _show_json(snapshot)
+            elif once:
+                click.echo("\n".join(lines_of(snapshot, screen.columns)))
+            else:
+                screen.show(lines_of(snapshot, screen.columns))
             if once or (snapshot.state in ("finished", "interrupted") and snapshot.counted == 1.0):
                 return
-            time.sleep(every_s)
+            screen.rest(every_s)
 
 
 def _counted(watch: Watch) -> Snapshot:
@@ -116,16 +120,3 @@ def _show_json(snapshot: Snapshot) -> None:
     click.echo(json.dumps(described(snapshot), ensure_ascii=False, allow_nan=False))
     with suppress(OSError):
         sys.stdout.flush()
-
-
-def _show_text(snapshot: Snapshot, once: bool) -> None:
-    """On a terminal over what was there before, as much as there is room for."""
-    from imuarray.monitor.text import lines_of
-
-    lines = lines_of(snapshot)
-    if once or not sys.stdout.isatty():
-        click.echo("\n".join(lines))
-        return
-    room = shutil.get_terminal_size()
-    shown = [line[: room.columns] + _REST_OF_LINE for line in lines[: room.lines - 1]]
-    click.echo(_HOME + "\n".join(shown) + "\n" + _REST_OF_SCREEN, nl=False, color=True)

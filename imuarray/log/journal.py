@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -40,6 +41,9 @@ _SEARCHED = 1 << 26
 
 _LEAST_CHECK = 512
 """What each check counts for."""
+
+_TRIES, _PAUSE_S = 20, 0.005
+"""How often the lock is asked for while others only look, and how long after each time."""
 
 _UNSYNCED_NS = 5_000_000_000
 """What may wait for the disk at most, generously: behind a hole that a power cut left there is no more than that."""
@@ -83,6 +87,25 @@ def is_running(path: Path) -> bool:
         os.close(fd)
 
 
+def _locked_alone(fd: int) -> bool:
+    """Lock an open file alone. Who looks whether it is written (`is_running`) has it for a moment, as one of many: that
+    is waited for. False if somebody else has it alone, or for longer.
+    """
+    for _ in range(_TRIES):
+        if _locked(fd, exclusive=True):
+            return True
+        if not _locked(fd, exclusive=False):
+            return False
+        _unlock(fd)
+        time.sleep(_PAUSE_S)
+    return False
+
+
+def _unlock(fd: int) -> None:
+    if sys.platform != "win32":
+        fcntl.flock(fd, fcntl.LOCK_UN)
+
+
 def _locked(fd: int, *, exclusive: bool) -> bool:
     """Lock an open file, as one of many or alone; False if somebody else has it."""
     if sys.platform == "win32":
@@ -103,7 +126,7 @@ class JournalLock:
         flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0)
         while True:
             self.fd = os.open(self.path, flags, 0o644)
-            if not _locked(self.fd, exclusive=True):
+            if not _locked_alone(self.fd):
                 os.close(self.fd)
                 raise LogBusyError(path)
             with contextlib.suppress(FileNotFoundError):

@@ -27,8 +27,8 @@ _MOST_SENSORS = 512
 
 @dataclass(frozen=True)
 class Preamble:
-    """`identity` tells a log and its journal from those of another recording. `frame_rate_hz` is the frame rate that was
-    asked for, 0 where there is none: an imported log's sensors may have been read at any time.
+    """`identity` tells a log and its journal from those of another recording. `frame_rate_hz` is the frame rate that
+    was asked for, 0 where there is none: an imported log's sensors may have been read at any time.
     """
 
     sensors: tuple[SensorHeader, ...]

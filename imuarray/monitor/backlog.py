@@ -1,4 +1,4 @@
-"""Late and missed rows from before a monitor looked, counted a piece at a time: no look takes longer for a long log."""
+"""Delayed and missed rows from before a monitor looked, counted a piece at a time: a long log makes no look longer."""
 
 from __future__ import annotations
 

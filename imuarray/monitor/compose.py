@@ -8,6 +8,7 @@ import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import ImuArrayError
+from imuarray.log.pace import frame_period_ns, missed_by_all
 from imuarray.log.room import WATERMARK, free_bytes
 from imuarray.monitor.fused import fused_beside, fused_now
 from imuarray.monitor.held import HeldLog
@@ -30,7 +31,8 @@ def snapshot_of(source: Source, calibration: Calibration, remark: str, quiet_s: 
         source.path,
         {name: (source.attributes[name], window.rows or _no_rows(source, name)) for name, window in windows.items()},
     )
-    views = tuple(view_of(held[name], window, source.backlog.gaps(name)) for name, window in windows.items())
+    period_ns = frame_period_ns(source.source, source.frame_rate_hz)
+    views = tuple(view_of(held[name], window, source.backlog.gaps(name), period_ns) for name, window in windows.items())
     firsts = [window.first_ns for window in windows.values() if window.first_ns is not None]
     ends = [int(window.time[-1]) for window in windows.values() if len(window.time)]
     frames = _frames(views)
@@ -46,8 +48,9 @@ def snapshot_of(source: Source, calibration: Calibration, remark: str, quiet_s: 
         ends_ns=max(ends, default=None),
         quiet_s=max(0.0, quiet_s),
         rate_hz=float(np.median([view.rate_hz for view in frames])) if frames else 0.0,
-        late=min((view.late for view in frames), default=0),
-        missed=max(told.missed, min((view.missed for view in frames), default=0)),
+        frame_rate_hz=source.frame_rate_hz,
+        delayed=min((view.delayed for view in frames), default=0),
+        missed=max(told.missed, _missed(frames, period_ns)),
         counted=source.backlog.counted,
         events=told.kinds,
         problems=told.problems,
@@ -75,6 +78,13 @@ def _frames(views: Sequence[SensorView]) -> list[SensorView]:
         return [other for other in inertial if abs(other.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz]
 
     return max((alike(view) for view in inertial), key=len, default=[])
+
+
+def _missed(frames: Sequence[SensorView], period_ns: int) -> int:
+    """Of all frames, by the grid that they lie on, else by what is missing from every sensor."""
+    framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
+    known = missed_by_all(framed, period_ns)
+    return min((view.missed for view in frames), default=0) if known is None else known
 
 
 def _disk(source: Source, views: Sequence[SensorView]) -> Disk | None:

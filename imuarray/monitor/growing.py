@@ -48,7 +48,7 @@ class Growing:
     def _begin(self) -> None:
         seen, preamble = self.seen, self._reader.preamble
         seen.expect(header.name for header in preamble.sensors)
-        self.source, self.epoch = preamble.source, preamble.epoch
+        self.source, self.epoch, self.frame_rate_hz = preamble.source, preamble.epoch, preamble.frame_rate_hz
         groups = self._reader.groups
         self.row_bytes = {group.path: group.row_bytes for group in groups}
         file = _opened(self.path, preamble)

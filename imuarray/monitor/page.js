@@ -160,7 +160,7 @@ function tiles(now) {
   const short = disk && disk.left_s !== null && disk.left_s < 3600;
   byId("tiles").replaceChildren(
     tile("Frame rate", `${shown(now.rate_hz, 1)} Hz`, `${duration(now.ends_s - now.begins_s)} recorded`),
-    tile("Late", whole(now.late), `by over a quarter period, ${part}`, false),
+    tile("Delayed", whole(now.delayed), `frames, by over a quarter of a period, ${part}`, false),
     tile("Missed", whole(now.missed), part, now.missed > 0),
     tile("Events", whole(events), kinds || "none", now.problems > 0),
     tile("Disk left", disk ? `${(disk.free_bytes / 2 ** 30).toFixed(1)} GiB` : "–", left, short),

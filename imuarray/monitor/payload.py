@@ -1,4 +1,30 @@
-"""A snapshot as JSON: numbers as a program wants them, or thinned out as a page draws them."""
+"""A snapshot as JSON: numbers as a program wants them, or thinned out as a page draws them.
+
+`imuarray monitor --json` prints one such object a line. These keys stay, others may come; null: nothing is to be said.
+
+================  ======================================================================================================
+`log`             name of the file: that of the newest part of a log that is cut into parts
+`state`           "waiting" (for the log), "being written", "finished" or "interrupted"; `remark`: what else there is
+`source` `epoch`  of the log; `phase`: the one that is on, or ""
+`begins_s`        time of the first row since `epoch`; `ends_s`: of the newest; `quiet_s`: how long nothing came
+`rate_hz`         frames a second, lately; `frame_rate_hz`: that were asked for, null where the log does not say
+`missed`          frames whose time had passed before the one before them ended: what the logger calls so
+`delayed`         frames that were read more than a quarter of a period later than usual. The logger's "late" is another
+                  number: every frame that began after its time, however little
+`counted`         share of the log in which `delayed` was counted, 1 at last
+`events`          how many, by kind; `problems`: how many of them tell of trouble
+`recent`          the last 50, the newest first: `time_s`, `sensor` ("": the array), `kind`, `message`
+`disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log is ended for want of it
+`sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`, `delayed`,
+                  `missed`; `flags` of the last 10 s, by name; `mean` of the last second and `sd` of the last 10, of each
+                  column in `unit`; `use_percent` of the range in the last 10 s and `peak_use_percent` at most so far, or
+                  null; `temperature_degc` or null, `temperature_is_relative`: only its changes count; `density_unit`:
+                  of spectra, on the page
+`fused`           null, and `not_fused` says why; or `technique`, `calibrated` and `quantities`: "specific_force" and
+                  "angular_rate", of each `unit`, `mean` of the last second and `noise` from frame to frame
+`took_ms`         what it took to look
+================  ======================================================================================================
+"""
 
 from __future__ import annotations
 
@@ -32,7 +58,8 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
         "ends_s": _seconds(snapshot.ends_ns),
         "quiet_s": round(snapshot.quiet_s, 1),
         "rate_hz": round(snapshot.rate_hz, 2),
-        "late": snapshot.late,
+        "frame_rate_hz": round(snapshot.frame_rate_hz, 4) or None,
+        "delayed": snapshot.delayed,
         "missed": snapshot.missed,
         "counted": round(snapshot.counted, 3),
         "events": {printable(kind): count for kind, count in (snapshot.events or {}).items()},
@@ -90,7 +117,7 @@ def _sensor(view: SensorView) -> dict[str, Any]:
         "columns": list(view.columns),
         "rows": view.rows,
         "rate_hz": _number(view.rate_hz),
-        "late": view.late,
+        "delayed": view.delayed,
         "missed": view.missed,
         "flags": dict(view.flags),
         "density_unit": READABLE.get(view.unit, (1.0, view.unit))[1],

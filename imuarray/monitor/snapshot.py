@@ -34,7 +34,8 @@ class Disk:
 class SensorView:
     """The last seconds of a sensor.
 
-    `rows` of the log so far; `late` and `missed` among those that were counted; `flags`, rows of the last seconds by
+    `rows` of the log so far, the first of them at `first_ns`; `delayed` and `missed` among those that were counted;
+    `framed`, whether there is one in every frame. `flags`, rows of the last seconds by
     flag. `time` (n,) ns and `values` (n, k) in `unit`, their `mean` (k,) over the last second and `sd` (k,) over all of
     them. `use` and `peak_use` (k,): share of the measuring range, in the last seconds and at most so far; None for a
     sensor without a range. `temperature_degc` of the last second, where `relative` says that its zero is not known.
@@ -46,8 +47,10 @@ class SensorView:
     unit: str
     columns: tuple[str, ...]
     rows: int
+    first_ns: int | None
     rate_hz: float
-    late: int
+    framed: bool
+    delayed: int
     missed: int
     flags: Mapping[str, int]
     time: Times
@@ -80,10 +83,12 @@ class Snapshot:
     """A log at one moment.
 
     `state` is one of the four above, `remark` what else is to be said of it ("" nothing). `begins_ns` and `ends_ns` are
-    the first and the last time in it, since `epoch`; `quiet_s` how long nothing came. `rate_hz`, `late` and `missed`
-    are of frames (late by more than a quarter of a period; missed by the times of the rows, or more if events say so);
-    `counted` is the share of the log that was counted so far. `events` by kind, of which `problems` tell
-    of trouble; `recent` are the last ones, the newest first. `took_s` is what it took to look.
+    the first and the last time in it, since `epoch`; `quiet_s` how long nothing came. `rate_hz` is that of
+    frames, `frame_rate_hz` what was asked for (0: not known). `missed` are frames whose time had passed, as the logger
+    counts them; `delayed` those that were read more than a quarter of a period later than usual, which is fewer than
+    the logger calls late: there it is every frame that began behind its time, however little. `counted` is the share of
+    the log that was counted so far. `events` by kind, of which `problems` tell of trouble; `recent` are the last ones,
+    the newest first. `took_s` is what it took to look.
     """
 
     path: Path
@@ -96,7 +101,8 @@ class Snapshot:
     ends_ns: int | None = None
     quiet_s: float = 0.0
     rate_hz: float = 0.0
-    late: int = 0
+    frame_rate_hz: float = 0.0
+    delayed: int = 0
     missed: int = 0
     counted: float = 1.0
     events: Mapping[str, int] | None = None

@@ -40,6 +40,7 @@ class Source(Protocol):
     state: str
     seen: Seen
     attributes: dict[str, Attributes]
+    frame_rate_hz: float
     row_bytes: dict[str, int]
     backlog: Backlog
 

@@ -1,28 +1,42 @@
-"""A snapshot as lines of text: what the page shows, for a terminal, over ssh."""
+"""A snapshot as lines of text: what the page shows, for a terminal, over ssh. Everything fits into 80 columns, except
+where a sensor's name is long.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
 
 from imuarray.monitor.snapshot import SensorView, Snapshot
 from imuarray.printable import counted, printable
 from imuarray.units import READABLE_SI
 
+COLUMNS = 80
 EVENTS = 5
 """That are shown."""
 
-_SIGNS = {"specific_force": "specific force", "angular_rate": "angular rate"}
+_SIGNS = {"specific_force": "force", "angular_rate": "rate"}
 _GIB = 1 << 30
+_LONGEST_NAME = 12
 
 
-def lines_of(snapshot: Snapshot) -> list[str]:
-    """The whole of it; no line steers a terminal."""
-    lines = [_head(snapshot)]
+def lines_of(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
+    """The whole of it, in so many `columns` if there are 80 of them; no line steers a terminal."""
+    lines = _wrapped(_head(snapshot), columns, first="")
     if snapshot.remark:
-        lines.append(f"  {printable(snapshot.remark)}")
+        lines += _wrapped(printable(snapshot.remark), columns)
     if snapshot.begins_ns is None:
         return lines
-    return [*lines, *_figures(snapshot), "", *_sensors(snapshot.sensors), "", *_fused(snapshot), *_events(snapshot)]
+    lines += [*_figures(snapshot, columns), "", *_sensors(snapshot.sensors, columns), ""]
+    return [*lines, *_fused(snapshot, columns), *_events(snapshot, columns)]
+
+
+def _wrapped(text: str, columns: int, first: str = "  ") -> list[str]:
+    return textwrap.wrap(text, columns, initial_indent=first, subsequent_indent="    ") or [""]
+
+
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else text[: max(0, most - 1)] + "…"
 
 
 def _head(snapshot: Snapshot) -> str:
@@ -36,16 +50,19 @@ def _head(snapshot: Snapshot) -> str:
     return f"{printable(snapshot.path.name)}: {snapshot.state}{span}{phase}{quiet}"
 
 
-def _figures(snapshot: Snapshot) -> list[str]:
+def _figures(snapshot: Snapshot, columns: int) -> list[str]:
     part = "" if snapshot.counted == 1 else f" ({snapshot.counted:.0%} of the log counted)"
+    asked = f" of {snapshot.frame_rate_hz:g} Hz" if snapshot.frame_rate_hz else " Hz"
+    frames = f"{counted(snapshot.missed, 'frame')} missed, {snapshot.delayed} delayed{part}"
     kinds = ", ".join(f"{printable(kind)} {count}" for kind, count in (snapshot.events or {}).items())
     disk = snapshot.disk
     left = "" if disk is None or disk.left_s is None else f", about {duration(disk.left_s)} of logging"
     room = "disk: not known" if disk is None else f"disk: {disk.free_bytes / _GIB:.1f} GiB free{left}"
     total = counted(sum((snapshot.events or {}).values()), "event")
     return [
-        f"  {snapshot.rate_hz:.1f} Hz, {counted(snapshot.late, 'frame')} late, {snapshot.missed} missed{part}; {room}",
-        f"  {total}" + (f": {kinds}" if kinds else ""),
+        f"  {snapshot.rate_hz:.1f}{asked}, {frames}",
+        f"  {room}",
+        *_wrapped(total + (f": {kinds}" if kinds else ""), columns),
     ]
 
 
@@ -58,43 +75,56 @@ def duration(seconds: float) -> str:
     return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.0f} d"
 
 
-def _sensors(views: Sequence[SensorView]) -> list[str]:
-    width = max((len(printable(view.name)) for view in views), default=6)
-    head = f"  {'sensor':{width}} {'Hz':>7} {'mean of the last second':^29} {'unit':5} {'sd':>9}"
-    return [f"{head} {'range':>6} {'degC':>6} {'missed':>6}  flags", *(_sensor(view, width) for view in views)]
+def _sensors(views: Sequence[SensorView], columns: int) -> list[str]:
+    names = [_cut(printable(view.name), _LONGEST_NAME) for view in views]
+    width = max(6, *map(len, names)) if names else 6
+    head = f"  {'sensor':{width}} {'Hz':>6} {'mean of the last second':^29} {'unit':5} {'sd':>8}"
+    lines = [f"{head} {'range':>5} {'degC':>6} {'missed':>6}"]
+    lines += [f"  {name:{width}} {_sensor(view)}".rstrip() for name, view in zip(names, views, strict=True)]
+    if any(view.relative and view.temperature_degc is not None for view in views):
+        lines.append("  * changes count, the level is not known")
+    return [*lines, *_flags(zip(names, views, strict=True), columns)]
 
 
-def _sensor(view: SensorView, width: int) -> str:
+def _sensor(view: SensorView) -> str:
     means = " ".join(f"{value:9.3f}" for value in view.mean) if view.rows else "nothing came"
-    noise = f"{view.sd.max():9.4f}" if view.rows > 1 else " " * 9
+    noise = f"{view.sd.max():8.4f}" if view.rows > 1 else ""
     use = "" if view.use is None else f"{view.use.max():.0%}"
     warm = "" if view.temperature_degc is None else f"{view.temperature_degc:.1f}{'*' * view.relative}"
-    flags = ", ".join(f"{name} {count}" for name, count in view.flags.items())
-    start = f"  {printable(view.name):{width}} {view.rate_hz:7.1f} {means:29} {view.unit:5} {noise} {use:>6} {warm:>6}"
-    return f"{start} {view.missed:6}  {flags}".rstrip()
+    return f"{view.rate_hz:6.1f} {means:29} {view.unit:5} {noise:>8} {use:>5} {warm:>6} {view.missed:6}"
 
 
-def _fused(snapshot: Snapshot) -> list[str]:
+def _flags(named: Iterable[tuple[str, SensorView]], columns: int) -> list[str]:
+    """Sensors with flags among the last seconds' rows."""
+    told = [
+        f"{name} " + ", ".join(f"{flag.replace('_', ' ')} {count}" for flag, count in view.flags.items())
+        for name, view in named
+        if view.flags
+    ]
+    return _wrapped("flagged lately: " + "; ".join(told), columns) if told else []
+
+
+def _fused(snapshot: Snapshot, columns: int) -> list[str]:
     if snapshot.fused is None:
-        return [f"  not fused: {printable(snapshot.not_fused)}"]
+        return _wrapped(f"not fused: {printable(snapshot.not_fused)}", columns)
     fused = snapshot.fused
     by = "calibrated" if fused.calibrated else "data sheet's values"
     lines = [f"  fused ({printable(fused.technique)}, {by}), box frame, last second"]
     for quantity in fused.triads:
         factor, unit = READABLE_SI[quantity]
-        means = "  ".join(
+        means = " ".join(
             f"{axis} {factor * value:9.3f}" for axis, value in zip("xyz", fused.mean[quantity], strict=True)
         )
-        noise = ", ".join(f"{factor * value:.3f}" for value in fused.noise[quantity])
-        lines.append(f"    {_SIGNS[quantity]:14} {means} {unit}, noise {noise}")
+        noise = " ".join(f"{factor * value:.3f}" for value in fused.noise[quantity])
+        lines.append(f"    {_SIGNS[quantity]:5} {means} {unit:3}  noise {noise}")
     return lines
 
 
-def _events(snapshot: Snapshot) -> list[str]:
+def _events(snapshot: Snapshot, columns: int) -> list[str]:
     if not snapshot.recent:
         return []
     lines = ["", "  last events"]
     for event in snapshot.recent[:EVENTS]:
         about = " ".join(word for word in (event.sensor, f"{event.kind}:", event.message) if word)
-        lines.append(f"  {event.time_ns * 1e-9:11.1f} s  {printable(about)}")
+        lines.append(_cut(f"  {event.time_ns * 1e-9:9.1f} s  {printable(about)}", columns))
     return lines

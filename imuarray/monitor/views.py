@@ -10,6 +10,7 @@ from imuarray.calibrate.segments import CHIP_DEGC
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 from imuarray.log import SensorLog
 from imuarray.log.format import FLAGS
+from imuarray.log.pace import is_read_once_a_frame, missing_rows
 from imuarray.monitor.snapshot import Floats, SensorView
 from imuarray.monitor.window import Gaps, Window
 
@@ -22,26 +23,31 @@ _BREAK = 3.0
 _PRESSURE = "pressure"
 
 
-def view_of(sensor: SensorLog, window: Window, earlier: Gaps) -> SensorView:
-    """What is to be seen of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them."""
+def view_of(sensor: SensorLog, window: Window, earlier: Gaps, frame_period_ns: int = 0) -> SensorView:
+    """What is to be seen of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. Frames lie on a
+    grid of `frame_period_ns` (0: on none that is known).
+    """
     time = window.time
     values, unit, columns = _values(sensor, window)
     last = slice(int(np.searchsorted(time, time[-1] - _LAST_NS)) if len(time) else 0, len(time))
     gaps = window.gaps + earlier
     use, peak = _use(sensor, window)
     degc, relative = _temperature(sensor, window, last)
-    enough = len(time) > 1
+    rate_hz = (len(time) - 1) / ((time[-1] - time[0]) * 1e-9) if len(time) > 1 else 0.0
+    framed = is_read_once_a_frame(sensor.rate_hz, rate_hz, frame_period_ns)
     return SensorView(
         sensor.name, sensor.chip, sensor.quantity, unit, columns,
         rows=window.total,
-        rate_hz=(len(time) - 1) / ((time[-1] - time[0]) * 1e-9) if enough else 0.0,
-        late=gaps.late,
-        missed=gaps.missed,
+        first_ns=window.first_ns,
+        rate_hz=rate_hz,
+        framed=framed,
+        delayed=gaps.delayed,
+        missed=missing_rows(window.first_ns or 0, time[-2:], window.total, frame_period_ns) if framed else gaps.missed,
         flags=_flags(window),
         time=time,
         values=values,
         mean=values[last].mean(axis=0) if len(time) else np.full(len(columns), np.nan),
-        sd=values.std(axis=0, ddof=1) if enough else np.full(len(columns), np.nan),
+        sd=values.std(axis=0, ddof=1) if len(time) > 1 else np.full(len(columns), np.nan),
         use=use,
         peak_use=peak,
         temperature_degc=degc,

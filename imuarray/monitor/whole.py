@@ -24,7 +24,7 @@ class Whole:
         log = open_log(path)
         try:
             self.state = FINISHED if log.state == "finished" else INTERRUPTED
-            self.source, self.epoch = log.source, log.epoch
+            self.source, self.epoch, self.frame_rate_hz = log.source, log.epoch, log.frame_rate_hz
             self.attributes: dict[str, Attributes] = {
                 name: dict(sensor.attributes) for name, sensor in log.sensors.items()
             }

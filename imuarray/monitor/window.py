@@ -1,9 +1,10 @@
-"""The last seconds of one sensor's rows, and how many came late or never, counted while they pass.
+"""The last seconds of one sensor's rows, and how many were delayed or never came, counted while they pass.
 
 Frames are read there and back: a sensor that comes first in one frame comes last in the next, so that a row's neighbour
 may be anything up to two periods away, but the row after that is two periods away. Steps over two rows are therefore
-what is looked at. A frame that was missed makes two of them a period longer; one that is late by more than a quarter of
-a period makes one of them longer by that.
+what is looked at. A frame that was missed makes two of them a period longer; one that is delayed by more than a
+quarter of a period makes one of them longer by that. Where the log tells its frame rate, what is missing is told better
+by that (`imuarray.log.pace`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ MOST_ROWS = 1 << 16
 STRIDE = 2
 """Rows from one to the next that was read in the same order."""
 
-_LATE = 0.25
+_DELAYED = 0.25
 """Of a period."""
 _FEWEST = 8
 """Rows from which a period is taken."""
@@ -33,13 +34,13 @@ _FEWEST = 8
 
 @dataclass(frozen=True)
 class Gaps:
-    """Rows that came `late`, and twice the rows that are missing (each is seen in two steps)."""
+    """Rows that were `delayed`, and twice the rows that are missing (each is seen in two steps)."""
 
-    late: int = 0
+    delayed: int = 0
     twice_missed: int = 0
 
     def __add__(self, other: Gaps) -> Gaps:
-        return Gaps(self.late + other.late, self.twice_missed + other.twice_missed)
+        return Gaps(self.delayed + other.delayed, self.twice_missed + other.twice_missed)
 
     @property
     def missed(self) -> int:
@@ -58,7 +59,7 @@ def gaps_of(time: Times, period_ns: float) -> Gaps:
         return Gaps()
     periods = (time[STRIDE:] - time[:-STRIDE]) / period_ns
     whole = np.rint(periods)
-    return Gaps(int((periods - whole > _LATE).sum()), int((whole - STRIDE).sum()))
+    return Gaps(int((periods - whole > _DELAYED).sum()), int((whole - STRIDE).sum()))
 
 
 class Window:

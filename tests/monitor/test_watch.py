@@ -136,7 +136,7 @@ def test_frames_are_missing_from_all_and_readings_from_one(logger: Logger, log_p
         logger.go_on(0.1, without=("Gyro",))
         logger.go_on(2.0)
         seen = watch.refresh(1.0)
-    assert (seen.missed, seen.late, seen.counted) == (5, 0, 1.0)
+    assert (seen.missed, seen.delayed, seen.counted) == (5, 0, 1.0)
     assert [view.missed for view in seen.sensors] == [5, 5, 15, 0]
     assert seen.rate_hz == pytest.approx(100, rel=1e-3)
 

@@ -1,4 +1,4 @@
-"""Late and missed rows, counted from times alone."""
+"""Delayed and missed rows, counted from times alone."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def test_every_missing_frame_is_counted_once(forth_and_back: float) -> None:
     assert gaps_of(frames(numbers, forth_and_back), PERIOD_NS).missed == 5
 
 
-def test_a_late_frame_is_counted_once_and_is_not_missing() -> None:
+def test_a_delayed_frame_is_counted_once_and_is_not_missing() -> None:
     time = frames(np.arange(500))
     time[[70, 300]] += PERIOD_NS * 4 // 10
     time[150] += PERIOD_NS // 10  # that much is usual
     found = gaps_of(time, PERIOD_NS)
-    assert (found.late, found.missed) == (2, 0)
+    assert (found.delayed, found.missed) == (2, 0)
 
 
 @given(
