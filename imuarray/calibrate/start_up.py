@@ -90,7 +90,8 @@ def _start_up(
 
 
 def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> tuple[Calibration, dict[str, StartUp]]:
-    """The calibration with the biases of the states in which the gyroscopes of a log came up, and how each sensor did.
+    """The calibration with the biases of the states in which the gyroscopes of a log came up, which are the only ones
+    left, and how each sensor did.
 
     Told from the first seconds at rest: a phase that says so, else a pose that is found. Nothing is told, and nothing
     changed, of a log without one. Where most accelerometers are far from their states the box lies another way than in
@@ -106,22 +107,26 @@ def in_states(found: Mapping[str, StartUp], calibration: Calibration) -> Calibra
     sensors = dict(calibration.sensors)
     for name, start in found.items():
         known = sensors[name].turn_on
-        if known is not None and len(known.states) > 1 and not start.fault:
-            sensors[name] = replace(sensors[name], bias_lsb=_bias_in(start.state, sensors[name], known))
+        several = known is not None and len(known.states) > 1 and not start.fault
+        # An accelerometer's state has the tilt of the runs in it.
+        if known is not None and several and sensors[name].quantity == "angular_rate":
+            sensors[name] = replace(
+                sensors[name],
+                bias_lsb=_bias_in(start.state, sensors[name], known),
+                turn_on=replace(known, states=(known.states[start.state],)),
+            )
     return replace(calibration, sensors=sensors)
 
 
 def _bias_in(state: int, sensor: SensorCalibration, known: TurnOn) -> Floats:
-    """The bias in one state: another calibration's, moved by the difference of this state and the one in which that was
-    made, the nearest; without another, the state's own (a gyroscope's; an accelerometer's has the tilt of the runs in
-    it and stays what it was).
+    """A gyroscope's bias in one state: another calibration's, moved by the difference of this state and the one in
+    which that was made, the nearest; without another, the state's own.
     """
     biases = np.array([each.bias_lsb for each in known.states])
-    if sensor.bias_sem_lsb is not None:
-        nearest = int(np.linalg.norm(biases - sensor.bias_lsb, axis=1).argmin())
-        moved: Floats = sensor.bias_lsb + biases[state] - biases[nearest]
-        return moved if sensor.quantity == "angular_rate" else sensor.bias_lsb
-    return biases[state] if sensor.quantity == "angular_rate" else sensor.bias_lsb
+    if sensor.bias_sem_lsb is None:
+        return np.asarray(biases[state])
+    nearest = int(np.linalg.norm(biases - sensor.bias_lsb, axis=1).argmin())
+    return np.asarray(sensor.bias_lsb + biases[state] - biases[nearest])
 
 
 def _first_means(log: Log, names: Sequence[str]) -> dict[str, Floats]:

@@ -1,8 +1,9 @@
 """How warm elements are by what is known so far: a thermometer for those who can't see the future.
 
-A temperature is the mean over the last whole segment of `SEGMENT_S`; it holds until the next one is whole. Behind a
-first-order lag, the element follows straight lines between the middles of segments, and from the last of them on it
-goes to its mean as an exponential does. Before the first segment is whole its rows so far are averaged.
+A temperature is the mean over the last whole segment of `SEGMENT_S`, and goes on from its middle as the line through
+the segments of `TREND_S` does until the next one is whole: while a box is heated, what a barometer told 20 s ago is
+degrees behind. Behind a first-order lag, the element follows straight lines between the middles of segments, and that
+line from the last of them on. Before the first segment is whole its rows so far are averaged.
 """
 
 from __future__ import annotations
@@ -29,18 +30,29 @@ BAROMETER_S = 15.0
 looks at the chip have vouched for them, and frames don't wait so long.
 """
 
+TREND_S = 20.0
+"""Over which the trend is taken: short beside the minutes in which a box is heated, and gone on for 20 s it makes the
+noise of the means, hundredths of a degree, two or three times as large.
+"""
+
+_FEWEST = 3
+"""Segments without which no trend is told."""
+
 _WIDTH_NS = round(SEGMENT_S * 1e9)
 _KEPT = 64
 """Segments that are kept beyond those that are asked for."""
 
 
 class _Segment(NamedTuple):
-    """When a segment ends, the mean time of its rows (s), its mean (degC), and the elements behind each lag then."""
+    """When a segment ends, the mean time of its rows (s), its mean (degC), the elements behind each lag then, and the
+    trend (degC/s) from then on.
+    """
 
     end_s: float
     mid_s: float
     degc: float
     behind: Floats
+    trend: float = 0.0
 
 
 class RunningThermometer:
@@ -79,7 +91,8 @@ class RunningThermometer:
     def _into(self, number: int, time: Times, degc: Floats) -> None:
         """Rows of one segment; the one before is whole if this is another."""
         if number > self._number and self._count:
-            self._closed.append(self._open())
+            closed = self._open()
+            self._closed.append(closed._replace(trend=self._trend(closed)))
             self._count, self._moment, self._sum = 0, 0.0, 0.0
         self._number = number
         self._count += len(time)
@@ -99,6 +112,14 @@ class RunningThermometer:
             behind = degc - late + (last.behind - last.degc + late) * kept
         return _Segment((begin_ns + (self._number + 1) * _WIDTH_NS) * 1e-9, mid_s, degc, behind)
 
+    def _trend(self, last: _Segment) -> float:
+        """The slope of the line through the segments that end with `last`."""
+        recent = [each for each in self._closed[-_KEPT:] if each.mid_s > last.mid_s - TREND_S + SEGMENT_S / 2]
+        if len(recent) + 1 < _FEWEST:
+            return 0.0
+        since = np.array([each.mid_s - last.mid_s for each in (*recent, last)])
+        return float(np.polyfit(since, [each.degc for each in (*recent, last)], 1)[0])
+
     def at(self, time_s: Floats, column: int) -> Floats:
         """The temperature (n,) behind one of the lags at times (n,) in s, NaN before there is any."""
         if self._begin_ns is None or len(time_s) == 0:
@@ -106,13 +127,15 @@ class RunningThermometer:
         known_s = time_s - self.delay_s
         self._forget(float(known_s.min()))
         segments = [*self._closed, self._open()]
-        end, mid, degc = (np.array([segment[k] for segment in segments]) for k in range(3))
+        end, mid, degc, trend = (np.array([segment[k] for segment in segments]) for k in (0, 1, 2, 4))
         behind = np.array([segment.behind[column] for segment in segments])
         last = np.searchsorted(end, known_s, "right") - 1
         whole = np.maximum(last, 0)
         since = np.maximum(time_s - mid[whole], 0.0)
-        held = degc[whole] + (behind - degc)[whole] * np.exp(-since / self._lags[column])
-        return np.where(last >= 0, held, self._at_first(known_s))
+        late = trend * self._lags[column]
+        kept = np.exp(-since / self._lags[column])
+        going = (degc - late)[whole] + trend[whole] * since + (behind - degc + late)[whole] * kept
+        return np.where(last >= 0, going, self._at_first(known_s))
 
     def _at_first(self, time_s: Floats) -> Floats:
         """The mean of the rows so far; that of the first one before it."""

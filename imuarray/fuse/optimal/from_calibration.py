@@ -28,13 +28,16 @@ _DPS = np.pi / 180
 
 @dataclass(frozen=True)
 class Usual:
-    """Standard deviations in SI, and shares of the noise of a reading; `felt`: what 1 g does to a gyroscope."""
+    """Standard deviations in SI, and shares of the noise of a reading; `common_share` of a slope's variance that a
+    design's like axes have in common; `felt`: what 1 g does to a gyroscope.
+    """
 
     bias: float
     slope_per_degc: float
     turn_on_share: float
     drift_share: float
     response: float
+    common_share: float
     felt: float = 0.0
 
 
@@ -42,19 +45,17 @@ USUAL: Mapping[str, Usual] = MappingProxyType(
     {
         # bias: of BMA180s; slopes: Table 8; turn-on: Table 11, deviation of the runs' means over that of readings;
         # drift: the same of the uninterrupted run, less the means' own noise
-        "specific_force": Usual(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02, 0.03),
-        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, 0.02, 0.0083 * _DPS),
+        "specific_force": Usual(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02, 0.03, 0.5),
+        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, 0.02, 0.8, 0.0083 * _DPS),
     }
 )
 """By quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales; of
-gyroscopes L3G-72, and as much of misalignment. `felt`: Table 4.
+gyroscopes L3G-72, and as much of misalignment. `felt`: Table 4. Common shares: in Table 8 the gyroscopes' is 1.0 along
+y, 0.6 along x, and nothing along z; 0.8 is what leaves least of the three but for 5 %, whose mean, 0.5, leaves 6 % more.
 """
 
 STEEP: Mapping[tuple[str, int], float] = MappingProxyType({("adxl345", 2): 1.2e-3 * STANDARD_GRAVITY})
 """Slopes per degC of axes, by chip and index, that are not like others: ADX-62, and Table 8."""
-
-COMMON_SHARE = 0.5
-"""Share of a slope's variance that a design's like axes have in common: of the gyroscopes' in Table 8, 0.53."""
 
 DRIFT_TIME_CONSTANT_S = 600.0
 """Of drift whose time constant nobody measured; the paper's tables don't tell it closer than a factor of ten."""
@@ -62,8 +63,10 @@ DRIFT_TIME_CONSTANT_S = 600.0
 TIMING_S = 0.5e-3
 """Of readings of a chip whose own rate is not told."""
 
-_AGE = 1 / np.sqrt(3)
-"""Root mean square, in periods of a chip's own rate, of the age of a reading that is asked for at any time."""
+_AGE = 1 / np.sqrt(12)
+"""Standard deviation, in periods of a chip's own rate, of the age of a reading that is asked for at any time; its mean
+was taken out.
+"""
 
 UNWATCHED_DEGC = 3.0
 """Standard deviation, within `UNWATCHED_S`, of a temperature that no thermometer tells."""
@@ -86,23 +89,38 @@ def error_model(
         known, told = calibration.of(sensor), watched is None or sensor.name in watched
         usual = USUAL[sensor.quantity]
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
-        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - COMMON_SHARE), told)):
-            errors = replace(errors, timing_s=_AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S)
-            axes[sensor.name, index] = errors
-            slope = float(slopes[index] * np.sqrt(COMMON_SHARE))
-            shared = _of_design(usual.drift_share * errors.noise, slope, told)
-            quieter = designs.get((sensor.chip, index), shared)
-            designs[sensor.chip, index] = min(shared, quieter, key=lambda design: design.common)
+        timing_s = _AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S
+        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - usual.common_share), told)):
+            wander = 0.0 if known.drift is not None else usual.drift_share * errors.noise
+            slope = 0.0 if known.thermal is not None else float(slopes[index] * np.sqrt(usual.common_share))
+            shared = _of_design(wander, slope, told)
+            axes[sensor.name, index] = replace(
+                errors,
+                timing_s=timing_s,
+                shares_wander=shared.common > 0,
+                shares_slope=shared.slope_per_degc > 0,
+            )
+            place = (sensor.chip, index)
+            designs[place] = _of_both(designs[place], shared) if place in designs else shared
         if known.bias_covariance_lsb2 is not None:
             covariances[sensor.name] = known.bias_covariance_lsb2 / np.outer(known.lsb_per_si, known.lsb_per_si)
     return ErrorModel(MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances))
 
 
 def _of_design(wander: float, slope: float, told: bool) -> DesignErrors:
-    """What nobody measured: a design is taken to wander in common as far as its units do singly."""
+    """What nobody measured: a design is taken to wander in common as far as its units do singly. What was measured of a
+    unit has all in it, and nothing is added.
+    """
     if told:
         return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)
     return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
+
+
+def _of_both(one: DesignErrors, other: DesignErrors) -> DesignErrors:
+    """What two units share: the wandering of the one that wanders less, if it does, and the steeper slope."""
+    wandering = [design for design in (one, other) if design.common > 0] or [one]
+    slope = max(one.slope_per_degc, other.slope_per_degc)
+    return replace(min(wandering, key=lambda design: design.common), slope_per_degc=slope)
 
 
 def _of_sensor(known: SensorCalibration, usual: Usual, slopes_per_degc: Floats, told: bool) -> list[AxisErrors]:
@@ -114,8 +132,8 @@ def _of_sensor(known: SensorCalibration, usual: Usual, slopes_per_degc: Floats, 
     noise = known.noise_lsb / known.lsb_per_si
     for index in np.flatnonzero(~(noise > 0)):
         raise FusionError(f"sensor {known.name} axis {'xyz'[index]}: noise {noise[index]:g}: it is stuck")
-    bias, response = _bias(known, usual, noise), _response(known, usual)
     drift, time_constant_s = _drift(known, usual, noise)
+    bias, response = _bias(known, usual, noise, drift), _response(known, usual)
     slope, bias_degc = _slope(known, slopes_per_degc)
     if not told:  # nor does the bias follow the slopes that are known
         slope = slope if known.thermal is None else np.hypot(slope, known.thermal.slope_lsb_per_degc / known.lsb_per_si)
@@ -140,21 +158,31 @@ _COLOURED = 0.99
 """Correlation of neighbouring readings beyond which they are no noise any more."""
 
 
-def _bias(known: SensorCalibration, usual: Usual, noise: Floats) -> Floats:
-    """(3,) what is independent in a bias's error: the calibration's own where no covariance tells it, turn-on, and what
-    gravity does to a gyroscope, which hardly changes while the box stands.
+def _bias(known: SensorCalibration, usual: Usual, noise: Floats, drift: Floats) -> Floats:
+    """(3,) what is independent in a bias's error: the calibration's own where no covariance tells it, turn-on, now and
+    when it was calibrated, how far it had wandered then, and what gravity does to a gyroscope, which hardly changes
+    while the box stands.
     """
     if known.bias_sem_lsb is None:
         return np.full(3, usual.bias)
     measured = np.zeros(3) if known.bias_covariance_lsb2 is not None else known.bias_sem_lsb / known.lsb_per_si
-    turn_on = usual.turn_on_share * noise
+    turn_on, states = usual.turn_on_share * noise, np.zeros(3)
     if known.turn_on is not None:
-        states = _between_states(known.turn_on)
-        turn_on = np.sqrt(known.turn_on.rms_lsb**2 + known.turn_on.rms_sem_lsb**2 + states) / known.lsb_per_si
+        turn_on = np.hypot(known.turn_on.rms_lsb, known.turn_on.rms_sem_lsb) / known.lsb_per_si
+        states = _between_states(known.turn_on) / known.lsb_per_si**2
     felt = np.full(3, usual.felt)
     if known.g_sensitivity_sem_lsb_per_g is not None:
         felt = np.sqrt(np.mean(known.g_sensitivity_sem_lsb_per_g**2, axis=1)) / known.lsb_per_si
-    return np.asarray(np.sqrt(measured**2 + turn_on**2 + felt**2))
+    then = (turn_on**2 + drift**2) * _of_calibration(known)
+    return np.asarray(np.sqrt(measured**2 + turn_on**2 + then + states + felt**2))
+
+
+def _of_calibration(known: SensorCalibration) -> float:
+    """Share of the variance between switch-ons that a bias has in it: it was calibrated in so many logs, each begun by
+    one. A bias that no log measured has none.
+    """
+    origin = known.provenance.get("bias")
+    return 0.0 if origin is None or not origin.logs else 1 / len(origin.logs)
 
 
 def _between_states(turn_on: TurnOn) -> Floats:

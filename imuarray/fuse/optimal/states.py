@@ -95,13 +95,16 @@ def _of_designs(axes: Sequence[Axis], model: ErrorModel) -> list[_State]:
     members: dict[tuple[str, int], list[int]] = {}
     for index, axis in enumerate(axes):
         members.setdefault((axis.chip, axis.index), []).append(index)
+    of_axes = model.of(axes)
     states = []
     for (chip, index), its in members.items():
         errors = model.designs.get((chip, index), DesignErrors())
         label = f"{chip} {'xyz'[index]}"
-        states.append(_State(f"{label} common", errors.common, errors.common_time_constant_s, its))
-        states.append(_State(f"{label} common slope", errors.slope_per_degc, np.inf, its, "thermal"))
-    return [state for state in states if state.spread > 0]
+        wander = [axis for axis in its if of_axes[axis].shares_wander]
+        slope = [axis for axis in its if of_axes[axis].shares_slope]
+        states.append(_State(f"{label} common", errors.common, errors.common_time_constant_s, wander))
+        states.append(_State(f"{label} common slope", errors.slope_per_degc, np.inf, slope, "thermal"))
+    return [state for state in states if state.spread > 0 and state.members]
 
 
 def _prior(states: Sequence[_State], axes: Sequence[Axis], model: ErrorModel) -> Floats:

@@ -85,24 +85,24 @@ def test_two_states_of_a_bias_widen_it(model: Callable[..., ErrorModel]) -> None
 
 
 def test_what_was_not_measured_is_as_such_sensors_are(model: Callable[..., ErrorModel]) -> None:
-    """Table 11's turn-on: a sixth of a gyroscope's noise; Table 8's slopes, half of their square common."""
+    """Table 11's turn-on: a sixth of a gyroscope's noise; Table 8's slopes, 0.8 of their square common."""
     found = model(GYRO, OTHER, Gyro1={"bias_sem_lsb": np.zeros(3)})
     calibrated, raw = found.axes["Gyro1", 1], found.axes["Gyro2", 1]
     assert calibrated.bias == pytest.approx(np.hypot(0.17 * 0.17, 0.0083) * DPS)
     assert raw.bias == pytest.approx(0.84 * DPS)
-    assert calibrated.slope_per_degc == pytest.approx(0.022 / np.sqrt(2) * DPS)
+    assert calibrated.slope_per_degc == pytest.approx(0.022 * np.sqrt(0.2) * DPS)
     assert calibrated.response == pytest.approx(0.02)
     assert calibrated.drift == pytest.approx(0.04 * 0.17 * DPS)
     design = found.designs["l3g4200d", 1]
-    assert design.slope_per_degc == pytest.approx(0.022 / np.sqrt(2) * DPS)
+    assert design.slope_per_degc == pytest.approx(0.022 * np.sqrt(0.8) * DPS)
     assert design.common == pytest.approx(0.04 * 0.17 * DPS)  # of its quieter unit
 
 
 def test_without_a_thermometer_slopes_become_drift(model: Callable[..., ErrorModel]) -> None:
     found = model(GYRO, watched=())
     assert found.axes["Gyro1", 0].slope_per_degc == found.designs["l3g4200d", 0].slope_per_degc == 0.0
-    assert found.axes["Gyro1", 0].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 / np.sqrt(2)) * DPS)
-    assert found.designs["l3g4200d", 0].common == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 / np.sqrt(2)) * DPS)
+    assert found.axes["Gyro1", 0].drift == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 * np.sqrt(0.2)) * DPS)
+    assert found.designs["l3g4200d", 0].common == pytest.approx(np.hypot(0.04 * 0.17, 3 * 0.022 * np.sqrt(0.8)) * DPS)
 
 
 def test_without_a_thermometer_slopes_that_are_known_are_drift_as_well(model: Callable[..., ErrorModel]) -> None:
