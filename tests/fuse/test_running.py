@@ -37,8 +37,8 @@ def test_a_ramp_goes_on() -> None:
 
 
 def test_noise_costs_little() -> None:
-    """Gone on for 17.6 s from the mean of 20 rows of unit noise, by the slope through four such means: of their variance
-    the slope has 12 / (4 (4^2 - 1) 5^2) s^-2, and 7.5 / 125 s^-1 in common with the last of them.
+    """Gone on for 17.6 s from the mean of 20 rows of unit noise, by the slope through four such means: of their
+    variance the slope has 12 / (4 (4^2 - 1) 5^2) s^-2, and 7.5 / 125 s^-1 in common with the last of them.
     """
     rng = np.random.default_rng(4)
     late = RunningThermometer([0.0], 15.0)

@@ -31,8 +31,8 @@ class AxisErrors:
     `noise` of a single reading and its `correlation` with the next one; `bias`: what a calibration left and what
     changed since, constant; `drift`: a first-order Gauss-Markov process of `drift_time_constant_s` (infinite: a
     constant); `slope_per_degc` away from `bias_degc`, the temperature at which the bias holds (None: the first that is
-    told); `response`: of each component of d, a share; `timing_s` of the time at which a reading holds. `shares_wander`,
-    `shares_slope`: whether it has what its design has in common (`DesignErrors`).
+    told); `response`: of each component of d, a share; `timing_s` of the time at which a reading holds.
+    `shares_wander`, `shares_slope`: whether it has what its design has in common (`DesignErrors`).
     """
 
     noise: float
