@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -18,11 +19,12 @@ import pytest
 
 from imuarray.acquire import Summary
 from imuarray.calibrate import Calibration
+from imuarray.calibrate.model import nominal
 from imuarray.cli import main
 from imuarray.commands.log_fusion import LiveFusion
 from imuarray.commands.log_screen import Screen
 from imuarray.errors import FusionError
-from imuarray.fuse import FusedBlock, FusionStream, read_fused
+from imuarray.fuse import FusedBlock, FusionStream, read_fused, read_fused_events, read_fused_head
 from imuarray.log import Block, open_log
 from imuarray.log.format import SensorHeader
 
@@ -100,6 +102,64 @@ def test_it_is_what_fusing_the_log_gives(log: Log, tmp_path: Path, technique: st
             }
 
 
+FROZEN = """
+[[fault]]
+kind = "frozen"
+sensor = "Gyro2"
+at_s = 4
+for_s = 1.5
+"""
+
+
+def test_optimal_that_watches_is_what_fusing_the_log_gives(log: Log, tmp_path: Path) -> None:
+    """To 1e-9 of the largest value, events and what was learnt of slow errors included; one gyroscope freezes."""
+    (tmp_path / "faults.toml").write_text(FROZEN)
+    assert log(bus="emulated:", seconds="4")[0] == 0
+    assert main(["calibrate", "noise", "run.h5", "-o", "cal.toml"]) == 0
+    more = ["--technique", "optimal", "--calibration", "cal.toml", "--json"]
+    code, out, err = log("--fuse", "--force", *more, bus="emulated:?faults=faults.toml", seconds="7")
+    assert code == 0
+    said = json.loads(out[out.index("{") :])["fusion"]
+    assert main(["fuse", "run.h5", "--causal", *more, "-o", "again.h5"]) == 0
+    live, after = columns("run_fused.h5"), columns("again.h5")
+    assert live.keys() == after.keys()
+    for name, column in live.items():
+        largest = np.nanmax(np.abs(after[name]))
+        np.testing.assert_allclose(column, after[name], rtol=0, atol=1e-9 * largest)
+    events = read_fused_events("run_fused.h5")
+    assert events == read_fused_events("again.h5")
+    assert ("Gyro2", "silent") in {(event.sensor, event.state) for event in events}  # the recording flags it
+    assert [event.message for event in events] == [fault["sentence"] for fault in said["faults"]]
+    assert all(err.count(f"imuarray: {event.message}\n") == 1 for event in events)
+    biases = said["learned"]["biases"]
+    assert [each["axis"] for each in biases["angular_rate"][:4]] == ["Gyro1 x", "Gyro1 y", "Gyro1 z", "Gyro2 x"]
+    assert all(0 < each["sd"] < each["sd_before"] for found in biases.values() for each in found)
+
+
+@pytest.mark.parametrize(
+    ("more", "names"),
+    [
+        ([], ["run_001_fused.h5", "run_002_fused.h5", "run_003_fused.h5"]),
+        (["--fused", "mine.h5"], ["mine_001.h5", "mine_002.h5", "mine_003.h5"]),
+    ],
+)
+def test_a_log_in_parts_has_a_result_for_each(log: Log, more: list[str], names: list[str]) -> None:
+    """The frames of a part's file are those of the part."""
+    code, out, _ = log("--fuse", "--rotate", "1s", "--json", *more)
+    assert code == 0
+    assert json.loads(out)["fusion"]["files"] == names
+    assert json.loads(out)["fusion"]["frames"] == 300
+    for number, name in enumerate(names, start=1):
+        part = f"run_{number:03d}.h5"
+        assert read_fused_head(name).log == part
+        time = np.concatenate([block.time for block in read_fused(name)])
+        with open_log(part) as run:
+            sensors = [np.asarray(sensor.time[:]) for sensor in run.sensors.values() if sensor.is_triad]
+        assert len(time) == 100
+        assert any(np.array_equal(time, rows) for rows in sensors)  # the grid is one sensor's times
+    assert not Path("run_fused.h5").exists()
+
+
 def test_the_log_is_the_same_with_and_without(log: Log) -> None:
     with_it = log("--fuse", bus=f"{SHAKEN}&seed=3")
     with open_log("run.h5") as run:
@@ -116,6 +176,9 @@ def test_the_log_is_the_same_with_and_without(log: Log) -> None:
     [
         (["--technique", "mean"], "--technique is of --fuse"),
         (["--fused", "f.h5"], "--fused is of --fuse"),
+        (["--no-watch"], "--watch is of --fuse"),
+        (["--fuse", "--technique", "optimal"], "its noise is not known"),
+        (["--fuse", "--rotate", "1s", "--fused", "part.h5"], "part_001.h5: exists already"),
         (["--fuse", "--technique", "best"], "technique 'best': allowed are mean"),
         (["--fuse", "--technique", "planes"], "its noise is not known"),
         (["--fuse", "--fused", "there.h5"], "there.h5: exists already"),
@@ -124,6 +187,7 @@ def test_the_log_is_the_same_with_and_without(log: Log) -> None:
 )
 def test_what_can_not_be_fused_is_refused_before_there_is_a_log(log: Log, arguments: list[str], words: str) -> None:
     Path("there.h5").write_text("mine")
+    Path("part_001.h5").write_text("mine")
     code, _, err = log(*arguments)
     assert code == 2
     assert words in err
@@ -192,6 +256,58 @@ def test_rows_that_it_can_not_keep_up_with_are_skipped_and_counted(
     time_ns = np.concatenate([block.time for block in read_fused(tmp_path / "f.h5")])
     assert len(time_ns) == fusion.frames == 1100 - fusion.skipped
     assert time_ns[-1] == 10_990_000_000
+
+
+def noisy(start: int, rng: np.random.Generator, count: int = 100, *, stuck: bool = False, mean: int = 512) -> Block:
+    counts = np.array([0, 0, mean]) + (0 if stuck else 1) * np.rint(rng.normal(0, 5, (count, 3)))
+    return rows(start, count)._replace(counts=counts.astype(np.int16))
+
+
+def test_who_fails_is_told_once_and_stands_in_the_file(tmp_path: Path) -> None:
+    """One of four is stuck from 3 s on: left out in the window in which it is found, for as long as it lasts."""
+    said: list[str] = []
+    headers = [SensorHeader(f"A{i}", "bma180", "specific_force", "g", 16.0, 512.0) for i in range(4)]
+    paths = tmp_path / "f.h5", tmp_path / "r.h5"
+    fusion = LiveFusion(*paths, Calibration(), "mean", rate_hz=100, watch=True, tell=said.append)
+    fusion.begun(EPOCH, headers)
+    rng = np.random.default_rng(1)
+    for second in range(6):
+        for header in headers:
+            fusion.observe(header.name, noisy(100 * second, rng, stuck=header.name == "A2" and second >= 3))
+    fusion.close()
+    (sentence,) = said
+    assert sentence.endswith("A2 is stuck (10 sigma): left out")
+    assert [fault["sentence"] for fault in fusion.report()["faults"]] == said  # type: ignore[attr-defined]
+    (event,) = read_fused_events(paths[0])
+    assert (event.sensor, event.kind, event.state, event.message) == ("A2", "stuck", "isolated", sentence)
+    assert 3.0 <= event.time_ns * 1e-9 <= 3.2
+    used = np.concatenate([block.used["specific_force"] for block in read_fused(paths[0])])
+    assert (used[:, [0, 1, 3]] == 7).all()
+    assert not used[320:, 2].any()
+
+
+def test_the_biases_are_those_of_the_states_that_were_found_before_the_first_rows(tmp_path: Path) -> None:
+    """Rows of a barometer come before that is known."""
+    asked: list[bool] = []
+    pressure = SensorHeader("P", "bmp180", "pressure", "Pa", 0.0, 0.0)
+
+    def came_up() -> Calibration:
+        asked.append(True)
+        known = {header.name: replace(nominal(header), bias_lsb=np.array([0.0, 0.0, 256.0])) for header in HEADERS}
+        return Calibration(known)
+
+    paths = tmp_path / "f.h5", tmp_path / "r.h5"
+    fusion = LiveFusion(*paths, Calibration(), "mean", rate_hz=100, came_up=came_up)
+    fusion.begun(EPOCH, [*HEADERS, pressure])
+    fusion.observe("P", rows(0))
+    time.sleep(0.3)
+    assert not asked
+    for header in HEADERS:
+        fusion.observe(header.name, rows(0))
+    fusion.close()
+    triads = np.concatenate([block.triads["specific_force"] for block in read_fused(paths[0])])
+    np.testing.assert_allclose(triads, np.tile([0, 0, 256 / 512 * 9.80665], (100, 1)), rtol=1e-12)
+    assert asked == [True]
 
 
 def test_its_file_can_be_read_while_it_is_written(tmp_path: Path) -> None:

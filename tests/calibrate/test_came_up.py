@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from imuarray.array import parse_array
@@ -15,6 +16,7 @@ from imuarray.calibrate.start_up import came_up
 from imuarray.calibrate.turn_on import calibrate_turn_on
 from imuarray.chips import CHIPS
 from imuarray.cli import main
+from imuarray.commands.start_up import StartUpJudge
 from imuarray.log import open_log
 from imuarray.simulate import EFFECTS, Simulation, plan_of, write_log
 from imuarray.simulate.effect import Effect
@@ -91,6 +93,20 @@ def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, 
     assert not any(start.fault for start in starts.values())
     assert "came up in state" in starts["G"].sentence("G", known)
     assert starts["B"].sentence("B", known) == ""
+
+
+def test_live_fusion_is_given_the_same_biases(calibration_file: Path, tmp_path: Path) -> None:
+    """By the judge of a recording, who has seen the same first seconds."""
+    judge = StartUpJudge(ARRAY, calibration_file)
+    before = judge.in_states().sensors["G"].bias_lsb
+    with open_log(write(tmp_path / "today.h5", 51, second=True)) as log:
+        judge({name: np.asarray(log[name].counts[:500]) for name in ("B", "B2", "G")})
+    lsb_per_dps = 1 / 0.00875  # L3G-40
+    expected = [(0.3 + offset) * lsb_per_dps for offset in OFFSET_DPS]
+    assert judge.in_states().sensors["G"].bias_lsb == pytest.approx(
+        expected, abs=3.0
+    )  # of 500 readings: 20 / sqrt(500)
+    assert before != pytest.approx(expected, abs=3.0)
 
 
 def test_a_sensor_in_the_wrong_range_is_named_and_left_out(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -12,6 +13,7 @@ import pytest
 from imuarray.cli import main
 from imuarray.log import open_log
 from imuarray.log.format import Phase
+from tests.fuse.arrays import HIGH_MG, LOW_MG, low_and_high
 from tests.fuse.conftest import G, Part, WriteRun, calibration, still
 
 STATIC = (Phase(0, 10_000_000_000, "static", "+Z"),)
@@ -69,6 +71,53 @@ def test_fuse_prints_for_people(run: Path, tmp_path: Path, capsys: pytest.Captur
     assert units == {"specific_force": "mg", "angular_rate": "dps"}
     rms = next(line for line in lines if line[:2] == ["specific_force", "rms"])
     assert float(rms[rms.index("x") + 1]) == pytest.approx(7.07, rel=0.12)
+
+
+def test_optimal_says_what_it_learnt_of_biases(
+    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of two is off by 100 mg on each axis, nobody knows which: 50 mg each way, and half the variance is left.
+    Their responses are known to 1e-4.
+    """
+    one = Part("A2", sigma=0.01, error=lambda seconds: np.full((len(seconds), 3), 0.1))
+    path, known, output = write_run([*parts()[:1], one]), tmp_path / "cal.toml", str(tmp_path / "f.h5")
+    sure = calibration([*parts()[:1], one])
+    sensors = {name: replace(each, response_sem_lsb_per_unit=np.full(3, 0.2)) for name, each in sure.sensors.items()}
+    replace(sure, sensors=sensors).save(known)
+    asked = ["fuse", str(path), "--calibration", str(known), "--technique", "optimal", "--no-watch", "-o", output]
+    assert main([*asked, "--json"]) == 0
+    learned = json.loads(capsys.readouterr().out)["learned"]["biases"]["specific_force"]
+    assert [each["axis"] for each in learned] == ["A1 x", "A1 y", "A1 z", "A2 x", "A2 y", "A2 z"]
+    mg = np.array([each["bias"] for each in learned]) / G * 1e3
+    assert mg[3:] - mg[:3] == pytest.approx([100.0] * 3, abs=1.0)  # 14 mg over sqrt(1000), and a little for the prior
+    assert mg == pytest.approx([-50.0] * 3 + [50.0] * 3, abs=1.0)
+    left = [each["sd"] / each["sd_before"] for each in learned]
+    assert left == pytest.approx([0.5**0.5] * 6, rel=0.01)
+    assert main([*asked, "--force"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (heading,) = [index for index, line in enumerate(lines) if "slow errors of the specific_force sensors" in line]
+    assert [line.split()[0] for line in lines[heading + 1 : heading + 3]] == ["A1", "A2"]
+    assert float(lines[heading + 2].split()[2]) == pytest.approx(mg[3], abs=1e-3)
+    assert "mg (before: 0 +- 125)" in lines[heading]  # of BMA180s: 2.5 times the paper's 50 mg
+
+
+def test_techniques_remark_on_sensors(write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A low range that reads 20 mg more; of its 20 mg beside the blend of both, weighed by inverse variance, a share
+    of 9.53^2 / (9.53^2 + 17.05^2) is left.
+    """
+    low, high = low_and_high()
+    low = low._replace(error=lambda seconds: np.full((len(seconds), 3), 0.02))
+    path, known, output = write_run([low, high]), tmp_path / "cal.toml", str(tmp_path / "f.h5")
+    calibration([low, high]).save(known)
+    asked = ["fuse", str(path), "--calibration", str(known), "--technique", "ranges", "-o", output]
+    assert main(asked) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "LOW x beside the blend" in line]
+    words = line.split("blend:")[1].split()
+    assert words[3] == "mg"
+    assert float(words[0]) == pytest.approx(20 * LOW_MG**2 / (LOW_MG**2 + HIGH_MG**2), abs=5 * float(words[2]))
+    assert 0.05 < float(words[2]) < 0.5
+    assert main([*asked[:-4], "--technique", "planes", "-o", output, "--force", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["learned"] == {"biases": {}, "remarks": []}
 
 
 def test_a_log_without_a_truth_is_fused_without_a_verdict(

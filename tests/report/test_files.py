@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from imuarray.calibrate import Calibration, calibrate_tumble
 from imuarray.cli import main
 from imuarray.errors import ImuArrayError, LogError, OutputExistsError
-from imuarray.fuse import fuse, write_fused
+from imuarray.fuse import FaultEvent, FusedBlock, fuse, write_fused
 from imuarray.log import open_log
 from imuarray.report.files import kind_of, write_report
 
@@ -60,6 +61,19 @@ def test_residuals_are_those_of_the_faces(made: Path, tmp_path: Path) -> None:
     rms = [float(row.split("<td>")[-1].split("<")[0]) for row in table.split("<tr>")[2:]]
     assert len(rms) == 6
     assert 0 < max(rms) < 13.4
+
+
+def test_sensors_that_failed_are_told(made: Path, tmp_path: Path) -> None:
+    told = FaultEvent(1_500_000_000, "specific_force", "B<1>", ("x",), "range_reset", "isolated", 8.0, 40.0, range=2.0)
+    back = replace(told, time_ns=9_000_000_000, state="readmitted")
+    frames = FusedBlock(np.arange(50) * 20_000_000, {"specific_force": np.zeros((50, 3))})
+    fused, page = tmp_path / "fused.h5", tmp_path / "page.html"
+    write_fused(fused, [frames], epoch="2024-01-01T00:00:00Z", technique="optimal", log="r.h5", events=[told, back])
+    write_report([fused], page)
+    text = page.read_text()
+    assert "fused.h5: left out for a time, because they failed: B&lt;1&gt;." in text
+    assert "1.50 s: B&lt;1&gt; x has 8 times its scale, as if set to a range of 2 g (40 sigma): left out" in text
+    assert "9.00 s: B&lt;1&gt; x agrees with the others again: taken back" in text
 
 
 def test_a_gap_diagnosis_and_names_that_would_be_markup(made: Path, tmp_path: Path) -> None:
