@@ -14,13 +14,12 @@ import queue
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 
 import click
-import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.chips import CHIPS
@@ -234,19 +233,9 @@ class LiveFusion:
         if free_bytes(self.path) < 2 * WATERMARK:
             raise OSError(f"{self.path}: the disk is nearly full, what is left is the log's")
         if blocks:
-            block = _joined(blocks)
+            block = FusedBlock.joined(blocks)
             files.append(block)
             self.frames, self._latest = files.frames, block
             for event in self._unwritten:
                 files.event(event)
             self._unwritten = []
-
-
-def _joined(blocks: Sequence[FusedBlock]) -> FusedBlock:
-    """Blocks one after the other."""
-    columns: list[Mapping[str, np.ndarray]] = []
-    for name in ("triads", "covariances", "used"):
-        parts = [getattr(block, name) for block in blocks]
-        columns.append({quantity: np.concatenate([part[quantity] for part in parts]) for quantity in parts[0]})
-    triads, covariances, used = columns
-    return FusedBlock(np.concatenate([block.time for block in blocks]), triads, covariances, used)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,8 @@ from imuarray.fuse.axes import Axis
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
+
+_Kind = TypeVar("_Kind", bound=np.generic)
 
 ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
 """Columns of a covariance as it is kept: the six entries that differ."""
@@ -34,6 +37,33 @@ class Frames:
     valid: Flags
     clipped: npt.NDArray[np.int8] | None = None
     stale: Flags | None = None
+
+    def part(self, rows: slice) -> Frames:
+        """Some of the frames."""
+        clipped = None if self.clipped is None else self.clipped[rows]
+        stale = None if self.stale is None else self.stale[rows]
+        return Frames(self.time[rows], self.values[rows], self.valid[rows], clipped, stale)
+
+    @staticmethod
+    def joined(parts: Sequence[Frames]) -> Frames:
+        """Frames of the same axes one after the other, of one part at least."""
+        return Frames(
+            np.concatenate([part.time for part in parts]),
+            np.concatenate([part.values for part in parts]),
+            np.concatenate([part.valid for part in parts]),
+            _flags([part.clipped for part in parts], parts, np.int8),
+            _flags([part.stale for part in parts], parts, np.bool_),
+        )
+
+
+def _flags(
+    columns: Sequence[npt.NDArray[_Kind] | None], parts: Sequence[Frames], kind: type[_Kind]
+) -> npt.NDArray[_Kind] | None:
+    """Flags of all parts, 0 in those that have none; None if no part has any."""
+    if all(column is None for column in columns):
+        return None
+    pairs = zip(columns, parts, strict=True)
+    return np.concatenate([np.zeros(part.valid.shape, kind) if column is None else column for column, part in pairs])
 
 
 @dataclass(frozen=True)
@@ -63,6 +93,21 @@ class FusedBlock:
     triads: Mapping[str, Floats]
     covariances: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
     used: Mapping[str, npt.NDArray[np.uint8]] = field(default_factory=lambda: MappingProxyType({}))
+
+    @staticmethod
+    def joined(blocks: Sequence[FusedBlock]) -> FusedBlock:
+        """Frames of the same quantities one after the other, of one block at least."""
+        return FusedBlock(
+            np.concatenate([block.time for block in blocks]),
+            _columns([block.triads for block in blocks]),
+            _columns([block.covariances for block in blocks]),
+            _columns([block.used for block in blocks]),
+        )
+
+
+def _columns(parts: Sequence[Mapping[str, npt.NDArray[_Kind]]]) -> dict[str, npt.NDArray[_Kind]]:
+    """The rows of all parts, by name."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def entries(covariance_box: Floats) -> Floats:

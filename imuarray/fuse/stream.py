@@ -225,7 +225,7 @@ class FusionStream(Generic[Out]):
         for quantity, group in self._groups.items():
             units = [self._units[number] for number in group.numbers]
             rows = [blocks[number] for number in group.numbers]
-            frames[quantity] = _cut(align(units, rows, around, grid.period_ns, group.directions), inner)
+            frames[quantity] = align(units, rows, around, grid.period_ns, group.directions).part(inner)
         self._felt(frames)
         seconds: Floats = np.asarray(around[inner] * 1e-9, float)
         return frames, {name: warmth.at(seconds) for name, warmth in self._elements.items()}
@@ -252,10 +252,3 @@ class FusionStream(Generic[Out]):
     def _forget(self, before_ns: int) -> None:
         for rows in self._rows.values():
             rows.forget(before_ns)
-
-
-def _cut(frames: Frames, rows: slice) -> Frames:
-    """Some of the frames."""
-    clipped = None if frames.clipped is None else frames.clipped[rows]
-    stale = None if frames.stale is None else frames.stale[rows]
-    return Frames(frames.time[rows], frames.values[rows], frames.valid[rows], clipped, stale)

@@ -23,11 +23,8 @@ _LAST_NS = 1_000_000_000
 
 def fused_now(log: Log, calibration: Calibration) -> FusedView:
     """The average of the sensors of `log`, which holds the last seconds; ImuArrayError says why it can't be had."""
-    blocks = list(fuse(log, calibration, TECHNIQUE))
-    time = np.concatenate([block.time for block in blocks])
-    known = blocks[0].triads
-    triads = {quantity: np.concatenate([block.triads[quantity] for block in blocks]) for quantity in known}
-    return _view(TECHNIQUE, bool(calibration.sensors), FusedBlock(time, triads))
+    block = FusedBlock.joined(list(fuse(log, calibration, TECHNIQUE)))
+    return _view(TECHNIQUE, bool(calibration.sensors), block)
 
 
 def fused_beside(path: Path, epoch: str, start_ns: int) -> FusedView | None:

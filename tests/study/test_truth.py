@@ -32,7 +32,7 @@ def errors_along_axes(
     with open_log(folder / "run.h5") as log:
         names = [sensor.name for sensor in log.of(quantity)]
         parts = [found[quantity] for found, _ in aligned(log, calibration, only=names)]
-        part = Frames(*(np.concatenate([getattr(p, k) for p in parts]) for k in ("time", "values", "valid")))
+        part = Frames.joined(parts)
         truth = log.truth
         assert truth is not None
         column = truth.specific_force if quantity == "specific_force" else truth.angular_rate

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import MappingProxyType
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +24,6 @@ from imuarray.fuse.frames import Frames
 
 Flags = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
-Scalar = TypeVar("Scalar", np.int8, np.bool_)
 
 WINDOW_S = 0.1
 """Length of a decision window; two of them are the delay of a live result."""
@@ -74,7 +72,7 @@ class FaultMonitor:
         if rate_box is None:
             rate_box = np.zeros((len(frames.time), 3))
         self._rates = np.concatenate([self._rates, rate_box])
-        held = frames if self._held is None else _joined(self._held, frames)
+        held = frames if self._held is None else Frames.joined([self._held, frames])
         first = len(self._masks) * self.window
         for start in range(first, len(held.time) - self.window + 1, self.window):
             self._masks.append(np.zeros(held.valid.shape[1], bool))
@@ -103,8 +101,8 @@ class FaultMonitor:
     def _release(self, held: Frames, windows: int) -> Frames:
         """The frames of the first `windows` windows, masked; the others stay."""
         stop = min(windows * self.window, len(held.time))
-        self._held, self._rates = _part(held, stop, len(held.time)), self._rates[stop:]
-        done = _part(held, 0, stop)
+        self._held, self._rates = held.part(slice(stop, None)), self._rates[stop:]
+        done = held.part(slice(stop))
         masks, self._masks = self._masks[:windows], self._masks[windows:]
         if not any(mask.any() for mask in masks):
             return done
@@ -122,35 +120,3 @@ def _check(axes: Sequence[Axis], period_s: float) -> None:
             raise FusionError(f"sensor {triad[0].sensor}: a whole triad is wanted, {triad[1].label} is not of it")
     if not period_s > 0:
         raise FusionError(f"period_s: {period_s}; allowed is anything above 0")
-
-
-def _part(frames: Frames, start: int, stop: int) -> Frames:
-    rows = slice(start, stop)
-    clipped = None if frames.clipped is None else frames.clipped[rows]
-    stale = None if frames.stale is None else frames.stale[rows]
-    return Frames(frames.time[rows], frames.values[rows], frames.valid[rows], clipped, stale)
-
-
-def _joined(first: Frames, second: Frames) -> Frames:
-    shape = (len(first.time), len(second.time), first.valid.shape[1])
-    return Frames(
-        np.concatenate([first.time, second.time]),
-        np.concatenate([first.values, second.values]),
-        np.concatenate([first.valid, second.valid]),
-        _both(first.clipped, second.clipped, shape, np.int8),
-        _both(first.stale, second.stale, shape, np.bool_),
-    )
-
-
-def _both(
-    first: npt.NDArray[Scalar] | None,
-    second: npt.NDArray[Scalar] | None,
-    shape: tuple[int, int, int],
-    dtype: type[Scalar],
-) -> npt.NDArray[Scalar] | None:
-    """One after the other; 0 where one of them does not say."""
-    if first is None and second is None:
-        return None
-    n, k, m = shape
-    parts = [np.zeros((n, m), dtype) if first is None else first, np.zeros((k, m), dtype) if second is None else second]
-    return np.concatenate(parts)

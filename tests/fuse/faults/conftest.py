@@ -106,9 +106,7 @@ def _run(log: Log, quantity: str, model: Model, effects: Mapping[str, Sequence[E
         known[sensor.name] = replace(known[sensor.name], noise_lsb=np.hypot(rms_lsb, step / 12**0.5))
     calibration = Calibration(known)
     parts = [found[quantity] for found, _ in aligned(log, calibration)]
-    whole = Frames(
-        *(np.concatenate([getattr(p, k) for p in parts]) for k in ("time", "values", "valid", "clipped", "stale"))
-    )
+    whole = Frames.joined(parts)
     assert log.truth is not None
     felt = np.asarray(getattr(log.truth, quantity))
     truth = np.stack([np.interp(whole.time, np.asarray(log.truth.time), felt[:, axis]) for axis in range(3)], axis=1)
@@ -119,21 +117,14 @@ def watched(monitor: FaultMonitor, fed: Frames) -> tuple[Frames, tuple[FaultEven
     """All of the frames, and all events."""
     parts = [monitor(fed), monitor.finish()]
     kept = [part for part in parts if part is not None]
-    whole = Frames(*(np.concatenate([getattr(part, k) for part in kept]) for k in ("time", "values", "valid")))
-    return whole, monitor.events
-
-
-def part(fed: Frames, start: int, stop: int) -> Frames:
-    """Some rows."""
-    stale = None if fed.stale is None else fed.stale[start:stop]
-    return Frames(fed.time[start:stop], fed.values[start:stop], fed.valid[start:stop], None, stale)
+    return Frames.joined(kept), monitor.events
 
 
 def faulty(run: Run, change: Callable[[Floats], None], start: int = 0, stop: int | None = None) -> Frames:
     """Rows of the run with its values changed in place by `change`, which gets all of them."""
     values = run.frames.values.copy()
     change(values)
-    return part(replace(run.frames, values=values), start, len(values) if stop is None else stop)
+    return replace(run.frames, values=values).part(slice(start, stop))
 
 
 def of_range(run: Run, sensor: str) -> tuple[float, float, float]:

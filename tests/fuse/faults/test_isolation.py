@@ -24,7 +24,6 @@ from tests.fuse.faults.conftest import (
     Run,
     faulty,
     of_range,
-    part,
     simulated,
     watched,
 )
@@ -56,7 +55,7 @@ def healthy(motion: Motion, quantity: str) -> tuple[FaultMonitor, Frames]:
     """A monitor that has seen the log up to where it is looked at, and what it gave."""
     run = simulated(motion.experiment, motion.seconds, drive=motion.drive)[quantity]
     monitor = run.monitor()
-    return monitor, monitor(part(run.frames, 0, motion.begins))
+    return monitor, monitor(run.frames.part(slice(0, motion.begins)))
 
 
 def seen(motion: Motion, run: Run, change: Callable[[Floats], None]) -> tuple[Flags, tuple[FaultEvent, ...]]:

@@ -21,7 +21,6 @@ from tests.fuse.faults.conftest import (
     Run,
     faulty,
     of_range,
-    part,
     simulated,
     watched,
 )
@@ -52,7 +51,7 @@ def test_cuts_leave_no_trace(cuts: list[int]) -> None:
     fed = spoilt()
     whole, events = watched(at_rest().monitor(), fed)
     edges = [0, *sorted(cuts), len(fed.time)]
-    blocks = [part(fed, start, stop) for start, stop in pairwise(edges)]
+    blocks = [fed.part(slice(start, stop)) for start, stop in pairwise(edges)]
     run = at_rest()
     stage = monitored(blocks, run.axes, run.quantity, period_s=run.period_s)
     given_ = list(stage)
@@ -74,7 +73,7 @@ def test_frame_by_frame_no_more_than_a_fifth_of_a_second_is_held_back() -> None:
     run = at_rest()
     monitor, given_ = run.monitor(), 0
     for index in range(100):
-        given_ += len(monitor(part(run.frames, index, index + 1)).time)
+        given_ += len(monitor(run.frames.part(slice(index, index + 1))).time)
         assert (index + 1 - given_) * run.period_s <= 0.2
     rest = monitor.finish()
     assert rest is not None
@@ -83,7 +82,7 @@ def test_frame_by_frame_no_more_than_a_fifth_of_a_second_is_held_back() -> None:
 
 def test_a_log_shorter_than_a_window_passes() -> None:
     run = at_rest()
-    fed = part(run.frames, 0, 3)
+    fed = run.frames.part(slice(0, 3))
     whole, events = watched(run.monitor(), fed)
     assert (whole.valid == fed.valid).all()
     assert not events
