@@ -68,7 +68,7 @@ def choose(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Seque
     if not enough:
         raise FusionError(f"{where[0]}: {len(first[0])} rows, nothing to fuse")
     periods = {number: _period_ns(first[number]) for number in enough}
-    usual = sorted(periods.values())[len(periods) // 2]
+    usual = sorted(periods.values())[(len(periods) - 1) // 2]  # of two halves the faster one: no reading is passed over
     regular = [number for number in enough if abs(periods[number] - usual) <= _ALIKE * usual]
     delays = {number: _delay(first[number], first, groups, usual) for number in regular}
     best = sorted(regular, key=lambda number: (round(delays[number] / _TIE), number))

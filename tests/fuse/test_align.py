@@ -233,3 +233,14 @@ def test_both_quantities_have_one_grid(write_run: WriteRun) -> None:
     assert (time == joined(blocks)[0]).all()
     # The slope of one sensor's own rounded values: a count, and 0.3 of a frame of a slope that errs by two.
     assert np.abs(np.degrees(turned) - rate(time * 1e-9)).max() < 2 / 100
+
+
+def test_who_is_read_in_every_second_frame_costs_the_others_nothing(
+    write_run: WriteRun,
+) -> None:
+    parts = [part._replace(sigma=0.01) for part in precise((0.0, 0.001, 0.002, 0.003))]
+    seldom: Callable[[Floats], npt.NDArray[np.bool_]] = lambda seconds: np.round(seconds * 100) % 2 == 1  # noqa: E731
+    parts[1:3] = [part._replace(lost=seldom) for part in parts[1:3]]
+    with open_log(write_run(parts, frames=400)) as log:
+        used = np.concatenate([block.used["specific_force"] for block in fuse(log, calibration(parts), "mean")])
+    assert (used > 0).sum(axis=0).tolist() == [400, 200, 200, 400]
