@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Mapping
 from dataclasses import Field, field, fields
 from typing import Any, TypeVar
@@ -10,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from imuarray.errors import ConfigError
-from imuarray.simulate.effect import Effect
+from imuarray.simulate.effect import Effect, require
 
 Value = float | list[float] | str
 SomeEffect = TypeVar("SomeEffect", bound=Effect)
@@ -32,6 +33,12 @@ def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
     if found.shape != (count,) or not np.isfinite(found).all():
         raise ValueError(f"{name}: {values}; {count} finite numbers are wanted")
     return tuple(found.tolist())
+
+
+def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
+    """Lists that have a number for every event, as floats; ValueError unless they are as long, finite, not negative."""
+    (first, given), *_ = lists.items()
+    return {name: _of_events(name, values, first, len(given)) for name, values in lists.items()}
 
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
@@ -59,6 +66,15 @@ def from_table(kind: type[SomeEffect], table: Mapping[str, object], unit: str, w
         return kind(**arguments)
     except ValueError as error:
         raise ConfigError(f"{where}: {_respelled(str(error), known)}") from None
+
+
+def _of_events(name: str, values: Any, first: str, count: int) -> tuple[float, ...]:
+    found = tuple(float(value) for value in values)
+    if len(found) != count:
+        raise ValueError(f"{name}: {len(found)}; as many as {first}, {count}, are wanted")
+    for value in found:
+        require(name, value, 0.0, sys.float_info.max)
+    return found
 
 
 def _plain(value: Any, item: Field[Any]) -> Value:

@@ -67,7 +67,9 @@ class SimulatedSensor:
         self.effects = tuple(effects)
         self.rows = timeline.rows
         self._motion = motion
-        self._place = Place(header, timeline.rows_per_s, motion, streams, neighbour, self._reaching, dtype)
+        self._place = Place(
+            header, timeline.rows_per_s, motion, streams, neighbour, self._reaching, timeline.stamps, dtype
+        )
         self._span = code_span(header)
         self._orientation = np.array(lies or header.orientation)
         self._acting = tuple(zip(self.effects, self._places(), strict=True))

@@ -7,6 +7,7 @@ the first row. An effect returns a new one and leaves the one it was given as it
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -92,7 +93,7 @@ class Place:
 
     `rows_per_s` is the nominal rate of the rows, `neighbour(name, first, stop)` the codes of another sensor of the
     array (KeyError if there is none), `reaching(effect, row)` the codes of one row as they reach that effect of this
-    sensor; `dtype` is that of the analog arrays.
+    sensor, `stamps(first, stop)` the times in ns that the log says of rows; `dtype` is that of the analog arrays.
     """
 
     sensor: SensorHeader
@@ -101,6 +102,7 @@ class Place:
     streams: Streams
     neighbour: Callable[[str, int, int], Codes]
     reaching: Callable[[str, int], Codes]
+    stamps: Callable[[int, int], Integers]
     dtype: npt.DTypeLike = np.float64
     copy: int = 1
     """Which of several effects of one kind this is for: each has streams of its own."""
@@ -110,6 +112,10 @@ class Place:
         """What `make` gives, made once; `key` says all that it depends on besides this place."""
         found: Kept = self._kept[key] if key in self._kept else self._kept.setdefault(key, make())
         return found
+
+    def row_at(self, at_ns: float, stop: int) -> int:
+        """The first of the rows before `stop` that is stamped then or later; `stop` if none is."""
+        return bisect_left(range(stop), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
 
     def stream(
         self,

@@ -150,6 +150,12 @@ class Filled:
             return self.recorded.stamps(start - lead, stop - lead)
         return self._between(np.arange(start, stop))
 
+    def holes(self) -> Iterator[tuple[int, int, int]]:
+        """The stamps in ns of the rows before and after each hole, and how many are missing between them."""
+        for row, count in zip(self.before.tolist(), self.missing.tolist(), strict=True):
+            before_ns, after_ns = self.recorded.stamps(row - 1, row + 1).tolist()
+            yield before_ns, after_ns, count
+
     def _between(self, rows: Integers) -> Integers:
         """The stamps of rows (n,) in order."""
         ends, missing = np.array(self._ends), self.missing

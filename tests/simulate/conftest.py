@@ -91,6 +91,7 @@ class MakePlace(Protocol):
         boot: int = 0,
         neighbour: Callable[[str, int, int], Codes] = ...,
         reaching: Callable[[str, int], Codes] = ...,
+        stamps: Callable[[int, int], Integers] | None = None,
         dtype: npt.DTypeLike = np.float64,
     ) -> Place: ...
 
@@ -108,11 +109,19 @@ def place() -> MakePlace:
         boot: int = 0,
         neighbour: Callable[[str, int, int], Codes] = _no_neighbour,
         reaching: Callable[[str, int], Codes] = _nothing_reaches,
+        stamps: Callable[[int, int], Integers] | None = None,
         dtype: npt.DTypeLike = np.float64,
     ) -> Place:
         streams = Streams(seed, boot)
         return Place(
-            sensor or header(), rows_per_s, motion or Constant(), streams, neighbour, reaching, np.dtype(dtype)
+            sensor or header(),
+            rows_per_s,
+            motion or Constant(),
+            streams,
+            neighbour,
+            reaching,
+            stamps or (lambda first, stop: times(first, stop, rows_per_s)),
+            np.dtype(dtype),
         )
 
     return make

@@ -34,7 +34,15 @@ class TestSpelled:
         assert list(spelled(Nonlinearity, "g")) == ["quadratic_per_g", "cubic_per_g2"]
         assert list(spelled(GSensitivity, "dps")) == ["response_dps_per_g"]
         assert list(spelled(Bias, "gauss")) == ["offset_gauss", "from_boot"]
-        assert list(spelled(Stuck, "g")) == ["onset_s", "duration_s", "every_s"]
+        assert list(spelled(Stuck, "g")) == [
+            "onset_s",
+            "duration_s",
+            "every_s",
+            "kind",
+            "runs",
+            "moments_s",
+            "lengths_s",
+        ]
 
     @pytest.mark.parametrize("name", EFFECTS)
     @pytest.mark.parametrize("unit", UNITS)

@@ -184,6 +184,7 @@ def test_which_holes_are_filled(tmp_path: Path) -> None:
         assert line.missing.tolist() == [1, 2, 2]
         assert line.stamps(4, 8).tolist() == [49, 57, 65, 75]
         assert line.rows_per_s == pytest.approx(15 / 160e-9)
+        assert list(line.holes()) == [(49, 65, 1), (99, 125, 2), (125, 155, 2)]
 
 
 def test_holes_wherever_a_long_log_is_cut(tmp_path: Path) -> None:

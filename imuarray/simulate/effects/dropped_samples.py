@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from imuarray.simulate.effect import Effect, require, scalar
-from imuarray.simulate.signal import Bools, Instants, Place
+from imuarray.simulate.parameters import alongside, listed
+from imuarray.simulate.signal import Bools, Instants, Integers, Place
 from imuarray.simulate.streams import Stream
 
 _REACH = 64
@@ -27,25 +28,44 @@ class DroppedSamples(Effect):
     One uniform number u drives each row: lost if u < a after kept, if u < 1 - b after lost. Where both say the same the
     past no longer matters, so the state of any row is found, exactly, by looking back to the last such row (coupling
     from the past): on average 1 / (1 - |1 - a - b|) rows, whatever the row's number.
+
+    Where it is known which rows are missing, these are lost and no others: those due from each of `moments_s` on, by
+    the log's clock, for as long as `lengths_s` says, in the run with that number in `runs`.
     """
 
     name: ClassVar[str] = "dropped_samples"
     probability: float = scalar(0.0)
     burst_rows: float = scalar(1.0)
+    runs: tuple[float, ...] = listed()
+    moments_s: tuple[float, ...] = listed()
+    lengths_s: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """ValueError for a share that bursts of this length can't make up."""
+        """ValueError for a share that bursts of this length can't make up, or lists that don't go together."""
         super().__post_init__()
         require("burst_rows", self.burst_rows, 1.0, 1e6)
         require("probability", self.probability, 0.0, self.burst_rows / (self.burst_rows + 1))
+        for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():
+            object.__setattr__(self, name, values)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """Marks the lost rows as not kept."""
+        if self.moments_s:
+            return replace(instants, kept=instants.kept & ~self._missing(instants.stamp_ns, at.streams.boot))
         if not self.probability:
             return instants
         stream = at.streams.of_boot(at.sensor.name, self.name, width=1)  # double precision: probabilities are small
         lost = self._lost(instants.first, instants.first + len(instants.kept), stream)
         return replace(instants, kept=instants.kept & ~lost)
+
+    def _missing(self, stamp_ns: Integers, run: int) -> Bools:
+        """(n,) of rows with these stamps."""
+        missing = np.zeros(len(stamp_ns), bool)
+        for number, moment_s, length_s in zip(self.runs, self.moments_s, self.lengths_s, strict=True):
+            if number == run:
+                due, over = np.searchsorted(stamp_ns, (moment_s * 1e9, (moment_s + length_s) * 1e9))
+                missing[due:over] = True
+        return missing
 
     def _lost(self, first: int, stop: int, stream: Stream) -> Bools:
         """(stop - first,); row 0 is lost with the long-run probability."""

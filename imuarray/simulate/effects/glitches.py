@@ -21,6 +21,11 @@ _LOW_BITS = {"bma180": 6}
 """Bits of the code that travel in the low byte, where they aren't eight (BMA-60)."""
 
 
+def high_byte(chip: str) -> int:
+    """Counts that one of the high byte stands for."""
+    return 1 << _LOW_BITS.get(chip, 8)
+
+
 @dataclass(frozen=True)
 class Glitches(Effect):
     """Each reading is corrupted with `probability`, in one of three ways (`kind`).
@@ -97,6 +102,6 @@ class Glitches(Effect):
 
 def _torn(counts: Counts, at: Place) -> Counts:
     """In two's complement the high byte is what is left when the low one is taken off."""
-    low = (1 << _LOW_BITS.get(at.sensor.chip, 8)) - 1
+    low = high_byte(at.sensor.chip) - 1
     before = np.concatenate([counts[:1], counts[:-1]])
     return (before & ~low) | (counts & low)

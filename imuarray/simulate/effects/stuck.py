@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 
 from imuarray.simulate.effect import Effect, require, scalar
+from imuarray.simulate.parameters import alongside, listed
 from imuarray.simulate.signal import Codes, Place
+
+KINDS = ("stale", "new")
 
 
 @dataclass(frozen=True)
@@ -20,28 +23,50 @@ class Stuck(Effect):
 
     Rows are counted at their nominal rate, row 0 at 0 s; with an onset of 0 the first reading stays. A chip stands
     still when its registers are locked (L3G-51: one byte of a pair unread; HMC-33: some of six; BMA-100: only high
-    bytes read), in standby (ADX-38), or when it hangs. In data: long runs of identical triads.
+    bytes read), in standby (ADX-38), or when it hangs. Where its converter alone stands still, the chip says of the
+    same reading that it is new (`kind` "new" in the place of "stale"). In data: long runs of identical triads.
+
+    Where single stretches are known, these are and no others: from each of `moments_s`, by the log's clock, for as long
+    as `lengths_s` says, in the run with that number in `runs`.
     """
 
     name: ClassVar[str] = "stuck"
     onset_s: float = scalar(math.inf)
     duration_s: float = scalar(math.inf)
     every_s: float = scalar(math.inf)
+    kind: str = field(default="stale")
+    runs: tuple[float, ...] = listed()
+    moments_s: tuple[float, ...] = listed()
+    lengths_s: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
-        """ValueError for a negative time."""
+        """ValueError for a negative time, another kind, or lists that don't go together."""
         super().__post_init__()
         require("onset_s", self.onset_s, 0.0)
         require("duration_s", self.duration_s, 0.0)
         require("every_s", self.every_s, 1e-3)
+        if self.kind not in KINDS:
+            raise ValueError(f"kind: {self.kind!r}; allowed are {', '.join(KINDS)}")
+        for name, values in alongside(runs=self.runs, moments_s=self.moments_s, lengths_s=self.lengths_s).items():
+            object.__setattr__(self, name, values)
 
     def codes(self, codes: Codes, at: Place) -> Codes:
         """Puts the last reading in the place of those that it outlasts."""
-        first, stop = codes.first, codes.first + len(codes.counts)
-        for begin, end in self._holds(stop, at):
+        first, stop, moving = codes.first, codes.first + len(codes.counts), codes
+        for begin, end in self._known(first, stop, at) if self.moments_s else self._holds(stop, at):
             if begin < stop and end > first:
-                codes = _held(codes, at.reaching(self.name, max(math.ceil(begin) - 1, 0)), begin, end)
+                row = max(math.ceil(begin) - 1, 0)
+                last = _row(moving, row) if row >= first else at.reaching(self.name, row)
+                codes = _held(codes, last, begin, end, self.kind == "new")
         return codes
+
+    def _known(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int]]:
+        """The rows of the known stretches that reach into first ... stop - 1."""
+        first_ns, last_ns = (int(at.stamps(row, row + 1)[0]) for row in (first, stop - 1))
+        for run, moment_s, length_s in zip(self.runs, self.moments_s, self.lengths_s, strict=True):
+            due_ns, over_ns = moment_s * 1e9, (moment_s + length_s) * 1e9
+            if run == at.streams.boot and due_ns <= last_ns and over_ns > first_ns:
+                yield at.row_at(due_ns, stop), at.row_at(over_ns, stop)
 
     def _holds(self, stop: int, at: Place) -> Iterator[tuple[float, float]]:
         """From which row to which readings are held, up to row `stop`."""
@@ -53,11 +78,18 @@ class Stuck(Effect):
             begin_s = end_s + free(self.every_s)
 
 
-def _held(codes: Codes, last: Codes, begin: float, end: float) -> Codes:
+def _row(codes: Codes, row: int) -> Codes:
+    at = slice(row - codes.first, row - codes.first + 1)
+    temperature = None if codes.temperature_counts is None else codes.temperature_counts[at]
+    return Codes(row, codes.instant_ns[at], codes.counts[at], temperature, codes.fresh[at])
+
+
+def _held(codes: Codes, last: Codes, begin: float, end: float, is_new: bool) -> Codes:
     rows = codes.first + np.arange(len(codes.counts))
     still = (rows >= max(begin, 1)) & (rows < end)
     counts = np.where(still[:, None], last.counts, codes.counts)
     temperature = codes.temperature_counts
     if temperature is not None and last.temperature_counts is not None:
         temperature = np.where(still, last.temperature_counts, temperature)
-    return replace(codes, counts=counts, temperature_counts=temperature, fresh=codes.fresh & ~still)
+    fresh = codes.fresh | still if is_new else codes.fresh & ~still
+    return replace(codes, counts=counts, temperature_counts=temperature, fresh=fresh)

@@ -208,6 +208,27 @@ class TestStuck:
         before = codes(first, stop)
         assert Stuck(0.07, 0.03).codes(before, place()) is before  # this place refuses to be asked for a row
 
+    @pytest.mark.parametrize("kind", ["stale", "new"])
+    @pytest.mark.parametrize("first", [0, 3, 7, 8, 12])
+    def test_stretches_that_are_named(self, standing, codes, first: int, kind: str) -> None:
+        """Rows come every 0.01 s: 7, 8 and 9 lie in the first one, none in the last, the second is another run's. The
+        chip says of repetitions that they are new if it is so meant, whatever they were.
+        """
+        lists = {"runs": (0, 1, 0), "moments_s": (0.065, 0.11, 0.123), "lengths_s": (0.03, 0.03, 0.004)}
+        before = codes(first, 20, temperature_counts=np.arange(first, 20), fresh=np.arange(first, 20) != 8)
+        after = Stuck(kind=kind, **lists).codes(before, standing())
+        assert after.counts[:, 0].tolist() == [6 if 7 <= row < 10 else row for row in range(first, 20)]
+        held = {"stale": (7, 8, 9), "new": ()}[kind]
+        assert after.fresh.tolist() == [row not in held for row in range(first, 20)]
+
+    def test_lists_that_do_not_go_together(self) -> None:
+        with pytest.raises(ValueError, match="lengths_s: 0; as many as runs, 1, are wanted"):
+            Stuck(runs=(0,), moments_s=(1.0,))
+        with pytest.raises(ValueError, match=r"lengths_s: -1\.0; allowed is 0"):
+            Stuck(runs=(0,), moments_s=(1.0,), lengths_s=(-1.0,))
+        with pytest.raises(ValueError, match="kind: 'old'; allowed are stale, new"):
+            Stuck(kind="old")
+
     def test_again_and_again(self, place, codes) -> None:
         """Free for 2 s on average, then held for 0.5 s: a fifth of the time. Holds of 4000 s are 1600, give or take 5
         standard errors (of the Poisson process between them: 6e-7).

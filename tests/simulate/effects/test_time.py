@@ -148,6 +148,17 @@ class TestDroppedSamples:
         before = instants(0, 100, kept=np.arange(100) % 2 == 0)
         assert not DroppedSamples(0.1).sampled(before, place()).kept[1::2].any()
 
+    @pytest.mark.parametrize("first", [0, 7, 8, 30])
+    def test_losses_that_are_named(self, place, instants, first: int) -> None:
+        """Rows come every 0.01 s: 7 and 8 are due in the first one, the second is another run's; chance takes none."""
+        effect = DroppedSamples(0.5, runs=(2, 3), moments_s=(0.065, 0.2), lengths_s=(0.02, 0.1))
+        lost = ~effect.sampled(instants(first, 40), place(boot=2)).kept
+        assert (first + np.flatnonzero(lost)).tolist() == [row for row in (7, 8) if row >= first]
+
+    def test_lists_that_do_not_go_together(self) -> None:
+        with pytest.raises(ValueError, match="moments_s: 2; as many as runs, 1, are wanted"):
+            DroppedSamples(runs=(0,), moments_s=(1.0, 2.0), lengths_s=(1.0,))
+
 
 REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: ClockError(-1e6), "error_ppm: -1000000.0; allowed is -500000 to 500000"),
