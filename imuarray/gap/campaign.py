@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 
 import numpy as np
 
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.gap.cross import Cross, CrossTally, window_ns
+from imuarray.gap.events import Events
 from imuarray.gap.runs import Runs, runs_of
 from imuarray.gap.segments import Temperature
 from imuarray.gap.source import Source
@@ -46,10 +47,13 @@ class PhaseSummary:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """One log: what was done in it (`kind`: static, tumble, heating, turn-on, motion) and its phases in order."""
+    """One log: what was done in it (`kind`: static, tumble, heating, turn-on, motion), its phases in order, and of a
+    recorded one what happened to single rows of each sensor (`events`).
+    """
 
     kind: str
     phases: tuple[PhaseSummary, ...]
+    events: Mapping[str, Events] = field(default_factory=dict)
 
     def still(self, sensor: str) -> tuple[Summary, ...]:
         """The sensor's phases at rest."""

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from imuarray.gap.base_model import fit, headers_in
 from imuarray.gap.bench import Bench, Values, bench_of
-from imuarray.gap.campaign import Campaign, summarise_log
+from imuarray.gap.campaign import Campaign, is_at_rest, summarise_log
+from imuarray.gap.events import events_of
 from imuarray.gap.judgement import Judged, judged
 from imuarray.gap.pairs import Pairs, scores_by_others
 from imuarray.gap.recordings import Recording, sources_of, temperature_of
@@ -50,7 +51,10 @@ def prepared(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     split = split_of([one.kind for one in recordings], [one.phases for one in recordings])
     logs = []
     for one, phases in zip(recordings, split.phases(), strict=True):
-        logs.append(summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion)))
+        summary = summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion))
+        lines = {name: line for name, (_, line) in one.experiment.plan.sensors.items()}
+        moving = [phase for phase in one.phases if not is_at_rest(phase)]
+        logs.append(replace(summary, events=events_of(one.log, lines, moving)))
     campaign = _of_both_parts(Campaign(tuple(logs)), split)
     train = split.train(campaign)
     motions = [recordings[at].experiment.motion for at in train.logs]

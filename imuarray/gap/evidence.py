@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -13,6 +13,8 @@ from imuarray.gap.base_model import Fitted, residual
 from imuarray.gap.bench import Bench
 from imuarray.gap.campaign import runs_in
 from imuarray.gap.cross import Cross
+from imuarray.gap.held import Held
+from imuarray.gap.lone import Lone
 from imuarray.gap.runs import Runs
 from imuarray.gap.split import Side
 from imuarray.gap.stage import Modelled
@@ -39,6 +41,14 @@ class Seen:
     cross: Cross | None
 
 
+class Span(NamedTuple):
+    """Something happened in log number `log` from `moment_s`, in seconds since its epoch, for `length_s`."""
+
+    log: int
+    moment_s: float
+    length_s: float
+
+
 @dataclass(frozen=True)
 class Evidence:
     """One sensor: what it shows, and what the model has so far.
@@ -46,7 +56,9 @@ class Evidence:
     `values`, `expected` and `scores` of each probe are (m, 3), or (m, 1) for a probe of the whole sensor, a row for
     every phase, log or series of the training part: the statistic, what the model makes of it, and how many standard
     deviations lie between; nan where nothing is said. `effects` is what the model gives the sensor now, `runs` its
-    boots if there are several logs of a turn-on series, `others` the sensors that measure the same.
+    boots if there are several logs of a turn-on series, `others` the sensors that measure the same, `holes` where rows
+    that were due were lost, `held` where rows (so many each) repeat the one before, in whatever phase or none, `lone`
+    which of its readings stand alone, by logs, in each phase in which the box moves.
     """
 
     header: SensorHeader
@@ -58,6 +70,9 @@ class Evidence:
     effects: tuple[Effect, ...]
     runs: Runs | None = None
     others: tuple[SensorHeader, ...] = ()
+    holes: tuple[Span, ...] = ()
+    held: tuple[tuple[Span, int], ...] = ()
+    lone: tuple[tuple[int, Lone], ...] = ()
 
     @property
     def still(self) -> tuple[Seen, ...]:
@@ -126,6 +141,8 @@ def evidence_of(
         other for other in bench.base.headers.values() if other.quantity == header.quantity and other.name != sensor
     )
     series = train.campaign.series().get("turn-on", ())
+    numbered = zip(train.logs, train.campaign.logs, strict=True)
+    events = [(number, log.events[sensor]) for number, log in numbered if sensor in log.events]
     return Evidence(
         header,
         modelled.fitted,
@@ -136,7 +153,24 @@ def evidence_of(
         effects,
         runs_in(series, sensor) if series else None,
         others,
+        tuple(hole for log, own in events for hole in _holes(log, own.holes)),
+        tuple(held for log, own in events for held in _held(log, own.held)),
+        tuple((log, lone) for log, own in events for lone in own.lone),
     )
+
+
+def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
+    """Half a row and more away from the rows that came."""
+    for before_ns, after_ns, missing in holes:
+        row_s = (after_ns - before_ns) * 1e-9 / (missing + 1)
+        yield Span(log, before_ns * 1e-9 + row_s / 2, missing * row_s)
+
+
+def _held(log: int, held: Held) -> Iterator[tuple[Span, int]]:
+    """From half a row before the first repetition to half a row after the last one."""
+    for rows, begin_ns, end_ns in zip(held.rows.tolist(), held.begin_ns.tolist(), held.end_ns.tolist(), strict=True):
+        row_s = (end_ns - begin_ns) * 1e-9 / (rows - 1)
+        yield Span(log, begin_ns * 1e-9 - row_s / 2, rows * row_s), rows
 
 
 class Scored(NamedTuple):

@@ -11,7 +11,7 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 MOST = 16
-"""So many of each axis are kept."""
+"""So many of each axis are kept, unless told otherwise."""
 
 _ALONE = 1.5
 """So many times further than both neighbours from theirs: a lone reading is twice as far, one beside a step as far."""
@@ -22,8 +22,8 @@ _ASIDE = 2
 
 @dataclass(frozen=True)
 class Lone:
-    """The k readings of a phase that are furthest from the middle of their two neighbours, at most `MOST` of each axis:
-    their `axis` (k,), times `time_ns` (k,) and signed distances `apart` (k,) in counts. Of none but such as stand
+    """The k readings of a phase that are furthest from the middle of their two neighbours, some of each axis: their
+    `axis` (k,), times `time_ns` (k,) and signed distances `apart` (k,) in counts. Of none but such as stand
     alone; the first two and the last two of a phase are left out.
     """
 
@@ -33,9 +33,10 @@ class Lone:
 
 
 class LoneTally:
-    """Takes rows as they come."""
+    """Takes rows as they come; keeps so many of each axis."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = MOST) -> None:
+        self._most = most
         self._time, self._line = np.zeros(0, np.int64), np.zeros((3, 0))
         self._found: list[list[tuple[float, int, float]]] = [[], [], []]
 
@@ -53,12 +54,12 @@ class LoneTally:
         for axis in range(3):
             (places,) = alone[axis].nonzero()
             far = inner[axis, places]
-            if len(places) > MOST:
-                places = places[far >= np.partition(far, -MOST)[-MOST]]
+            if len(places) > self._most:
+                places = places[far >= np.partition(far, -self._most)[-self._most]]
             rows = [
                 (float(inner[axis, at]), int(time[at + _ASIDE]), float(off[axis, at + 1])) for at in places.tolist()
             ]
-            self._found[axis] = sorted([*self._found[axis], *rows], reverse=True)[:MOST]
+            self._found[axis] = sorted([*self._found[axis], *rows], reverse=True)[: self._most]
 
     def result(self) -> Lone:
         """All that came so far, axis by axis, the furthest first."""

@@ -1,0 +1,47 @@
+"""Stretches of equal rows, beside a plain loop over them."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.held import MOST, held_in
+from tests.gap.made import block
+
+
+def held(counts: list[int], cuts: tuple[int, ...] = ()) -> list[tuple[int, int, int]]:
+    """Rows, first and last time of the stretches in counts (all axes alike), row n at n ns, in pieces."""
+    pieces = np.split(np.arange(len(counts)), cuts)
+    found = held_in(block(np.array(counts)[rows], 1, int(rows[0])) for rows in pieces if len(rows))
+    return list(zip(found.rows.tolist(), found.begin_ns.tolist(), found.end_ns.tolist(), strict=True))
+
+
+@given(st.lists(st.integers(0, 1), min_size=1, max_size=60), st.lists(st.integers(1, 59), max_size=5, unique=True))
+def test_in_pieces_as_in_a_loop(counts: list[int], cuts: list[int]) -> None:
+    """Of k equal rows k - 1 repeat the one before."""
+    expected, row = [], 0
+    for _, equal in groupby(counts):
+        count = len(list(equal))
+        if count >= 3:
+            expected.append((count - 1, row + 1, row + count - 1))
+        row += count
+    assert held(counts, tuple(sorted(cuts))) == expected
+
+
+def test_all_axes_have_to_stand_still() -> None:
+    rows = np.zeros((9, 3))
+    rows[:, 1] = [0, 1, 2, 3, 3, 3, 3, 4, 5]
+    found = held_in([block(rows, 1)])
+    assert (found.rows.tolist(), found.begin_ns.tolist(), found.end_ns.tolist()) == ([3], [4], [6])
+
+
+def test_the_longest_are_kept() -> None:
+    """A stretch of four, two of which all have: more than are kept of three rows, and one of six."""
+    many = [value for pair in range(MOST) for value in (2 * pair,) * 3 + (2 * pair + 1,)]
+    found = held([*many, -1, -1, -1, -1, -1, -1, *many])
+    assert len(found) == MOST
+    assert found[-1] == (5, len(many) + 1, len(many) + 5)
+    assert held([]) == []
