@@ -12,17 +12,26 @@ from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
 
+_FEWEST, _SINGLE = 1, 64
+"""Holes that are told one by one."""
+
+_NUMBERS = 2.0
+"""Nats that a moment and a length cost."""
+
 _PROBES = ("gaps", "lost", "longest_interval", "irregularity", "interval")
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
-    """The share of rows lost, and how many at a time."""
+    """The share of rows lost, and how many at a time; and where they are few, just those that are missing, since chance
+    takes others, from other phases.
+    """
     yield from with_removal(evidence, DroppedSamples.name, _found(evidence))
 
 
 def _found(evidence: Evidence) -> Iterator[Trial]:
     if not evidence.is_odd(*_PROBES):
         return
+    yield from _one_by_one(evidence)
     summaries = [seen.raw for seen in evidence.seen if seen.raw.rows]
     interval_s = _interval_s(evidence)
     bursts = sum(max(summary.intervals.gaps, summary.flags["lost_before"]) for summary in summaries)
@@ -35,6 +44,19 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     lost = bursts * burst_rows
     probability = min(lost / (rows + lost), 0.9 * burst_rows / (burst_rows + 1))
     yield Trial((DroppedSamples(probability, burst_rows),), ("probability", "burst_rows")[: 1 + (longest > 1.5)])
+
+
+def _one_by_one(evidence: Evidence) -> Iterator[Trial]:
+    """Those that the log says were lost."""
+    holes = evidence.holes
+    if not _FEWEST <= len(holes) <= _SINGLE:
+        return
+    effect = DroppedSamples(
+        runs=tuple(float(hole.log) for hole in holes),
+        moments_s=tuple(hole.moment_s for hole in holes),
+        lengths_s=tuple(hole.length_s for hole in holes),
+    )
+    yield Trial((effect,), whole=True, rarity=_NUMBERS * len(holes))
 
 
 def _interval_s(evidence: Evidence) -> float:

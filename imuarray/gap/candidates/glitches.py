@@ -12,12 +12,12 @@ import numpy.typing as npt
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence, Seen
-from imuarray.gap.lone import MOST
 from imuarray.gap.probes.probe import noise_lsb
 from imuarray.gap.summary import Summary
-from imuarray.simulate.effects.glitches import Glitches
+from imuarray.simulate.effects.glitches import Glitches, high_byte
 
 _STEPS = ("tail", "extreme", "kurtosis", "noise_excess", "noise_uneven")
+_IN_MOTION = "motion_residual"
 _BEYOND = 4.0
 """Standard deviations of a step."""
 
@@ -31,6 +31,12 @@ _NEAR = 0.25
 
 _FAR, _FEWEST_LSB = 6.0, 4.0
 """By so many standard deviations, and counts, single readings are off the middle of their neighbours."""
+
+_AMONG = 2.5
+"""So many times further off than the nearest that is kept of an axis is a reading that no motion explains."""
+
+_SINGLE, _AGAIN = 64, 3
+"""More readings are not told one by one, fewer tell no frequency."""
 
 _NUMBERS = 2.0
 """Nats that a moment and a jump cost."""
@@ -55,8 +61,15 @@ def guesses(evidence: Evidence) -> Iterator[Trial]:
 def _found(evidence: Evidence) -> Iterator[Trial]:
     if evidence.is_odd("words"):
         yield from _words([seen.raw for seen in evidence.seen])
-    if not evidence.is_odd(*_STEPS):
-        return
+    if evidence.is_odd(*_STEPS):
+        yield from _again(evidence)
+    if evidence.is_odd(*_STEPS, _IN_MOTION):
+        yield from _torn_again(evidence)
+        yield from _few(evidence)
+
+
+def _again(evidence: Evidence) -> Iterator[Trial]:
+    """Spikes and torn readings that come again and again."""
     tails = [tail for seen in evidence.still for tail in _tails(seen.raw)]
     rows = sum(tail.rows for tail in tails) / 3
     found, usual = sum(int(tail.counts.sum()) for tail in tails), _GAUSSIAN * 3 * rows
@@ -66,7 +79,6 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
         spike = Glitches(min(hits / rows, 1.0), size / evidence.header.sensitivity)
         yield Trial((spike,), ("probability", "amplitude"))
         yield from _torn(tails, size, hits)
-    yield from _few(evidence)
 
 
 class _Hit(NamedTuple):
@@ -81,7 +93,8 @@ class _Hit(NamedTuple):
 def _few(evidence: Evidence) -> Iterator[Trial]:
     """Where chance hit so few readings that it left most phases out: these very readings, all of which are known."""
     hits = [hit for seen in evidence.still for hit in _hits(seen)]
-    if not 0 < len(hits) < MOST:
+    hits += _torn_in_motion(evidence)
+    if not 0 < len(hits) <= _SINGLE:
         return
     rows = sum(seen.raw.rows for seen in evidence.seen)
     scale = evidence.header.sensitivity
@@ -104,6 +117,33 @@ def _hits(seen: Seen) -> Iterator[_Hit]:
     for axis, time_ns, apart in zip(lone.axis.tolist(), lone.time_ns.tolist(), lone.apart.tolist(), strict=True):
         if abs(apart) > limits[axis]:
             yield _Hit(seen.log, time_ns * 1e-9 - half_s, axis, apart)
+
+
+def _torn_again(evidence: Evidence) -> Iterator[Trial]:
+    """As often as readings of the moving sensor are, of those whose high byte is another than the one before's."""
+    hits, weight = len(_torn_in_motion(evidence)), high_byte(evidence.header.chip)
+    moving = [(seen.raw.rows, steps) for seen in evidence.seen if not seen.is_still for steps in seen.raw.steps]
+    shares = [np.minimum(steps.codes / weight, 1.0) @ steps.counts / max(steps.counts.sum(), 1) for _, steps in moving]
+    changes = sum(rows * float(share) for (rows, _), share in zip(moving, shares, strict=True)) / 3
+    if hits >= _AGAIN and changes > 0:
+        yield Trial((Glitches(min(hits / changes, 1.0), kind="torn"),), ("probability",))
+
+
+def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
+    """Readings of phases that are looked at which are off by high bytes, and far more than the motion leaves. One that
+    is off by anything else may have come late.
+    """
+    weight, half_s = high_byte(evidence.header.chip), 0.5 / evidence.rows_per_s
+    phases = [(seen.log, seen.raw.phase) for seen in evidence.seen if not seen.is_still]
+    found = []
+    for log, lone in evidence.lone:
+        nearest = [float(np.abs(lone.apart[lone.axis == axis]).min(initial=np.inf)) for axis in range(3)]
+        for axis, time_ns, apart in zip(lone.axis.tolist(), lone.time_ns.tolist(), lone.apart.tolist(), strict=True):
+            bytes_off = round(apart / weight)
+            is_torn = bytes_off and abs(apart / weight - bytes_off) < _NEAR and abs(apart) > _AMONG * nearest[axis]
+            if is_torn and any(log == own and phase.start_ns <= time_ns < phase.end_ns for own, phase in phases):
+                found.append(_Hit(log, time_ns * 1e-9 - half_s, axis, bytes_off * weight))
+    return found
 
 
 def _torn(tails: Sequence[_Tail], size: float, hits: float) -> Iterator[Trial]:

@@ -22,6 +22,15 @@ _MOST = 2
 _AGAIN = 3
 """Phases with such a run; fewer are single events."""
 
+_FEWEST, _SINGLE = 2, 64
+"""Stretches that are told one by one."""
+
+_BEYOND = 1.5
+"""So many times longer than the longest run that the model makes in any phase."""
+
+_NUMBERS = 2.0
+"""Nats that a moment and a length cost."""
+
 
 class _Run(NamedTuple):
     """Seconds since the epoch of log `log` in which every reading is the one before; `open` until the phase's end."""
@@ -34,7 +43,8 @@ class _Run(NamedTuple):
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """The longest runs, runs over several phases in one piece; one that lasts to the log's end lasts for ever. Where
-    many phases have one: again and again, as much time in all as rows are held.
+    many phases have one: again and again, as much time in all as rows are held; and where they are few enough, each of
+    them, since chance puts them into other phases.
     """
     yield from with_removal(evidence, Stuck.name, _found(evidence))
 
@@ -45,10 +55,11 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     runs = sorted(_runs(evidence), key=lambda run: run.onset_s - run.end_s)
     if len(runs) >= _AGAIN:
         yield from _again(evidence, runs)
+    yield from _one_by_one(evidence)
     for run in runs[:_MOST]:
         for_ever = run.open and run.end_s >= _end_s(evidence, run.log)
         duration_s = math.inf if for_ever else run.end_s - run.onset_s
-        yield Trial((Stuck(run.onset_s, duration_s),))
+        yield Trial((Stuck(run.onset_s, duration_s, kind=_kind(evidence)),))
 
 
 def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Trial]:
@@ -58,7 +69,30 @@ def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Trial]:
     rows = sum(seen.raw.rows for seen in evidence.seen)
     every_s = length_s * (rows / max(held, length_s * evidence.rows_per_s) - 1)
     if every_s > 0:
-        yield Trial((Stuck(duration_s=length_s, every_s=every_s),), ("duration_s", "every_s"))
+        stuck = Stuck(duration_s=length_s, every_s=every_s, kind=_kind(evidence))
+        yield Trial((stuck,), ("duration_s", "every_s"))
+
+
+def _one_by_one(evidence: Evidence) -> Iterator[Trial]:
+    """All stretches that are longer than the model makes them."""
+    longest = np.exp(evidence.expected.get("longest_repeat", np.zeros((0, 1)))) + 0.5  # rows, the first one too
+    least = _BEYOND * float(np.nanmax(longest, initial=1.0)) - 1
+    held = [span for span, rows in evidence.held if rows >= least]
+    if not _FEWEST <= len(held) <= _SINGLE:
+        return
+    effect = Stuck(
+        kind=_kind(evidence),
+        runs=tuple(float(span.log) for span in held),
+        moments_s=tuple(span.moment_s for span in held),
+        lengths_s=tuple(span.length_s for span in held),
+    )
+    yield Trial((effect,), whole=True, rarity=_NUMBERS * len(held))
+
+
+def _kind(evidence: Evidence) -> str:
+    """Whether the chip says that it has nothing new, of most rows that are repeated."""
+    repeated = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.seen)
+    return "stale" if sum(seen.raw.flags["stale"] for seen in evidence.seen) > repeated / 2 else "new"
 
 
 def _runs(evidence: Evidence) -> list[_Run]:
