@@ -19,7 +19,7 @@ import pytest
 
 from imuarray.acquire import Summary
 from imuarray.cli import COMMANDS, main
-from imuarray.commands.log import _Interruptible
+from imuarray.commands.interruptible import Interruptible
 from imuarray.commands.log_screen import Screen
 from imuarray.log import open_log
 from imuarray.log.format import Event
@@ -331,7 +331,7 @@ def test_a_hang_up_that_is_ignored_stays_so(here: Path) -> None:
     """As nohup starts a program."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with _Interruptible() as stop:
+        with Interruptible() as stop:
             heard = []
             for number in (signal.SIGHUP, signal.SIGTERM):
                 os.kill(os.getpid(), number)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Sequence
 from contextlib import ExitStack, closing, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,24 +16,16 @@ from imuarray.commands.options import (
     find_config,
     force_option,
     json_option,
-    print_json,
     refuse_existing,
 )
 from imuarray.errors import ConfigError
-from imuarray.printable import counted
 
 if TYPE_CHECKING:
-    from imuarray.acquire import Summary
     from imuarray.array import ArrayConfig
     from imuarray.bus.protocol import OpenBus
     from imuarray.bus.transcript import RecordingBus
     from imuarray.commands.log_fusion import LiveFusion
     from imuarray.commands.start_up import StartUpJudge
-
-_CARRIES = ("bus", "channel", "link")
-"""Kinds of events of no one sensor that cost readings."""
-_NAMED = 3
-_HANG_UP: int | None = getattr(signal, "SIGHUP", None)  # Windows has none
 
 
 @click.command("log")
@@ -92,6 +82,14 @@ _HANG_UP: int | None = getattr(signal, "SIGHUP", None)  # Windows has none
     metavar="1h",
     help="begin a new log every so often: RUN_001.h5, RUN_002.h5, ... (30s, 10min, 1h, 1d)",
 )
+@click.option("--monitor", is_flag=True, help="also serve a page that shows it all, as `imuarray monitor` does")
+@click.option("--monitor-port", type=click.IntRange(0, 65535), help="of --monitor: 0 is any free one  [default: 8765]")
+@click.option(
+    "--monitor-host",
+    metavar="ADDRESS",
+    help="of --monitor: where to serve; on another than this machine's own the page wants the token that is printed"
+    "  [default: 127.0.0.1]",
+)
 @force_option
 @json_option
 def command(
@@ -110,6 +108,9 @@ def command(
     fused_file: Path | None,
     watch: bool | None,
     rotate_s: float | None,
+    monitor: bool,
+    monitor_port: int | None,
+    monitor_host: str | None,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -125,26 +126,36 @@ def command(
     imuarray log array.toml -o night.h5 --rotate 1h --fuse --calibration cal.toml
     """
     from imuarray.acquire import record
+    from imuarray.commands.interruptible import Interruptible
+    from imuarray.commands.log_page import page_beside
     from imuarray.commands.log_screen import Screen
+    from imuarray.commands.log_summary import tell
     from imuarray.log.rotate import part_of
 
     if up and not phase:
         raise click.UsageError("--up says which way the box stood in a phase: name it with --phase")
     array, url = _array_and_bus(config, bus_url, only)
-    refuse_existing(output if rotate_s is None else part_of(output, 1), force)
+    first = output if rotate_s is None else part_of(output, 1)
+    refuse_existing(first, force)
     if output.suffix not in (".h5", ".hdf5"):
         raise click.UsageError(f"{output}: a log is an HDF5 file; name it {output.name}.h5")
     asked = {"--technique": technique, "--fused": fused_file, "--watch": watch}
     if not fuse and (of_fuse := [name for name, value in asked.items() if value is not None]):
         raise click.UsageError(f"{of_fuse[0]} is of --fuse: say that too")
+    if (monitor_port is not None or monitor_host) and not monitor:
+        raise click.UsageError(f"--monitor-{'host' if monitor_host else 'port'} is of --monitor: say that too")
     judge = _judge(array, calibration, only_if_it_can=fuse) if calibration else None
     options = {"rate_hz": rate_hz, "watch": watch, "rotate_s": rotate_s, "force": force}
     fusion = _fusion(output, fused_file, calibration, technique or "mean", judge, options) if fuse else None
     with ExitStack() as stack:
         bus, recorder = _connected(stack, url, array, transcript, force)
-        stop = stack.enter_context(_Interruptible())
+        stop = stack.enter_context(Interruptible())
         more = fusion.status if fusion else str
         screen = stack.enter_context(closing(Screen(str(output), rate_hz, seconds, more)))
+        if monitor:  # the page follows parts from the first one on
+            beside = {"calibration": calibration, "result": fused_file if rotate_s is None else None}
+            page = page_beside(first, host=monitor_host, port=monitor_port, tell=screen.remark, **beside)
+            stack.enter_context(page)
         if fusion:
             fusion.tell = screen.remark
             stack.enter_context(closing(fusion))
@@ -172,7 +183,7 @@ def command(
             click.echo("imuarray: the transcript ends here: the recorded program was stopped", err=True)
         if recorder is not None and recorder.failed:
             click.echo(f"imuarray: {recorder.failed}", err=True)
-        _tell(summary, output, judge.said if judge else [], fusion, as_json)
+        tell(summary, output, judge.said if judge else [], fusion, as_json)
 
 
 def _array_and_bus(config: Path, bus_url: str | None, only: str | None) -> tuple[ArrayConfig, str]:
@@ -239,80 +250,3 @@ def _connected(
     if bus.source == "emulated":
         click.echo("imuarray: recording the emulated array, no hardware", err=True)
     return bus, recorder
-
-
-def _tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion | None, as_json: bool) -> None:
-    """What was recorded, for a person or a program."""
-    lost = {name: count for name, count in summary.lost.items() if count}
-    if as_json:
-        print_json(
-            {
-                "log": str(output),
-                "logs": [str(path) for path in summary.logs],
-                "frames": summary.frames,
-                "late": summary.late,
-                "missed": summary.missed,
-                "uncertain": summary.uncertain,
-                "lost": lost,
-                "seconds": summary.seconds,
-                "start_up": start_up,
-                **({"fusion": fusion.report()} if fusion else {}),
-            }
-        )
-        return
-    rate = summary.frames / summary.seconds if summary.seconds else 0.0
-    where = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
-    click.echo(f"{where}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
-    if fusion:
-        files = fusion.paths or [fusion.path]
-        named = files[0] if len(files) == 1 else f"{files[0]} ... {files[-1].name}"
-        click.echo(f"  {named}: {counted(fusion.frames, 'frame')} fused while recording")
-    if summary.missed:
-        missed = counted(summary.missed, "frame")
-        click.echo(f"  {missed} missed: the array can't be read so fast, or this machine was busy")
-    if summary.uncertain:
-        click.echo(f"  {counted(summary.uncertain, 'reading')} whose time is uncertain by a millisecond or more")
-    for name, count in lost.items():
-        first, *further = _told_in(summary.logs, name)
-        more = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""
-        more += f" and {len(further) - _NAMED} more" if len(further) > _NAMED else ""
-        click.echo(f"  {name}: {counted(count, 'reading')} lost (see events: imuarray info {first}{more})")
-
-
-def _told_in(logs: Sequence[Path], sensor: str) -> list[Path]:
-    """The logs with events about a sensor, or about what carries its readings; all of them if there are none."""
-    from imuarray.log import open_log
-
-    if len(logs) == 1:
-        return list(logs)
-    found = []
-    for path in logs:
-        with open_log(path) as log:
-            if any(event.sensor == sensor or (not event.sensor and event.kind in _CARRIES) for event in log.events):
-                found.append(path)
-    return found or list(logs)
-
-
-class _Interruptible:
-    """SIGINT, SIGTERM and SIGHUP (the terminal is gone) end a log cleanly instead of breaking it off; a SIGHUP that is
-    ignored (nohup) stays so.
-    """
-
-    def __init__(self) -> None:
-        self.asked = self.hung_up = False
-        self._before: dict[int, Any] = {}
-
-    def _ask(self, number: int, frame: Any) -> None:
-        self.asked = True
-        self.hung_up |= number == _HANG_UP
-
-    def __enter__(self) -> _Interruptible:
-        for number in (signal.SIGINT, signal.SIGTERM, _HANG_UP):
-            if number is None or (number == _HANG_UP and signal.getsignal(number) == signal.SIG_IGN):
-                continue
-            self._before[number] = signal.signal(number, self._ask)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)

@@ -42,6 +42,13 @@ if TYPE_CHECKING:
     show_default=True,
     help="address to serve on; on another than this machine's own the page wants the token that is printed",
 )
+@click.option(
+    "--fused",
+    "result",
+    type=click.Path(path_type=Path),
+    metavar="FUSED.h5",
+    help="the fused result that is shown  [default: RUN_fused.h5, else the average of all sensors]",
+)
 @click.option("--parent", type=int, hidden=True, help="end with this process")
 def command(
     run: Path,
@@ -52,6 +59,7 @@ def command(
     calibration: Path | None,
     port: int,
     host: str,
+    result: Path | None,
     parent: int | None,
 ) -> None:
     """Watch a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
@@ -68,11 +76,29 @@ def command(
     if once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
         raise click.UsageError(f"{run}: no such file")
     if as_text or as_json:
-        _look_on(run, known, every_s, as_json=as_json, once=once)
+        with _watch(run, known, result) as watch:
+            _look_on(watch, every_s, as_json=as_json, once=once)
     else:
         from imuarray.monitor.server import serve
 
-        serve(run, host=host, port=port, calibration=known, every_s=every_s, announce=click.echo, parent=parent)
+        serve(
+            run,
+            host=host,
+            port=port,
+            calibration=known,
+            result=result,
+            every_s=every_s,
+            announce=click.echo,
+            parent=parent,
+        )
+
+
+def _watch(run: Path, calibration: Calibration | None, result: Path | None) -> Watch:
+    from imuarray.monitor import Watch
+    from imuarray.monitor.priority import step_back
+
+    step_back()
+    return Watch(run, calibration=calibration, result=result)
 
 
 def _calibration(path: Path | None) -> Calibration | None:
@@ -81,16 +107,13 @@ def _calibration(path: Path | None) -> Calibration | None:
     return None if path is None else load_calibration(path)
 
 
-def _look_on(run: Path, calibration: Calibration | None, every_s: float, *, as_json: bool, once: bool) -> None:
+def _look_on(watch: Watch, every_s: float, *, as_json: bool, once: bool) -> None:
     """Look and show, again and again until the log has ended, or Ctrl-C."""
     from imuarray.commands.monitor_screen import Screen
-    from imuarray.monitor import Watch
-    from imuarray.monitor.priority import step_back
     from imuarray.monitor.text import lines_of
 
-    step_back()
     ends = nullcontext() if once else suppress(KeyboardInterrupt)  # Ctrl-C is the usual end of looking on
-    with ends, Watch(run, calibration=calibration) as watch, Screen() as screen:
+    with ends, Screen() as screen:
         while True:
             snapshot = _counted(watch) if once else watch.refresh(time.monotonic())
             if as_json:

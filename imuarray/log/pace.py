@@ -37,7 +37,8 @@ def is_read_once_a_frame(chip_rate_hz: float, rate_hz: float, frame_period_ns: i
     if frame_period_ns <= 0:
         return False
     frame_rate_hz = 1e9 / frame_period_ns
-    return (chip_rate_hz <= 0 or chip_rate_hz >= frame_rate_hz * (1 - 1e-6)) and rate_hz <= _OWN_PACE * frame_rate_hz
+    keeps_up = chip_rate_hz <= 0 or chip_rate_hz >= frame_rate_hz * (1 - 1e-6)
+    return bool(keeps_up and rate_hz <= _OWN_PACE * frame_rate_hz)
 
 
 def missing_rows(first_ns: int, last_ns: npt.NDArray[np.int64], rows: int, frame_period_ns: int) -> int:

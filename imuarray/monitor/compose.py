@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -24,8 +25,10 @@ _COPIES = 2
 """A row stands in the journal and in the HDF5 file."""
 
 
-def snapshot_of(source: Source, calibration: Calibration, remark: str, quiet_s: float) -> Snapshot:
-    """What is to be seen of `source` now; nothing came for `quiet_s`."""
+def snapshot_of(
+    source: Source, calibration: Calibration, remark: str, quiet_s: float, result: Path | None = None
+) -> Snapshot:
+    """What is to be seen of `source` now; nothing came for `quiet_s`. `result`: where its fused output is written."""
     windows, told = source.seen.windows, source.seen.told
     held = HeldLog(
         source.path,
@@ -36,7 +39,7 @@ def snapshot_of(source: Source, calibration: Calibration, remark: str, quiet_s: 
     firsts = [window.first_ns for window in windows.values() if window.first_ns is not None]
     ends = [int(window.time[-1]) for window in windows.values() if len(window.time)]
     frames = _frames(views)
-    fused, not_fused = _fused(source, windows, calibration, max(ends, default=0))
+    fused, not_fused = _fused(source, windows, calibration, max(ends, default=0), result)
     return Snapshot(
         source.path,
         source.state,
@@ -100,10 +103,10 @@ def _disk(source: Source, views: Sequence[SensorView]) -> Disk | None:
 
 
 def _fused(
-    source: Source, windows: dict[str, Window], calibration: Calibration, end_ns: int
+    source: Source, windows: dict[str, Window], calibration: Calibration, end_ns: int, result: Path | None
 ) -> tuple[FusedView | None, str]:
     """The fused output, or why there is none."""
-    beside = fused_beside(source.path, source.epoch, end_ns - source.seen.span_ns)
+    beside = fused_beside(source.path, source.epoch, end_ns - source.seen.span_ns, result)
     if beside is not None:
         return beside, ""
     spoken = {name: (source.attributes[name], window.rows) for name, window in windows.items() if len(window.time)}

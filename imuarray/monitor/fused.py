@@ -4,6 +4,8 @@ rows at hand.
 
 from __future__ import annotations
 
+import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,8 @@ from imuarray.units import INERTIAL
 
 TECHNIQUE = "mean"
 _LAST_NS = 1_000_000_000
+_PATIENCE_S = (0.02, 0.05, 0.0)
+"""Behind each attempt to read a result at the very moment at which it is written."""
 
 
 def fused_now(log: Log, calibration: Calibration) -> FusedView:
@@ -27,36 +31,47 @@ def fused_now(log: Log, calibration: Calibration) -> FusedView:
     return _view(TECHNIQUE, bool(calibration.sensors), block)
 
 
-def fused_beside(path: Path, epoch: str, start_ns: int) -> FusedView | None:
-    """The last rows of `RUN_fused.h5` beside the log at `path`, from `start_ns` on; None if it is not there, is of
-    another log or ends before.
+def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = None) -> FusedView | None:
+    """The last rows of the result that is written, or was, beside the log at `path`, from `start_ns` on: `RUN_fused.h5`
+    (of a log cut into parts too) or the file `given`. None if it is not there, is of another log or ends before.
     """
-    beside = path.with_name(f"{path.stem}_fused{path.suffix}")
-    if not beside.is_file():
-        return None
-    try:
-        with fused_columns(beside) as (said, columns):
-            if said.get("epoch") != epoch:
-                return None
-            first, last = _first_at(columns["time"], start_ns), rows_of(columns)
-            time = np.asarray(columns["time"][first:last], np.int64)
-            triads: dict[str, Floats] = {
-                name: np.asarray(columns[name][first:last], float) for name in INERTIAL if name in columns
-            }
-            if len(time) < 2:
-                return None
-            technique = said.get("technique", "fused")
-            return _view(technique, bool(said.get("calibration")), FusedBlock(time, triads))
-    except LogError:
-        return None
+    whole = re.sub(r"_\d{3,}$", "", path.stem)
+    names = [path.with_name(f"{stem}_fused{path.suffix}") for stem in dict.fromkeys((path.stem, whole))]
+    for beside in names if given is None else [given]:
+        for patience_s in _PATIENCE_S if beside.is_file() else ():
+            try:
+                view = _read(beside, epoch, start_ns)
+            except LogError:  # it was being written just then, or is none
+                time.sleep(patience_s)
+                continue
+            if view is not None:
+                return view
+            break
+    return None
 
 
-def _first_at(time: NamedColumn, at_ns: int) -> int:
-    """The first row whose time is `at_ns` or later; by bisection."""
-    low, high = 0, int(time.shape[0])
+def _read(path: Path, epoch: str, start_ns: int) -> FusedView | None:
+    """As it is on the disk now, without a lock that could be in the way of whoever writes it. LogError."""
+    with fused_columns(path) as (said, columns):
+        if said.get("epoch") != epoch:
+            return None
+        rows = rows_of(columns)  # the newest may be there in part
+        first = _first_at(columns["time"], rows, start_ns)
+        at_ns = np.asarray(columns["time"][first:rows], np.int64)
+        triads: dict[str, Floats] = {
+            name: np.asarray(columns[name][first:rows], float) for name in INERTIAL if name in columns
+        }
+    if len(at_ns) < 2 or not triads:
+        return None
+    return _view(said.get("technique", "fused"), bool(said.get("calibration")), FusedBlock(at_ns, triads))
+
+
+def _first_at(column: NamedColumn, rows: int, at_ns: int) -> int:
+    """The first of so many rows whose time is `at_ns` or later; by bisection."""
+    low, high = 0, rows
     while low < high:
         middle = (low + high) // 2
-        low, high = (middle + 1, high) if int(time[middle]) < at_ns else (low, middle)
+        low, high = (middle + 1, high) if int(column[middle]) < at_ns else (low, middle)
     return low
 
 

@@ -16,9 +16,9 @@
 `recent`          the last 50, the newest first: `time_s`, `sensor` ("": the array), `kind`, `message`
 `disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log is ended for want of it
 `sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`, `delayed`,
-                  `missed`; `flags` of the last 10 s, by name; `mean` of the last second and `sd` of the last 10, of
-                  each column in `unit`; `use_percent` of the range in the last 10 s and `peak_use_percent` at most so
-                  far, or null; `temperature_degc` or null, `temperature_is_relative`: only its changes count;
+                  `missed`; `flags` of the last 10 s, by name; in `unit` and for each column `mean` of the last second
+                  and `sd` of the last 10; `use_percent` of the range in the last 10 s and `peak_use_percent` at most
+                  so far, or null; `temperature_degc` or null, `temperature_is_relative`: only its changes count;
                   `density_unit`: of spectra, on the page
 `fused`           null, and `not_fused` says why; or `technique`, `calibrated` and `quantities`: "specific_force" and
                   "angular_rate", of each `unit`, `mean` of the last second and `noise` from frame to frame

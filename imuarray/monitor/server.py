@@ -89,13 +89,14 @@ def serve(
     port: int = PORT,
     token: str | None = None,
     calibration: Calibration | None = None,
+    result: Path | None = None,
     every_s: float = 1.0,
     announce: Callable[[str], None] = print,
     parent: int | None = None,
 ) -> None:
     """Serve the page of the log at `path` until SIGINT, SIGTERM or the end of the process `parent`; lowers this
     process's priority. `announce` is told the address, with a new token in it (None) unless only this machine can reach
-    it. MissingExtraError without Bokeh, ImuArrayError if nothing can be served there.
+    it. `result` as of `Watch`. MissingExtraError without Bokeh, ImuArrayError if nothing can be served there.
     """
     try:
         import bokeh  # noqa: F401  # says at once what is missing, not at the first figure
@@ -104,8 +105,9 @@ def serve(
         raise MissingExtraError(error.name or "bokeh", "monitor") from None
     wanted = "" if is_own(host) else (token or new_token())
     listening = _socket(host, port)
-    step_back()
-    watch = Watch(path, calibration=calibration)
+    if parent is None:  # else it did that already
+        step_back()
+    watch = Watch(path, calibration=calibration, result=result)
     asyncio.run(_serve(listening, watch, every_s, wanted, host, announce, parent))
 
 

@@ -1,6 +1,4 @@
-"""A snapshot as lines of text: what the page shows, for a terminal, over ssh. Everything fits into 80 columns, except
-where a sensor's name is long.
-"""
+"""A snapshot as lines of text: what the page shows, for a terminal, over ssh. Everything fits into 80 columns."""
 
 from __future__ import annotations
 
@@ -17,7 +15,8 @@ EVENTS = 5
 
 _SIGNS = {"specific_force": "force", "angular_rate": "rate"}
 _GIB = 1 << 30
-_LONGEST_NAME = 12
+_NUMBERS = 70
+"""Columns of the table but those of the names."""
 
 
 def lines_of(snapshot: Snapshot, columns: int = COLUMNS) -> list[str]:
@@ -76,9 +75,9 @@ def duration(seconds: float) -> str:
 
 
 def _sensors(views: Sequence[SensorView], columns: int) -> list[str]:
-    names = [_cut(printable(view.name), _LONGEST_NAME) for view in views]
+    names = [_cut(printable(view.name), max(6, columns - _NUMBERS)) for view in views]
     width = max(6, *map(len, names)) if names else 6
-    head = f"  {'sensor':{width}} {'Hz':>6} {'mean of the last second':^29} {'unit':5} {'sd':>8}"
+    head = f"  {'sensor':{width}} {'Hz':>6} {'mean of the last second':^26} {'unit':5} {'sd':>7}"
     lines = [f"{head} {'range':>5} {'degC':>6} {'missed':>6}"]
     lines += [f"  {name:{width}} {_sensor(view)}".rstrip() for name, view in zip(names, views, strict=True)]
     if any(view.relative and view.temperature_degc is not None for view in views):
@@ -87,11 +86,11 @@ def _sensors(views: Sequence[SensorView], columns: int) -> list[str]:
 
 
 def _sensor(view: SensorView) -> str:
-    means = " ".join(f"{value:9.3f}" for value in view.mean) if view.rows else "nothing came"
-    noise = f"{view.sd.max():8.4f}" if view.rows > 1 else ""
+    means = " ".join(f"{value:8.3f}"[:8] for value in view.mean) if view.rows else "nothing came"
+    noise = f"{view.sd.max():7.4f}"[:7] if view.rows > 1 else ""
     use = "" if view.use is None else f"{view.use.max():.0%}"
     warm = "" if view.temperature_degc is None else f"{view.temperature_degc:.1f}{'*' * view.relative}"
-    return f"{view.rate_hz:6.1f} {means:29} {view.unit:5} {noise:>8} {use:>5} {warm:>6} {view.missed:6}"
+    return f"{view.rate_hz:6.1f} {means:26} {view.unit:5} {noise:>7} {use:>5} {warm:>6} {view.missed:6}"
 
 
 def _flags(named: Iterable[tuple[str, SensorView]], columns: int) -> list[str]:

@@ -29,7 +29,7 @@ SPAN_S = 10.0
 
 class Watch:
     """The log at `path`, which need not be there yet, or of that name cut into parts; its last `span_s`. A context
-    manager.
+    manager. `result` is where its fused output is written (None: `RUN_fused.h5` beside it).
     """
 
     def __init__(
@@ -38,11 +38,12 @@ class Watch:
         *,
         span_s: float = SPAN_S,
         calibration: Calibration | None = None,
+        result: Path | None = None,
         stopwatch: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.path = path
         self._span_ns = round(span_s * 1e9)
-        self._calibration = calibration or Calibration()
+        self._calibration, self._result = calibration or Calibration(), result
         self._stopwatch = stopwatch
         self._there: tuple[object, ...] = ()
         self._source: Source | None = None
@@ -59,7 +60,7 @@ class Watch:
             self._remark = str(error) if isinstance(error, ImuArrayError) else f"{self.path}: {error.strerror}"
         if self._source is None:
             return Snapshot(self.path, WAITING, self._remark)
-        snapshot = snapshot_of(self._source, self._calibration, self._remark, now_s - self._fresh_s)
+        snapshot = snapshot_of(self._source, self._calibration, self._remark, now_s - self._fresh_s, self._result)
         return replace(snapshot, took_s=self._stopwatch() - start_s)
 
     def _look(self, now_s: float) -> None:
@@ -114,6 +115,7 @@ class Watch:
         self._there = look(part)
         for name, window in source.seen.windows.items():
             window.gaps += source.backlog.gaps(name)
+        source.read()  # what came just before the next part began
         turned = _opened(part, source.seen if goes_on else Seen(self._span_ns))
         source.close()
         self._source, self._remark = turned, f"goes on in {part.name}"

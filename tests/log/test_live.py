@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import subprocess
 import sys
 import threading
@@ -13,12 +15,13 @@ import h5py
 import numpy as np
 import pytest
 
+import imuarray.log.journal as journal
 import imuarray.log.live as live
 import imuarray.log.writer as writing
 from imuarray.errors import LogBusyError, LogError, OutputExistsError
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Event, Phase
-from imuarray.log.journal import journal_of
+from imuarray.log.journal import JournalLock, is_running, journal_of
 
 Writer = Callable[..., LogWriter]
 
@@ -129,6 +132,62 @@ def test_everything_that_a_header_says_stands_in_a_finished_log(tmp_path: Path, 
             assert set(ours) == set(theirs)
         assert one["sensors/Baro"].attrs["AC1"] == 408
         assert one["sensors/Gyro"].attrs["delay_ns"] == 1_500_000
+
+
+@pytest.mark.parametrize(("looks", "free"), [(3, True), (1000, False)])
+def test_who_only_looks_keeps_no_log_from_being_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, looks: int, free: bool
+) -> None:
+    """Somebody who looks has the lock for a moment, as one of many; one who keeps it is not waited for, for ever."""
+    path = tmp_path / "run.h5"
+    looker = os.open(journal_of(path), os.O_RDWR | os.O_CREAT)
+    fcntl.flock(looker, fcntl.LOCK_SH)
+    waited: list[float] = []
+
+    def wait(seconds: float) -> None:
+        waited.append(seconds)
+        if len(waited) == looks:
+            fcntl.flock(looker, fcntl.LOCK_UN)
+
+    monkeypatch.setattr(journal.time, "sleep", wait)
+    try:
+        if free:
+            lock = JournalLock(path, create=True)
+            assert is_running(path)
+            lock.close()
+        else:
+            with pytest.raises(LogBusyError):
+                JournalLock(path, create=True)
+        assert len(waited) == min(looks, 20) and sum(waited) <= 0.1 + 1e-9
+        waited.clear()
+        fcntl.flock(looker, fcntl.LOCK_EX)
+        with pytest.raises(LogBusyError):
+            JournalLock(path, create=True)
+        assert waited == []  # who writes is not waited for
+    finally:
+        os.close(looker)
+
+
+def test_many_who_look_and_one_who_begins(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    journal_of(path).touch()
+    done = threading.Event()
+
+    def look() -> None:
+        while not done.is_set():
+            is_running(path)
+            time.sleep(0.0005)
+
+    lookers = [threading.Thread(target=look) for _ in range(3)]
+    for looker in lookers:
+        looker.start()
+    try:
+        for _ in range(200):
+            JournalLock(path, create=True).close()
+    finally:
+        done.set()
+        for looker in lookers:
+            looker.join()
 
 
 def test_a_second_log_into_a_running_one_is_refused(tmp_path: Path, writer: Writer) -> None:

@@ -153,25 +153,3 @@ def test_another_address_wants_the_token(logger, log_path: Path) -> None:  # typ
         page = asked(f"{address}?token={found[2]}")
         assert page.status == 200 and f"page.js?token={found[2]}" in page.text
         assert asked(f"{address}?token={found[2]}", "snapshot.json").status == 200
-
-
-@pytest.mark.slow
-def test_a_page_beside_a_logger_ends_with_it(log_path: Path) -> None:
-    """It is told where it is, on standard error, and no process is left."""
-    program = (
-        "import sys, time, pathlib\n"
-        "from imuarray.monitor.beside import page_beside\n"
-        "with page_beside(pathlib.Path(sys.argv[1]), port=0):\n"
-        "    print('inside', flush=True); sys.stdin.readline()\n"
-    )
-    child = subprocess.Popen(
-        [sys.executable, "-c", program, str(log_path)], cwd=ROOT, text=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
-    assert child.stderr is not None and child.stdin is not None
-    address = child.stderr.readline().strip()
-    assert json.loads(asked(address, "snapshot.json").text)["state"] == "waiting"
-    out, err = child.communicate("\n", timeout=30)
-    assert (child.returncode, out, err) == (0, "inside\n", "")
-    with pytest.raises(urllib.error.URLError):
-        asked(address)

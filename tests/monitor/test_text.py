@@ -3,25 +3,38 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import json
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from imuarray.cli import main
 from imuarray.log import LogWriter
 from imuarray.log.format import Event
-from imuarray.monitor import Watch
+from imuarray.monitor import Watch, payload
 from imuarray.monitor.payload import DRAWN, described, drawn
 from imuarray.monitor.text import duration, lines_of
 from tests.monitor.conftest import EPOCH, HEADERS, Logger
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished log: 12 s, five frames missing, two events, one of them made to do harm."""
     path = tmp_path_factory.mktemp("ended") / "run.h5"
-    with LogWriter(path, HEADERS, source="emulated", epoch=EPOCH) as writer:
+    with LogWriter(path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=100.0) as writer:
         writer.keep()
         logger = Logger(writer)
         logger.go_on(4.0)
@@ -40,17 +53,39 @@ def test_the_table(ended: Path) -> None:
     with Watch(ended) as watch:
         lines = lines_of(watch.refresh(0.0))
     assert lines[0] == "run.h5: finished, 12 s"
-    assert lines[1].startswith("  99.5 Hz, 0 frames late, 5 missed; disk: ")
-    assert lines[2] == "  2 events: late 1, back 1"
-    assert words(lines[4]) == "sensor Hz mean of the last second unit sd range degC missed flags"
-    assert words(lines[5]) == "Acc 99.5 0.250 -0.500 1.000 g 0.0005 25% 28.0 5"
-    assert words(lines[7]) == "Gyro 99.5 10.000 -5.000 2.500 dps 0.0100 4% -20.0* 5"
-    assert words(lines[6]) == "Baro 4.0 1002.500 hPa 0.0000 21.5 0"
-    assert lines[10] == "  fused (mean, data sheet's values), box frame, last second"
-    assert words(lines[11]).startswith("specific force x ")
-    assert words(lines[12]).startswith("angular rate x 10.000 y -5.000 z 2.500")
-    assert lines[-1] == "          4.0 s  late: 5 frames missed: the one before ended too late"
-    assert lines[-2] == "          5.0 s  Acc back: answers \\x1b[31magain <script>alert(1)</script>"
+    assert lines[1] == "  99.5 of 100 Hz, 5 frames missed, 0 delayed"
+    assert lines[2].startswith("  disk: ")
+    assert lines[3] == "  2 events: late 1, back 1"
+    assert words(lines[5]) == "sensor Hz mean of the last second unit sd range degC missed"
+    assert words(lines[6]) == "Acc 99.5 0.250 -0.500 1.000 g 0.0005 25% 28.0 5"
+    assert words(lines[8]) == "Gyro 99.5 10.000 -5.000 2.500 dps 0.0100 4% -20.0* 5"
+    assert words(lines[7]) == "Baro 4.0 1002.500 hPa 0.0000 21.5 0"
+    assert lines[10] == "  * changes count, the level is not known"
+    assert lines[12] == "  fused (mean, data sheet's values), box frame, last second"
+    assert words(lines[13]).startswith("force x ")
+    assert words(lines[14]).startswith("rate x 10.000 y -5.000 z 2.500")
+    assert lines[-1] == "        4.0 s  late: 5 frames missed: the one before ended too late"
+    assert lines[-2] == "        5.0 s  Acc back: answers \\x1b[31magain <script>alert(1)</script>"
+
+
+def test_the_table_fits_into_80_columns(ended: Path) -> None:
+    with Watch(ended) as watch:
+        snapshot = watch.refresh(0.0)
+    flags = dict.fromkeys(("stale", "overrun", "saturated", "lost_before", "reconfigured", "suspect"), 1000)
+    negative = {"mean": np.full(3, -1999.9), "sd": np.full(3, 100.0), "use": np.ones(3), "temperature_degc": -40.0}
+    views = [
+        dataclasses.replace(view, flags=flags, name=f"{view.name}_of_the_box", relative=True, missed=99999, **negative)
+        for view in snapshot.sensors
+    ]
+    long = Event(360_000_000_000_000, "Acc", "lost", "no reading: " + "why " * 40)
+    full = dataclasses.replace(
+        snapshot, sensors=tuple(views), recent=(long,), events={f"kind_{k}": 10_000 for k in range(9)}, remark="r " * 90
+    )
+    lines = lines_of(full)
+    assert max(map(len, lines)) <= 80
+    assert max(map(len, lines_of(full, 100))) > 80
+    assert sum("stale 1000" in line for line in lines) > 0
+    assert "…" in lines[-1]
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(75, "75 s"), (600, "10 min"), (9000, "2.5 h"), (864000, "10 d")])
@@ -62,7 +97,7 @@ def test_json_says_the_same_in_numbers(ended: Path) -> None:
     with Watch(ended) as watch:
         found = described(watch.refresh(0.0))
     json.dumps(found, allow_nan=False)
-    assert (found["state"], found["missed"], found["late"], found["counted"]) == ("finished", 5, 0, 1.0)
+    assert (found["state"], found["missed"], found["delayed"], found["counted"]) == ("finished", 5, 0, 1.0)
     assert (found["begins_s"], found["ends_s"]) == (0.0, 12.04)
     acc = found["sensors"][0]
     assert (acc["name"], acc["rows"], acc["mean"], acc["temperature_degc"]) == ("Acc", 1200, [0.25, -0.5, 1.0], 28.0)
@@ -104,6 +139,54 @@ def test_monitor_ends_with_the_log(ended: Path, capsys: pytest.CaptureFixture[st
     assert main(["monitor", str(ended), "--json"]) == 0
     (line,) = capsys.readouterr().out.splitlines()
     assert json.loads(line)["state"] == "finished"
+
+
+def test_json_has_the_keys_that_are_promised(ended: Path) -> None:
+    """Those of the module's docstring, and no other."""
+    with Watch(ended) as watch:
+        found = described(watch.refresh(0.0))
+    promised = set(re.findall(r"`(\w+)`", payload.__doc__ or ""))
+    told = set(found) | set(found["disk"]) | set(found["sensors"][0]) | set(found["recent"][0]) | set(found["fused"])
+    told |= set(found["fused"]["quantities"]["angular_rate"])
+    assert told == promised
+
+
+@pytest.mark.slow
+def test_on_a_terminal(log_path: Path, logger: Logger) -> None:
+    """Nothing is cleared before it is written over, a new size is seen at once, Ctrl-C is the usual end."""
+    logger.go_on(3.0)
+    screen, end = pty.openpty()
+    fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 80, 0, 0))
+    program = [sys.executable, "-m", "imuarray", "monitor", str(log_path), "--text", "--every", "60"]
+    size = {"COLUMNS", "LINES"}  # would be believed before the terminal
+    environment = {name: value for name, value in os.environ.items() if name not in size}
+    process = subprocess.Popen(program, cwd=ROOT, stdin=end, stdout=end, stderr=end, env=environment)
+
+    def look() -> str:
+        """What is drawn once."""
+        drawn = b""
+        while not drawn.endswith(b"\x1b[J"):
+            drawn += os.read(screen, 1 << 16)
+        return drawn.decode()
+
+    try:
+        first = look()
+        fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("HHHH", 10, 40, 0, 0))
+        process.send_signal(signal.SIGWINCH)
+        second = look()  # the next look would be in a minute
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+        assert select.select([screen], [], [], 0)[0] == []  # and nothing is said of it
+    finally:
+        process.kill()
+        process.wait(20)
+        os.close(screen)
+        os.close(end)
+    for shown, rows, columns in ((first, 40, 80), (second, 10, 40)):
+        assert shown.startswith("\x1b[H") and "\x1b[2J" not in shown
+        lines = shown.removeprefix("\x1b[H").removesuffix("\x1b[J").replace("\x1b[K", "").split("\r\n")
+        assert len(lines) <= rows and 30 < max(map(len, lines)) < columns
+        assert "\x1b" not in "".join(lines)
 
 
 @pytest.mark.parametrize(

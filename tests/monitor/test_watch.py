@@ -219,6 +219,36 @@ def test_a_machine_that_is_too_slow_all_the_time_tells_what_it_missed(logger: Lo
     assert (seen.missed, sensor(seen, "Acc").missed) == (43, 0)
 
 
+def test_missed_frames_are_told_by_the_frame_rate_that_was_asked_for(log_path: Path) -> None:
+    """A machine that needs 1.4 periods for every frame: its rows come evenly, and no event tells yet what it missed."""
+    writer = LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=100.0)
+    writer.keep()
+    with writer, Watch(log_path) as watch:
+        for part in range(5):
+            for name in ("Acc", "Turned", "Gyro"):
+                writer.append(name, rows(name, part * 1.4, 1.4, 14_000_000))
+            writer.flush()
+            seen = watch.refresh(part)
+            frames = 100 * (part + 1)
+            assert (seen.frame_rate_hz, seen.rate_hz) == (100.0, pytest.approx(71.43, abs=0.01))
+            assert seen.missed == pytest.approx((frames - 1) * 0.4, abs=1)
+        fresh = Watch(log_path)
+        assert fresh.refresh(9.0).missed == seen.missed
+        fresh.close()
+
+
+def test_a_sensor_with_a_queue_and_a_slow_one_keep_a_pace_of_their_own(log_path: Path) -> None:
+    with LogWriter(log_path, HEADERS, source="i2c", epoch=EPOCH, frame_rate_hz=50.0) as writer:
+        writer.append("Acc", rows("Acc", 0.0, 4.0))  # at 100 Hz, with five of them missing
+        writer.append("Acc", rows("Acc", 4.05, 2.0))
+        writer.append("Turned", rows("Turned", 0.0, 6.0, 20_000_000))
+        writer.append("Baro", rows("Baro", 0.0, 6.0, 250_000_000))
+    with Watch(log_path) as watch:
+        seen = watch.refresh(0.0)
+    told = {view.name: (view.framed, view.missed) for view in seen.sensors if view.rows}
+    assert told == {"Acc": (False, 5), "Turned": (True, 0), "Baro": (False, 0)}
+
+
 def test_quiet_time_and_room(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0)
     with Watch(log_path) as watch:
@@ -295,6 +325,30 @@ def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
     finished = watch.refresh(2.0)
     watch.close()
     assert (finished.state, dict(finished.events or {})) == ("finished", {"recovered": 1})
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_what_is_fused_meanwhile_is_shown_in_every_part(tmp_path: Path, given: bool) -> None:
+    path, result = tmp_path / "night.h5", tmp_path / ("elsewhere.h5" if given else "night_fused.h5")
+    with RotatingWriter(path, HEADERS, every_s=2.0, source="emulated", epoch=EPOCH) as writer:
+        writer.keep()
+        writer.starts(0)
+        fused = LiveFused(result, epoch=EPOCH, technique="opposed", log="night.h5")
+        with fused, Watch(path, result=result if given else None) as watch:
+            for second in range(4):
+                for header in HEADERS[:3]:
+                    writer.append(header.name, rows(header.name, second, 1.0))
+                writer.flush()
+                at_ns = np.arange(100, dtype=np.int64) * 10_000_000 + second * 1_000_000_000
+                force = np.tile([0.0, 0.0, 1.0 + second], (100, 1))
+                covariance, used = np.ones((100, 6)), np.ones((100, 6), bool)
+                quantity = "specific_force"
+                fused.append(FusedBlock(at_ns, {quantity: force}, {quantity: covariance}, {quantity: used}))
+                seen = next(seen for step in range(9) if (seen := watch.refresh(step)).ends_ns == at_ns[-1])
+                assert seen.fused is not None and seen.fused.technique == "opposed"
+                np.testing.assert_allclose(seen.fused.mean[quantity], [0, 0, 1.0 + second], atol=0.02)
+            assert seen.path.name == "night_002.h5"
+            assert len(seen.fused.time) == 400
 
 
 def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:

@@ -1,0 +1,92 @@
+"""The page of a log that this process writes: a process of its own, at low priority, which ends when this one does.
+
+Nothing of it is loaded here: what a page needs would take a logger longer to load than everything else.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+from imuarray.errors import MissingExtraError
+
+_PATIENCE_S = 8.0
+"""A page that is looked at is served on for three seconds behind the end."""
+_NICENESS = 10
+
+
+def _print(text: str) -> None:
+    with suppress(OSError, ValueError):
+        print(f"imuarray: {text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def page_beside(
+    run: Path,
+    *,
+    host: str | None = None,
+    port: int | None = None,
+    calibration: Path | None = None,
+    result: Path | None = None,
+    tell: Callable[[str], None] = _print,
+) -> Iterator[None]:
+    """Serve the page of the log at `run`, which need not be there yet; `tell` hears its address, and what goes wrong,
+    from another thread. `host`, `port` and `result` as the options of `imuarray monitor`. A page that is looked at
+    is served on for a moment behind the end, so that it learns how the log ended. Whatever becomes of the page, the log
+    goes on. MissingExtraError without Bokeh.
+    """
+    if find_spec("bokeh") is None:
+        raise MissingExtraError("bokeh", "monitor")
+    program = [sys.executable, "-m", "imuarray", "monitor", str(run), "--parent", str(os.getpid())]
+    given = {"--host": host, "--port": port, "--calibration": calibration, "--fused": result}
+    for option, value in given.items():
+        program += [option, str(value)] if value is not None else []
+    process = subprocess.Popen(
+        program,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        start_new_session=True,  # Ctrl-C is the logger's
+    )
+    _step_back(process.pid)
+    hearing = threading.Thread(target=_hear, args=(process.stdout, tell), name="page", daemon=True)
+    hearing.start()
+    try:
+        yield
+    finally:
+        _end(process)
+        hearing.join(1.0)
+        if process.stdout is not None and not hearing.is_alive():
+            process.stdout.close()
+
+
+def _step_back(process: int) -> None:
+    """At once: to load what a page needs is work too."""
+    if hasattr(os, "setpriority"):  # Windows has none
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, process, os.getpriority(os.PRIO_PROCESS, 0) + _NICENESS)
+
+
+def _hear(lines: Iterable[str] | None, tell: Callable[[str], None]) -> None:
+    """Tell what the page's process says: where it is, or why it is not."""
+    for line in lines or ():
+        text = line.strip()
+        tell(f"watch it at {text}" if text.startswith("http://") else f"no page: {text.removeprefix('imuarray: ')}")
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.terminate()
+    try:
+        process.wait(_PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)

@@ -1,0 +1,72 @@
+"""What `imuarray log` says when a recording is over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from imuarray.commands.options import print_json
+from imuarray.printable import counted
+
+if TYPE_CHECKING:
+    from imuarray.acquire import Summary
+    from imuarray.commands.log_fusion import LiveFusion
+
+_CARRIES = ("bus", "channel", "link")
+"""Kinds of events of no one sensor that cost readings."""
+_NAMED = 3
+
+
+def tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion | None, as_json: bool) -> None:
+    """What was recorded, for a person or a program; `start_up` is what was said of how sensors came up."""
+    lost = {name: count for name, count in summary.lost.items() if count}
+    if as_json:
+        print_json(
+            {
+                "log": str(output),
+                "logs": [str(path) for path in summary.logs],
+                "frames": summary.frames,
+                "late": summary.late,
+                "missed": summary.missed,
+                "uncertain": summary.uncertain,
+                "lost": lost,
+                "seconds": summary.seconds,
+                "start_up": start_up,
+                **({"fusion": fusion.report()} if fusion else {}),
+            }
+        )
+        return
+    rate = summary.frames / summary.seconds if summary.seconds else 0.0
+    where = output if len(summary.logs) == 1 else f"{summary.logs[0]} ... {summary.logs[-1].name}"
+    click.echo(f"{where}: {summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} Hz), {summary.late} late")
+    if fusion:
+        files = fusion.paths or [fusion.path]
+        named = files[0] if len(files) == 1 else f"{files[0]} ... {files[-1].name}"
+        click.echo(f"  {named}: {counted(fusion.frames, 'frame')} fused while recording")
+    if summary.missed:
+        missed = counted(summary.missed, "frame")
+        click.echo(f"  {missed} missed: the array can't be read so fast, or this machine was busy")
+    if summary.uncertain:
+        click.echo(f"  {counted(summary.uncertain, 'reading')} whose time is uncertain by a millisecond or more")
+    for name, count in lost.items():
+        first, *further = _told_in(summary.logs, name)
+        more = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""
+        more += f" and {len(further) - _NAMED} more" if len(further) > _NAMED else ""
+        click.echo(f"  {name}: {counted(count, 'reading')} lost (see events: imuarray info {first}{more})")
+
+
+def _told_in(logs: Sequence[Path], sensor: str) -> list[Path]:
+    """The logs with events about a sensor, or about what carries its readings; all of them if there are none."""
+    from imuarray.log import open_log
+
+    if len(logs) == 1:
+        return list(logs)
+    found = []
+    for path in logs:
+        with open_log(path) as log:
+            if any(event.sensor == sensor or (not event.sensor and event.kind in _CARRIES) for event in log.events):
+                found.append(path)
+    return found or list(logs)

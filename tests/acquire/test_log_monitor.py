@@ -1,0 +1,173 @@
+"""`log --monitor`: a page beside a recording, told where it is, gone with it, and no harm to the log."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imuarray.cli import main
+from imuarray.commands import log_page
+from imuarray.log import open_log
+
+ROOT = Path(__file__).parents[2]
+ENV = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    """``log(...)``: a second of the emulated array; exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        usual = ["log", "martin2013", "--bus", "emulated:", "--seconds", "1", "--only", "BMA1,BMA2", "-o", "run.h5"]
+        code = main([*usual, *arguments])
+        return code, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def pages(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """The programs that are begun in the place of a page; each says a line and waits for its end."""
+    begun: list[list[str]] = []
+    real = subprocess.Popen
+
+    def begin(program: list[str], **options: Any) -> Any:
+        begun.append(program[3:])
+        text = "print('http://here/', flush=True); import time; time.sleep(60)"
+        return real([sys.executable, "-c", text], **options)
+
+    monkeypatch.setattr(log_page.subprocess, "Popen", begin)
+    return begun
+
+
+def test_the_page_is_of_the_log(log: Call, pages: list[list[str]]) -> None:
+    code, _, _ = log("--monitor")
+    assert code == 0
+    assert pages == [["monitor", "run.h5", "--parent", str(os.getpid())]]
+    with open_log("run.h5") as recorded:
+        assert recorded.state == "finished"
+
+
+def test_of_its_first_part_and_of_what_is_fused(log: Call, pages: list[list[str]]) -> None:
+    options = ["--monitor", "--monitor-port", "0", "--monitor-host", "0.0.0.0", "--rotate", "30s", "--fuse"]  # noqa: S104
+    assert log(*options, "--fused", "out.h5")[0] == 0
+    parent = ["--parent", str(os.getpid())]
+    address = ["--host", "0.0.0.0", "--port", "0"]  # noqa: S104
+    assert pages == [["monitor", "run_001.h5", *parent, *address, "--fused", "out.h5"]]
+
+
+def test_nothing_is_served_unasked(log: Call, pages: list[list[str]]) -> None:
+    assert log()[0] == 0
+    assert pages == []
+
+
+@pytest.mark.parametrize("option", ["--monitor-port=1", "--monitor-host=127.0.0.1"])
+def test_options_of_no_page_are_refused(log: Call, option: str) -> None:
+    code, _, err = log(option)
+    assert code == 2 and f"{option.split('=')[0]} is of --monitor: say that too" in err
+    assert not Path("run.h5").exists()
+
+
+def test_without_the_extra_nothing_is_recorded(log: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log_page, "find_spec", lambda name: None)
+    code, _, err = log("--monitor")
+    assert code == 2 and "pip install 'imuarray[monitor]'" in err
+    assert not Path("run.h5").exists()
+
+
+def test_what_the_page_says_is_told(tmp_path: Path) -> None:
+    heard: list[str] = []
+    log_page._hear(["http://127.0.0.1:8765/\n", "imuarray: 127.0.0.1:8765: can't serve there\n"], heard.append)
+    assert heard == ["watch it at http://127.0.0.1:8765/", "no page: 127.0.0.1:8765: can't serve there"]
+
+
+def snapshot(address: str) -> dict[str, Any]:
+    with urllib.request.urlopen(f"{address}snapshot.json", timeout=20) as answer:  # noqa: S310
+        found: dict[str, Any] = json.load(answer)
+    return found
+
+
+def seen(address: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """The first snapshot of which that is true."""
+    end_s = time.monotonic() + 40
+    while time.monotonic() < end_s:
+        if wanted(found := snapshot(address)):
+            return found
+        time.sleep(0.2)
+    raise AssertionError(f"never seen; the last one was {found}")
+
+
+@pytest.mark.slow
+def test_a_page_beside_a_real_recording(tmp_path: Path) -> None:
+    """In real time, cut into parts, fused meanwhile; ended by Ctrl-C, and no process is left."""
+    program = [sys.executable, "-m", "imuarray", "log", str(ROOT / "configs" / "martin2013.toml")]
+    program += ["--bus", "emulated:?clock=real", "--rate-hz", "50", "--rotate", "3s", "--fuse", "-o", "run.h5"]
+    program += ["--technique", "opposed", "--monitor", "--monitor-port", "0"]
+    process = subprocess.Popen(
+        program, cwd=tmp_path, env=ENV, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    try:
+        assert process.stderr is not None
+        told = ""
+        while not (found := re.search(r"imuarray: watch it at (http://127\.0\.0\.1:\d+/)\n", told)):
+            told += process.stderr.readline()
+        address = found[1]
+        now = seen(address, lambda now: now["fused"] is not None and now["fused"]["technique"] == "opposed")
+        assert now["frame_rate_hz"] == 50.0
+        assert len(now["sensors"]) == 12
+        later = seen(address, lambda now: now["log"] != "run_001.h5" and now["ends_s"] > 3.5)
+        assert later["state"] == "being written" and later["begins_s"] == now["begins_s"]
+        process.send_signal(signal.SIGINT)
+        seen(address, lambda now: now["state"] == "finished")  # a page that is looked at learns how it ended
+        out, _ = process.communicate(timeout=40)
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode == 0 and "frames fused while recording" in out
+    with pytest.raises(urllib.error.URLError):
+        snapshot(address)
+    with open_log(tmp_path / "run_001.h5") as first:
+        assert first.frame_rate_hz == 50.0
+
+
+@pytest.mark.slow
+def test_a_page_ends_with_a_logger_that_is_killed(tmp_path: Path) -> None:
+    program = (
+        "import sys, pathlib\n"
+        "from imuarray.commands.log_page import page_beside\n"
+        "with page_beside(pathlib.Path('run.h5'), port=0):\n"
+        "    sys.stdin.readline()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], cwd=tmp_path, env=ENV, text=True,
+        stdin=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        assert process.stderr is not None
+        address = process.stderr.readline().split()[-1]
+        assert snapshot(address)["state"] == "waiting"
+    finally:
+        process.kill()
+        process.communicate()
+    end_s = time.monotonic() + 20
+    with pytest.raises(urllib.error.URLError):
+        while time.monotonic() < end_s:
+            time.sleep(0.2)
+            snapshot_or_not = urllib.request.urlopen(address, timeout=5)  # noqa: S310
+            snapshot_or_not.close()
+            time.sleep(4)  # nobody looks for longer than a page lingers
