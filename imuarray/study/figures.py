@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from imuarray.fuse import technique_names
 from imuarray.report.figures import PALETTE, new_figure
-from imuarray.study.runs import CAUSAL, SMOOTHED
+from imuarray.study.runs import CAUSAL, OPTIMAL_CAUSAL, SMOOTHED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ def ratios_figure(panels: Mapping[str, Sequence[Row]], of: str) -> Figure:
     """
     figure = new_figure(9.0, 1.6 + 0.62 * max(len({row.experiment for row in rows}) for rows in panels.values()))
     drawn = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    techniques = list(dict.fromkeys((*technique_names(), CAUSAL, SMOOTHED)))
+    techniques = list(dict.fromkeys((*technique_names(), OPTIMAL_CAUSAL, CAUSAL, SMOOTHED)))
     for axes, (heading, rows) in zip(drawn, panels.items(), strict=True):
         _panel(axes, heading, rows, techniques, of)
     drawn[0].invert_yaxis()

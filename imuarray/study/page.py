@@ -66,8 +66,9 @@ _SEE = {
         "Ratios of the error of each technique to that of the average, by experiment",
     ),
     "bound.png": (
-        "Where the model is right, over the least error that any causal estimator can have: 1 is all that the readings"
-        " hold. The posterior mean (bound, causal) shows that it can be had.",
+        "Where the model is right, over the least error that any estimator can have: 1 is all that the readings hold."
+        " optimal sees the whole log, the others what came before. The posterior mean (bound, causal) shows that it can"
+        " be had.",
         "Ratios of the error of each technique to the bound, by experiment",
     ),
     "coasting.png": (

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from imuarray.array import ArrayConfig
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.start_up import came_up
-from imuarray.fuse import Coasting, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
+from imuarray.fuse import OPTIMAL, Coasting, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
 from imuarray.fuse.compare import AVERAGE, both
 from imuarray.fuse.consistency import consistency
 from imuarray.fuse.gains import ten_second_means
@@ -35,6 +35,9 @@ Floats = npt.NDArray[np.float64]
 
 CAUSAL, SMOOTHED = "bound, causal", "bound, smoothed"
 """The posterior mean beside the techniques: it reaches the bound on the very readings that they are given."""
+
+OPTIMAL_CAUSAL = "optimal, causal"
+"""`optimal` as a live log is fused; `optimal` itself sees the whole log."""
 
 MEASURES = ("rms", "noise", "drift")
 BOX_AXES = ("X", "Y", "Z", "XYZ")
@@ -141,9 +144,19 @@ Label = Callable[..., Measured]
 
 
 def _compared(log: Log, calibration: Calibration, names: tuple[str, ...], label: Label) -> Iterator[Measured]:
-    for technique in technique_names():
-        blocks = fuse(log, calibration, technique, only=names)
-        yield from _measured(error_frames(log, blocks), partial(label, technique=technique), {})
+    for technique, blocks in _results(log, calibration, names).items():
+        yield from _measured(error_frames(log, blocks()), partial(label, technique=technique), {})
+
+
+def _results(
+    log: Log, calibration: Calibration, names: tuple[str, ...]
+) -> dict[str, Callable[[], Iterator[FusedBlock]]]:
+    """What makes the result of every technique."""
+    made: dict[str, Callable[[], Iterator[FusedBlock]]] = {
+        technique: partial(fuse, log, calibration, technique, only=names) for technique in technique_names()
+    }
+    made[OPTIMAL_CAUSAL] = partial(fuse, log, calibration, OPTIMAL, only=names, causal=True)
+    return made
 
 
 def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[Measured]:
@@ -158,13 +171,13 @@ def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], labe
     laws: dict[str, ErrorLaw] = {quantity: law_of(chosen, effects) for quantity, chosen in headers.items() if chosen}
     calibration = true_calibration([header for chosen in headers.values() for header in chosen], effects)
     posterior = Posterior(log, calibration, laws, names)
-    least = {quantity: bound.causal_rms**2 for quantity, bound in posterior.bounds.items()}
-    results: dict[str, Callable[[], Iterator[FusedBlock]]] = {
-        technique: partial(fuse, log, calibration, technique, only=names) for technique in technique_names()
-    }
+    causal = {quantity: bound.causal_rms**2 for quantity, bound in posterior.bounds.items()}
+    smoothed = {quantity: bound.smoothed_rms**2 for quantity, bound in posterior.bounds.items()}
+    results = _results(log, calibration, names)
     results[CAUSAL] = posterior.blocks
     results[SMOOTHED] = partial(posterior.blocks, smoothed=True)
     for technique, blocks in results.items():
+        least = smoothed if technique in (OPTIMAL, SMOOTHED) else causal
         yield from _measured(error_frames(log, blocks()), partial(label, technique=technique), least)
 
 

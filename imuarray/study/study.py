@@ -29,7 +29,8 @@ class Row:
     """One measure of one technique, over all seeds.
 
     `value`: root mean square in SI (degrees of heading, m/s of velocity). `over_mean`: over that of the simple average
-    of the same sensors; `over_bound`: over the causal bound ("rms" with the true calibration alone). `normalised`: the
+    of the same sensors; `over_bound`: over the bound ("rms" with the true calibration alone), the smoothed one for what
+    sees the whole log, else the causal one. `normalised`: the
     mean error squared by the claimed covariance, and in what share of the runs that was in its interval ("rms").
     """
 

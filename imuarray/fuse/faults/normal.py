@@ -35,6 +35,11 @@ ADX-66; the boards of the paper's section 5.2.1)."""
 DELAY_S = 0.003
 """Of the delay between the filters of two chips."""
 
+JITTER_S = 0.0005
+"""Of the age of a single reading: a chip that is asked at any time has one that is up to a conversion old, here of 600
+a second.
+"""
+
 _KEEPS_S = 3600.0
 """Errors of response and delay are forgotten within this time: they change with temperature."""
 
@@ -104,6 +109,10 @@ class Normal:
     def explains(self, regressors: Floats) -> Floats:
         """(n, m) what the states make of a window."""
         return np.asarray((regressors @ self.state[:, :, None])[..., 0].T)
+
+    def jitter(self, regressors: Floats) -> Floats:
+        """(m,) the mean variance of single readings of a window, (m, n, 5), by the unknown part of their age."""
+        return np.asarray(JITTER_S**2 * (regressors[..., 4] ** 2).mean(axis=1))
 
     def doubt(self, regressors: Floats) -> Floats:
         """(m,) the variance that the states' uncertainty gives one row of regressors (m, 5)."""

@@ -78,6 +78,7 @@ class Look:
         noise = np.where(self.white.told, 1 / np.where(self.white.told, self.white.matrix.diagonal(), 1.0), np.inf)
         known = self.regressors - self.regressors.mean(axis=1, keepdims=True)
         lasting = deleted**2 @ normal.doubt_within(known)
+        noise = noise + deleted**2 @ normal.jitter(self.regressors)
         return found.sum(axis=0) / (noise + lasting), lasting / (noise + lasting)
 
 
@@ -99,7 +100,8 @@ def look(window: Window, normal: Normal, rows: Floats, included: Flags, spaces: 
         residual = np.where(valid, residual, 0.0)
         regressors = regressors * valid.T[:, :, None]
     means = residual.sum(axis=0) / counts
-    doubt = normal.colour * normal.variance / counts + normal.doubt(regressors.sum(axis=1) / counts[:, None])
+    noise = normal.colour * normal.variance + normal.jitter(regressors)
+    doubt = noise / counts + normal.doubt(regressors.sum(axis=1) / counts[:, None])
     slow = parity(rows, np.where(included, 1 / doubt, 0.0))
     if slow is None:
         return None
