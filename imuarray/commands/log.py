@@ -153,7 +153,7 @@ def command(
         more = fusion.status if fusion else str
         screen = stack.enter_context(closing(Screen(str(output), rate_hz, seconds, more)))
         if monitor:  # the page follows parts from the first one on
-            beside = {"calibration": calibration, "result": fused_file if rotate_s is None else None}
+            beside = {"calibration": calibration, "result": fused_file}
             page = page_beside(first, host=monitor_host, port=monitor_port, tell=screen.remark, **beside)
             stack.enter_context(page)
         if fusion:

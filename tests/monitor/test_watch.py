@@ -341,7 +341,7 @@ def test_what_is_fused_meanwhile_is_shown_in_every_part(tmp_path: Path, given: b
                 writer.flush()
                 at_ns = np.arange(100, dtype=np.int64) * 10_000_000 + second * 1_000_000_000
                 force = np.tile([0.0, 0.0, 1.0 + second], (100, 1))
-                covariance, used = np.ones((100, 6)), np.ones((100, 6), bool)
+                covariance, used = np.ones((100, 6)), np.full((100, 2), 7, np.uint8)
                 quantity = "specific_force"
                 fused.append(FusedBlock(at_ns, {quantity: force}, {quantity: covariance}, {quantity: used}))
                 seen = next(seen for step in range(9) if (seen := watch.refresh(step)).ends_ns == at_ns[-1])
