@@ -107,9 +107,8 @@ def in_states(found: Mapping[str, StartUp], calibration: Calibration) -> Calibra
     sensors = dict(calibration.sensors)
     for name, start in found.items():
         known = sensors[name].turn_on
-        several = known is not None and len(known.states) > 1 and not start.fault
-        # An accelerometer's state has the tilt of the runs in it.
-        if known is not None and several and sensors[name].quantity == "angular_rate":
+        turns = sensors[name].quantity == "angular_rate"  # an accelerometer's state has the runs' tilt in it
+        if turns and known is not None and len(known.states) > 1 and not start.fault:
             sensors[name] = replace(
                 sensors[name],
                 bias_lsb=_bias_in(start.state, sensors[name], known),

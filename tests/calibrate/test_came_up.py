@@ -90,6 +90,8 @@ def test_the_bias_of_the_state_is_taken(calibration_file: Path, tmp_path: Path, 
     expected = [(0.3 + second * offset) * lsb_per_dps for offset in OFFSET_DPS]
     # a state's bias is known to 0.2 counts (turn-on 0.23, noise 20 / sqrt(3000), over four runs at least)
     assert chosen.sensors["G"].bias_lsb == pytest.approx(expected, abs=1.0)
+    turn_on = chosen.sensors["G"].turn_on
+    assert turn_on is not None and len(turn_on.states) == 1  # the other one is not to be feared any more
     assert not any(start.fault for start in starts.values())
     assert "came up in state" in starts["G"].sentence("G", known)
     assert starts["B"].sentence("B", known) == ""

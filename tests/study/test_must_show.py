@@ -1,7 +1,7 @@
 """What the techniques must show on the simulated paper array, seed by seed against the truth.
 
-Claims about `optimal` begin to be tested by themselves once `technique_names()` has that name. Until then, and beside
-it, they are checked on the posterior mean ("bound, causal"), of which they must hold.
+Claims about `optimal`, with the whole log and as a live one is fused, are checked on the posterior mean ("bound,
+causal") too, of which they must hold.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import pytest
 
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.start_up import came_up
-from imuarray.fuse import error_frames, fuse, technique_names
+from imuarray.fuse import OPTIMAL, error_frames, fuse
 from imuarray.log import Log, open_log
 from imuarray.simulate import Simulation, plan_of, write_log
 from imuarray.simulate.effects.white_noise import WhiteNoise
@@ -22,23 +22,32 @@ from imuarray.simulate.experiments import Wanted
 from imuarray.study import Row, Study, study, true_calibration
 from imuarray.study.arrays import martin2013
 from imuarray.study.calibrations import FAULTS, NO_SLOPES, measured, simulated
-from imuarray.study.runs import CAUSAL
+from imuarray.study.runs import CAUSAL, OPTIMAL_CAUSAL
 
 MG = 9.80665e-3
 BOUNDED = ("static", "tumble", "heating", "turn-on", "motion")
 SINGLE = ("mean", "opposed", "planes", "ranges")
 
-OPTIMAL = pytest.param(
-    "optimal", marks=pytest.mark.skipif("optimal" not in technique_names(), reason="no such technique yet")
+ESTIMATORS = (OPTIMAL, OPTIMAL_CAUSAL, CAUSAL)
+
+LATE = pytest.mark.xfail(
+    strict=True, reason="28 degC within 20 s, of which a barometer tells 15 s later: the law knows of no such error"
 )
+"""The paper's heating in a sixtieth of its time is beyond a live estimator, whose model is not right there."""
+
+EACH = [
+    pytest.param(technique, experiment, marks=LATE if (technique, experiment) == (OPTIMAL_CAUSAL, "heating") else ())
+    for technique in ESTIMATORS
+    for experiment in BOUNDED
+]
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def whole() -> Study:
-    """Two seeds of every experiment in which the bound holds, cut short."""
-    return study(BOUNDED, 2, seconds=100.0)
+    """Two seeds of every experiment, cut short."""
+    return study((*BOUNDED, "shaking"), 2, seconds=100.0)
 
 
 def one(found: Study, **wanted: str) -> Row:
@@ -108,8 +117,7 @@ def test_ranges_of_two_bma180(tmp_path: Path) -> None:
     assert noise == pytest.approx({"low": 9.53, "average": 9.77, "ranges": 8.32}, rel=4 * 0.004)
 
 
-@pytest.mark.parametrize("experiment", BOUNDED)
-@pytest.mark.parametrize("technique", [OPTIMAL, CAUSAL])
+@pytest.mark.parametrize(("technique", "experiment"), EACH)
 def test_within_five_per_cent_of_the_bound(whole: Study, technique: str, experiment: str) -> None:
     rows = whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms")
     assert {row.box_axis for row in rows} == {"X", "Y", "Z", "XYZ"}
@@ -118,8 +126,7 @@ def test_within_five_per_cent_of_the_bound(whole: Study, technique: str, experim
         assert row.over_bound.ratio <= 1.05, (row.sensors, row.quantity, row.box_axis)
 
 
-@pytest.mark.parametrize("experiment", BOUNDED)
-@pytest.mark.parametrize("technique", [OPTIMAL, CAUSAL])
+@pytest.mark.parametrize(("technique", "experiment"), EACH)
 def test_its_covariance_is_consistent(whole: Study, technique: str, experiment: str) -> None:
     """In its 95 % interval in all but what chance allows of eight runs or more (two seeds, four quantities; of eight
     more than two are outside in 0.6 % of the cases), and nowhere off by 5 %.
@@ -132,14 +139,53 @@ def test_its_covariance_is_consistent(whole: Study, technique: str, experiment: 
         assert row.normalised == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize("experiment", BOUNDED)
-@pytest.mark.parametrize("technique", [OPTIMAL, CAUSAL])
+@pytest.mark.parametrize(("technique", "experiment"), EACH)
 def test_never_worse_than_the_best_single_technique(whole: Study, technique: str, experiment: str) -> None:
     """On the same readings: the whole error within half a per cent of the best of them."""
-    for row in whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms", box_axis="XYZ"):
-        same = whole.of(
-            experiment=experiment, calibration="true", sensors=row.sensors, quantity=row.quantity, measure="rms",
-            box_axis="XYZ",
-        )  # fmt: skip
-        best = min(other.value for other in same if other.technique in SINGLE)
-        assert row.value <= 1.005 * best, (row.sensors, row.quantity)
+    rows = whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms", box_axis="XYZ")
+    assert len(rows) == 4
+    for row in rows:
+        assert row.value <= 1.005 * _best(whole, row), (row.sensors, row.quantity)
+
+
+CALIBRATED = [
+    (technique, experiment, "measured")
+    for technique in (OPTIMAL, OPTIMAL_CAUSAL)
+    for experiment in ("static", "tumble", "turn-on", "motion")
+]
+
+
+@pytest.mark.parametrize(
+    ("technique", "experiment", "calibration"),
+    [*CALIBRATED, (OPTIMAL, "heating", "measured"), (OPTIMAL, "heating", "no slopes")],
+)
+def test_never_worse_than_the_best_single_technique_as_calibrated(
+    whole: Study, technique: str, experiment: str, calibration: str
+) -> None:
+    """With what `calibrate` made of logs of the same units, and without slopes: within one per cent, what two seeds
+    tell of a ratio where the best is the simple average.
+    """
+    rows = whole.of(experiment=experiment, calibration=calibration, technique=technique, measure="rms", box_axis="XYZ")
+    assert len(rows) == 4
+    for row in rows:
+        assert row.value <= 1.01 * _best(whole, row), (row.sensors, row.quantity)
+
+
+@pytest.mark.parametrize("technique", [OPTIMAL, OPTIMAL_CAUSAL])
+def test_shaken_by_hand_it_is_as_good_as_the_average(whole: Study, technique: str) -> None:
+    """Errors are of readings' ages, of which `ranges` alone learns what the ranges differ by: it is better for the
+    gyroscopes by some per cent.
+    """
+    for row in whole.of(experiment="shaking", technique=technique, measure="rms", box_axis="XYZ"):
+        assert row.over_mean.ratio <= 1.01, (row.sensors, row.quantity)
+        if row.quantity == "specific_force":
+            assert row.value <= 1.01 * _best(whole, row), row.sensors
+
+
+def _best(found: Study, row: Row) -> float:
+    """The error of the best single technique on the same readings."""
+    same = found.of(
+        experiment=row.experiment, calibration=row.calibration, sensors=row.sensors, quantity=row.quantity,
+        measure="rms", box_axis="XYZ",
+    )  # fmt: skip
+    return min(other.value for other in same if other.technique in SINGLE)

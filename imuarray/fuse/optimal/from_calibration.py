@@ -51,8 +51,8 @@ USUAL: Mapping[str, Usual] = MappingProxyType(
 )
 """By quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales; of
 gyroscopes L3G-72, and as much of misalignment. `felt`: Table 4. Common shares: in Table 8 the gyroscopes' is 1.0 along
-y, 0.6 along x, and nothing along z; 0.8 is what leaves least of the three but for 5 %, whose mean, 0.5, leaves 6 %
-more.
+y, 0.6 along x, and nothing along z. What the best weights leave of the paper's array is least where all is taken to be
+common; 0.8 leaves 2 % more, the mean of the three, 0.5, leaves 8 % more.
 """
 
 STEEP: Mapping[tuple[str, int], float] = MappingProxyType({("adxl345", 2): 1.2e-3 * STANDARD_GRAVITY})

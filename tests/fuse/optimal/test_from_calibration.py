@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.stability import BiasState, Thermal, TurnOn
+from imuarray.calibrate.stability import BiasState, Drift, Provenance, Thermal, TurnOn
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import axes_of
 from imuarray.fuse.optimal import ErrorModel, Optimal, error_model
@@ -131,3 +131,50 @@ def test_noise_correlation_and_drift_of_a_calibration_that_has_them(model: Calla
     assert [found.axes["BMA1", index].correlation for index in range(3)] == [0.4, 0.0, 0.0]
     assert found.axes["BMA1", 0].drift == pytest.approx(5 * G / 2048)
     assert found.axes["BMA1", 0].drift_time_constant_s == 250.0
+
+
+def test_nothing_is_added_to_what_was_measured(model: Callable[..., ErrorModel]) -> None:
+    """A calibration that says zero without doubt: what is left is noise, and a clock's."""
+    zero = np.zeros(3)
+    known = {
+        "bias_sem_lsb": zero,
+        "turn_on": TurnOn(zero, zero, zero, zero, 0),
+        "response_sem_lsb_per_unit": zero,
+        "g_sensitivity_sem_lsb_per_g": np.zeros((3, 3)),
+        "thermal": Thermal(np.ones(3), zero, 25.0, ("bias",) * 3, "barometer"),
+        "drift": Drift(zero, zero, 600.0),
+    }
+    found = model(GYRO, OTHER, BMA, Gyro1=known, Gyro2=known, BMA1=known)
+    for errors in found.axes.values():
+        assert (errors.bias, errors.drift, errors.slope_per_degc, errors.response) == (0, 0, 0, 0)
+    assert {(design.common, design.slope_per_degc) for design in found.designs.values()} == {(0, 0)}
+
+
+def test_a_design_shares_what_was_measured_of_some_of_its_units_among_the_others(
+    model: Callable[..., ErrorModel],
+) -> None:
+    measured = {
+        "drift": Drift(np.full(3, 5.0), np.zeros(3), 600.0),
+        "thermal": Thermal(np.ones(3), np.full(3, 3.0), 25.0, ("bias",) * 3, "barometer"),
+    }
+    found = model(GYRO, OTHER, Gyro1=measured)
+    assert not (found.axes["Gyro1", 0].shares_wander or found.axes["Gyro1", 0].shares_slope)
+    assert found.axes["Gyro2", 0].shares_wander and found.axes["Gyro2", 0].shares_slope
+    design = found.designs["l3g4200d", 0]
+    assert design.slope_per_degc == pytest.approx(0.022 * np.sqrt(0.8) * DPS)
+    assert design.common == pytest.approx(0.04 * 0.34 * DPS)
+
+
+def test_a_bias_has_the_turn_on_of_the_logs_it_was_calibrated_in(model: Callable[..., ErrorModel]) -> None:
+    """Turn-on 4 counts, drift 3, two logs: 16 now, and (16 + 9) / 2 of the calibration's; drift now is a state."""
+    zero = np.zeros(3)
+    measured = {
+        "bias_sem_lsb": zero,
+        "turn_on": TurnOn(np.full(3, 4.0), zero, zero, zero, 15),
+        "g_sensitivity_sem_lsb_per_g": np.zeros((3, 3)),
+        "drift": Drift(np.full(3, 3.0), zero, 600.0),
+        "provenance": {"bias": Provenance(("a.h5", "b.h5"))},
+    }
+    found = model(GYRO, Gyro1=measured)
+    assert found.axes["Gyro1", 0].bias == pytest.approx(np.sqrt(16 + 25 / 2) * 0.01 * DPS)
+    assert found.axes["Gyro1", 0].drift == pytest.approx(3 * 0.01 * DPS)
