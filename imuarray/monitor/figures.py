@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from imuarray.errors import MissingExtraError
 
 COLOURS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"light": ("#0072B2", "#D55E00", "#007F5C"), "dark": ("#56B4E9", "#F0A03C", "#2BD1A0")}
+    {"light": ("#0072B2", "#B94E00", "#007F5C"), "dark": ("#56B4E9", "#F0A03C", "#2BD1A0")}
 )
 """Of x, y and z by theme, after Okabe and Ito's palette for all kinds of colour vision."""
 

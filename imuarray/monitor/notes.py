@@ -86,7 +86,7 @@ class Told:
     @property
     def recent(self) -> tuple[Event, ...]:
         """The last events, the newest first."""
-        return tuple(reversed(self._last))
+        return tuple(sorted(self._last, key=lambda event: event.time_ns)[::-1])  # of equal times the later note first
 
     @property
     def phase(self) -> str:

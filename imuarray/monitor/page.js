@@ -159,9 +159,9 @@ function tiles(now) {
   const left = disk && disk.left_s !== null ? `about ${duration(disk.left_s)} of logging` : "";
   const short = disk && disk.left_s !== null && disk.left_s < 3600;
   byId("tiles").replaceChildren(
-    tile("Frame rate", `${shown(now.rate_hz, 1)} Hz`, `${duration(now.ends_s - now.begins_s)} recorded`),
+    tile("Frame rate", `${shown(now.rate_hz, 1)} Hz`, `${now.frame_rate_hz ? `of ${Number(now.frame_rate_hz.toPrecision(5))} asked for, ` : ""}${duration(now.ends_s - now.begins_s)} recorded`),
+    tile("Missed", whole(now.missed), "frames since the log began", now.missed > 0),
     tile("Delayed", whole(now.delayed), `frames, by over a quarter of a period, ${part}`, false),
-    tile("Missed", whole(now.missed), part, now.missed > 0),
     tile("Events", whole(events), kinds || "none", now.problems > 0),
     tile("Disk left", disk ? `${(disk.free_bytes / 2 ** 30).toFixed(1)} GiB` : "–", left, short),
     tile("Newest row", now.quiet_s < 3 ? "now" : `${duration(now.quiet_s)} ago`, now.phase ? `phase ${now.phase}` : "",
@@ -185,11 +185,17 @@ function axes(columns, values, smalls, use) {
   return list;
 }
 
+// What is fused while it is recorded waits for all sensors.
+function behind(result) {
+  const newest = Math.max(...Object.values(result.quantities).map((one) => one.trace.t.at(-1) ?? 0));
+  return newest < -0.5 ? ` It is ${shown(-newest, 1)} s behind.` : "";
+}
+
 function fused(now) {
   const box = byId("fused");
   const result = now.fused;
   write(byId("fused-hint"), result
-    ? `${result.technique === "mean" ? "Simple average of all sensors" : `Technique: ${result.technique}`}, box frame, with ${result.calibrated ? "the calibration given" : "the data sheets’ values"}. Noise is the scatter from frame to frame.`
+    ? `${result.technique === "mean" ? "Simple average of all sensors" : `Technique: ${result.technique}`}, box frame, with ${result.calibrated ? "the calibration given" : "the data sheets’ values"}. Noise is the scatter from frame to frame.${behind(result)}`
     : `Not fused: ${now.not_fused}`);
   const quantities = result ? Object.entries(result.quantities) : [];
   const signature = quantities.map(([name]) => name).join();
@@ -215,7 +221,7 @@ function row(sensor) {
   const means = triad ? sensor.mean : [sensor.mean[0], undefined, undefined];
   const sd = sensor.sd.some((one) => one !== null) ? Math.max(...sensor.sd.map((one) => one ?? 0)) : null;
   const use = sensor.use_percent ? Math.max(...sensor.use_percent) : null;
-  const flags = Object.entries(sensor.flags).map(([name, count]) => `${name} ${count}`).join(", ");
+  const flags = Object.entries(sensor.flags).map(([name, count]) => `${name.replace("_", " ")} ${count}`).join(", ");
   const warm = sensor.temperature_degc === null ? "" : shown(sensor.temperature_degc, 1) + (sensor.temperature_is_relative ? "*" : "");
   const number = (text, warn) => make("td", { class: warn ? "n warn" : "n" }, text);
   return make("tr", {}, make("th", { scope: "row" }, sensor.name), make("td", {}, sensor.chip),
@@ -270,14 +276,25 @@ function sensors(now) {
   });
 }
 
+let told = null; // how many events there were when they were last looked at
+
+function aloud(news) {
+  const words = news.slice(0, 3).map((event) => `${event.sensor || "array"} ${event.kind}: ${event.message}`);
+  return words.join("; ") + (news.length > 3 ? `; and ${news.length - 3} more` : "");
+}
+
 function events(now) {
   const count = Object.values(now.events).reduce((sum, one) => sum + one, 0);
-  write(byId("events-hint"), count ? `${whole(count)} in all, ${whole(now.problems)} of them trouble.` : "Nothing happened so far.");
+  write(byId("events-hint"), count
+    ? `${whole(count)} in all, ${whole(now.problems)} of them trouble (▲). The last ${now.recent.length}, the newest first.`
+    : "Nothing happened so far: no reading lost, no sensor set up again.");
+  if (told !== null && count > told) write(byId("events-new"), aloud(now.recent.slice(0, count - told)));
+  told = count;
   const table = byId("events");
   table.hidden = now.recent.length === 0;
   table.tBodies[0].replaceChildren(...now.recent.map((event) => make("tr", {},
     make("td", { class: "n" }, `${shown(event.time_s, 1)} s`), make("td", {}, event.sensor || "array"),
-    make("td", {}, event.kind), make("td", {}, event.message))));
+    make("td", event.trouble ? { class: "warn" } : {}, `${event.trouble ? "▲ " : ""}${event.kind}`), make("td", {}, event.message))));
 }
 
 const STATES = {
@@ -294,12 +311,15 @@ function show(now) {
   write(byId("remark"), now.remark);
   const whatIs = now.begins_s !== null;
   byId("main").hidden = !whatIs;
-  if (!whatIs) return;
+  if (!whatIs) {
+    write(byId("about"), "Nothing has been recorded yet; it is shown here as soon as there is something.");
+    return;
+  }
   write(byId("about"), `${now.source}, time 0 is ${now.epoch}`);
   tiles(now);
   fused(now);
-  sensors(now);
   events(now);
+  sensors(now);
   write(byId("foot"), `imuarray monitor; curves show the smallest and the largest value of every piece of the last seconds.`);
 }
 

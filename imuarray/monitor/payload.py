@@ -13,7 +13,7 @@
                   number: every frame that began after its time, however little
 `counted`         share of the log in which `delayed` was counted, 1 at last
 `events`          how many, by kind; `problems`: how many of them tell of trouble
-`recent`          the last 50, the newest first: `time_s`, `sensor` ("": the array), `kind`, `message`
+`recent`          the last 50, the newest first: `time_s`, `sensor` ("": the array), `kind`, `message`, `trouble`
 `disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log is ended for want of it
 `sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`, `delayed`,
                   `missed`; `flags` of the last 10 s, by name; in `unit` and for each column `mean` of the last second
@@ -33,6 +33,7 @@ from typing import Any
 
 import numpy as np
 
+from imuarray.monitor.notes import HARMLESS
 from imuarray.monitor.snapshot import Floats, FusedView, SensorView, Snapshot, Times
 from imuarray.printable import printable
 from imuarray.units import READABLE, READABLE_SI
@@ -70,6 +71,7 @@ def described(snapshot: Snapshot) -> dict[str, Any]:
                 "sensor": printable(event.sensor),
                 "kind": printable(event.kind),
                 "message": printable(event.message),
+                "trouble": event.kind not in HARMLESS,
             }
             for event in snapshot.recent
         ],

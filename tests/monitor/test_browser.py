@@ -46,7 +46,7 @@ def test_the_page_shows_the_log_and_changes_with_it(logger: Logger, log_path: Pa
             assert await page.value(
                 "[...document.querySelectorAll('h1,h2,h3')].map((one) => one.tagName).join('')"
             ) == (
-                "H1H2H2H3H3H2H3H3H3H3H2"  # headings of sections, and of cards in them
+                "H1H2H2H3H3H2H2H3H3H3H3"  # headings of sections, and of cards in them
             )
             await page.until(f"{DRAWN} >= 2")
             first = await page.screenshot()
@@ -55,6 +55,11 @@ def test_the_page_shows_the_log_and_changes_with_it(logger: Logger, log_path: Pa
             logger.go_on(3.0)
             after = await page.until(f"{NEWEST} !== {before!r} && {NEWEST}")
             assert (before, after) == ("12 s recorded", "15 s recorded")
+            assert await page.value("document.getElementById('events-new').textContent") == ""
+            logger.writer.event(Event(15_000_000_000, "Acc", "lost", "no reading"))
+            logger.go_on(1.0)
+            await page.until("document.getElementById('events-new').textContent === 'Acc lost: no reading'")
+            assert await page.value("document.querySelector('#events tbody .warn').textContent") == "▲ lost"
             for width in (1366, 390):  # nothing sticks out of a laptop's or a phone's screen
                 await page.screen(width, 800, dark=True)
                 assert await page.value("document.documentElement.scrollWidth") <= width
