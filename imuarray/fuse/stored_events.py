@@ -5,14 +5,14 @@ Texts have fixed lengths: others can't be read while a file is written (SWMR).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.fuse.faults import FaultEvent
-from imuarray.log.guard import DAMAGE, read_texts
+from imuarray.log.guard import DAMAGE, MAX_TEXT_BYTES, read_texts
 
 _TEXTS = {"sensor": 256, "kind": 32, "state": 32, "message": 1024}
 """The columns of text, and how many bytes of each are kept."""
@@ -55,16 +55,24 @@ class StoredEvents:
 
 
 def events_in(file: h5py.File, where: str) -> tuple[FusedEvent, ...]:
-    """The events of a file; LogError where they can't be read."""
+    """The events of a file, as far as every column has them: a writing that was cut short leaves some longer than
+    others. LogError where they can't be read.
+    """
     group = file.get("events")
     if group is None:
         return ()
     try:
-        columns = [read_texts(group[name]) for name in ("time", *_TEXTS)]
-        rows = zip(*columns, strict=True)
+        rows = zip(*(_column(group[name]) for name in ("time", *_TEXTS)), strict=False)
         return tuple(FusedEvent(int(time), *(_plain(text) for text in texts)) for time, *texts in rows)
-    except (*DAMAGE, ValueError):
+    except DAMAGE:
         raise LogError(f"{where}: its events can't be read") from None
+
+
+def _column(column: h5py.Dataset) -> list[Any]:
+    """All of a column; ValueError for more than anybody has of events, before it is read."""
+    if column.ndim != 1 or column.nbytes > MAX_TEXT_BYTES:
+        raise ValueError("no column of events")
+    return read_texts(column)
 
 
 def _shortened(text: str, length: int) -> bytes:

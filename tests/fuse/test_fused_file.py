@@ -12,7 +12,7 @@ import pytest
 
 from imuarray.errors import LogError
 from imuarray.export import export
-from imuarray.fuse import FusedBlock, read_fused, read_fused_head, write_fused
+from imuarray.fuse import FaultEvent, FusedBlock, read_fused, read_fused_events, read_fused_head, write_fused
 from imuarray.fuse.store import LiveFused
 from imuarray.report.files import kind_of
 from imuarray.report.fused_sheet import fused_sections
@@ -153,3 +153,40 @@ def test_a_result_can_be_read_while_it_is_written_and_if_its_writing_was_cut_sho
     assert [len(part.time) for part in read_fused(beside, block=30)] == [30, 20]
     assert sum(export(beside, tmp_path / "f.csv").rows.values()) == FRAMES
     assert kind_of(beside) == "fused result"
+
+
+EVENT = FaultEvent(1, "specific_force", "A", ("x",), "stuck", "isolated", 0.0, 9.0)
+
+
+def test_events_that_were_being_written_do_not_count(tmp_path: Path) -> None:
+    path = tmp_path / "f.h5"
+    write_fused(path, [block()], epoch=EPOCH, technique="mean", log="run.h5", events=[EVENT])
+    (told,) = read_fused_events(path)
+    with h5py.File(path, "a") as file:
+        file["events/time"].resize(2, axis=0)
+        file["events/sensor"].resize(2, axis=0)
+    assert read_fused_events(path) == (told,)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda events: events.pop("kind"),
+        lambda events: (events.pop("kind"), events.create_group("kind")),
+        lambda events: (events.pop("time"), events.create_dataset("time", data=np.zeros((1, 2)))),
+        lambda events: (events.pop("time"), events.create_dataset("time", data=[np.nan])),
+        lambda events: (
+            events.pop("message"),
+            events.create_dataset("message", (1 << 17,), "S1024", chunks=(64,), compression="gzip"),
+        ),
+    ],
+    ids=["none", "a group", "two times each", "no time", "a flood of words"],
+)
+def test_events_that_are_none_are_told_in_a_line(tmp_path: Path, change: Callable[[h5py.Group], Any]) -> None:
+    path = tmp_path / "f.h5"
+    write_fused(path, [block()], epoch=EPOCH, technique="mean", log="run.h5", events=[EVENT])
+    with h5py.File(path, "a") as file:
+        change(file["events"])
+        file["ballast"] = np.ones(1 << 18, np.uint8)  # so that deflated it could hold what it declares
+    with pytest.raises(LogError, match="its events can't be read"):
+        read_fused_events(path)
