@@ -154,7 +154,7 @@ def _noise_table(result: Mapping[str, Any]) -> Table:
             continue
         factor, unit = READABLE[sensor["unit"]]
         for axis in sensor["axes"]:
-            own, fit = axis["unit"], axis["fit"]
+            own, fit = axis["unit"], axis.get("fit")
             scatter = f"{factor * own['std']:.3f}" if own["std"] is not None else "–"
             cells = [_fitted(fit, name, factor * abs(axis["unit_per_count"] or 1.0)) for name in _TERMS]
             rows.append([f"{sensor['name']} {axis['axis']}", unit, scatter, *cells])

@@ -16,6 +16,9 @@ from imuarray.errors import ImuArrayError, LogError, OutputExistsError
 from imuarray.fuse import FaultEvent, FusedBlock, fuse, write_fused
 from imuarray.log import open_log
 from imuarray.report.files import kind_of, write_report
+from imuarray.report.log_sheet import log_sections
+from imuarray.report.page import Table
+from tests.fuse.conftest import Part, WriteRun
 
 
 @pytest.fixture(scope="module")
@@ -135,3 +138,16 @@ def test_a_log_without_anything_at_rest_still_says_what_was_recorded(made: Path,
     row = page.read_text().split('<th scope="row">BMA1</th>')[1].split("</tr>")[0]
     assert f"<td>{rates[0]}</td>" in row
     assert np.isfinite(float(re.findall(r"<td>([\d.]+)</td>", row)[1]))
+
+
+@pytest.mark.parametrize("frames", [1, 5])
+def test_a_log_that_is_too_short_for_any_figure(tmp_path: Path, frames: int) -> None:
+    """A fit of the Allan deviation wants more."""
+    run = WriteRun(tmp_path)([Part("A", sigma=0.01)], frames=frames)
+    with open_log(run) as log:
+        sections = list(log_sections(log, {}, drawn=False))
+    assert sections[0].title == "run.h5: what was recorded"
+    if frames > 1:
+        noise = sections[1].parts[0]
+        assert isinstance(noise, Table)
+        assert [row[-3:] for row in noise.rows] == [["–", "–", "–"]] * 3
