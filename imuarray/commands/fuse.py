@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from imuarray.commands.fuse_inputs import followed_by_temperature, in_states_of, with_noise, without_calibration
 from imuarray.commands.fuse_pairs import pair_sentences, pairs_of
 from imuarray.commands.fuse_told import told_sentences
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
@@ -17,7 +18,7 @@ from imuarray.units import INERTIAL, READABLE_SI
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
     from imuarray.fuse import Error, FaultEvent, FusedBlock, Told
-    from imuarray.log import Log, SensorLog
+    from imuarray.log import Log
 
 _NOTHING = "nothing on this array, it gives the mean (opposed: as many axes each way balance there already)"
 _WORDS = {
@@ -93,9 +94,9 @@ def command(
     calibration = load_calibration(calibration_file) if calibration_file else Calibration()
     with open_log(run) as log:
         names = [log[name].name for name in only.split(",")] if only else []
-        uncalibrated = _uncalibrated(log, calibration, names, calibration_file)
-        calibration, starts, names = _come_up(log, calibration, names)
-        thermal = _thermal(log, calibration, names)
+        uncalibrated = without_calibration(log, calibration, names, calibration_file)
+        calibration, starts, names = in_states_of(log, calibration, names)
+        thermal = followed_by_temperature(log, calibration, names)
         calibration = with_noise(log, calibration, None if evaluate else technique)
         work = _Work(log, calibration, technique, names, causal, watch)
         report: dict[str, Any] = {
@@ -180,56 +181,9 @@ def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[
     return report, told[0]
 
 
-def _uncalibrated(log: Log, calibration: Calibration, names: Sequence[str], file: Path | None) -> list[str]:
-    """Sensors that are fused with the data sheet's values; FusionError if a calibration knows none of them at all."""
-    from imuarray.errors import FusionError
-
-    fused = [sensor.name for sensor in _inertial(log) if not names or sensor.name in names]
-    unknown = [name for name in fused if name not in calibration.sensors]
-    if file is not None and fused and unknown == fused:
-        raise FusionError(
-            f"{file}: knows {', '.join(calibration.sensors) or 'no sensor'}, but none of {log.path}: {', '.join(fused)}"
-        )
-    return unknown
-
-
-def _come_up(log: Log, calibration: Calibration, names: list[str]) -> tuple[Calibration, list[str], list[str]]:
-    """The calibration with the biases of the states in which sensors came up; what to say of them; the sensors to fuse,
-    those that came up wrong left out.
-    """
-    from imuarray.calibrate.start_up import came_up
-    from imuarray.chips import CHIPS
-
-    ranges = {name: CHIPS[sensor.chip].sensitivity for name, sensor in log.sensors.items() if sensor.chip in CHIPS}
-    chosen, found = came_up(log, calibration, ranges)
-    wrong = [name for name, start in found.items() if start.fault]
-    said = [start.sentence(name, calibration) for name, start in found.items()]
-    inertial = names or [sensor.name for sensor in _inertial(log)]
-    return chosen, [text for text in said if text], [name for name in inertial if name not in wrong] if wrong else names
-
-
-def _thermal(log: Log, calibration: Calibration, names: Sequence[str]) -> list[str]:
-    """The sensors whose bias follows the log's temperature; says on standard error whose can't, though they should."""
-    from imuarray.fuse import element_temperatures, slopes_of
-
-    sloped = [sensor for sensor in _inertial(log) if not names or sensor.name in names]
-    sloped = [sensor for sensor in sloped if slopes_of(calibration, sensor) is not None]
-    warm = element_temperatures(log, sloped, calibration)
-    if cold := [sensor.name for sensor in sloped if sensor.name not in warm]:
-        click.echo(
-            f"imuarray: {log.path}: no thermometer for the slopes of {', '.join(cold)}; biases stay as calibrated",
-            err=True,
-        )
-    return list(warm)
-
-
 def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
     """The names of the sensors of each quantity that are fused."""
     return {quantity: [s.name for s in log.of(quantity) if not names or s.name in names] for quantity in INERTIAL}
-
-
-def _inertial(log: Log) -> list[SensorLog]:
-    return [sensor for quantity in INERTIAL for sensor in log.of(quantity)]
 
 
 def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence[str]) -> list[str]:
@@ -250,21 +204,6 @@ def _result(log: Log, blocks: Iterable[FusedBlock]) -> dict[str, Any]:
     if log.truth or log.reference:
         return {quantity: _error(error) for quantity, error in evaluate(log, blocks).items()}
     return {quantity: {"noise": noise.tolist()} for quantity, noise in quiet_noise(blocks).items()}
-
-
-def with_noise(log: Log, calibration: Calibration, technique: str | None) -> Calibration:
-    """The calibration, with the noise measured in the log itself where the technique (None: any of them) needs it and
-    the file has none.
-    """
-    from imuarray.calibrate.noise import with_noise_of
-    from imuarray.fuse import NEEDS_NOISE
-
-    known = {sensor.name: calibration.of(sensor) for sensor in _inertial(log)}
-    needless = technique is not None and technique not in NEEDS_NOISE
-    if needless or all(sensor.noise_lsb is not None for sensor in known.values()):
-        return calibration
-    click.echo("imuarray: no noise in the calibration; measured where this log stands still", err=True)
-    return with_noise_of(log, calibration)
 
 
 def _error(error: Error) -> dict[str, Any]:
