@@ -2,8 +2,9 @@
 
 from imuarray.calibrate.cancellation import Cancellation, cancellation
 from imuarray.calibrate.disturbed import LeftOut
-from imuarray.calibrate.model import Calibration, SensorCalibration, load_calibration, nominal
+from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.noise import calibrate_noise
+from imuarray.calibrate.stored import load_calibration
 from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
 from imuarray.calibrate.tumble import Tumble, calibrate_tumble
 from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, holm
