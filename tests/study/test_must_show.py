@@ -60,7 +60,8 @@ def test_opposed_gyroscopes_while_heated(tmp_path: Path) -> None:
 
     About box Y, where the slopes of Gyro1 y, Gyro2 y and Gyro3 y agree to 2 % (Table 8), at most a tenth of the
     average's drift: of what follows the temperature, seed by seed, and of all drift, rms of minutes less the first.
-    Elsewhere what follows the temperature is not more than the average's by more than one per cent.
+    Elsewhere what follows the temperature is not more than the average's by more than one per cent. `optimal` (one
+    seed) reaches the same about Y, and leaves less of all three together.
     """
     array = martin2013().only(("Gyro1", "Gyro2", "Gyro3", "BMP180"))
     squares = np.zeros((2, 3))
@@ -68,12 +69,16 @@ def test_opposed_gyroscopes_while_heated(tmp_path: Path) -> None:
         path = tmp_path / f"heating{seed}.h5"
         write_log(simulated(array, MOTIONS["heating"](Wanted()), seed, 200, FAULTS), path)
         known = measured("martin2013", seed)[NO_SLOPES]
+        techniques = ("mean", "opposed", OPTIMAL) if seed == 1 else ("mean", "opposed")
         with open_log(path) as log:
             calibration, _ = came_up(log, known)
-            found = [_drifts(log, calibration, technique) for technique in ("mean", "opposed")]
+            found = [_drifts(log, calibration, technique) for technique in techniques]
         x, y, z = np.abs(found[1][0] / found[0][0])
         assert y <= 0.1 and max(x, z) <= 1.01
-        squares += [minutes for _, minutes in found]
+        squares += [minutes for _, minutes in found[:2]]
+        for slope, minutes in found[2:]:
+            assert abs(slope[1]) <= 0.1 * abs(found[0][0][1]) and minutes[1] <= 0.1**2 * found[0][1][1]
+            assert minutes.sum() <= found[1][1].sum()
     assert squares[1, 1] <= 0.1**2 * squares[0, 1]
 
 
