@@ -33,15 +33,16 @@ def fused_now(log: Log, calibration: Calibration) -> FusedView:
 
 def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = None) -> FusedView | None:
     """The last rows of the result that is written, or was, beside the log at `path`, from `start_ns` on: `RUN_fused.h5`
-    or the file `given`, or of a log cut into parts their parts. None if it is not there, is of another log or ends
-    before.
+    or the file `given`; of a log cut into parts that of the part (`RUN_001_fused.h5`, `GIVEN_001.h5`) or of the whole.
+    None if it is not there, is of another log or ends before.
     """
-    part = re.search(r"_\d{3,}$", path.stem)
-    whole = path.stem[: part.start()] if part else path.stem
-    names = [path.with_name(f"{stem}_fused{path.suffix}") for stem in dict.fromkeys((path.stem, whole))]
-    if given is not None:
-        names = [given, *([given.with_name(f"{given.stem}{part[0]}{given.suffix}")] if part else [])]
-    for beside in names:
+    cut = re.fullmatch(r"(.+)(_\d{3,})", path.stem)
+    whole, part = (cut[1], cut[2]) if cut else (path.stem, "")
+    if given is None:
+        names = [path.with_name(f"{stem}_fused{path.suffix}") for stem in (path.stem, whole)]
+    else:
+        names = [given.with_stem(given.stem + part), given]
+    for beside in dict.fromkeys(names):
         for patience_s in _PATIENCE_S if beside.is_file() else ():
             try:
                 view = _read(beside, epoch, start_ns)

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -327,28 +328,40 @@ def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
     assert (finished.state, dict(finished.events or {})) == ("finished", {"recovered": 1})
 
 
-@pytest.mark.parametrize("given", [False, True])
-def test_what_is_fused_meanwhile_is_shown_in_every_part(tmp_path: Path, given: bool) -> None:
-    path, result = tmp_path / "night.h5", tmp_path / ("elsewhere.h5" if given else "night_fused.h5")
-    with RotatingWriter(path, HEADERS, every_s=2.0, source="emulated", epoch=EPOCH) as writer:
+@pytest.mark.parametrize("name", ["night_fused.h5", "night_00{part}_fused.h5", "elsewhere.h5", "elsewhere_00{part}.h5"])
+def test_what_is_fused_meanwhile_is_shown_in_every_part(tmp_path: Path, name: str) -> None:
+    given = tmp_path / "elsewhere.h5" if name.startswith("elsewhere") else None
+    results: dict[str, LiveFused] = {}
+    writer = RotatingWriter(tmp_path / "night.h5", HEADERS, every_s=2.0, source="emulated", epoch=EPOCH)
+    with writer, ExitStack() as stack:
         writer.keep()
         writer.starts(0)
-        fused = LiveFused(result, epoch=EPOCH, technique="opposed", log="night.h5")
-        with fused, Watch(path, result=result if given else None) as watch:
-            for second in range(4):
-                for header in HEADERS[:3]:
-                    writer.append(header.name, rows(header.name, second, 1.0))
-                writer.flush()
-                at_ns = np.arange(100, dtype=np.int64) * 10_000_000 + second * 1_000_000_000
-                force = np.tile([0.0, 0.0, 1.0 + second], (100, 1))
-                covariance, used = np.ones((100, 6)), np.full((100, 2), 7, np.uint8)
-                quantity = "specific_force"
-                fused.append(FusedBlock(at_ns, {quantity: force}, {quantity: covariance}, {quantity: used}))
-                seen = next(seen for step in range(9) if (seen := watch.refresh(step)).ends_ns == at_ns[-1])
-                assert seen.fused is not None and seen.fused.technique == "opposed"
-                np.testing.assert_allclose(seen.fused.mean[quantity], [0, 0, 1.0 + second], atol=0.02)
-            assert seen.path.name == "night_002.h5"
-            assert len(seen.fused.time) == 400
+        watch = stack.enter_context(Watch(tmp_path / "night.h5", result=given))
+        for second in range(4):
+            for header in HEADERS[:3]:
+                writer.append(header.name, rows(header.name, second, 1.0))
+            writer.flush()
+            path = name.format(part=1 + second // 2)
+            if path not in results:
+                fused = LiveFused(tmp_path / path, epoch=EPOCH, technique="opposed", log="night.h5")
+                results[path] = stack.enter_context(fused)
+            results[path].append(fused_rows(second, [0.0, 0.0, 1.0 + second]))
+            seen = next(
+                seen for step in range(9) if (seen := watch.refresh(step)).ends_ns == int((second + 0.99) * 1e9)
+            )
+            assert seen.fused is not None and seen.fused.technique == "opposed"
+            np.testing.assert_allclose(seen.fused.mean["specific_force"], [0, 0, 1.0 + second], atol=0.02)
+        assert seen.path.name == "night_002.h5"
+        assert len(seen.fused.time) == 400 // len(results)
+
+
+def fused_rows(start_s: int, force: list[float]) -> FusedBlock:
+    """A second of one fused specific force."""
+    at_ns = np.arange(100, dtype=np.int64) * 10_000_000 + start_s * 1_000_000_000
+    name = "specific_force"
+    columns = np.tile(force, (100, 1)), np.ones((100, 6)), np.ones((100, 6), np.uint8)
+    triads, covariances, used = ({name: column} for column in columns)
+    return FusedBlock(at_ns, triads, covariances, used)
 
 
 def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
