@@ -71,7 +71,8 @@ def test_an_interrupted_log_is_exported_as_far_as_it_goes(tmp_path: Path) -> Non
 TEXT = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=8)
 WORD = st.from_regex(r"[A-Za-z][\w,;\"' =+.-]{0,6}", fullmatch=True).filter(lambda word: word.isprintable())
 TIMES = st.lists(st.integers(-(2**61), 2**61), max_size=5, unique=True).map(sorted)
-FLOAT = st.floats(width=64)
+FLOAT = st.floats(allow_nan=False) | st.just(float("nan"))
+"""Of the many bit patterns that are no number, text has one."""
 
 
 @st.composite

@@ -167,7 +167,7 @@ def missing(kind: str) -> list[Part]:
 def test_blocks_leave_no_trace(write_run: WriteRun, technique: str, kind: str, jitter_s: float) -> None:
     """What is missing lies across the end of the first block of 1000."""
     parts = missing(kind)
-    path = write_run(parts, force=shaken, frames=2500, jitter_s=jitter_s)
+    path = write_run(parts, force=shaken, frames=1500, jitter_s=jitter_s)
     results = []
     for block in (1000, 1 << 14):
         with open_log(path) as log:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.cli import main
+from imuarray.commands.fuse_evaluate import print_report
 from imuarray.fuse import compare, technique_names
 from imuarray.fuse.gains import ratio_of
 from imuarray.log import open_log
@@ -26,9 +27,9 @@ def parts() -> list[Part]:
     ]
 
 
-@pytest.fixture
-def run(write_run: WriteRun) -> Path:
-    return write_run(parts(), frames=FRAMES)
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return WriteRun(tmp_path_factory.mktemp("compare"))(parts(), frames=FRAMES)
 
 
 def test_every_technique_beside_the_average(run: Path) -> None:
@@ -72,25 +73,20 @@ def test_the_interval_covers_a_ratio() -> None:
     assert held / 400 == pytest.approx(0.95, abs=0.045)
 
 
-def test_the_command_tells_everything_as_json(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fuse", str(run), "--evaluate", "--json"]) == 0
+def test_the_command_tells_everything(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As JSON, of which the table is made; and it writes what it is told to."""
+    output = tmp_path / "fused.h5"
+    assert main(["fuse", str(run), "--evaluate", "--technique", "ranges", "-o", str(output), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert "fused" not in report
+    assert output.exists() and report["fused"] == str(output) and report["technique"] == "ranges"
     scores = report["evaluation"]["scores"]
     assert {score["technique"] for score in scores} == set(technique_names())
     ranges = next(s for s in scores if (s["technique"], s["quantity"]) == ("ranges", "specific_force"))
     assert set(ranges) >= {"mean", "noise", "rms", "drift", "ratio_to_mean", "consistency"}
     assert ranges["ratio_to_mean"]["XYZ"]["ratio"] == pytest.approx(0.8, abs=0.03)
     assert report["evaluation"]["coasting"]["mean"]["coasts"] == 1
-
-
-def test_the_command_prints_a_table_and_writes_what_it_is_told_to(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    output = tmp_path / "fused.h5"
-    assert main(["fuse", str(run), "--evaluate", "--technique", "ranges", "-o", str(output)]) == 0
+    print_report(report["evaluation"])
     out = capsys.readouterr().out
-    assert output.exists() and "by ranges" in out
     for technique in technique_names():
         assert sum(line.startswith(f"  {technique} ") for line in out.splitlines()) >= 3
     table = out[out.index("errors against the truth") :]
