@@ -35,9 +35,9 @@ ADX-66; the boards of the paper's section 5.2.1)."""
 DELAY_S = 0.003
 """Of the delay between the filters of two chips."""
 
-JITTER_S = 0.0005
-"""Of the age of a single reading: a chip that is asked at any time has one that is up to a conversion old, here of 600
-a second.
+JITTER_S = 0.00036
+"""Of the age of a single reading: a chip that is asked at any time has one that is up to a conversion old, here of 800
+a second (L3G-30 ... L3G-33: its fastest); uniform over it, that scatters by a conversion over the root of twelve.
 """
 
 _KEEPS_S = 3600.0
