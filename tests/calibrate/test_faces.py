@@ -136,6 +136,7 @@ def test_azimuth_and_elevation_of_a_tilted_axis(table_10: Tumble) -> None:
     assert angles[0] == pytest.approx((-88.8601, -0.9149), abs=2e-4)
 
 
+@pytest.mark.slow
 def test_stated_uncertainty_is_honest(write_log: WriteLog) -> None:
     """100 sensors, errors over standard errors: chi-square, two-sided error rate 1e-3 for each of six sums."""
     rng = np.random.default_rng(11)
@@ -158,6 +159,7 @@ def test_stated_uncertainty_is_honest(write_log: WriteLog) -> None:
         assert (sums > low).all() and (sums < high * (1 + 1 / 30)).all(), sums
 
 
+@pytest.mark.slow
 def test_parameters_of_200_sensors_are_within_their_covariance(write_log: WriteLog) -> None:
     """Normalised error squared of all twelve parameters, mean over 200 draws: chi-square with 2400 degrees of freedom
     over 200, 2 / 88 larger since the noise comes from 6 faces of 15 batches; two-sided error rate 1e-3.

@@ -157,7 +157,7 @@ def same(one: Effect, other: Effect) -> bool:
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-@settings(max_examples=40, suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
+@settings(max_examples=20, suppress_health_check=[HealthCheck.filter_too_much])  # some refuse most numbers
 @given(data=st.data(), unit=st.sampled_from(UNITS))
 def test_there_and_back(name: str, data: st.DataObject, unit: str) -> None:
     effect = data.draw(effects(name))

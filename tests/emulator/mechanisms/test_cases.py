@@ -133,6 +133,7 @@ def test_a_moving_box_is_followed_by_a_faster_reference(tmp_path):
         assert left.std() < 0.02 * wanted.std() + 0.3  # scale, alignment, 1 ms of age, noise of 0.18 dps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(MECHANISMS)))
 def test_every_mechanism_can_be_recorded_at_its_worst(tmp_path, name):
     sensors = ("BMA1", "BMA3") if MECHANISMS[name].place == "pair" else ()
