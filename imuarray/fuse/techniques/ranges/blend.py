@@ -17,6 +17,9 @@ from imuarray.fuse.techniques.ranges.moments import GAP_S, Rows
 from imuarray.fuse.techniques.ranges.relative import States, Tracker
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
 
+FOLLOWED_PERIODS = 3
+"""Two frames further apart than this many periods of the sensors' bandwidth don't tell how the motion changes."""
+
 
 def ranges(axes: Sequence[Axis]) -> Technique:
     """Low and high measuring ranges of one design blended by inverse variance (paper, section 2.3): a `RangeBlend`."""
@@ -39,6 +42,8 @@ class RangeBlend:
         self._fading = Fading(axes) if changes(axes) else None
         self.tracker = Tracker(axes, self._weights, self._noise)
         """What is known of the differences between the axes (of an array without a low range: nothing)."""
+        bandwidths_hz = [axis.bandwidth_hz for axis in axes if axis.bandwidth_hz]
+        self._followed_s = min(GAP_S, FOLLOWED_PERIODS / max(bandwidths_hz)) if bandwidths_hz else GAP_S
         self._last_time = np.zeros(0, np.int64)
         self._last_triad = np.zeros((0, 3))
 
@@ -70,12 +75,13 @@ class RangeBlend:
 
     def _slope(self, time: npt.NDArray[np.int64], triad: Floats) -> Floats:
         """(n, 3) change per second over the last two frames, so that nothing of the future is needed; zero where that
-        is not known.
+        is not known, or where the motion can be another one within two frames: a delay is then left in.
         """
         times, triads = np.concatenate([self._last_time, time]), np.concatenate([self._last_triad, triad])
         slope = np.zeros_like(triads)
         passed_s = (times[2:] - times[:-2])[:, None] * 1e-9
-        slope[2:] = np.where(passed_s <= GAP_S, (triads[2:] - triads[:-2]) / np.maximum(passed_s, 1e-9), 0.0)
+        near = passed_s <= self._followed_s
+        slope[2:] = np.where(near, (triads[2:] - triads[:-2]) / np.maximum(passed_s, 1e-9), 0.0)
         self._last_time, self._last_triad = times[-2:], triads[-2:]
         return np.asarray(np.nan_to_num(slope[len(times) - len(time) :]))
 
