@@ -62,13 +62,22 @@ def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
     that lasts does not count, a box that never rests makes it too large.
     """
     scatter: dict[str, list[Floats]] = {quantity: [] for quantity in INERTIAL}
+    rest: dict[str, Floats] = {quantity: np.zeros((0, 3)) for quantity in INERTIAL}
     for block in blocks:
         for quantity, triad in block.triads.items():
-            for start in range(0, len(triad), SEGMENT):
-                steps = np.diff(triad[start : start + SEGMENT], axis=0)
-                if len(steps) > 1 and np.isfinite(steps).all():
-                    scatter[quantity].append(np.std(steps, axis=0) / np.sqrt(2))
+            frames = np.concatenate([rest[quantity], triad])
+            whole = len(frames) // SEGMENT * SEGMENT
+            rest[quantity] = frames[whole:]
+            scatter[quantity] += _scatters(frames[:whole])
+    for quantity, frames in rest.items():
+        scatter[quantity] += _scatters(frames)
     return {quantity: np.quantile(parts, 0.25, axis=0) for quantity, parts in scatter.items() if parts}
+
+
+def _scatters(frames: Floats) -> list[Floats]:
+    """The scatter (3,) from frame to frame of every segment that has no hole."""
+    parts = [np.diff(frames[start : start + SEGMENT], axis=0) for start in range(0, len(frames), SEGMENT)]
+    return [np.std(steps, axis=0) / np.sqrt(2) for steps in parts if len(steps) > 1 and np.isfinite(steps).all()]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imuarray.errors import FusionError
-from imuarray.fuse import FusedBlock, errors_of, evaluate
+from imuarray.fuse import FusedBlock, errors_of, evaluate, quiet_noise
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, still
@@ -129,3 +129,21 @@ def test_a_truth_of_one_row(write_run: WriteRun) -> None:
             truth[name] = rows
     with open_log(path) as log:
         assert evaluate(log, results(np.zeros((ROWS, 3)))) == {}
+
+
+def test_the_quiet_noise_of_white_noise_wherever_blocks_are_cut() -> None:
+    """256 steps of differences tell sigma to 5 %, so that their lower quartile is 3.6 % below it: 0.92 to 1."""
+    frames = 40 * 256 + 100
+    time, triad = np.arange(frames) * 10_000_000, np.random.default_rng(5).normal(0, 2.0, (frames, 3))
+    whole = FusedBlock(time, {"specific_force": triad})
+    cuts = [0, 1, 255, 300, 7000, 7001, frames]
+    pieces = [
+        FusedBlock(time[start:end], {"specific_force": triad[start:end]})
+        for start, end in zip(cuts[:-1], cuts[1:], strict=True)
+    ]
+
+    noise = quiet_noise([whole])["specific_force"]
+
+    assert np.all((noise > 0.92 * 2.0) & (noise < 2.0))
+    np.testing.assert_array_equal(quiet_noise(pieces)["specific_force"], noise)
+    assert quiet_noise([]) == {}
