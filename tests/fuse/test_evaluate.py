@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -139,7 +140,7 @@ def test_the_quiet_noise_of_white_noise_wherever_blocks_are_cut() -> None:
     cuts = [0, 1, 255, 300, 7000, 7001, frames]
     pieces = [
         FusedBlock(time[start:end], {"specific_force": triad[start:end]})
-        for start, end in zip(cuts[:-1], cuts[1:], strict=True)
+        for start, end in itertools.pairwise(cuts)
     ]
 
     noise = quiet_noise([whole])["specific_force"]
