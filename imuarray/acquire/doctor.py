@@ -16,7 +16,7 @@ __all__ = ["Check", "Machine", "examine", "serial_checks"]
 
 
 def examine(
-    array: ArrayConfig,
+    array: ArrayConfig | None,
     url: str,
     logs: Path,
     rate_hz: float,
@@ -24,8 +24,9 @@ def examine(
     machine: Machine | None = None,
     talk: Callable[[], list[Check]] | None = None,
 ) -> list[Check]:
-    """All checks for `array` on the bus `url` (empty: none is named), recorded into the folder `logs`. `talk` asks the
-    sensors themselves; it is left out where an earlier check says why it can't work.
+    """All checks for `array` on the bus `url` (empty: none is named), recorded into the folder `logs`; without an array
+    those that need no sensors. `talk` asks the sensors themselves; it is left out where an earlier check says why it
+    can't work.
     """
     machine = machine or Machine()
     scheme, _, rest = url.partition(":")

@@ -23,24 +23,26 @@ _FASTER = (
 )
 
 
-def buses_of(array: ArrayConfig, path: str) -> list[str]:
+def buses_of(array: ArrayConfig | None, path: str) -> list[str]:
     """The device files that an array needs: the root bus of the URL, then the buses that sensors name."""
-    named = [sensor.bus for sensor in array.sensors if sensor.bus]
+    named = [sensor.bus for sensor in array.sensors if sensor.bus] if array else []
     return list(dict.fromkeys([path or (named[0] if named else ""), *named]))
 
 
-def i2c_checks(machine: Machine, array: ArrayConfig, buses: Sequence[str], rate_hz: float) -> list[Check]:
-    """All of them, for each of `buses`; one that isn't there is not asked further."""
+def i2c_checks(machine: Machine, array: ArrayConfig | None, buses: Sequence[str], rate_hz: float) -> list[Check]:
+    """All of them, for each of `buses`; one that isn't there is not asked further. Without an array nobody knows whose
+    addresses are meant: drivers of the kernel are named, and not judged.
+    """
     checks: list[Check] = []
     for device in buses:
         found = there(machine, device)
         checks.append(found)
         if found.ok:
             checks += [permission(machine, device), *abilities(machine, device)]
-            checks += owners(machine, array, device, device == buses[0])
+            checks += owners(machine, array, device, device == buses[0]) if array else bound(machine, device)
     if checks and checks[0].ok:
         checks.append(clock(machine, array, buses[0], rate_hz))
-    return [*checks, *address_0x77(machine, array)]
+    return [*checks, *(address_0x77(machine, array) if array else [])]
 
 
 def _number(machine: Machine, device: str) -> str:
@@ -98,6 +100,18 @@ def owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> 
         yield Check("kernel driver", True, f"{device}: none has one of our addresses")
 
 
+def bound(machine: Machine, device: str) -> Iterator[Check]:
+    """Which drivers of the kernel have addresses on this bus? One is in the way of a sensor at its own alone."""
+    number = _number(machine, device)
+    places = sorted(path for path in machine.path(DEVICES).glob(f"{number}-*") if (path / "driver").is_symlink())
+    for path in places:
+        owner = (path / "driver").readlink().name
+        address = int(path.name.partition("-")[2], 16)
+        yield Check("kernel driver", True, f"{device} {address:#04x} belongs to {owner}: no sensor there can be read")
+    if not places:
+        yield Check("kernel driver", True, f"{device}: none has an address")
+
+
 def _is_on(sensor: SensorConfig, device: str, is_root: bool) -> bool:
     return sensor.bus == device or (sensor.bus is None and is_root)
 
@@ -108,7 +122,7 @@ def _channels(machine: Machine, place: str) -> str:
     return ", ".join(f"{link.name} is /dev/{link.resolve().name}" for link in links)
 
 
-def clock(machine: Machine, array: ArrayConfig, device: str, rate_hz: float) -> Check:
+def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: float) -> Check:
     """How fast is the bus, and is that enough for frames at `rate_hz`?"""
     path = machine.path(f"{DEVICES}/i2c-{_number(machine, device)}/of_node/clock-frequency")
     try:
@@ -116,6 +130,8 @@ def clock(machine: Machine, array: ArrayConfig, device: str, rate_hz: float) -> 
     except OSError:
         clock_hz = 0
     said = f"{clock_hz / 1000:g} kHz" if clock_hz else f"not told; {DEFAULT_HZ / 1000:g} kHz is usual"
+    if array is None:
+        return Check("bus clock", True, said)
     most_hz = (clock_hz or DEFAULT_HZ) / frame_clocks(array)
     found = f"{said}: at most {most_hz:.0f} frames of this array a second"
     return Check("bus clock", most_hz >= rate_hz or not clock_hz, found, _FASTER)

@@ -18,7 +18,7 @@ _LIVE = 2.0
 """A log and its journal, while it is written."""
 
 
-def log_checks(machine: Machine, array: ArrayConfig, folder: Path, rate_hz: float) -> list[Check]:
+def log_checks(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> list[Check]:
     """All of them."""
     if not folder.is_dir():
         return [Check("folder", False, f"{folder}: there is none", f"mkdir -p {folder}")]
@@ -27,14 +27,16 @@ def log_checks(machine: Machine, array: ArrayConfig, folder: Path, rate_hz: floa
     return [*checks, room(machine, array, folder, rate_hz), *left_over(machine, folder)]
 
 
-def room(machine: Machine, array: ArrayConfig, folder: Path, rate_hz: float) -> Check:
-    """How long can this array be logged before a log ends itself for want of room?"""
+def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> Check:
+    """How long can this array be logged before a log ends itself for want of room? Without one: is there any room?"""
+    free = machine.free_bytes(folder)
+    advice = f"make room: a log ends itself when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
+    if array is None:
+        return Check("disk", free > WATERMARK + RESERVE, f"{free / 2**20:.0f} MiB free", advice)
     rows = ((sensor, min(rate_hz, sensor.chip_rate_hz)) for sensor in array.sensors)
     rate = sum(sensor_group(header_of(sensor, {})).row_bytes * row_rate for sensor, row_rate in rows) * _LIVE
-    free = machine.free_bytes(folder)
     seconds = max(0.0, free - WATERMARK - RESERVE) / rate
     found = f"{free / 2**20:.0f} MiB free: about {_about(seconds / 3600)} at {rate_hz:g} frames a second"
-    advice = f"make room: a log ends itself when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
     return Check("disk", seconds >= NIGHT_S, found, advice)
 
 

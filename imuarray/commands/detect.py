@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +15,7 @@ from imuarray.printable import printable
 
 if TYPE_CHECKING:
     from imuarray.acquire import Found
+    from imuarray.acquire.doctor import Check
     from imuarray.array import ArrayConfig
 
 _USUAL_RATE_HZ = 50.0
@@ -57,28 +59,28 @@ def command(
     imuarray detect --bus i2c:/dev/i2c-1 -o array.toml
 
     Exits 2 if a sensor is missing, another chip sits in its place, or it fails its self-test; with --doctor 1 if
-    anything is not well.
+    anything is not well (it needs no CONFIG; with one it looks at each sensor, too).
     """
     from imuarray.acquire import detect, explore
     from imuarray.array import load_array
     from imuarray.bus import open_bus
 
-    if config is None and (bus_url is None or self_test):
+    if config is None and (self_test or (bus_url is None and not doctor)):
         raise click.UsageError(
             "say what to look for (CONFIG), or where to look (--bus URL); --self-test wants a CONFIG"
         )
     if logs is not None and not doctor:
         raise click.UsageError("--logs is a place for --doctor to look at: say --doctor too")
     if output is not None:
+        if doctor:
+            raise click.UsageError("--doctor writes nothing: leave -o out")
         if config is not None:
             raise click.UsageError("-o writes what answers on --bus, whatever a CONFIG says: leave CONFIG out")
         refuse_existing(output, force)
     array = load_array(find_config(config or Path("martin2013")))
     url = bus_url or array.bus
     if doctor:
-        if config is None:
-            raise click.UsageError("--doctor wants a CONFIG: it says whose addresses are meant")
-        return _doctor(array, url or "", logs or Path(), as_json)
+        return _doctor(array, config is not None, bus_url or (array.bus if config else None) or "", logs, as_json)
     if url is None:
         url = "emulated:"
         click.echo(f"imuarray: {config}: no bus is named: asking the emulated array, no hardware", err=True)
@@ -120,28 +122,52 @@ def _write(found: Sequence[Found], url: str, output: Path, force: bool) -> None:
     write_text(output, text, force=force)
 
 
-def _doctor(array: ArrayConfig, url: str, logs: Path, as_json: bool) -> int:
-    """Every check; 0 if all is well, 1 otherwise."""
-    from imuarray.acquire import detect
-    from imuarray.acquire.doctor import Check, examine
+def _doctor(array: ArrayConfig, is_meant: bool, url: str, logs: Path | None, as_json: bool) -> int:
+    """Every check, without a CONFIG (`array` is not meant) those that need none; 0 if all is well, 1 otherwise."""
+    from imuarray.acquire import detect, explore
+    from imuarray.acquire.doctor import examine
     from imuarray.bus import open_bus
 
     def talk() -> list[Check]:
         with open_bus(url, array) as bus:
-            found = [line for line in detect(array, bus) if line.expected]
-        silent = [
-            Check("sensor", False, f"{line.sensor} ({line.expected}) at {line.place}: {line.found}", _SENSOR_ADVICE)
-            for line in found
-            if not line.ok
-        ]
-        return silent or [Check("sensors", True, f"all {len(found)} answer")]
+            found = [line for line in detect(array, bus) if line.expected] if is_meant else explore(bus)
+        return _answers(found) if is_meant else [_chips(found)]
 
-    checks = examine(array, url, logs, _USUAL_RATE_HZ, talk=talk)
+    checks = examine(array if is_meant else None, url, logs or Path(), _USUAL_RATE_HZ, talk=talk)
     well = all(check.ok for check in checks)
     if as_json:
-        print_json({"array": array.name, "bus": url, "ok": well, "checks": [check._asdict() for check in checks]})
+        print_json(
+            {
+                "array": array.name if is_meant else None,
+                "bus": url,
+                "ok": well,
+                "checks": [check._asdict() for check in checks],
+            }
+        )
         return 0 if well else 1
     for check in checks:
         advice = f" -> {check.advice}" if check.advice else ""
         click.echo(printable(f"  {'ok ' if check.ok else 'NO '} {check.name:14} {check.found}{advice}"))
     return 0 if well else 1
+
+
+def _answers(found: Sequence[Found]) -> list[Check]:
+    """Sensors of a CONFIG that are not what answers, or one line for all."""
+    from imuarray.acquire.doctor import Check
+
+    silent = [
+        Check("sensor", False, f"{line.sensor} ({line.expected}) at {line.place}: {line.found}", _SENSOR_ADVICE)
+        for line in found
+        if not line.ok
+    ]
+    return silent or [Check("sensors", True, f"all {len(found)} answer")]
+
+
+def _chips(found: Sequence[Found]) -> Check:
+    """Whatever answers, without a CONFIG."""
+    from imuarray.acquire.doctor import Check
+
+    if not found:
+        return Check("chips", False, "no chip that we know answers", "look at supply, wires and address pins")
+    counts = Counter(line.found for line in found)
+    return Check("chips", True, f"{len(found)} answer: " + ", ".join(f"{n} {chip}" for chip, n in counts.items()))

@@ -262,7 +262,44 @@ def test_the_command(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = json.loads(capsys.readouterr().out)
     assert said["ok"] is False
     assert [check["name"] for check in said["checks"] if not check["ok"]] == ["journal"]
-    assert main(["detect", "--bus", "emulated:", "--doctor"]) == 2
+
+
+def test_without_a_configuration(machine: Machine, logs: Path) -> None:
+    """No addresses are known: owners are named but not judged, the bus' clock and the disk are told as they are."""
+    bind(machine, "1-0068", "rtc-ds1307")
+    checks = examine(None, URL, logs, 50, machine=machine, talk=lambda: [Check("chips", True, "2 answer")])
+    assert wrong(checks) == []
+    said = {check.name: check.found for check in checks}
+    assert said["kernel driver"] == "/dev/i2c-1 0x68 belongs to rtc-ds1307: no sensor there can be read"
+    assert (said["bus clock"], said["disk"], said["chips"]) == ("400 kHz", "65536 MiB free", "2 answer")
+    nearly_full = replace(machine, free_bytes=lambda folder: 60 << 20)
+    assert only(examine(None, URL, logs, 50, machine=nearly_full))[:2] == ("disk", "60 MiB free")
+    shutil.rmtree(machine.root / "sys/bus/i2c/devices/1-0068")
+    said = {check.name: check.found for check in examine(None, URL, logs, 50, machine=machine)}
+    assert said["kernel driver"] == "/dev/i2c-1: none has an address"
+
+
+def test_the_command_without_a_configuration(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["detect", "--doctor", "--logs", str(logs)]
+    assert main([*asked, "--bus", "emulated:", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["array"], said["ok"]) == (None, True)
+    chips = "1 pca9544a, 2 adxl345, 4 bma180, 3 l3g4200d, 1 bmp180, 2 hmc5883 or hmc5883l"
+    (found,) = (check["found"] for check in said["checks"] if check["name"] == "chips")
+    assert sorted(found.removeprefix("13 answer: ").split(", ")) == sorted(chips.split(", "))
+    assert main(asked) == 1
+    assert "NO  bus            none is named -> say --bus i2c:/dev/i2c-1" in capsys.readouterr().out
+    assert main([*asked, "--bus", "emulated:", "-o", "new.toml"]) == 2
+    assert "--doctor writes nothing" in capsys.readouterr().err
+
+
+def test_no_chip_answers(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "far.toml").write_text(
+        '[array]\nname="f"\n[[sensor]]\nname="P"\nchip="bmp180"\nbus="/dev/i2c-9"\naddress=0x77\n'
+    )
+    bus = f"emulated:?board={tmp_path / 'far.toml'}"
+    assert main(["detect", "--bus", bus, "--doctor", "--logs", str(logs)]) == 1
+    assert "NO  chips          no chip that we know answers -> look at supply" in capsys.readouterr().out
 
 
 def test_no_bus_is_named(tmp_path: Path, logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
