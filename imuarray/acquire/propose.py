@@ -26,6 +26,8 @@ _SETTINGS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
 
 _TOLD_BY_NAME = {"hmc5883 or hmc5883l": "hmc5883l"}
 """Both say the same of themselves; nearly all that are sold are the later one."""
+_REMARKS = {"hmc5883l": "or hmc5883, with range = 1.2: they identify themselves alike; if --self-test fails, try that"}
+"""By chip: what stands beside it in the file."""
 
 _HEAD = """\
 # What answered on {bus}. Settings can be changed: each chip's are named when one is refused.
@@ -39,9 +41,8 @@ def propose(found: Sequence[Found], bus: str, name: str = "array") -> str:
     """A configuration's text from what `explore` found on a bus; SensorError if there was no chip that we know."""
     chips = [(_TOLD_BY_NAME.get(line.found, line.found), line) for line in found if line.found != MUX]
     if not chips:
-        raise SensorError(
-            f"{bus}: no chip answered, nothing to write a configuration of; try `imuarray detect --doctor`"
-        )
+        advice = f"try `imuarray detect --bus {printable(bus)} --doctor`"
+        raise SensorError(f"{bus}: no chip answered, nothing to write a configuration of; {advice}")
     text = _HEAD.format(bus=printable(bus)) + tomli_w.dumps({"name": name, "bus": bus})
     text += "".join(
         f'mux = {{ chip = "{MUX}", address = {line.address:#04x} }}\n' for line in found if line.found == MUX
@@ -60,4 +61,5 @@ def _sensor(name: str, chip: str, line: Found, settings: Mapping[str, Any]) -> s
     """One [[sensor]] table."""
     place = "" if line.channel is None else f"channel = {line.channel}\n"
     own = "".join(f"{key} = {value}\n" for key, value in settings.items())
-    return f'\n[[sensor]]\nname = "{name}"\nchip = "{chip}"\n{place}address = {line.address:#04x}\n{own}'
+    remark = f"  # {_REMARKS[chip]}" if chip in _REMARKS else ""
+    return f'\n[[sensor]]\nname = "{name}"\nchip = "{chip}"{remark}\n{place}address = {line.address:#04x}\n{own}'

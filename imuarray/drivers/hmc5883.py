@@ -20,12 +20,19 @@ from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, registe
 from imuarray.facts import hmc5883 as facts
 from imuarray.facts.registers import Setting
 
+Limits = tuple[tuple[float, float], ...]
+
 _CONTINUOUS = 0b00
 _SELF_TEST_GAIN = 5
 _SELF_TEST_L = ((243.0, 575.0),) * 3  # HMC-41, at gain code 5
 # The plain HMC5883 answers about +655, +655, -604 at its default 1024 LSB/G (HMC-42), without limits: half to twice.
 _SELF_TEST_PLAIN = tuple((min(v * k, v / k), max(v * k, v / k)) for v, k in ((231.0, 2), (231.0, 2), (-213.0, 2)))
 _READY_S = 0.050  # after power-on: HMC-51
+
+
+def _fits(answers: npt.NDArray[np.float64], limits: Limits) -> bool:
+    """Whether each axis answers within its limits."""
+    return all(low <= value <= high for value, (low, high) in zip(answers, limits, strict=True))
 
 
 class Hmc5883:
@@ -82,10 +89,13 @@ class Hmc5883:
         self.registers.poke(facts.MODE, facts.OPERATION(_CONTINUOUS).value)
         change = self._settled()
         self.configure()
-        limits = _SELF_TEST_L if self.is_l else _SELF_TEST_PLAIN
-        passed = all(low <= value <= high for value, (low, high) in zip(change, limits, strict=True))
+        both = (_SELF_TEST_L, "hmc5883l"), (_SELF_TEST_PLAIN, "hmc5883")
+        (limits, _), (other, name) = both if self.is_l else both[::-1]
+        passed = _fits(change, limits)
         wanted = ", ".join(f"{low:+.0f} to {high:+.0f}" for low, high in limits)
-        return SelfTest(passed, f"answers {', '.join(f'{value:+.0f}' for value in change)} counts; limits {wanted}")
+        hint = f"; fits an {name}: is it one?" if not passed and _fits(change, other) else ""
+        answers = ", ".join(f"{value:+.0f}" for value in change)
+        return SelfTest(passed, f"answers {answers} counts; limits {wanted}{hint}")
 
     def _settled(self) -> npt.NDArray[np.float64]:
         """The mean of a few readings (3,) in counts, the first of them thrown away."""

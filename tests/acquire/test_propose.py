@@ -73,6 +73,21 @@ def test_nothing_answered() -> None:
         propose([], "i2c:/dev/i2c-1")
 
 
+def test_a_chip_that_is_told_only_by_its_self_test(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The paper's HMC5883 come out as HMC5883L; the remark beside them, followed, mends it."""
+    new = tmp_path / "new.toml"
+    assert main(["detect", "--bus", "emulated:", "-o", str(new)]) == 0
+    url = f"emulated:?board={SHIPPED}"
+    assert main(["detect", str(new), "--bus", url, "--self-test"]) == 2
+    failed = [line for line in capsys.readouterr().out.splitlines() if "FAILED" in line]
+    assert len(failed) == 2
+    assert all(line.endswith("; fits an hmc5883: is it one?") for line in failed)
+    remark = 'chip = "hmc5883l"  # or hmc5883, with range = 1.2: they identify themselves alike; if --self-test fails,'
+    assert new.read_text().count(f"{remark} try that\n") == 2
+    new.write_text(new.read_text().replace('"hmc5883l"', '"hmc5883"').replace("range = 1.3", "range = 1.2"))
+    assert main(["detect", str(new), "--bus", url, "--self-test"]) == 0
+
+
 def test_from_nothing_to_axes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Detect, log, find the axes: nobody filled in a sign. HMC5883 come out as HMC5883L, all else as it is wired."""
     new, poses = tmp_path / "new.toml", tmp_path / "poses.h5"
