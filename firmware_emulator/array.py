@@ -31,6 +31,8 @@ ERRNOS = (6, 121)
 SETTINGS = ("clock", "world", "seed", "bit_rate", "errno")
 FITTINGS = ("mechanism", "severity", "sensor", "units", "run")
 """Parameters that `firmware_emulator.mechanisms` understands."""
+BOARD = "board"
+"""Names the file that the array is from; who asked for the array has read it."""
 FAULTS = "faults"
 """Names a file of faults that happen by the clock (`firmware_emulator.faults`)."""
 
@@ -202,11 +204,12 @@ def powered_chip(board: Board, sensor: SensorLike, now_ns: int, switches: Switch
 def open_bus(query: Mapping[str, str], array: ArrayLike) -> EmulatedBus:
     """`open_array` from the parameters of a URL such as ``emulated:?clock=real&world=tumble&face_s=10``.
 
-    ValueError, one line that says what is allowed, for a parameter or a value that isn't known.
+    `board` may say which file `array` is from. ValueError, one line that says what is allowed, for a parameter or a
+    value that isn't known.
     """
     kind = named(query.get("world", "still"), WORLDS, "world")
     own = [field.name for field in fields(kind)]
-    allowed = (*SETTINGS, *own, *FITTINGS, FAULTS)
+    allowed = (*SETTINGS, *own, *FITTINGS, FAULTS, BOARD)
     for key in query:
         if key not in allowed:
             raise ValueError(f"{key}: no such parameter; allowed are {', '.join(allowed)}")

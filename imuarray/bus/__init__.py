@@ -66,7 +66,7 @@ def _emulated(rest: str, array: ArrayConfig) -> OpenBus:
     The emulator is imported by name: nothing else in this package knows that it exists.
     """
     query = dict(parse_qsl(rest.removeprefix("?"), keep_blank_values=True))
-    board = query.pop("board", None)
+    board = query.get("board")
     try:
         bus = import_module("firmware_emulator").open_bus(query, array if board is None else load_array(board))
     except ValueError as error:

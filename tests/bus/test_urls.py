@@ -49,6 +49,11 @@ def test_no_bus_at_all(url: str) -> None:
         ("?world=tumble&face_s=0", "face_s: 0"),
         ("?world=still&up=up", "up: "),
         ("colour", "colour: no such parameter"),
+        (
+            "?colour=red&world=still",
+            "colour: no such parameter; allowed are clock, world, seed, bit_rate, errno, up, temperature_degc,"
+            " mechanism, severity, sensor, units, run, faults, board",
+        ),
     ],
 )
 def test_emulated_parameters(query: str, said: str) -> None:
