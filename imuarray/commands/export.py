@@ -82,8 +82,8 @@ def command(
         said = {"files": files, "units": written.units, "rows": dict(written.rows)}
         print_json({"source": str(source), **said, "uncalibrated": list(written.uncalibrated)})
         return
-    rows = sum(written.rows.values())
-    click.echo(f"{output}: {rows} rows of {len(written.rows)} tables, units: {written.units}")
+    rows, tables = sum(written.rows.values()), len(written.rows)
+    click.echo(f"{output}: {rows} rows of {tables} table{'s' * (tables != 1)}, units: {written.units}")
     if written.uncalibrated:
         click.echo(f"  not calibrated, data sheet's values: {', '.join(written.uncalibrated)}")
     for file in written.files:

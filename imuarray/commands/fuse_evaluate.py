@@ -106,7 +106,7 @@ def _print_coasting(coasting: dict[str, Any]) -> None:
         if heading is not None:
             click.echo(
                 f"  {technique:10} heading {heading:8.4f} deg   horizontal velocity {velocity:8.4f} m/s"
-                f"   of {coast['coasts']} coasts"
+                f"   of {coast['coasts']} coast{'s' * (coast['coasts'] != 1)}"
             )
 
 
