@@ -31,6 +31,7 @@ from imuarray.errors import OutputError, OutputExistsError
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import ENTRIES, FusedBlock
 from imuarray.fuse.stored_events import StoredEvents
+from imuarray.log.format import FUSED
 from imuarray.log.room import free_bytes
 
 _SLACK_BYTES = 1 << 18
@@ -47,7 +48,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
     }
 )
 
-FORMAT, FORMAT_VERSION = "imuarray-fused", 1
+FORMAT, FORMAT_VERSION = FUSED, 1
 
 COVARIANCE, USED = "_covariance", "_used"
 """Behind a quantity: the name of a column of its covariances, of the sensors used."""

@@ -14,6 +14,8 @@ from imuarray.units import Quantity
 
 FORMAT = "imuarray-log"
 FORMAT_VERSION = 1
+FUSED = "imuarray-fused"
+"""The format of another kind of file: what was fused of a log."""
 
 PLOTS = "plots"
 """The group of a finished log that NeXus viewers open first."""

@@ -19,6 +19,8 @@ from imuarray.log.heaps import LONGEST
 MAX_TEXT_BYTES = 1 << 26
 """Of all texts in a column together."""
 _BLOCK_BYTES = 1 << 27
+_IMPORTED = (".csv", ".npz", ".txt", ".bin")
+"""Names of foreign recordings end so."""
 
 DAMAGE = (
     OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError, ArithmeticError, MemoryError,
@@ -34,7 +36,9 @@ def open_file(path: Path) -> h5py.File:
         return h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES)
     except OSError as error:
         kind = "is truncated" if "truncated" in str(error) else "is no HDF5 file or is damaged"
-        raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}") from None
+        suffix = path.suffix.lower()
+        hint = f"; imuarray import makes a log of a {suffix}" if suffix in _IMPORTED else ""
+        raise LogError(f"{path}: {kind}; a log is an HDF5 file of format {FORMAT!r}{hint}") from None
 
 
 def positive(value: Any) -> float:

@@ -18,7 +18,7 @@ from weakref import WeakValueDictionary
 import h5py
 
 from imuarray.errors import LogError
-from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, Event, Phase
+from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase
 from imuarray.log.guard import DAMAGE, open_file, positive, read_texts
 from imuarray.log.inspection import inspect
 from imuarray.log.interrupted import LiveView, Rebuilt, may_be_unfinished, open_interrupted
@@ -62,7 +62,10 @@ class Log:
 
     def _check(self) -> None:
         attributes = self._file.attrs
-        if str(_plain(attributes.get("format"))) != FORMAT:
+        kind = str(_plain(attributes.get("format")))
+        if kind == FUSED:
+            raise LogError(f"{self.path}: is a fused result, not a log")
+        if kind != FORMAT:
             raise LogError(f"{self.path}: an HDF5 file, but no log: attribute format is not {FORMAT!r}")
         version = attributes.get("format_version")
         if str(version) != str(FORMAT_VERSION):
