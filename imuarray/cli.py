@@ -11,6 +11,7 @@ import click
 
 from imuarray import __version__
 from imuarray.commands.program import EXIT_CODES, run
+from imuarray.spelling import guess
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
     {
@@ -50,6 +51,14 @@ class _Commands(click.Group):
             return None
         command: click.Command = import_module(_MODULES.get(name, f"imuarray.commands.{name}")).command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if name not in COMMANDS and not name.startswith("-") and not ctx.resilient_parsing:
+            ctx.fail(f"No such command {name!r}{guess(name, COMMANDS)}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

@@ -184,7 +184,8 @@ def test_detect_tells_what_is_wrong_and_exits_2(run: Run, here: Path) -> None:
 GOOD_LOG = ("log", "one.toml", "--bus", "emulated:", "--seconds", "1")
 
 BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
-    (("nonsense",), "No such command 'nonsense'"),
+    (("xyzzy",), "No such command 'xyzzy'"),
+    (("calibrat",), "No such command 'calibrat'; did you mean calibrate?"),
     (("--nonsense",), "No such option"),
     (("log",), "Missing argument 'CONFIG'"),
     (("log", "one.toml"), "Missing option '-o'"),
@@ -221,7 +222,9 @@ BAD_INPUT: list[tuple[tuple[str, ...], str]] = [
     (("info", "none.h5"), "none.h5: no such file"),
     (("info", "folder"), "folder: is a folder"),
     (("info", "one.toml"), "one.toml: is no HDF5 file"),
+    (("info", "x.csv"), "format 'imuarray-log'; imuarray import makes a log of a .csv"),
     (("info", "foreign.h5"), "foreign.h5: an HDF5 file, but no log"),
+    (("info", "fused.h5"), "fused.h5: is a fused result, not a log"),
 ]
 
 
@@ -235,6 +238,9 @@ def test_bad_input_is_one_line_exit_2_and_nothing_left(
     (here / "folder").mkdir()
     with h5py.File(here / "foreign.h5", "w") as file:
         file["x"] = 1
+    with h5py.File(here / "fused.h5", "w") as file:
+        file.attrs["format"] = "imuarray-fused"
+    (here / "x.csv").write_text("t,x\n0,1\n")
     before = {path: path.stat().st_mtime_ns for path in here.rglob("*")}
     code, out, err = run(*arguments)
     assert code == 2

@@ -27,6 +27,7 @@ from imuarray.fuse.told import Told, told_by
 from imuarray.fuse.watched import Watched
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.format import SensorHeader
+from imuarray.spelling import guess
 from imuarray.units import INERTIAL
 
 BLOCK = 1 << 12
@@ -142,7 +143,7 @@ class _Array(Generic[_Sensor]):
         self, groups: dict[str, list[_Sensor]], calibration: Calibration, technique: str | Making, watch: Watch
     ) -> None:
         if isinstance(technique, str) and technique not in NAMES:
-            raise FusionError(f"technique {technique!r}: allowed are {', '.join(NAMES)}")
+            raise FusionError(f"technique {technique!r}: allowed are {', '.join(NAMES)}{guess(technique, NAMES)}")
         self.groups: dict[str, list[_Sensor]] = groups
         self.calibration, self.technique, self.watch = calibration, technique, watch
         self.inertial: list[_Sensor] = [sensor for sensors in groups.values() for sensor in sensors]

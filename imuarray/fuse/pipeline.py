@@ -10,6 +10,7 @@ from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, axis_bits
 from imuarray.fuse.techniques import TECHNIQUES, Technique
 from imuarray.fuse.told import Remarking, Told
+from imuarray.spelling import guess
 
 Out_co = TypeVar("Out_co", covariant=True)
 
@@ -49,7 +50,8 @@ class EachAlone:
     def __init__(self, axes: Mapping[str, Sequence[Axis]], technique: str) -> None:
         """FusionError if there is no such technique, or the axes can't feed it."""
         if technique not in TECHNIQUES:
-            raise FusionError(f"technique {technique!r}: allowed are {', '.join(TECHNIQUES)}")
+            allowed = ", ".join(TECHNIQUES)
+            raise FusionError(f"technique {technique!r}: allowed are {allowed}{guess(technique, TECHNIQUES)}")
         self.axes: Mapping[str, Sequence[Axis]] = dict(axes)
         self.techniques: Mapping[str, Technique] = {
             quantity: TECHNIQUES[technique](its) for quantity, its in axes.items()
