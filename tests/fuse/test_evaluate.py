@@ -139,8 +139,7 @@ def test_the_quiet_noise_of_white_noise_wherever_blocks_are_cut() -> None:
     whole = FusedBlock(time, {"specific_force": triad})
     cuts = [0, 1, 255, 300, 7000, 7001, frames]
     pieces = [
-        FusedBlock(time[start:end], {"specific_force": triad[start:end]})
-        for start, end in itertools.pairwise(cuts)
+        FusedBlock(time[start:end], {"specific_force": triad[start:end]}) for start, end in itertools.pairwise(cuts)
     ]
 
     noise = quiet_noise([whole])["specific_force"]
