@@ -35,13 +35,13 @@ class Backlog:
         return self._gaps.get(name, Gaps())
 
     def step(self, periods_ns: Mapping[str, float]) -> None:
-        """Count some more rows; what can't be read is passed over."""
+        """Count some more rows; what can't be read is passed over, and a sensor of which no period is known."""
         left = AT_ONCE
         for name, (column, rows) in self._columns.items():
             start = self._done[name]
             stop = min(rows, start + left)
-            if stop > start and periods_ns.get(name):
-                self._gaps[name] += _counted(column, start, stop, periods_ns[name])
+            if stop > start:
+                self._gaps[name] += _counted(column, start, stop, periods_ns.get(name, 0.0))
                 self._done[name] = stop
                 left -= stop - start
         if self.counted == 1.0:

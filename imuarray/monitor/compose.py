@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,16 +30,20 @@ def snapshot_of(
 ) -> Snapshot:
     """What is to be seen of `source` now; nothing came for `quiet_s`. `result`: where its fused output is written."""
     windows, told = source.seen.windows, source.seen.told
+    begins_ns, ends_ns = _extent(windows.values())
+    for window in windows.values():
+        window.forget((ends_ns or 0) - source.seen.span_ns)
     held = HeldLog(
         source.path,
         {name: (source.attributes[name], window.rows or _no_rows(source, name)) for name, window in windows.items()},
     )
     period_ns = frame_period_ns(source.source, source.frame_rate_hz)
-    views = tuple(view_of(held[name], window, source.backlog.gaps(name), period_ns) for name, window in windows.items())
-    firsts = [window.first_ns for window in windows.values() if window.first_ns is not None]
-    ends = [int(window.time[-1]) for window in windows.values() if len(window.time)]
+    extent = (begins_ns or 0, ends_ns or 0)
+    views = tuple(
+        view_of(held[name], window, source.backlog.gaps(name), extent, period_ns) for name, window in windows.items()
+    )
     frames = _frames(views)
-    fused, not_fused = _fused(source, windows, calibration, max(ends, default=0), result)
+    fused, not_fused = _fused(source, windows, calibration, ends_ns or 0, result)
     return Snapshot(
         source.path,
         source.state,
@@ -47,8 +51,8 @@ def snapshot_of(
         source.source,
         source.epoch,
         told.phase if source.state == WRITTEN else "",
-        begins_ns=min(firsts, default=None),
-        ends_ns=max(ends, default=None),
+        begins_ns=begins_ns,
+        ends_ns=ends_ns,
         quiet_s=max(0.0, quiet_s),
         rate_hz=float(np.median([view.rate_hz for view in frames])) if frames else 0.0,
         frame_rate_hz=source.frame_rate_hz,
@@ -63,6 +67,13 @@ def snapshot_of(
         fused=fused,
         not_fused=not_fused,
     )
+
+
+def _extent(windows: Iterable[Window]) -> tuple[int | None, int | None]:
+    """The times of the first and of the newest row of the log."""
+    spoken = [window for window in windows if len(window.newest)]
+    firsts = [window.first_ns for window in spoken if window.first_ns is not None]
+    return min(firsts, default=None), max((int(window.newest[-1]) for window in spoken), default=None)
 
 
 def _no_rows(source: Source, name: str) -> Rows:

@@ -66,7 +66,7 @@ class Growing:
                 if group.path == NOTES:
                     seen.told.take_stored(file[NOTES]["text"], count)
                 elif name in seen.windows and count:
-                    seen.windows[name].begins_behind(count, int(file[group.path]["time"][0]))
+                    seen.windows[name].begins_behind(count, file[group.path]["time"])
                     if self.attributes[name].get("quantity") in INERTIAL:
                         columns[name] = (file[group.path]["time"], count)
             self.backlog = Backlog(columns, file.close)

@@ -25,6 +25,7 @@ function shown(value, digits) {
   const text = value.toFixed(digits);
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
 }
+const silent = (sensor) => (sensor.silent_s === null ? "" : `silent ${duration(sensor.silent_s)}`);
 const whole = (value) => value.toLocaleString("en-GB");
 
 function duration(seconds) {
@@ -225,7 +226,7 @@ function row(sensor) {
   const warm = sensor.temperature_degc === null ? "" : shown(sensor.temperature_degc, 1) + (sensor.temperature_is_relative ? "*" : "");
   const number = (text, warn) => make("td", { class: warn ? "n warn" : "n" }, text);
   return make("tr", {}, make("th", { scope: "row" }, sensor.name), make("td", {}, sensor.chip),
-    number(shown(sensor.rate_hz, 1)), ...means.map((value) => number(value === undefined ? "" : shown(value, digits))),
+    number(silent(sensor) || shown(sensor.rate_hz, 1), silent(sensor)), ...means.map((value) => number(value === undefined ? "" : shown(value, digits))),
     make("td", {}, sensor.unit), number(shown(sd, digits + 1)), number(use === null ? "" : `${use.toFixed(0)} %`, use > 95),
     number(warm), number(whole(sensor.missed), sensor.missed > 0), make("td", {}, flags));
 }
@@ -263,7 +264,9 @@ function sensors(now) {
     const digits = DIGITS[sensor.unit] ?? 3;
     const warm = sensor.temperature_degc === null ? ""
       : `, ${shown(sensor.temperature_degc, 1)}${sensor.temperature_is_relative ? "*" : ""} °C`;
-    write(node.querySelector(".what"), `${sensor.chip}, ${shown(sensor.rate_hz, 1)} Hz${warm}`);
+    const what = node.querySelector(".what");
+    what.classList.toggle("warn", sensor.silent_s !== null);
+    write(what, `${sensor.chip}, ${silent(sensor) || `${shown(sensor.rate_hz, 1)} Hz`}${warm}`);
     const uses = sensor.use_percent;
     const peaks = sensor.peak_use_percent;
     const smalls = sensor.columns.map((_, axis) => uses

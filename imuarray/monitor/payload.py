@@ -15,11 +15,13 @@
 `events`          how many, by kind; `problems`: how many of them tell of trouble
 `recent`          the last 50, the newest first: `time_s`, `sensor` ("": the array), `kind`, `message`, `trouble`
 `disk`            `free_bytes`; `bytes_per_s` that the log takes; `left_s` until the log is ended for want of it
-`sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`, `delayed`,
-                  `missed`; `flags` of the last 10 s, by name; in `unit` and for each column `mean` of the last second
-                  and `sd` of the last 10; `use_percent` of the range in the last 10 s and `peak_use_percent` at most
-                  so far, or null; `temperature_degc` or null, `temperature_is_relative`: only its changes count;
-                  `density_unit`: of spectra, on the page
+`sensors`         in the order of the log: `name`, `chip`, `quantity`, `unit`, `columns`; `rows`, `rate_hz`;
+                  `silent_s`: how long nothing came from it before the newest row of the log, null if something did in
+                  the last second; `delayed`; `missed`, with those since it is silent; `flags` of the last 10 s, by
+                  name; in `unit` and for each column `mean` of the last second (null: it is silent) and `sd` of the
+                  last 10; `use_percent` of the range in the last 10 s and `peak_use_percent` at most so far, or null;
+                  `temperature_degc` or null, `temperature_is_relative`: only its changes count; `density_unit`: of
+                  spectra, on the page. The last second and the last 10 are those of the log, not of the sensor
 `fused`           null, and `not_fused` says why; or `technique`, `calibrated` and `quantities`: "specific_force" and
                   "angular_rate", of each `unit`, `mean` of the last second and `noise` from frame to frame
 `took_ms`         what it took to look
@@ -119,6 +121,7 @@ def _sensor(view: SensorView) -> dict[str, Any]:
         "columns": list(view.columns),
         "rows": view.rows,
         "rate_hz": _number(view.rate_hz),
+        "silent_s": None if view.silent_s is None else round(view.silent_s, 1),
         "delayed": view.delayed,
         "missed": view.missed,
         "flags": dict(view.flags),

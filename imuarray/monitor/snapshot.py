@@ -32,11 +32,12 @@ class Disk:
 
 @dataclass(frozen=True)
 class SensorView:
-    """The last seconds of a sensor.
+    """A sensor in the last seconds of the log, which are those before the newest row of any sensor.
 
-    `rows` of the log so far, the first of them at `first_ns`; `delayed` and `missed` among those that were counted;
-    `framed`, whether there is one in every frame. `flags`, rows of the last seconds by
-    flag. `time` (n,) ns and `values` (n, k) in `unit`, their `mean` (k,) over the last second and `sd` (k,) over all of
+    From one that is silent nothing came for `silent_s` (None: something did in the last second), nor is its mean known.
+    `rows` of the log so far, the first of them at `first_ns`; `delayed` and `missed` among those that were counted, and
+    since it is silent; `framed`, whether there is one in every frame. `flags`, rows of the last seconds by flag.
+    `time` (n,) ns and `values` (n, k) in `unit`, their `mean` (k,) over the last second and `sd` (k,) over all of
     them. `use` and `peak_use` (k,): share of the measuring range, in the last seconds and at most so far; None for a
     sensor without a range. `temperature_degc` of the last second, where `relative` says that its zero is not known.
     """
@@ -49,6 +50,7 @@ class SensorView:
     rows: int
     first_ns: int | None
     rate_hz: float
+    silent_s: float | None
     framed: bool
     delayed: int
     missed: int

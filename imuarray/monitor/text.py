@@ -87,7 +87,9 @@ def _sensors(views: Sequence[SensorView], columns: int) -> list[str]:
 
 def _sensor(view: SensorView) -> str:
     means = " ".join(f"{value:8.3f}"[:8] for value in view.mean) if view.rows else "nothing came"
-    noise = f"{view.sd.max():7.4f}"[:7] if view.rows > 1 else ""
+    if view.rows and view.silent_s is not None:
+        means = f"silent {duration(view.silent_s)}"
+    noise = f"{view.sd.max():7.4f}"[:7] if len(view.time) > 1 else ""
     use = "" if view.use is None else f"{view.use.max():.0%}"
     warm = "" if view.temperature_degc is None else f"{view.temperature_degc:.1f}{'*' * view.relative}"
     return f"{view.rate_hz:6.1f} {means:26} {view.unit:5} {noise:>7} {use:>5} {warm:>6} {view.missed:6}"

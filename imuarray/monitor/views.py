@@ -15,7 +15,9 @@ from imuarray.monitor.snapshot import Floats, SensorView
 from imuarray.monitor.window import Gaps, Window
 
 _LAST_NS = 1_000_000_000
-"""Of the last rows whose mean is shown as what a sensor reads now."""
+"""Of the log, whose mean is shown as what a sensor reads now; one that gave nothing in it is silent."""
+_PATIENCE = 2.5
+"""Periods of a slow sensor before it is silent."""
 _LEAST_ROWS = 128
 """For a spectrum."""
 _BREAK = 3.0
@@ -23,30 +25,35 @@ _BREAK = 3.0
 _PRESSURE = "pressure"
 
 
-def view_of(sensor: SensorLog, window: Window, earlier: Gaps, frame_period_ns: int = 0) -> SensorView:
-    """What is to be seen of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. Frames lie on a
-    grid of `frame_period_ns` (0: on none that is known).
+def view_of(
+    sensor: SensorLog, window: Window, earlier: Gaps, extent: tuple[int, int], frame_period_ns: int = 0
+) -> SensorView:
+    """What is to be seen of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. `extent` are
+    the times of the first and of the newest row of the log. Frames lie on a grid of `frame_period_ns` (0: on none that
+    is known).
     """
     time = window.time
     values, unit, columns = _values(sensor, window)
-    last = slice(int(np.searchsorted(time, time[-1] - _LAST_NS)) if len(time) else 0, len(time))
-    gaps = window.gaps + earlier
+    silent_ns = _silence(window, extent)
+    last = slice(int(np.searchsorted(time, extent[1] - _reach_ns(window))), 0 if silent_ns else len(time))
     use, peak = _use(sensor, window)
     degc, relative = _temperature(sensor, window, last)
-    rate_hz = (len(time) - 1) / ((time[-1] - time[0]) * 1e-9) if len(time) > 1 else 0.0
-    framed = is_read_once_a_frame(sensor.rate_hz, rate_hz, frame_period_ns)
+    rate_hz = (len(time) - 1) / ((time[-1] - time[0] + silent_ns) * 1e-9) if len(time) > 1 else 0.0
+    usual_hz = 1e9 / window.usual_ns if silent_ns and window.usual_ns else rate_hz
+    framed = is_read_once_a_frame(sensor.rate_hz, usual_hz, frame_period_ns)
     return SensorView(
         sensor.name, sensor.chip, sensor.quantity, unit, columns,
         rows=window.total,
         first_ns=window.first_ns,
-        rate_hz=rate_hz,
+        rate_hz=float(rate_hz),
+        silent_s=silent_ns * 1e-9 if silent_ns else None,
         framed=framed,
-        delayed=gaps.delayed,
-        missed=missing_rows(window.first_ns or 0, time[-2:], window.total, frame_period_ns) if framed else gaps.missed,
+        delayed=window.gaps.delayed + earlier.delayed,
+        missed=_missed(window, earlier, silent_ns, frame_period_ns if framed else 0),
         flags=_flags(window),
         time=time,
         values=values,
-        mean=values[last].mean(axis=0) if len(time) else np.full(len(columns), np.nan),
+        mean=values[last].mean(axis=0) if len(values[last]) else np.full(len(columns), np.nan),
         sd=values.std(axis=0, ddof=1) if len(time) > 1 else np.full(len(columns), np.nan),
         use=use,
         peak_use=peak,
@@ -54,6 +61,28 @@ def view_of(sensor: SensorLog, window: Window, earlier: Gaps, frame_period_ns: i
         relative=relative,
         spectrum=_spectrum(window, values) if sensor.is_triad else None,
     )  # fmt: skip
+
+
+def _reach_ns(window: Window) -> float:
+    """Before the newest row of the log, in which a sensor gives one at least."""
+    return max(float(_LAST_NS), _PATIENCE * window.usual_ns)
+
+
+def _silence(window: Window, extent: tuple[int, int]) -> int:
+    """How long a sensor gave nothing, in ns up to the newest row of the log; 0 for one that is not silent."""
+    begins_ns, ends_ns = extent
+    since_ns = ends_ns - (int(window.newest[-1]) if len(window.newest) else begins_ns)
+    return since_ns if since_ns > _reach_ns(window) else 0
+
+
+def _missed(window: Window, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
+    """Rows that are missing up to the newest one of the log, of a sensor that is read once a frame (0: it is not)."""
+    if frame_period_ns:
+        missing = missing_rows(window.first_ns or 0, window.newest, window.total, frame_period_ns)
+    else:
+        missing = (window.gaps + earlier).missed
+    period_ns = frame_period_ns or window.usual_ns
+    return missing + (round(silent_ns / period_ns) if period_ns else 0)
 
 
 def _values(sensor: SensorLog, window: Window) -> tuple[Floats, str, tuple[str, ...]]:

@@ -77,7 +77,7 @@ class Watch:
                 self._there = look(source.path)
             source = self._turned(source, written)
         self._fresh_s = now_s if rows else self._fresh_s
-        source.backlog.step({name: window.period_ns for name, window in source.seen.windows.items()})
+        source.backlog.step({name: window.usual_ns for name, window in source.seen.windows.items()})
 
     def _found(self) -> Path:
         """The log, or where there is none of that name, its newest part that has begun."""

@@ -49,7 +49,7 @@ class Whole:
             if not len(sensor):
                 continue
             first = sensor.between(start_ns, start_ns).start
-            self.seen.windows[name].begins_behind(first, int(sensor.time[0]))
+            self.seen.windows[name].begins_behind(first, sensor.time)
             self.seen.windows[name].add(_rows_of(sensor, first))
             if sensor.quantity in INERTIAL:
                 columns[name] = (sensor.time, first)

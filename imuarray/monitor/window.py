@@ -64,8 +64,8 @@ def gaps_of(time: Times, period_ns: float) -> Gaps:
 
 class Window:
     """The rows of one sensor of the last `span_ns`: `rows`, columns by name; `period_ns` between two of them (0: too
-    few yet); `total` rows of the log so far, those before the window too; `gaps` of all rows that were added, and
-    `peak_lsb`, the largest magnitude of each column of counts in them.
+    few yet); `total` rows of the log so far, those before the window too, `newest` (up to 2,) ns of the last of them;
+    `gaps` of all rows that were added, and `peak_lsb`, the largest magnitude of each column of counts in them.
     """
 
     def __init__(self, span_ns: int) -> None:
@@ -74,7 +74,9 @@ class Window:
         self.total = 0
         self.first_ns: int | None = None
         self.gaps = Gaps()
+        self.newest: Times = np.empty(0, np.int64)
         self.period_ns = 0.0
+        self._earlier_ns = 0.0
         self.peak_lsb: npt.NDArray[np.float64] | None = None
 
     @property
@@ -82,15 +84,30 @@ class Window:
         """(n,) ns of the rows."""
         return np.asarray(self.rows.get("time", np.empty(0, np.int64)))
 
-    def begins_behind(self, rows: int, first_ns: int) -> None:
-        """So many rows, the first of them at `first_ns`, are before those that will be added."""
+    @property
+    def usual_ns(self) -> float:
+        """Between two rows: of a sensor that is silent since before the window too; 0: too few came."""
+        return self.period_ns or self._earlier_ns
+
+    def begins_behind(self, rows: int, column: Any) -> None:
+        """So many rows at the beginning of a column of times are before those that will be added."""
+        if not rows:
+            return
         self.total += rows
-        self.first_ns = first_ns if self.first_ns is None else self.first_ns
+        self.first_ns = int(column[0]) if self.first_ns is None else self.first_ns
+        last = np.asarray(column[max(0, rows - _FEWEST) : rows], np.int64)
+        self.newest, self._earlier_ns = last[-STRIDE:], period_of(last)
+
+    def forget(self, before_ns: int) -> None:
+        """Let go of older rows: a sensor that fell silent adds none before which its last ones would go."""
+        start = int(np.searchsorted(self.time, before_ns))
+        if start:
+            self.rows = {name: column[start:].copy() for name, column in self.rows.items()}
 
     def add(self, rows: Rows) -> int:
         """Take rows behind those that are there, and say how many; those that are not behind them are left out."""
-        known, new = self.time, np.asarray(rows["time"])
-        fresh = int(np.searchsorted(new, known[-1], side="right")) if len(known) else 0
+        new = np.asarray(rows["time"])
+        fresh = int(np.searchsorted(new, self.newest[-1], side="right")) if len(self.newest) else 0
         count = len(new) - fresh
         if not count:
             return 0
@@ -101,14 +118,15 @@ class Window:
         joined = {
             name: np.concatenate([self.rows[name], rows[name][fresh:]]) if self.rows else rows[name] for name in rows
         }
-        self._count(np.asarray(joined["time"]), count)
+        self._count(np.asarray(joined["time"]), new[fresh:])
+        self.newest = np.concatenate([self.newest, new[fresh:]])[-STRIDE:]
         start = int(np.searchsorted(joined["time"], int(new[-1]) - self._span_ns))
         start = max(start, len(joined["time"]) - MOST_ROWS)
         self.rows = {name: column[start:].copy() for name, column in joined.items()}  # not a view of all that came
         return count
 
-    def _count(self, time: Times, count: int) -> None:
-        """Gaps among the last `count` rows; among all of them as soon as the period is known."""
+    def _count(self, time: Times, new: Times) -> None:
+        """Gaps up to the last rows, `new`; among all of them as soon as the period is known."""
         known = self.period_ns > 0
-        self.period_ns = period_of(time)
-        self.gaps += gaps_of(time[-count - STRIDE :] if known else time, self.period_ns)
+        self.period_ns = period_of(time) or self.period_ns
+        self.gaps += gaps_of(np.concatenate([self.newest, new]) if known else time, self.period_ns)

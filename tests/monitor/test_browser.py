@@ -73,6 +73,27 @@ def test_the_page_shows_the_log_and_changes_with_it(logger: Logger, log_path: Pa
         asyncio.run(visit(address))
 
 
+def test_a_sensor_that_died_is_silent_in_the_colour_of_trouble(logger: Logger, log_path: Path, tmp_path: Path) -> None:
+    logger.go_on(4.0)
+    logger.go_on(49.0, without=("Turned",))
+    warned = "[...document.querySelectorAll('#sensors .warn, #cards .warn')]"
+
+    async def visit(address: str) -> None:
+        async with browser(tmp_path / "profile", address) as page:
+            assert await page.until(ROWS) == 4
+            assert await page.value(f"{warned}.map((one) => one.textContent)") == [
+                "silent 49 s",
+                "4,900",
+                "adxl345, silent 49 s",
+            ]
+            colours = await page.value(f"{warned}.map((one) => getComputedStyle(one).color)")
+            assert set(colours) == {"rgb(154, 67, 0)"}
+            assert page.said == []
+
+    with served(log_path) as (address, _):
+        asyncio.run(visit(address))
+
+
 def test_the_page_says_that_the_monitor_is_gone_and_comes_back_with_it(log_path: Path, tmp_path: Path) -> None:
     writer = LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH)
     writer.keep()

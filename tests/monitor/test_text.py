@@ -135,6 +135,41 @@ def test_monitor_text_once(ended: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert out.startswith("run.h5: finished, 12 s\n")
 
 
+@pytest.fixture(scope="module")
+def died(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished log of 53 s, in which one sensor gave nothing after 4 s."""
+    path = tmp_path_factory.mktemp("died") / "up.h5"
+    with LogWriter(path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=100.0) as writer:
+        logger = Logger(writer)
+        logger.go_on(4.0)
+        logger.go_on(49.0, without=("Turned",))
+    return path
+
+
+def test_a_sensor_that_died_is_silent_in_the_table(died: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["monitor", str(died), "--text", "--once"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = (line for line in lines if line.startswith("  Turned"))
+    assert words(line) == "Turned 0.0 silent 49 s g 4900"
+    assert lines[1] == "  100.0 of 100 Hz, 0 frames missed, 0 delayed"
+
+
+def test_a_sensor_that_died_is_silent_in_json(died: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["monitor", str(died), "--json", "--once"]) == 0
+    told = {view["name"]: view for view in json.loads(capsys.readouterr().out)["sensors"]}
+    acc, turned = told["Acc"], told["Turned"]
+    assert (acc["silent_s"], acc["missed"]) == (None, 0)
+    assert (turned["silent_s"], turned["rate_hz"], turned["missed"], turned["flags"]) == (49.0, 0.0, 4900, {})
+    assert (turned["mean"], turned["sd"], turned["use_percent"]) == ([None] * 3, [None] * 3, None)
+
+
+def test_curves_of_a_sensor_that_died_are_empty(died: Path) -> None:
+    with Watch(died) as watch:
+        (turned,) = (view for view in drawn(watch.refresh(0.0))["sensors"] if view["name"] == "Turned")
+    assert turned["trace"] == {"t": [], "x": [], "y": [], "z": []}
+    assert turned["density"] is None
+
+
 def test_monitor_ends_with_the_log(ended: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["monitor", str(ended), "--json"]) == 0
     (line,) = capsys.readouterr().out.splitlines()

@@ -452,6 +452,67 @@ def test_what_is_no_log_is_told(tmp_path: Path, log_path: Path) -> None:
         assert gone.refresh(0.0).state == "waiting"
 
 
+@pytest.mark.parametrize("frame_rate_hz", [100.0, 0.0])
+def test_a_sensor_that_died_is_not_shown_as_it_was(log_path: Path, frame_rate_hz: float) -> None:
+    """Who looked on is told what those are told who come late, or when the log is finished."""
+    with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=frame_rate_hz) as writer:
+        writer.keep()
+        logger = Logger(writer)
+        with Watch(log_path) as along:
+            for second in range(20):
+                logger.go_on(1.0, without=("Turned",) if second >= 4 else ())
+                seen = along.refresh(float(second))
+        late = fully_counted(log_path)
+    finished = fully_counted(log_path)
+    assert [found.state for found in (seen, late, finished)] == ["being written", "being written", "finished"]
+    for found in (seen, late, finished):
+        dead = sensor(found, "Turned")
+        assert dead.silent_s == pytest.approx(16.0)
+        assert (dead.rows, dead.rate_hz, dead.missed, len(dead.time)) == (400, 0.0, 1600, 0)
+        assert np.isnan(dead.mean).all() and np.isnan(dead.sd).all() and not dead.flags
+        assert (found.missed, found.rate_hz, found.ends_ns) == (0, pytest.approx(100.0), 19_990_000_000)
+        assert [view.silent_s for view in found.sensors if view.name != "Turned"] == [None, None, None]
+
+
+def fully_counted(path: Path) -> Snapshot:
+    """A look of somebody who comes late, within a few of which all is counted."""
+    with Watch(path) as late:
+        return next(seen for step in range(5) if (seen := late.refresh(float(step))).counted == 1.0)
+
+
+def test_a_sensor_is_silent_after_a_second_and_is_heard_when_it_is_back(logger: Logger, log_path: Path) -> None:
+    logger.go_on(4.0)
+    with Watch(log_path) as watch:
+        watch.refresh(0.0)
+        told = []
+        for without in (("Gyro",), ("Gyro",), ("Gyro",), ()):
+            logger.go_on(0.9, without=without)
+            gyro = sensor(watch.refresh(1.0), "Gyro")
+            told.append((gyro.silent_s, gyro.missed, bool(np.isfinite(gyro.mean).all())))
+        assert told == [(None, 0, True), (1.8, 180, False), (2.7, 270, False), (None, 270, True)]
+
+
+def test_the_fused_noise_is_not_that_of_a_sensor_that_died(logger: Logger, log_path: Path) -> None:
+    """Its last rows were fused alone, long before those of the others, and made the scatter theirs."""
+    with Watch(log_path, span_s=2.0) as watch:
+        logger.go_on(3.0)
+        watch.refresh(0.0)
+        logger.go_on(5.0, without=("Turned",))
+        fused = watch.refresh(1.0).fused
+    assert fused is not None
+    assert fused.time[0] == 5_990_000_000
+    np.testing.assert_allclose(fused.noise["specific_force"], GRAVITY * math.sqrt(2) / 2048, rtol=0.02)
+
+
+def test_a_slow_sensor_is_not_silent_between_its_rows(log_path: Path) -> None:
+    with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
+        writer.append("Acc", rows("Acc", 0.0, 39.5))
+        writer.append("Baro", rows("Baro", 0.0, 39.5, 2_000_000_000))
+    with Watch(log_path, span_s=20.0) as watch:
+        baro = sensor(watch.refresh(0.0), "Baro")
+    assert (baro.silent_s, baro.missed, baro.mean.tolist()) == (None, 0, [1002.5])
+
+
 def test_a_sensor_without_rows_is_shown_as_such(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0, without=("Acc", "Baro"))
     with Watch(log_path) as watch:

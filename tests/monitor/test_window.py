@@ -84,6 +84,28 @@ def test_rows_that_came_before_are_left_out() -> None:
     assert window.peak_lsb is not None and window.peak_lsb.tolist() == [7, 7, 7]
 
 
+def test_what_is_missing_is_counted_over_rows_that_were_let_go() -> None:
+    window = window_of(frames(np.arange(100)), at_once=100)
+    window.forget(1 << 60)
+    assert len(window.time) == 0 and window.newest.tolist() == frames(np.arange(98, 100)).tolist()
+    for number in range(130, 160):
+        window.add({"time": frames(np.array([number])), "counts": np.zeros((1, 3), np.int16)})
+    assert (window.total, window.gaps.missed, window.usual_ns) == (130, 30, PERIOD_NS)
+
+
+def test_the_period_of_a_sensor_that_was_silent_before_anybody_looked() -> None:
+    window = Window(1_000_000_000)
+    window.begins_behind(90, frames(np.arange(100)))
+    assert (window.total, window.first_ns, window.period_ns, window.usual_ns) == (90, 0, 0, PERIOD_NS)
+    assert window.newest.tolist() == frames(np.arange(88, 90)).tolist()
+
+
+def test_rows_without_a_period_are_passed_over() -> None:
+    backlog = Backlog({"A": (frames(np.arange(5)), 5)})
+    backlog.step({"A": 0.0})
+    assert (backlog.counted, backlog.gaps("A")) == (1.0, Gaps())
+
+
 def test_earlier_rows_are_counted_a_piece_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imuarray.monitor.backlog.AT_ONCE", 100)
     time = frames(np.delete(np.arange(1000), [99, 100, 101, 500]))
