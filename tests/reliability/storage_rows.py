@@ -107,6 +107,11 @@ def counter(path: Path) -> Callable[[int], int]:
     return lambda frames: os.write(fd, frames.to_bytes(8, "little"))
 
 
+def counts(path: Path) -> int:
+    """How many numbers are in such a file."""
+    return path.stat().st_size // 8 if path.exists() else 0
+
+
 def counted(path: Path) -> int:
     """The last number in such a file; 0 if there is none."""
     content = path.read_bytes() if path.exists() else b""

@@ -20,8 +20,8 @@ from tests.reliability import storage_rows as rows
 FRAMES, BATCH, CHUNK = 1000, 10, 256
 
 
-def recorded(folder: Path, seconds: float | None) -> int:
-    """Record in a child of this process, killed after some time; wait status."""
+def recorded(folder: Path, batches: int = 0, seconds: float | None = None) -> int:
+    """Record in a child of this process, killed some time after so many batches were acknowledged; wait status."""
     child = os.fork()
     if child == 0:
         status = 1
@@ -31,26 +31,36 @@ def recorded(folder: Path, seconds: float | None) -> int:
         finally:
             os._exit(status)
     if seconds is not None:
+        while batches and rows.counts(folder / "acknowledged") < batches:
+            time.sleep(0.0002)
         time.sleep(seconds)
         os.kill(child, signal.SIGKILL)
     return os.waitpid(child, 0)[1]
 
 
 def nursery(folder: Path, times: int, seed: int) -> None:
-    """Many killed recordings, in a process of their own that has nothing open."""
+    """Many killed recordings, in a process of their own that has nothing open.
+
+    Three of four are killed after a random number of batches, and a random part of a batch more: how fast the
+    machine is at that moment changes nothing.  The others die at a random time, also while the log is opened or
+    finished.
+    """
     draw = random.Random(seed)
     wholes = []
     for number in range(3 if times > 10 else 1):
         (folder / f"whole{number}").mkdir()
         start = time.perf_counter()
-        if recorded(folder / f"whole{number}", None) != 0:
+        if recorded(folder / f"whole{number}") != 0:
             sys.exit("the recording failed")
         wholes.append(time.perf_counter() - start)
     whole_s = min(wholes)
     for number in range(times):
         place = folder / f"{number:03d}"
         place.mkdir()
-        recorded(place, draw.uniform(0, whole_s))
+        if number % 4 < 3:
+            recorded(place, draw.randrange(1, FRAMES // BATCH), draw.uniform(0, 0.01 * whole_s))
+        else:
+            recorded(place, 0, draw.uniform(0, whole_s))
 
 
 def look(folder: Path) -> tuple[str, int, int]:
