@@ -30,6 +30,7 @@ CHIP_DEGC: dict[str, tuple[float, float]] = {
 """Degrees at count 0, and degrees per count, of the chips' own thermometers."""
 
 WITHOUT_ZERO = ("l3g4200d",)
+"""Chips whose thermometer tells changes only (L3G-60)."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.segments import CHIP_DEGC, Thermometer
+from imuarray.calibrate.segments import CHIP_DEGC, WITHOUT_ZERO, Thermometer
 from imuarray.errors import LogError
 from imuarray.export.tables import Column
 from imuarray.fuse.thermal import element_temperatures
@@ -22,8 +22,6 @@ from imuarray.log import Log, SensorLog
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
 _AXES = ("x", "y", "z")
-_WITHOUT_ZERO = ("l3g4200d",)
-"""Its thermometer tells changes only (L3G-60)."""
 
 
 def warmth(log: Log, calibration: Calibration) -> dict[str, Thermometer]:
@@ -69,7 +67,7 @@ def _temperature(sensor: SensorLog) -> tuple[Column, ...]:
     column = sensor.temperature_counts
     if column is None:
         return ()
-    if sensor.chip not in CHIP_DEGC or sensor.chip in _WITHOUT_ZERO:
+    if sensor.chip not in CHIP_DEGC or sensor.chip in WITHOUT_ZERO:
         return (Column("temperature_counts", "<i2", "counts", (), lambda rows: np.asarray(column[rows])),)
     zero, step = CHIP_DEGC[sensor.chip]
     return (Column("temperature", "<f8", "degC", (), lambda rows: zero + step * np.asarray(column[rows], float)),)
