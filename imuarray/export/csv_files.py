@@ -25,7 +25,7 @@ import numpy.typing as npt
 from imuarray.atomic import whole_file
 from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, CSV_SUFFIX, Exported, Progress, Wanted
-from imuarray.export.tables import Column, Content, Meter, Table
+from imuarray.export.tables import Column, Content, Meter, Table, numbered
 from imuarray.printable import printable
 
 
@@ -70,16 +70,11 @@ def _file_names(path: Path, names: Sequence[str]) -> list[str]:
     """run_Acc.csv and so on; where names differ in case only, which not every disk tells apart, or a sensor is called
     as a group is, with a number.
     """
-    taken: set[str] = set()
-    found = []
+    taken: dict[str, str] = {}
     for name in names:
-        tried, number = f"{path.stem}_{name}{path.suffix}", 1
-        while tried.lower() in taken:
-            number += 1
-            tried = f"{path.stem}_{name}_{number}{path.suffix}"
-        taken.add(tried.lower())
-        found.append(tried)
-    return found
+        free = next(one for one in numbered(f"{path.stem}_{name}") if one.lower() not in taken)
+        taken[free.lower()] = f"{free}{path.suffix}"
+    return list(taken.values())
 
 
 def _begin(file: IO[str], what: str, content: Content, head: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ from imuarray.atomic import whole_file
 from imuarray.errors import ExportError
 from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import Exported, Progress, Wanted
-from imuarray.export.tables import Content, Meter, Table
+from imuarray.export.tables import Content, Meter, Table, numbered
 
 MOST_BYTES = (1 << 31) - 1
 """Of one array: lengths are 32 bits wide (MATLAB MAT-File Format, R2019b, chapter 1)."""
@@ -100,9 +100,5 @@ def _names(tables: tuple[Table, ...]) -> list[str]:
     for table in tables:
         wish = re.sub(r"\W", "_", table.short, flags=re.ASCII)
         wish = (wish if wish[:1].isalpha() else f"x{wish}")[: _LONGEST_NAME - 5]
-        tried, number = wish, 1
-        while tried in (_HEAD, *names):
-            number += 1
-            tried = f"{wish}_{number}"
-        names.append(tried)
+        names.append(next(name for name in numbered(wish) if name not in (_HEAD, *names)))
     return names

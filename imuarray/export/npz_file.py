@@ -20,7 +20,7 @@ from numpy.lib import format as npy
 from imuarray.atomic import whole_file
 from imuarray.export.content import head_with, open_content
 from imuarray.export.formats import NPZ_HEADER, Exported, Progress, Wanted
-from imuarray.export.tables import Column, Content, Meter, Table
+from imuarray.export.tables import Column, Content, Meter, Table, numbered
 
 
 def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
@@ -46,13 +46,9 @@ def array_names(tables: Iterable[Table]) -> dict[str, dict[str, str]]:
     names: dict[str, dict[str, str]] = {}
     for table in tables:
         for column in table.columns:
-            wish = tried = f"{table.short}_{column.name}"
-            number = 1
-            while tried in taken:
-                number += 1
-                tried = f"{wish}_{number}"
-            taken.add(tried)
-            names.setdefault(table.name, {})[column.name] = tried
+            free = next(name for name in numbered(f"{table.short}_{column.name}") if name not in taken)
+            taken.add(free)
+            names.setdefault(table.name, {})[column.name] = free
     return names
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,11 @@ class Content:
         """What there is to say once all of it is in `files`."""
         rows = {table.name: table.rows for table in self.tables}
         return Exported(files, rows, self.units, self.uncalibrated)
+
+
+def numbered(wish: str) -> Iterator[str]:
+    """A name, then name_2, name_3, ..., without end: one that is taken is followed by one that may not be."""
+    return chain([wish], (f"{wish}_{number}" for number in count(2)))
 
 
 class Meter:
