@@ -21,12 +21,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from imuarray.axes import UP_AXES, up_vector
+from imuarray.axes import UP_AXES, orientation_of, up_vector
 from imuarray.calibrate.labels import axes_text
 from imuarray.calibrate.poses import Pose, find_poses, named_faces
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
-from imuarray.units import SI_PER_UNIT
+from imuarray.units import INERTIAL, SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
 
@@ -77,10 +77,7 @@ def held_poses(log: Log, ups: Sequence[str] = ()) -> list[Pose]:
     faces = [] if ups else named_faces(log)
     if faces:
         return faces
-    first = {
-        quantity: [sensor.name for sensor in log.of(quantity)[:1]] for quantity in ("specific_force", "angular_rate")
-    }
-    poses = find_poses(log, [*first["specific_force"], *first["angular_rate"]])
+    poses = find_poses(log, [sensor.name for quantity in INERTIAL for sensor in log.of(quantity)[:1]])
     wanted = list(ups) or list(HELD)
     for up in wanted:
         if up not in UP_AXES:
@@ -188,8 +185,8 @@ def _onward(carried: Mapping[str, Sequence[Floats | None]], found: Mapping[str, 
     if not told:
         return []
     name = told[0][1]
-    turn = _matrix(found[name].axes)
-    return [None if matrix is None else turn.T @ matrix @ turn for matrix in carried[name]]
+    orientation = np.array(orientation_of(found[name].axes))
+    return [None if matrix is None else orientation @ matrix @ orientation.T for matrix in carried[name]]
 
 
 def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], onward: Sequence[Floats | None]) -> Pointing:
@@ -231,8 +228,3 @@ def _best(sensor: SensorLog, left: Floats) -> Pointing:
             sensor.name, sensor.chip, "", best, second, f"{axes_text(TURNS[order[1]])} is as good as {axes}"
         )
     return Pointing(sensor.name, sensor.chip, axes, best, second)
-
-
-def _matrix(axes: str) -> Floats:
-    """The turn that an axes text names."""
-    return next(turn for turn in TURNS if axes_text(turn) == axes)
