@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -178,12 +177,7 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
         text = with_axes(log.config, found, str(run))
         report = report_of(found, {name: sensor.axes for name, sensor in log.sensors.items()})
     write_text(output, text, force=force)
-    report = {**_known(report), "configuration": str(output)}
-    if as_json:
-        print_json(report)
-    else:
-        print_report(report)
-        click.echo(f"wrote {output}")
+    _tell({**report, "configuration": str(output)}, print_report, output, as_json)
 
 
 @contextmanager
@@ -229,18 +223,16 @@ def _finish(
         load_calibration(output).merged(calibration).save(output, force=True)
     else:
         calibration.save(output, force=force)
-    report = {**_known(report), "calibration": str(output)}
+    _tell({**report, "calibration": str(output)}, show, output, as_json)
+
+
+def _tell(report: Report, show: Callable[[Report], None], output: Path, as_json: bool) -> None:
+    """What was found and written, for a person or a program."""
+    from imuarray.characterise.result import json_ready
+
+    known = json_ready(report)
     if as_json:
-        print_json(report)
+        print_json(known)
     else:
-        show(report)
+        show(known)
         click.echo(f"wrote {output}")
-
-
-def _known(value: Any) -> Any:
-    """The same with None for every number that is not finite: JSON has no nan."""
-    if isinstance(value, dict):
-        return {key: _known(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_known(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
