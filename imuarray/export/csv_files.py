@@ -24,7 +24,16 @@ import numpy.typing as npt
 
 from imuarray.atomic import whole_file
 from imuarray.export.content import head_with, open_content
-from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, CSV_SUFFIX, Exported, Progress, Wanted
+from imuarray.export.formats import (
+    CSV_EVENTS,
+    CSV_INDEX,
+    CSV_MAGIC,
+    CSV_PHASES,
+    Exported,
+    Progress,
+    Wanted,
+    csv_names,
+)
 from imuarray.export.tables import Column, Content, Meter, Table, numbered
 from imuarray.printable import printable
 
@@ -87,7 +96,8 @@ def _begin(file: IO[str], what: str, content: Content, head: Mapping[str, Any]) 
 def _write_table(path: Path, content: Content, table: Table, head: Mapping[str, Any], meter: Meter) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         _begin(file, table.name, content, head)
-        csv.writer(file, lineterminator="\n").writerow([name for one in table.columns for name in cell_names(one)])
+        names = [name for one in table.columns for name in csv_names(one.name, one.cells, one.unit)]
+        csv.writer(file, lineterminator="\n").writerow(names)
         for rows in table.blocks():
             cells = [texts for column in table.columns for texts in _texts(column, rows)]
             file.writelines(f"{line}\n" for line in map(",".join, zip(*cells, strict=True)))
@@ -98,14 +108,6 @@ def _write_texts(path: Path, table: str, content: Content, names: Sequence[str],
     with path.open("w", encoding="utf-8", newline="") as file:
         _begin(file, table, content, {"table": table, "epoch": content.epoch})
         csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL).writerows([names, *rows])
-
-
-def cell_names(column: Column) -> list[str]:
-    """What the cells of a column are called: time_s, counts_x, specific_force_x_mps2, temperature_degc."""
-    if column.name == "time":
-        return ["time_s"]
-    suffix = CSV_SUFFIX.get(column.unit, "")
-    return [f"{column.name}{cell}{suffix}" for cell in [f"_{cell}" for cell in column.cells] or [""]]
 
 
 def _texts(column: Column, rows: slice) -> Iterator[list[str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -45,6 +45,15 @@ CSV_SUFFIX: Mapping[str, str] = MappingProxyType(
     }
 )
 """How a unit ends the name of a column; counts and flags have none."""
+
+
+def csv_names(column: str, cells: Sequence[str], unit: str) -> list[str]:
+    """What the cells of a column are called: time_s, counts_x, specific_force_x_mps2, temperature_degc."""
+    if column == "time":
+        return ["time_s"]
+    suffix = CSV_SUFFIX.get(unit, "")
+    return [f"{column}{cell}{suffix}" for cell in [f"_{cell}" for cell in cells] or [""]]
+
 
 NPZ_HEADER = "header"
 """The array of an npz file that holds everything but columns: the bytes of a JSON object."""

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import SourceError
-from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, CSV_SUFFIX
+from imuarray.export.formats import CSV_EVENTS, CSV_INDEX, CSV_MAGIC, CSV_PHASES, csv_names
 from imuarray.importers import Summary, open_source
 from imuarray.importers.cells import Block, Column, Table, nanoseconds
 from imuarray.importers.exported import MAX_HEADER_BYTES, Head, checked_head, notes_of, parse_header, write_log
@@ -146,11 +146,8 @@ class _Tables:
 
 def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str]:
     """What the columns of a table are called that a column of a log is written as."""
-    if name == "time":
-        return ["time_s"]
     clocks = name in ("monotonic", "monotonic_raw", "boottime", "realtime")
-    suffix = CSV_SUFFIX.get("ns" if clocks else _UNITS.get(name, ""), "")
-    return [f"{name}_{cell}{suffix}" for cell in cells] if tail else [f"{name}{suffix}"]
+    return csv_names(name, cells if tail else (), "ns" if clocks else _UNITS.get(name, ""))
 
 
 def _columns(
