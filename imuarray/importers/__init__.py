@@ -68,10 +68,13 @@ def open_source(source: str | PathLike[str], output: str | PathLike[str]) -> Bin
     try:
         file = path.open("rb")
     except OSError as error:
-        raise SourceError(
-            f"{path}: {'no such file' if isinstance(error, FileNotFoundError) else error.strerror}"
-        ) from None
+        raise unreadable(path, error) from None
     if Path(output).exists() and Path(output).samefile(path):
         file.close()
         raise SourceError(f"{path}: is the output too; a log never replaces what it was made from")
     return file
+
+
+def unreadable(path: Path, error: OSError) -> SourceError:
+    """What there is to say of a recording that can't be opened or read."""
+    return SourceError(f"{path}: {'no such file' if isinstance(error, FileNotFoundError) else error.strerror}")

@@ -21,7 +21,7 @@ import numpy as np
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError, SourceError
 from imuarray.export.formats import CSV_MAGIC
-from imuarray.importers import Importer, Summary
+from imuarray.importers import Importer, Summary, unreadable
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
 from imuarray.log.guard import check_note
@@ -59,9 +59,7 @@ def importer_of(source: str | PathLike[str]) -> Importer | None:
         with path.open("rb") as file:
             first = file.read(max(map(len, MAGICS)))
     except OSError as error:
-        raise SourceError(
-            f"{path}: {'no such file' if isinstance(error, FileNotFoundError) else error.strerror}"
-        ) from None
+        raise unreadable(path, error) from None
     for magic, module in MAGICS.items():
         if first.startswith(magic):
             return cast(Importer, import_module(module).import_file)
