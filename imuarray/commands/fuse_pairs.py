@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -23,12 +22,13 @@ _MOST = 20
 
 def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[dict[str, Any]]:
     """Every pair of the fused sensors, SI, JSON-ready: None stands for infinite."""
+    from imuarray.characterise.result import json_ready
     from imuarray.fuse.techniques.pairs import capabilities
 
     found = []
     for quantity in INERTIAL:
         sensors = [sensor for sensor in log.of(quantity) if not names or sensor.name in names]
-        found += [{"quantity": quantity, **_known(asdict(pair))} for pair in capabilities(sensors, calibration)]
+        found += [{"quantity": quantity, **json_ready(asdict(pair))} for pair in capabilities(sensors, calibration)]
     return found
 
 
@@ -60,10 +60,3 @@ def _said(pair: dict[str, Any], what: str, name: str) -> str:
     if error["most"] is None:
         return f"{name} {sizes}: at least {error['least']:.3g} times less (95 %)"
     return f"{name} {sizes}: {error['least']:.3g} to {error['most']:.3g} times less (95 %)"
-
-
-def _known(value: Any) -> Any:
-    """The same with None for every number that is not finite: JSON has no inf."""
-    if isinstance(value, dict):
-        return {key: _known(item) for key, item in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
