@@ -9,6 +9,5 @@
 from imuarray.fuse.faults.events import FaultEvent
 from imuarray.fuse.faults.kinds import Ranges
 from imuarray.fuse.faults.monitor import FaultMonitor
-from imuarray.fuse.faults.monitored import Monitored, monitored
 
-__all__ = ["FaultEvent", "FaultMonitor", "Monitored", "Ranges", "monitored"]
+__all__ = ["FaultEvent", "FaultMonitor", "Ranges"]

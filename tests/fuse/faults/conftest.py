@@ -113,9 +113,9 @@ def _run(log: Log, quantity: str, model: Model, effects: Mapping[str, Sequence[E
     return Run(quantity, tuple(axes_of(sensors, calibration)), whole, truth)
 
 
-def watched(monitor: FaultMonitor, fed: Frames) -> tuple[Frames, tuple[FaultEvent, ...]]:
-    """All of the frames, and all events."""
-    parts = [monitor(fed), monitor.finish()]
+def watched(monitor: FaultMonitor, *fed: Frames) -> tuple[Frames, tuple[FaultEvent, ...]]:
+    """All of the frames, fed block by block, and all events."""
+    parts = [*map(monitor, fed), monitor.finish()]
     kept = [part for part in parts if part is not None]
     return Frames.joined(kept), monitor.events
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from imuarray.errors import FusionError
 from imuarray.fuse import Frames
-from imuarray.fuse.faults import FaultMonitor, monitored
+from imuarray.fuse.faults import FaultMonitor
 from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.stuck import Stuck
 from tests.fuse.faults.conftest import (
@@ -52,13 +52,11 @@ def test_cuts_leave_no_trace(cuts: list[int]) -> None:
     whole, events = watched(at_rest().monitor(), fed)
     edges = [0, *sorted(cuts), len(fed.time)]
     blocks = [fed.part(slice(start, stop)) for start, stop in pairwise(edges)]
-    run = at_rest()
-    stage = monitored(blocks, run.axes, run.quantity, period_s=run.period_s)
-    given_ = list(stage)
-    assert (np.concatenate([each.valid for each in given_]) == whole.valid).all()
-    assert (np.concatenate([each.time for each in given_]) == fed.time).all()
-    assert (np.concatenate([each.values for each in given_]) == fed.values).all()
-    assert [event.time_ns for event in stage.events] == [event.time_ns for event in events]
+    joined, found = watched(at_rest().monitor(), *blocks)
+    assert (joined.valid == whole.valid).all()
+    assert (joined.time == fed.time).all()
+    assert (joined.values == fed.values).all()
+    assert [event.time_ns for event in found] == [event.time_ns for event in events]
 
 
 def test_flags_of_the_log_hold_and_nothing_else_is_touched() -> None:
