@@ -11,7 +11,7 @@ import numpy as np
 
 from imuarray.fuse.frames import Floats, Times
 from imuarray.fuse.optimal.geometry import Geometry
-from imuarray.fuse.optimal.readings import Readings, patterns
+from imuarray.fuse.optimal.readings import Readings, held, patterns
 from imuarray.fuse.optimal.solve import Solution
 from imuarray.fuse.optimal.view import View
 
@@ -50,15 +50,9 @@ class Dynamics:
 
     def _changes(self, time: Times, triad: Floats) -> Floats:
         """(n,) squares of the change per second; 0 where nothing is known yet."""
-        times, triads = np.concatenate([self._time, time]), _held(np.concatenate([self._triad, triad]))
+        times, triads = np.concatenate([self._time, time]), held(np.concatenate([self._triad, triad]))
         now = np.arange(len(self._time), len(times))
         then = np.maximum(now - self._back, 0)
         self._time, self._triad = times[-self._back :], triads[-self._back :]
         seconds = np.maximum((times[now] - times[then]) * 1e-9, 1e-9)
         return np.asarray(np.nan_to_num(((triads[now] - triads[then]) ** 2).sum(axis=1) / seconds**2))
-
-
-def _held(triad: Floats) -> Floats:
-    """(n, 3) with the last known one in place of NaN."""
-    known = np.isfinite(triad).all(axis=1)
-    return triad if known.all() else triad[np.maximum.accumulate(np.where(known, np.arange(len(triad)), 0))]

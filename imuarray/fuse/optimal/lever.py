@@ -16,7 +16,7 @@ import numpy as np
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Floats, Times
 from imuarray.fuse.optimal.geometry import Geometry
-from imuarray.fuse.optimal.readings import Bounds, Readings
+from imuarray.fuse.optimal.readings import Bounds, Readings, held
 
 FASTEST = 300.0
 """rad/s2, standard deviation of the angular acceleration of anything: a turn at 1000 dps reversed in 0.1 s has 350."""
@@ -84,10 +84,10 @@ class Lever:
         """
         time, rates = np.concatenate([self._time, readings.time]), np.concatenate([self._rate, rate])
         acceleration = self._slopes(time, rates)
-        held = _held(np.concatenate([self._held[None], rate]))[1:]
-        self._time, self._rate, self._held = time[-2:], rates[-2:], (held[-1] if len(held) else self._held)
+        lasting = held(np.concatenate([self._held[None], rate]))[1:]
+        self._time, self._rate, self._held = time[-2:], rates[-2:], (lasting[-1] if len(lasting) else self._held)
         known = np.asarray(np.isfinite(acceleration).all(axis=1))
-        turning = self._centripetal(held)
+        turning = self._centripetal(lasting)
         values = np.where(readings.valid, readings.values - turning, 0.0)
         told = np.where(known[:, None], acceleration, 0.0) @ self.whitening.T
         others = np.concatenate([np.repeat(known[:, None], 3, axis=1), np.ones((len(known), 3), bool)], axis=1)
@@ -120,9 +120,3 @@ def lever_of(axes: Sequence[Axis], rate_covariance: Floats, period_s: float) -> 
 def _whitening(rate_covariance: Floats, period_s: float) -> Floats:
     """(3, 3) that makes the slopes of the angular rate of unit variance."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(_PARABOLA * rate_covariance / period_s**2)))
-
-
-def _held(rate: Floats) -> Floats:
-    """(n, 3) with the one before in place of NaN; the first is known."""
-    known = np.isfinite(rate).all(axis=1)
-    return rate if known.all() else rate[np.maximum.accumulate(np.where(known, np.arange(len(rate)), 0))]

@@ -46,6 +46,12 @@ def patterns(flags: Flags) -> list[tuple[Flags, npt.NDArray[np.intp] | slice]]:
     return [(flags[row], np.flatnonzero(which.reshape(-1) == index)) for index, row in enumerate(first)]
 
 
+def held(triad: Floats) -> Floats:
+    """(n, 3) with the last known one in place of NaN, which is left only where none was known before."""
+    known = np.isfinite(triad).all(axis=1)
+    return triad if known.all() else triad[np.maximum.accumulate(np.where(known, np.arange(len(triad)), 0))]
+
+
 def readings_of(frames: Frames, geometry: Geometry) -> Readings:
     """The axes' readings: beyond the end of the range a bound, and a stale one only where the others don't span
     space.
