@@ -49,16 +49,7 @@ def blocks_of(
     for start in range(0, count, size):
         part = slice(start, start + size)
         yield (
-            {
-                quantity: Frames(
-                    its.time[part],
-                    its.values[part],
-                    its.valid[part],
-                    None if its.clipped is None else its.clipped[part],
-                    None if its.stale is None else its.stale[part],
-                )
-                for quantity, its in frames.items()
-            },
+            {quantity: its.part(part) for quantity, its in frames.items()},
             {sensor: column[part] for sensor, column in degc.items()},
         )
 
