@@ -108,14 +108,17 @@ def rows_of(measured: Iterable[Measured]) -> list[Row]:
     for (experiment, calibration, sensors, technique, quantity), runs in groups.items():
         average = groups[experiment, calibration, sensors, AVERAGE, quantity]
         for measure, axis in runs[0].squares:
-            before, after = (_by_seed(several, measure, axis) for several in (average, runs))
+            before, after = (
+                _by_seed(several, [one.squares[measure, axis] for one in several]) for several in (average, runs)
+            )
             told = measure == "rms"
+            least = _by_seed(runs, [one.bound[axis] for one in runs]) if told and runs[0].bound else None
             rows.append(
                 Row(
                     experiment, calibration, sensors, technique, quantity, measure, axis,
                     value=math.sqrt(after.mean()),
                     over_mean=ratio_of(before, after),
-                    over_bound=ratio_of(_bounds(runs, axis), after) if told and runs[0].bound else None,
+                    over_bound=None if least is None else ratio_of(least, after),
                     normalised=_mean([one.normalised for one in runs]) if told else None,
                     consistent=_mean([one.holds for one in runs]) if told else None,
                 )
@@ -123,19 +126,12 @@ def rows_of(measured: Iterable[Measured]) -> list[Row]:
     return rows
 
 
-def _by_seed(runs: Sequence[Measured], measure: str, axis: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Mean squares, one a seed."""
+def _by_seed(runs: Sequence[Measured], squares: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Means of the runs' squares, one a seed."""
     found: dict[int, list[float]] = defaultdict(list)
-    for one in runs:
-        found[one.replicate[0]].append(one.squares[measure, axis])
-    return np.array([np.mean(squares) for squares in found.values()])
-
-
-def _bounds(runs: Sequence[Measured], axis: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    found: dict[int, list[float]] = defaultdict(list)
-    for one in runs:
-        found[one.replicate[0]].append(one.bound[axis])
-    return np.array([np.mean(squares) for squares in found.values()])
+    for one, square in zip(runs, squares, strict=True):
+        found[one.replicate[0]].append(square)
+    return np.array([np.mean(several) for several in found.values()])
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
