@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from imuarray.study.heated import Heated
 
-FIGURES = ("ratios.png", "bound.png", "coasting.png", "heating.png")
-
 
 def drawings_of(found: Study, warm: Heated | None) -> dict[str, Drawing]:
     """By file name, as many as there are rows for; MissingExtraError without matplotlib."""

@@ -39,7 +39,6 @@ CAUSAL, SMOOTHED = "bound, causal", "bound, smoothed"
 OPTIMAL_CAUSAL = "optimal, causal"
 """`optimal` as a live log is fused; `optimal` itself sees the whole log."""
 
-MEASURES = ("rms", "noise", "drift")
 BOX_AXES = ("X", "Y", "Z", "XYZ")
 COASTING = ("heading", "velocity")
 
