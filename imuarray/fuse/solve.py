@@ -48,11 +48,11 @@ def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats) -> Es
     """The weighted least squares of each frame, its covariance by the `noise` (m,) of the axes, and the axes in use."""
     used = weights > 0
     if (weights == weights[0]).all():  # the usual case: one gain for the whole block
-        gain, solvable = _gains(weights[:1], rows)
+        gain, solvable = frame_gains(weights[:1], rows)
         triad = values @ gain[0].T if solvable[0] else np.full((len(values), 3), np.nan)
         covariance = _covariances(gain, solvable, used[:1], noise)
         return Estimate(np.asarray(triad), np.broadcast_to(covariance, (len(values), 6)), used)
-    gains, solvable = _gains(weights, rows)
+    gains, solvable = frame_gains(weights, rows)
     triad = np.einsum("nim,nm->ni", gains, values)
     triad[~solvable] = np.nan
     return Estimate(np.asarray(triad), _covariances(gains, solvable, used, noise), used)
@@ -60,7 +60,7 @@ def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats) -> Es
 
 def whole_gain(weights: Floats, rows: Floats) -> Floats:
     """(3, m) the gain of weighted least squares with one set of weights (m,); NaN where the axes do not span space."""
-    gain, solvable = _gains(weights[None], rows)
+    gain, solvable = frame_gains(weights[None], rows)
     return gain[0] if solvable[0] else np.full((3, len(weights)), np.nan)
 
 
@@ -77,15 +77,15 @@ def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:
     space.
     """
     if (weights == weights[0]).all():  # the usual case: one gain for the whole block
-        gain, solvable = _gains(weights[:1], rows)
+        gain, solvable = frame_gains(weights[:1], rows)
         return np.asarray(values @ gain[0].T if solvable[0] else np.full((len(values), 3), np.nan))
-    gains, solvable = _gains(weights, rows)
+    gains, solvable = frame_gains(weights, rows)
     solution = np.einsum("nim,nm->ni", gains, values)
     solution[~solvable] = np.nan
     return np.asarray(solution)
 
 
-def _gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+def frame_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """(n, 3, m) gains that turn axis values into a triad, and whether the weighted axes span space at all."""
     normal = np.einsum("nm,mi,mj->nij", weights, rows, rows, optimize=True)
     size = np.maximum(np.trace(normal, axis1=1, axis2=2), 1e-300)

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Flags, Floats, Frames, entries
-from imuarray.fuse.solve import solve_frames, weighted
-from imuarray.fuse.techniques.ranges.blends import gains
+from imuarray.fuse.solve import frame_gains, solve_frames, weighted
 from imuarray.fuse.techniques.ranges.fading import Fading, widest
 from imuarray.fuse.techniques.ranges.moments import GAP_S, Rows
 from imuarray.fuse.techniques.ranges.relative import States, Tracker
@@ -95,7 +94,7 @@ class RangeBlend:
         off = np.flatnonzero((share < 1).any(axis=1) & np.isfinite(triad).all(axis=1))
         if len(off):
             whole = self._weights * (valid[off] | (share[off] < 1))
-            apart = gains(weights[off], self._rows) - gains(whole, self._rows)
+            apart = frame_gains(weights[off], self._rows)[0] - frame_gains(whole, self._rows)[0]
             variance = states.variances(off, triad[off] @ self._rows.T, slope[off] @ self._rows.T)
             extra[off] = entries(np.einsum("nim,nm,njm->nij", apart, variance, apart))
         return extra

@@ -8,12 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.fuse.frames import Flags, Floats
-
-
-def gains(weights: Floats, rows: Floats) -> Floats:
-    """(n, 3, m) gains of weighted least squares; they must span space."""
-    normal = np.einsum("nm,mi,mj->nij", weights, rows, rows, optimize=True)
-    return np.asarray(np.linalg.solve(normal, rows.T[None] * weights[:, None, :]))
+from imuarray.fuse.solve import whole_gain
 
 
 class Blend(NamedTuple):
@@ -54,7 +49,7 @@ class Blends:
         return self._known[key]
 
     def _of(self, present: npt.NDArray[np.bool_]) -> Blend:
-        gain = gains((self._weights * present)[None], self._rows)[0]
+        gain = whole_gain(self._weights * present, self._rows)
         through = self._rows @ gain
         apart = (np.eye(len(through)) - through) * present[:, None] * present
         variance, share = apart**2 @ self._noise**2, (apart**2).sum(axis=1)
