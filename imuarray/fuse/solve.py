@@ -88,7 +88,12 @@ def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:
 def frame_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """(n, 3, m) gains that turn axis values into a triad, and whether the weighted axes span space at all."""
     normal = np.einsum("nm,mi,mj->nij", weights, rows, rows, optimize=True)
-    size = np.maximum(np.trace(normal, axis1=1, axis2=2), 1e-300)
-    solvable = np.asarray(np.linalg.det(normal) > 1e-9 * size**3)
+    solvable = spans(normal)
     normal[~solvable] = np.eye(3)
     return np.linalg.solve(normal, rows.T[None] * weights[:, None, :]), solvable
+
+
+def spans(normal: Floats) -> npt.NDArray[np.bool_]:
+    """(...) whether axes with these normal matrices (..., 3, 3) tell all of a triad."""
+    size = np.maximum(np.trace(normal, axis1=-2, axis2=-1), 1e-300)
+    return np.asarray(np.linalg.det(normal) > 1e-9 * size**3)

@@ -14,12 +14,13 @@ from imuarray.fuse.faults.exclusions import Exclusion, agreeing, needs
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Suspect, strongest
 from imuarray.fuse.faults.kinds import Beside, Kind, Ranges, beside, kind_of, reset_to
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.parity import Spaces, spans
+from imuarray.fuse.faults.parity import Spaces
 from imuarray.fuse.faults.rivals import told_apart
 from imuarray.fuse.faults.silence import Silence
 from imuarray.fuse.faults.stillness import QUIETEST, Stillness
 from imuarray.fuse.faults.telling import Telling
 from imuarray.fuse.faults.window import Look, Window, look
+from imuarray.fuse.solve import spans
 from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]

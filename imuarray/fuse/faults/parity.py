@@ -15,6 +15,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.fuse.solve import spans
+
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
@@ -79,8 +81,3 @@ class Spaces:
         if (key := weights.tobytes()) != self._key:
             self._key, self._last = key, parity(self._rows, weights)
         return self._last
-
-
-def spans(normal: Floats) -> bool:
-    """Whether axes with this normal matrix (3, 3) tell all of a triad."""
-    return bool(np.linalg.det(normal) > 1e-9 * np.trace(normal) ** 3)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.optimal.error_model import ErrorModel
+from imuarray.fuse.solve import spans
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -46,8 +47,7 @@ class Geometry:
     def spans(self, valid: Flags) -> bool:
         """Whether these of the axes, (r,), span space."""
         rows = self.rows[: self.axes, :3][valid[: self.axes]]
-        normal = rows.T @ rows
-        return bool(np.linalg.det(normal) > 1e-9 * max(float(np.trace(normal)), 1e-300) ** 3)
+        return bool(spans(rows.T @ rows))
 
     def parity(self, valid: Flags) -> Floats:
         """(p, r) what the rows in use say of their own errors whatever the unknowns are, whitened for means: ``parity @
