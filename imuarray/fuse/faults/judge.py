@@ -21,6 +21,7 @@ from imuarray.fuse.faults.stillness import QUIETEST, Stillness
 from imuarray.fuse.faults.telling import Telling
 from imuarray.fuse.faults.window import Look, Window, look
 from imuarray.fuse.solve import spans
+from imuarray.fuse.techniques.technique import noise_of
 from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
@@ -51,8 +52,7 @@ class Judge:
         self._axes, self._rows, self._ranges = axes, rows, ranges
         self._unit_si = SI_PER_UNIT[UNIT[quantity]]
         self._window_s = window * period_s
-        noise = np.array([np.nan if axis.noise_si is None else axis.noise_si for axis in axes])
-        self._normal = Normal(noise, quantity, window, period_s)
+        self._normal = Normal(noise_of(axes), quantity, window, period_s)
         self._baseline = Baseline(rows, quantity)
         self._spaces = Spaces(rows)
         names = [axis.sensor for axis in axes[::3]]

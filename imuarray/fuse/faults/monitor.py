@@ -50,8 +50,8 @@ class FaultMonitor:
         """
         _check(axes, period_s)
         self.window = max(LEAST_FRAMES, round(WINDOW_S / period_s))
-        self._judge = Judge(axes, directions(axes), quantity, self.window, period_s, ranges)
         self._rows = directions(axes)
+        self._judge = Judge(axes, self._rows, quantity, self.window, period_s, ranges)
         self._positions_m = np.array([axis.position_m for axis in axes])
         self._spread_out = quantity == "specific_force" and bool(np.ptp(self._positions_m, axis=0).any())
         self._held: Frames | None = None
