@@ -10,6 +10,7 @@ import numpy.typing as npt
 from imuarray.calibrate import Calibration
 from imuarray.fuse import Frames, FusedBlock, aligned
 from imuarray.fuse.frames import entries
+from imuarray.fuse.optimal.readings import patterns
 from imuarray.log import Log
 from imuarray.study.bound import Bound, ErrorLaw, Flags, Floats, Seen, Stretch, bound, frame_weights
 
@@ -90,8 +91,5 @@ def axes_known(part: Frames) -> Flags:
 def _patterns(known: Flags, chosen: Flags) -> Iterator[tuple[Flags, npt.NDArray[np.int64]]]:
     """Each pattern of known axes among the chosen frames, and the frames (their numbers) that have it."""
     rows = np.flatnonzero(chosen)
-    if len(rows) == 0:
-        return
-    patterns, which = np.unique(known[rows], axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns):
-        yield pattern, rows[which.ravel() == number]
+    for pattern, which in patterns(known[rows]):
+        yield pattern, rows[which]
