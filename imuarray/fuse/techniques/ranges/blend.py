@@ -41,8 +41,7 @@ class RangeBlend:
         self._fading = Fading(axes) if changes(axes) else None
         self.tracker = Tracker(axes, self._weights, self._noise)
         """What is known of the differences between the axes (of an array without a low range: nothing)."""
-        bandwidths_hz = [axis.bandwidth_hz for axis in axes if axis.bandwidth_hz]
-        self._followed_s = min(GAP_S, FOLLOWED_PERIODS / max(bandwidths_hz)) if bandwidths_hz else GAP_S
+        self._followed_s = min([GAP_S, *(FOLLOWED_PERIODS / axis.bandwidth_hz for axis in axes if axis.bandwidth_hz)])
         self._last_time = np.zeros(0, np.int64)
         self._last_triad = np.zeros((0, 3))
 
