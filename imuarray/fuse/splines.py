@@ -12,8 +12,8 @@ Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
 
-def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float, derivative: int = 0) -> Floats:
-    """Rows (k, c) at times `known` (k,) ns, interpolated at `at` (n,) ns, or their derivative per second: (n, c).
+def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float) -> Floats:
+    """Rows (k, c) at times `known` (k,) ns, interpolated at `at` (n,) ns: (n, c).
 
     One spline for each stretch without a row that is not finite and without a pause longer than `gap_ns`; NaN outside
     the stretches.
@@ -22,7 +22,7 @@ def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float, derivativ
     for run in _stretches(known, rows, gap_ns):
         inside = (at >= known[run][0]) & (at <= known[run][-1])
         spline = CubicSpline((known[run] - known[0]) * 1e-9, rows[run])
-        result[inside] = spline((at[inside] - known[0]) * 1e-9, nu=derivative)
+        result[inside] = spline((at[inside] - known[0]) * 1e-9)
     return result
 
 
