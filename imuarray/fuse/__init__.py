@@ -4,7 +4,7 @@ techniques, and the estimator of the whole array that contains them.
 
 from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.coasting import Coasting, Errors, coasting
-from imuarray.fuse.compare import Comparison, Score, compare, compared, technique_names
+from imuarray.fuse.compare import Comparison, Score, compare, technique_names
 from imuarray.fuse.consistency import Consistency, consistency
 from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, errors_of, evaluate, quiet_noise
 from imuarray.fuse.faults import FaultEvent
@@ -53,7 +53,6 @@ __all__ = [
     "changes",
     "coasting",
     "compare",
-    "compared",
     "consistency",
     "element_temperatures",
     "error_frames",

@@ -7,17 +7,16 @@ change a ratio; how a sensor came up this time is the same in all of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
-from imuarray.fuse.coasting import COAST_S, STILL_S, Coasting, Errors, coasting
+from imuarray.fuse.coasting import Coasting, Errors, coasting
 from imuarray.fuse.consistency import Consistency, consistency
 from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of
-from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.fuse import NAMES, fuse
 from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
 from imuarray.log import Log
@@ -26,9 +25,6 @@ AVERAGE = "mean"
 
 AXES = ("X", "Y", "Z", "XYZ")
 """Box axes of a ratio; "XYZ" is the length of the error."""
-
-Fused = Callable[[str], Iterator[FusedBlock]]
-"""A technique's name to its result."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +59,6 @@ def compare(
     techniques: Sequence[str] = (),
     *,
     only: Collection[str] = (),
-    still_s: float = STILL_S,
-    coast_s: float = COAST_S,
     heard: Callable[[str], None] = lambda technique: None,
 ) -> Comparison:
     """`techniques` (all of them, if none is named) on `log`, with `only` these sensors if any are named.
@@ -72,24 +66,17 @@ def compare(
     `heard` is told which one begins. FusionError without a truth, or with too few frames.
     """
 
-    def fused(technique: str) -> Iterator[FusedBlock]:
+    def errors(technique: str) -> dict[str, ErrorFrames]:
         heard(technique)
-        return fuse(log, calibration, technique, only=only)
+        return error_frames(log, fuse(log, calibration, technique, only=only))
 
-    return compared(log, fused, techniques or technique_names(), still_s=still_s, coast_s=coast_s)
-
-
-def compared(
-    log: Log, fused: Fused, techniques: Sequence[str], *, still_s: float = STILL_S, coast_s: float = COAST_S
-) -> Comparison:
-    """The same of results that come from anywhere; "mean" among them is fused once."""
-    average = error_frames(log, fused(AVERAGE))
+    average = errors(AVERAGE)
     scores, coasts = [], {}
-    for technique in techniques:
-        found = average if technique == AVERAGE else error_frames(log, fused(technique))
+    for technique in techniques or technique_names():
+        found = average if technique == AVERAGE else errors(technique)
         scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in found.items()]
         if len(found) == 2:
-            coasts[technique] = coasting(both(found), still_s, coast_s)
+            coasts[technique] = coasting(both(found))
     return Comparison(tuple(scores), coasts)
 
 
