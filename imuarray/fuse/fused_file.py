@@ -88,10 +88,8 @@ def read_fused(path: str | PathLike[str], block: int = 1 << 14) -> Iterator[Fuse
 
 def read_fused_events(path: str | PathLike[str]) -> tuple[FusedEvent, ...]:
     """What became of sensors, in the order in which it was found; none of a file that does not say. LogError."""
-    with fused_columns(path):
-        pass  # it is a fused result, and does no harm
-    with _opened(Path(path)) as file:
-        return events_in(file, str(path))
+    with fused_columns(path) as (_, columns):
+        return events_in(columns["time"].file, str(path))
 
 
 @contextmanager
