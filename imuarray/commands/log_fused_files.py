@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -28,7 +27,7 @@ def names_of(path: Path, log: Path, number: int, rotate_s: float | None) -> tupl
 
 
 class FusedFiles:
-    """Fused frames as they come, each in the file of the part in which its time lies. A context manager.
+    """Fused frames as they come, each in the file of the part in which its time lies.
 
     Of a log RUN.h5 in parts RUN_001.h5, RUN_002.h5, ... the results are RUN_001_fused.h5, ..., or where another name
     was given, FUSED_001.h5, ...
@@ -88,12 +87,6 @@ class FusedFiles:
     def close(self) -> None:
         """Complete the last file."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def _part(block: FusedBlock, rows: slice) -> FusedBlock:

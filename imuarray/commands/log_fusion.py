@@ -15,7 +15,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from itertools import chain
 from pathlib import Path
 
@@ -191,7 +191,7 @@ class LiveFusion:
     def _work(self, headers: Sequence[SensorHeader], files: FusedFiles) -> None:
         """The thread. Whatever goes wrong is told once, and the rest is not fused."""
         try:
-            with files:
+            with closing(files):
                 held: list[FusedBlock] = []
                 first = self._first_rows({header.name for header in headers if header.quantity in INERTIAL})
                 stream = self._stream(headers, self._came_up())
