@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from imuarray.fuse import FaultEvent, FusedBlock
 from imuarray.fuse.store import LiveFused
-from imuarray.log.rotate import part_of
+from imuarray.log.rotate import part_of, runs_of
 
 
 def beside(log: Path) -> Path:
@@ -80,9 +79,7 @@ class FusedFiles:
         """The number of a part, and the frames in it; what is before the first one is of the first one."""
         if self._every_ns is None or not len(block.time):
             return [(0, slice(0, len(block.time)))]
-        parts = np.maximum((block.time - self.origin_ns) // self._every_ns, 0)
-        edges = [0, *(np.flatnonzero(np.diff(parts)) + 1).tolist(), len(parts)]
-        return [(int(parts[start]), slice(start, stop)) for start, stop in pairwise(edges)]
+        return runs_of(np.maximum((block.time - self.origin_ns) // self._every_ns, 0))
 
     def close(self) -> None:
         """Complete the last file."""

@@ -8,13 +8,11 @@ line from the last of them on. Before the first segment is whole its rows so far
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
@@ -24,6 +22,7 @@ from imuarray.fuse.align import Warmth
 from imuarray.fuse.frames import Floats, Times
 from imuarray.fuse.thermal import goes_with, slopes_of
 from imuarray.log import Block, SensorLog
+from imuarray.log.rotate import runs_of
 
 BAROMETER_S = 15.0
 """How much older than a frame a barometer's rows are that it is told by: a recording gives them out only when later
@@ -85,8 +84,8 @@ class RunningThermometer:
         first = number == 0
         self._first_s = np.concatenate([self._first_s, time[first] * 1e-9])
         self._first_degc = np.concatenate([self._first_degc, degc[first]])
-        for start, stop in _runs(number):
-            self._into(int(number[start]), time[start:stop], degc[start:stop])
+        for segment, rows in runs_of(number):
+            self._into(segment, time[rows], degc[rows])
 
     def _into(self, number: int, time: Times, degc: Floats) -> None:
         """Rows of one segment; the one before is whole if this is another."""
@@ -145,12 +144,6 @@ class RunningThermometer:
     def _forget(self, before_s: float) -> None:
         done = sum(segment.end_s < before_s for segment in self._closed)
         del self._closed[: max(0, done - _KEPT)]
-
-
-def _runs(number: npt.NDArray[np.int64]) -> Iterable[tuple[int, int]]:
-    """Start and stop of the runs of equal numbers."""
-    bounds = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
-    return itertools.pairwise(bounds)
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,12 @@ def part_of(path: Path, number: int) -> Path:
     return path.with_name(f"{path.stem}_{number:03d}{path.suffix}")
 
 
+def runs_of(numbers: npt.NDArray[np.int64]) -> list[tuple[int, slice]]:
+    """The runs of equal numbers (n,), n > 0: which number, and its rows."""
+    edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
+    return [(int(numbers[start]), slice(start, end)) for start, end in pairwise(edges)]
+
+
 class RotatingWriter:
     """Takes what a LogWriter takes, and writes parts of `every_s` seconds; a context manager.
 
@@ -165,9 +171,7 @@ class RotatingWriter:
         """Number of a part, and the rows that belong to it."""
         if len(time) == 0:
             return []
-        parts = (time - self._origin_ns) // self._every_ns
-        edges = [0, *(np.flatnonzero(np.diff(parts)) + 1).tolist(), len(time)]
-        return [(int(parts[start]), slice(start, end)) for start, end in pairwise(edges)]
+        return runs_of((time - self._origin_ns) // self._every_ns)
 
     def event(self, event: Event) -> None:
         """Note that something happened, in the part of that time."""
