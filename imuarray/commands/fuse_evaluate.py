@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from imuarray.commands.options import progress
+from imuarray.printable import counted
 from imuarray.units import READABLE_SI
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def _print_coasting(coasting: dict[str, Any]) -> None:
         if heading is not None:
             click.echo(
                 f"  {technique:10} heading {heading:8.4f} deg   horizontal velocity {velocity:8.4f} m/s"
-                f"   of {coast['coasts']} coast{'s' * (coast['coasts'] != 1)}"
+                f"   of {counted(coast['coasts'], 'coast')}"
             )
 
 
