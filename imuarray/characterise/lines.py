@@ -19,7 +19,6 @@ from math import inf, log, sqrt
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import f
 
 from imuarray.characterise.noise_floor import NoiseFloor, noise_floor
 from imuarray.characterise.spectrum import NOISE_BANDWIDTH, Spectrum
@@ -137,6 +136,8 @@ def _is_narrow(power: Vector, floor: NoiseFloor, at: int, false_alarm: float) ->
     Of noise with the square root of a bin's chance: so weak a condition costs few lines, and doubts nearly no peak
     where the floor is right.
     """
+    from scipy.stats import f  # its weight is for those who ask
+
     beside = float(_reflected(power, int(floor.bins[at]) + _BESIDE).mean())
     freedom = float(floor.spectrum_freedom[at])
     chance = sqrt(false_alarm / len(floor.bins))

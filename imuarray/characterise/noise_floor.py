@@ -17,7 +17,6 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri, fdtri, gammaincinv, gammaln
-from scipy.stats import f
 
 from imuarray.characterise.spectrum import Spectrum
 
@@ -65,11 +64,15 @@ class NoiseFloor:
 
     def level(self, probability: float) -> Vector:
         """Density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
+        from scipy.stats import f  # its weight is for those who ask
+
         pairs, which = np.unique([self.spectrum_freedom, self.freedom], axis=1, return_inverse=True)
         return np.asarray(self.density * f.isf(probability, *pairs)[which])  # few pairs differ, and each takes long
 
     def exceedance(self, density: Vector) -> Vector:
         """Probability (b,) that noise exceeds `density` (b,) in a bin."""
+        from scipy.stats import f
+
         return np.asarray(f.sf(density / self.density, self.spectrum_freedom, self.freedom))
 
 

@@ -18,7 +18,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 from scipy import fft
-from scipy.stats import chi2
 
 Vector = npt.NDArray[np.float64]
 Values = npt.NDArray[np.floating] | npt.NDArray[np.integer]
@@ -68,6 +67,8 @@ class Spectrum:
         """Ends (m, k) of the interval that holds the true density with `confidence`: freedom * estimate / truth is
         chi-squared.
         """
+        from scipy.stats import chi2  # its weight is for those who ask
+
         freedom = self.freedom[:, np.newaxis]
         tail = (1 - confidence) / 2
         return self.density * freedom / chi2.isf(tail, freedom), self.density * freedom / chi2.ppf(tail, freedom)
