@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from imuarray.fuse.frames import matrices
 
@@ -42,6 +41,8 @@ class Consistency:
 
 def consistency(errors: Floats, covariances: Floats) -> Consistency | None:
     """Of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`); None where fewer than twenty have one."""
+    from scipy.stats import chi2  # its weight is for those who ask
+
     known = np.flatnonzero(np.isfinite(covariances).all(axis=1) & np.isfinite(errors).all(axis=1))
     known = known[np.linalg.det(matrices(covariances[known])) > 0]
     if len(known) < _FEWEST:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import t as student
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
@@ -102,6 +101,8 @@ def ratio_of(before: Floats, after: Floats) -> Ratio:
     Each part is left out in turn (jackknife, Tukey 1958) from the ratio; the interval is that of its logarithm,
     Student's with b - 1 degrees of freedom: its ends stay positive, and are inverted with the ratio.
     """
+    from scipy.stats import t as student  # its weight is for those who ask
+
     count = len(before)
     total = before.sum(), after.sum()
     if not total[0] > 0 or not total[1] > 0:

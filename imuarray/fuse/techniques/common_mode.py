@@ -24,8 +24,6 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
-from scipy.stats import f
 
 from imuarray.fuse.axes import Axis, directions
 
@@ -82,6 +80,8 @@ def significance(along: int, against: int) -> float:
 @cache
 def _limits(along: int, against: int) -> tuple[float, float]:
     """F from which a common error is used, and used in full."""
+    from scipy.stats import f  # its weight is for those who ask
+
     chance = significance(along, against)
     low, high = f.isf([2 * chance, chance], 1, along + against - 2)
     return float(low), float(high)
@@ -150,6 +150,9 @@ class Smoother:
     """
 
     def __init__(self, seconds: float, columns: int) -> None:
+        from scipy.signal import lfilter  # its weight is for those who ask, and not while rows come
+
+        self._filter = lfilter
         self.begin = 0
         """Row of the last block from which the mean was exponential, its length if none was."""
         self._span_ns = seconds * 1e9
@@ -170,7 +173,8 @@ class Smoother:
             self._state = out[begin - 1]
         if begin < len(held):
             gain = 1 / self._rows_held
-            out[begin:], _ = lfilter([gain], [1, gain - 1], held[begin:], axis=0, zi=(1 - gain) * self._state[None, :])
+            start = (1 - gain) * self._state[None, :]
+            out[begin:], _ = self._filter([gain], [1, gain - 1], held[begin:], axis=0, zi=start)
             self._state = out[-1]
         self._seen += len(held)
         return out
