@@ -47,15 +47,9 @@ class ConstantGain:
 def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats) -> Estimate:
     """The weighted least squares of each frame, its covariance by the `noise` (m,) of the axes, and the axes in use."""
     used = weights > 0
-    if (weights == weights[0]).all():  # the usual case: one gain for the whole block
-        gain, solvable = frame_gains(weights[:1], rows)
-        triad = values @ gain[0].T if solvable[0] else np.full((len(values), 3), np.nan)
-        covariance = _covariances(gain, solvable, used[:1], noise)
-        return Estimate(np.asarray(triad), np.broadcast_to(covariance, (len(values), 6)), used)
-    gains, solvable = frame_gains(weights, rows)
-    triad = np.einsum("nim,nm->ni", gains, values)
-    triad[~solvable] = np.nan
-    return Estimate(np.asarray(triad), _covariances(gains, solvable, used, noise), used)
+    triad, gains, solvable = _solved(values, weights, rows)
+    covariance = _covariances(gains, solvable, used[: len(gains)], noise)
+    return Estimate(triad, np.broadcast_to(covariance, (len(values), 6)), used)
 
 
 def whole_gain(weights: Floats, rows: Floats) -> Floats:
@@ -76,13 +70,19 @@ def solve_frames(values: Floats, weights: Floats, rows: Floats) -> Floats:
     """Weighted least squares of ``values = rows @ truth_box`` for each frame: (n, 3), NaN where the axes do not span
     space.
     """
+    return _solved(values, weights, rows)[0]
+
+
+def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    """The same, with the gains and whether they are any: of every frame, or once where all frames weigh alike."""
     if (weights == weights[0]).all():  # the usual case: one gain for the whole block
-        gain, solvable = frame_gains(weights[:1], rows)
-        return np.asarray(values @ gain[0].T if solvable[0] else np.full((len(values), 3), np.nan))
+        gains, solvable = frame_gains(weights[:1], rows)
+        triad = values @ gains[0].T if solvable[0] else np.full((len(values), 3), np.nan)
+        return np.asarray(triad), gains, solvable
     gains, solvable = frame_gains(weights, rows)
     solution = np.einsum("nim,nm->ni", gains, values)
     solution[~solvable] = np.nan
-    return np.asarray(solution)
+    return np.asarray(solution), gains, solvable
 
 
 def frame_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
