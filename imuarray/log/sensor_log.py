@@ -185,11 +185,11 @@ def _again(opened: Callable[[Path], Opened], path: Path, name: str) -> SensorLog
     return opened(path)[name]
 
 
-def first_at(time: NamedColumn, at_ns: int) -> int:
-    """The first row of an increasing column whose time is `at_ns` or later; by bisection, reading one chunk at the
-    end.
+def first_at(time: NamedColumn, at_ns: int, rows: int | None = None) -> int:
+    """The first row of an increasing column whose time is `at_ns` or later, among its first `rows` (None: all); by
+    bisection, reading one chunk at the end.
     """
-    low, high = 0, int(time.shape[0])
+    low, high = 0, int(time.shape[0]) if rows is None else rows
     while high - low > 4096:
         middle = (low + high) // 2
         low, high = (middle, high) if time[middle] < at_ns else (low, middle)

@@ -14,8 +14,7 @@ from imuarray.calibrate import Calibration
 from imuarray.errors import LogError
 from imuarray.fuse import FusedBlock, fuse
 from imuarray.fuse.fused_file import fused_columns, rows_of
-from imuarray.log import Log
-from imuarray.log.column import NamedColumn
+from imuarray.log import Log, first_at
 from imuarray.monitor.snapshot import Floats, FusedView
 from imuarray.units import INERTIAL
 
@@ -61,7 +60,7 @@ def _read(path: Path, epoch: str, start_ns: int) -> FusedView | None:
         if said.get("epoch") != epoch:
             return None
         rows = rows_of(columns)  # the newest may be there in part
-        first = _first_at(columns["time"], rows, start_ns)
+        first = first_at(columns["time"], start_ns, rows)
         at_ns = np.asarray(columns["time"][first:rows], np.int64)
         triads: dict[str, Floats] = {
             name: np.asarray(columns[name][first:rows], float) for name in INERTIAL if name in columns
@@ -69,15 +68,6 @@ def _read(path: Path, epoch: str, start_ns: int) -> FusedView | None:
     if len(at_ns) < 2 or not triads:
         return None
     return _view(said.get("technique", "fused"), bool(said.get("calibration")), FusedBlock(at_ns, triads))
-
-
-def _first_at(column: NamedColumn, rows: int, at_ns: int) -> int:
-    """The first of so many rows whose time is `at_ns` or later; by bisection."""
-    low, high = 0, rows
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (middle + 1, high) if int(column[middle]) < at_ns else (low, middle)
-    return low
 
 
 def _view(technique: str, calibrated: bool, block: FusedBlock) -> FusedView:
