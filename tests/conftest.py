@@ -7,5 +7,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from hypothesis import settings
 
-settings.register_profile("imuarray", deadline=None)  # how long an example takes is the machine's business
+# How long an example takes is the machine's business.  The examples are the same every time, so that what passed
+# passes again; `pytest --hypothesis-profile explore` draws others.
+settings.register_profile("imuarray", deadline=None, derandomize=True)
+settings.register_profile("explore", deadline=None)
 settings.load_profile("imuarray")
