@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +18,25 @@ pytest.importorskip("matplotlib")
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the command says, as JSON, of another seed than its own."""
     folder = tmp_path_factory.mktemp("demo") / "demo"
-    assert main(["demo", "-o", str(folder), "--seconds", "500", "--seed", "3"]) == 0
-    return folder
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as steps:
+        assert main(["demo", "-o", str(folder), "--seconds", "900", "--seed", "4", "--json"]) == 0
+    assert steps.getvalue().endswith("imuarray: drawing\n")
+    result: dict[str, Any] = json.loads(out.getvalue())
+    return result
 
 
 @pytest.fixture(scope="module")
-def gains(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    """The demo's own figures, from another seed."""
-    from imuarray.commands.options import find_config
-    from imuarray.demo import run_demo
+def demo(printed: dict[str, Any]) -> Path:
+    """The folder that it wrote."""
+    return Path(printed["folder"])
 
-    folder = tmp_path_factory.mktemp("gains")
-    steps: list[str] = []
-    result = run_demo(find_config(Path("martin2013")), folder, seconds=900, seed=4, force=False, say=steps.append)
-    assert steps[-1] == "drawing"
-    found: list[dict[str, Any]] = result["gains"]
+
+@pytest.fixture(scope="module")
+def gains(printed: dict[str, Any]) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = printed["gains"]
     return found
 
 
@@ -95,7 +99,7 @@ def test_the_page_is_complete_and_needs_nothing_else(demo: Path) -> None:
 
 def test_nothing_is_overwritten(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (demo / "tumble.h5").stat().st_mtime_ns
-    assert main(["demo", "-o", str(demo), "--seconds", "500", "--json"]) == 2
+    assert main(["demo", "-o", str(demo), "--seconds", "900", "--json"]) == 2
     assert "report.html: exists already" in capsys.readouterr().err
     assert (demo / "tumble.h5").stat().st_mtime_ns == before
 

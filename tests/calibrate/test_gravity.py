@@ -95,6 +95,7 @@ def sums_of_squares(ratios: Floats, freedom: int) -> Floats:
     return np.asarray((norm.ppf(t.cdf(ratios, freedom)) ** 2).sum(axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", [20, 36])
 def test_bias_is_within_its_stated_uncertainty(poses: int) -> None:
     """Chi-square over 100 draws; two-sided error rate 1e-3 for each of three axes and two pose counts."""
@@ -228,6 +229,7 @@ def squared_errors(found: GravityFit, truth: Floats) -> float:
     return float(error.ravel() @ inverse @ error.ravel())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("drift", "poses", "count"), [(0.0, NEES_POSES, 200), (40.0, 20, 50)])
 def test_parameters_are_within_their_covariance_over_many_draws(
     pair: tuple[SensorLog, ...], drift: float, poses: int, count: int
@@ -252,6 +254,7 @@ def fit_drawn(
     return fit_readings(readings), truth
 
 
+@pytest.mark.slow
 def test_biases_that_wander_from_pose_to_pose_are_in_the_covariance(pair: tuple[SensorLog, ...]) -> None:
     """Biases that scatter by three times the noise: chi-squared by noise alone is 10; with each axis's own scatter,
     known from some 24 - 4 - 48 / 6 = 12 degrees of freedom, the error squared is larger by 12 / 10 than chi-square.

@@ -50,6 +50,7 @@ def gauss_markov(rng: np.random.Generator, rows: int, step_s: float, rms: float,
     return drawn
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     """201 intervals of 95 %, white noise, wander of 100 s and of 300 s, each with drift: 90 % to 98 % hold the slope.
 

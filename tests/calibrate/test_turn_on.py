@@ -188,6 +188,7 @@ def wandering(rng: np.random.Generator, runs: int, parts: int, rms: float, corre
     return np.asarray(wander + rng.normal(0, 0.3, (runs, parts)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_s", [30.0, 100.0])
 def test_a_wander_within_runs_is_not_called_turn_on(correlation_s: float) -> None:
     """60 series of 15 runs that differ by their wander alone: below 5 % in 5 % and three standard errors at most.

@@ -59,6 +59,7 @@ def tumble(
         return calibrate_tumble(log), truth
 
 
+@pytest.mark.slow
 def test_responses_are_within_their_covariance(tmp_path: Path) -> None:
     """Noise of the paper's chips; the mean over 12 draws of a normalised error squared with nine parameters is
     chi-square with 108 degrees of freedom over 12; two-sided error rate 1e-3. Bias and g-sensitivity, within six

@@ -166,6 +166,7 @@ TRUTHS = {
 """Allan variances of unit white noise, of the flicker noise above, and of the running sum of unit white noise."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["overlapping", "decimated"])
 @pytest.mark.parametrize("noise", TRUTHS)
 def test_closed_forms_and_coverage(noise: str, estimator: Any) -> None:

@@ -62,6 +62,7 @@ def theta_of(noise: Noise) -> np.ndarray:
     return theta(**{noise.replace(" ", "_"): 1.0})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "sums"), [("white", 0), ("random walk", 1)])
 def test_by_simulation(noise: Noise, sums: int) -> None:
     """Correlations of 4000 replicates: standard error below 0.016, so that 0.07 is over four of them."""

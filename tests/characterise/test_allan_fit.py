@@ -52,6 +52,7 @@ def covered(fits: list[NoiseFit], term: Term, truth: float) -> int:
     return sum(found[term].low <= truth <= found[term].high for found in fits)
 
 
+@pytest.mark.slow
 def test_intervals_cover_and_p_is_uniform() -> None:
     """White, flicker and random walk together, 250 times: terms, 95 % intervals, and p-values.
 
@@ -68,6 +69,7 @@ def test_intervals_cover_and_p_is_uniform() -> None:
     assert sum(bool(found.verdict) for found in fits) <= binom.isf(1e-4, REPEATS, 0.015)
 
 
+@pytest.mark.slow
 def test_terms_that_are_not_there_are_left_out() -> None:
     """White noise alone: each other term stays in 1 % to 3 %, and what it could be is bounded."""
     fits = all_fitted(white(4))

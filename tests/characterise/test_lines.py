@@ -33,6 +33,7 @@ def coloured(kind: str, rng: np.random.Generator, shape: tuple[int, int]) -> np.
     return white
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [8192, 32_768])
 @pytest.mark.parametrize("kind", ["white", "first order", "1/f"])
 def test_false_alarms(kind: str, rows: int) -> None:
@@ -45,6 +46,7 @@ def test_false_alarms(kind: str, rows: int) -> None:
     assert binom.ppf(1e-4, 240, 0.05) <= hits <= binom.isf(1e-4, 240, 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("amplitude", "at"), [(0.2, 60), (0.6, 60), (4.0, 100), (0.6, 25), (0.6, 250)])
 @pytest.mark.parametrize("kind", ["white", "first order"])
 def test_planted_lines(kind: str, amplitude: float, at: int) -> None:

@@ -98,6 +98,7 @@ def cost(ways: tuple[tuple[str, str], ...], draws: int, seed: int) -> float:
     return float(np.sqrt((found[:, 1] ** 2).sum() / (found[:, 0] ** 2).sum())) - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("against", [2, 3, 5])
 def test_errors_of_single_units_are_made_worse_by_less_than_one_percent(against: int) -> None:
     """One axis along and 2, 3 or 5 against: 3000 draws of nothing in common tell the cost to 0.3 %."""

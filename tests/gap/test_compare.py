@@ -69,6 +69,7 @@ def units(seed: int) -> dict[str, tuple[Effect, ...]]:
     }
 
 
+@pytest.mark.slow
 def test_false_alarms(nothing: Compared) -> None:
     """60 campaigns, each with its own fit, beside the 80 replicates of another one: p <= 0.05 has a probability of 4/81
     over both; at most 14 come with one of 0.9998 (beta-binomial: 60, 4, 77).
@@ -93,6 +94,7 @@ def test_false_alarms_are_as_rare_as_promised() -> None:
     assert sum(compared(units(seed), seed).located.is_gap for seed in range(60)) <= 8
 
 
+@pytest.mark.slow
 def test_scores_are_standard(nothing: Compared) -> None:
     """About normal in the middle: 68 % within one, of 40 x 700 scores that hang together, by the other 40; scales of 40
     replicates scatter by 11 %, which makes tails a little longer. Statistics that count things are not normal.
@@ -104,6 +106,7 @@ def test_scores_are_standard(nothing: Compared) -> None:
     assert np.nanmean(np.abs(scores) < 1) == pytest.approx(0.68, abs=0.05)
 
 
+@pytest.mark.slow
 def test_another_seed_draws_others(nothing: Compared) -> None:
     bench = replace(nothing.bench, base=replace(nothing.bench.base, seed=77))
     other = compared_with_base(bench, nothing.campaign, Run(bench), 40)

@@ -119,6 +119,7 @@ def _named(header: SensorHeader, name: str) -> SensorHeader:
     return SensorHeader(**{**vars(header), "name": name})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("chip", "range_", "printed"),
     [(chip, range_, printed) for chip, (range_, sheet) in SHEETS.items() for printed in sheet],

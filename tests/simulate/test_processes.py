@@ -22,6 +22,7 @@ def drawn(process_of_seed: list[SlowProcess], rows: list[int]) -> Floats:
     return np.concatenate(values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rows_per_s", "time_constant_s", "rows"),
     [
@@ -41,6 +42,7 @@ def test_gauss_markov_is_normal_stationary_and_exponentially_correlated(
     assert furthest(drawn(processes, rows), np.exp(-lag_s / time_constant_s)) < 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rows_per_s", "rows"),
     [

@@ -117,6 +117,7 @@ def still(log: Log) -> list[Any]:
     return [phase for phase in log.phases if phase.up]
 
 
+@pytest.mark.slow
 def test_means_and_spreads_agree_in_every_still_phase(pair: tuple[Log, Log]) -> None:
     emulated = pair[0]
     means, spreads = [], []
@@ -136,6 +137,7 @@ def test_means_and_spreads_agree_in_every_still_phase(pair: tuple[Log, Log]) -> 
         assert np.abs(z).max() < stats.norm.isf(1e-6 / len(z))
 
 
+@pytest.mark.slow
 def test_moved_the_two_follow_each_other(pair: tuple[Log, Log]) -> None:
     for name in INERTIAL:
         theirs, ours = (np.asarray(log[name].counts, float) for log in pair)
@@ -146,6 +148,7 @@ def test_moved_the_two_follow_each_other(pair: tuple[Log, Log]) -> None:
         assert (apart < 1.1 * noise + 0.05 * swing).all(), name
 
 
+@pytest.mark.slow
 def test_thermometers_agree(pair: tuple[Log, Log]) -> None:
     for name in ("BMA1", "BMA3", "Gyro1", "Gyro3"):
         theirs, ours = (np.asarray(log[name].temperature_counts, float) for log in pair)
@@ -153,6 +156,7 @@ def test_thermometers_agree(pair: tuple[Log, Log]) -> None:
         assert np.abs(theirs - ours).mean() < 0.75, name
 
 
+@pytest.mark.slow
 def test_flags_agree(pair: tuple[Log, Log]) -> None:
     for name in INERTIAL:
         theirs, ours = (np.asarray(log[name].status) for log in pair)

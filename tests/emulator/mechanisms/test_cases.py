@@ -61,6 +61,7 @@ def test_logs_of_two_cases_differ_in_their_numbers_only(tmp_path):
             assert log.source == "emulated"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["trapped_charges", "scheduler_latency"])
 def test_the_same_seed_makes_the_same_logs_and_another_one_others(tmp_path, name):
     one, two, three = (written(tmp_path, f"{at}", (name, 2.0, ()), seed=seed)[0] for at, seed in enumerate((3, 3, 4)))
