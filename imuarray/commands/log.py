@@ -139,14 +139,12 @@ def command(
     refuse_existing(first, force)
     if output.suffix not in (".h5", ".hdf5"):
         raise click.UsageError(f"{output}: a log is an HDF5 file; name it {output.name}.h5")
-    asked = {"--technique": technique, "--fused": fused_file, "--watch": watch}
-    if not fuse and (of_fuse := [name for name, value in asked.items() if value is not None]):
-        raise click.UsageError(f"{of_fuse[0]} is of --fuse: say that too")
-    if (monitor_port is not None or monitor_host) and not monitor:
-        raise click.UsageError(f"--monitor-{'host' if monitor_host else 'port'} is of --monitor: say that too")
+    _refuse_without("--fuse", fuse, {"--technique": technique, "--fused": fused_file, "--watch": watch})
+    _refuse_without("--monitor", monitor, {"--monitor-host": monitor_host, "--monitor-port": monitor_port})
     judge = _judge(array, calibration, only_if_it_can=fuse) if calibration else None
     options = {"rate_hz": rate_hz, "watch": watch, "rotate_s": rotate_s, "force": force}
     fusion = _fusion(output, fused_file, calibration, technique or "mean", judge, options) if fuse else None
+    heard: dict[str, Any] = {}
     with ExitStack() as stack:
         bus, recorder = _connected(stack, url, array, transcript, force)
         stop = stack.enter_context(Interruptible())
@@ -159,6 +157,7 @@ def command(
         if fusion:
             fusion.tell = screen.remark
             stack.enter_context(closing(fusion))
+            heard = {"begun": fusion.begun, "started": fusion.started, "observe": fusion.observe}
         summary = record(
             array,
             bus,
@@ -174,9 +173,7 @@ def command(
             counted=screen.counted,
             judge=judge,
             force=force,
-            begun=fusion.begun if fusion else lambda epoch, sensors: None,
-            started=fusion.started if fusion else lambda time_ns: None,
-            observe=fusion.observe if fusion else lambda sensor, block: None,
+            **heard,
         )
     with suppress(OSError) if stop.hung_up else nullcontext():  # nobody is there to be told
         if bus.source == "replay" and getattr(bus, "stopped", False):
@@ -184,6 +181,13 @@ def command(
         if recorder is not None and recorder.failed:
             click.echo(f"imuarray: {recorder.failed}", err=True)
         tell(summary, output, judge.said if judge else [], fusion, as_json)
+
+
+def _refuse_without(option: str, said: bool, beside: dict[str, Any]) -> None:
+    """UsageError if one of the options that belong to another is given, and that one isn't."""
+    for name, value in beside.items():
+        if value is not None and not said:
+            raise click.UsageError(f"{name} is of {option}: say that too")
 
 
 def _array_and_bus(config: Path, bus_url: str | None, only: str | None) -> tuple[ArrayConfig, str]:
