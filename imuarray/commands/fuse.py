@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from imuarray.commands.fuse_inputs import followed_by_temperature, in_states_of, with_noise, without_calibration
-from imuarray.commands.fuse_pairs import pair_sentences, pairs_of
+from imuarray.commands.fuse_pairs import pair_lines, pairs_of
 from imuarray.commands.fuse_told import told_sentences
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
 from imuarray.units import INERTIAL, READABLE_SI
@@ -245,8 +245,8 @@ def _print_results(report: dict[str, Any]) -> None:
     if technique not in ("mean", "optimal"):
         changes = ", ".join(report["changes"])
         click.echo(f"  {technique} changes {changes or _NOTHING}")
-    for sentence in pair_sentences(report["pairs"]):
-        click.echo(f"  {sentence}")
+    for line in pair_lines(report["pairs"], follows_temperature=bool(report["thermal"])):
+        click.echo(f"  {line}")
     for quantity in report["results"]["mean"]:
         factor, unit = READABLE_SI[quantity]
         for name, words in _WORDS.items():

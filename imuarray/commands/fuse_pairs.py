@@ -19,6 +19,8 @@ _WORTH = 1.25
 _MOST = 20
 """Pairs that are told on the screen."""
 
+_HEADING = f"{'each':>8} {'together':>9} {'less by':>12}"
+
 
 def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[dict[str, Any]]:
     """Every pair of the fused sensors, SI, JSON-ready: None stands for infinite."""
@@ -32,31 +34,40 @@ def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[d
     return found
 
 
-def pair_sentences(pairs: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """A line a pair that the calibration knows something of, of the first ones; one line for all others."""
+def pair_lines(pairs: Sequence[dict[str, Any]], *, follows_temperature: bool) -> Iterator[str]:
+    """A table of the first pairs that the calibration knows something of, and a line for all others;
+    `follows_temperature`: slopes are taken out before the axes meet.
+    """
     known = [pair for pair in pairs if pair["drift"] is not None or pair["bias"] is not None]
-    for pair in known[:_MOST]:
-        said = [
-            _said(pair, what, name)
-            for what, name in (("drift", "drift with temperature"), ("bias", "bias"))
-            if pair[what] is not None
-        ]
-        doubt = "" if pair["is_bias"] else " (a slope may be one of scale, which does not cancel)"
-        yield f"{pair['first']} against {pair['second']} along {pair['box_axis']}: {'; '.join(said)}{doubt}"
+    if known:
+        yield f"{'axes of one design that oppose each other':43}{'drift with 1 degC':>30}{'bias':>33}"
+        yield f"{'':43}{_HEADING}   {_HEADING}"
+        yield from map(_row, known[:_MOST])
+        yield "less by: 95 %; -: no gain to speak of; *: a slope may be one of scale, which does not cancel"
+        taken = "biases and slopes" if follows_temperature else "biases"
+        yield f"the calibration takes out {taken} as it knows them: opposing the axes cancels what came since"
     if len(known) > _MOST:
         yield f"{len(known) - _MOST} more opposing pairs (--json lists all)"
     if len(known) < len(pairs):
         yield f"{len(pairs) - len(known)} opposing pairs: what they cancel is not known (`imuarray calibrate thermal`)"
 
 
-def _said(pair: dict[str, Any], what: str, name: str) -> str:
-    """An error in words; a reduction only where opposing the axes gains something for sure."""
-    error = pair[what]
+def _row(pair: dict[str, Any]) -> str:
+    """A pair in the table."""
     factor, unit = READABLE_SI[pair["quantity"]]
-    unit = f"{unit}/degC" if what == "drift" else unit
-    sizes = f"{factor * error['single']:.3g} {unit} each, {factor * abs(error['left']):.2g} together"
+    axes = f"{pair['first']} and {pair['second']}"
+    doubt = " " if pair["is_bias"] else "*"
+    drift, bias = (_cells(pair[what], factor) for what in ("drift", "bias"))
+    return f"{axes:22} along {pair['box_axis']}   in {unit:5}   {drift} {doubt} {bias}".rstrip()
+
+
+def _cells(error: dict[str, Any] | None, factor: float) -> str:
+    """Of each axis, of both together, and how many times less that is: only where something is gained for sure."""
+    if error is None:
+        return " " * len(_HEADING)
+    sizes = f"{factor * error['single']:8.3g} {factor * abs(error['left']):9.3g}"
     if error["p_value"] > _SIGNIFICANT or (error["reduction"] is not None and error["reduction"] < _WORTH):
-        return f"{name} {sizes}: no gain to speak of"
+        return f"{sizes} {'-':>12}"
     if error["most"] is None:
-        return f"{name} {sizes}: at least {error['least']:.3g} times less (95 %)"
-    return f"{name} {sizes}: {error['least']:.3g} to {error['most']:.3g} times less (95 %)"
+        return f"{sizes} {'> ' + format(error['least'], '.3g'):>12}"
+    return f"{sizes} {format(error['least'], '.3g') + ' to ' + format(error['most'], '.3g'):>12}"

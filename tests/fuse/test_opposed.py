@@ -12,7 +12,7 @@ import pytest
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.cli import main
-from imuarray.commands.fuse_pairs import pair_sentences, pairs_of
+from imuarray.commands.fuse_pairs import pair_lines, pairs_of
 from imuarray.fuse import errors_of, fuse
 from imuarray.fuse.techniques.pairs import capabilities
 from imuarray.log import Log, open_log
@@ -133,11 +133,13 @@ def test_a_pair_that_may_cancel_all_has_no_upper_end(write_run: WriteRun) -> Non
         alone = pairs_of(log, calibrated(), ["G1"])
     assert found[0]["drift"]["most"] is None and found[0]["drift"]["least"] > 10
     json.dumps(found, allow_nan=False)
-    said = list(pair_sentences(found))
-    assert "G1 y against G2 y along Y: drift with temperature 0.0263 dps/degC each" in said[0]
-    assert "at least" in said[0] and "one of scale" in said[0]
+    heading, _, said, *others, key, taken = pair_lines(found, follows_temperature=False)
+    assert "drift with 1 degC" in heading and "one of scale" in key and "takes out biases as" in taken
+    assert said.startswith("G1 y and G2 y          along Y   in dps       0.0263 ") and ">" in said and "*" in said
+    assert len(others) == len(found) - 1
+    assert "biases and slopes" in list(pair_lines(found, follows_temperature=True))[-1]
     assert [pair["drift"] for pair in unknown] == [None, None]
-    assert list(pair_sentences(unknown)) == [
+    assert list(pair_lines(unknown, follows_temperature=False)) == [
         "2 opposing pairs: what they cancel is not known (`imuarray calibrate thermal`)"
     ]
     assert alone == []
@@ -148,7 +150,7 @@ def test_fuse_says_it(write_run: WriteRun, tmp_path: Path, capsys: pytest.Captur
     calibrated().save(tmp_path / "cal.toml")
     fused = ["fuse", str(path), "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "f.h5"), "--force"]
     assert main([*fused, "--technique", "opposed"]) == 0
-    assert "G1 y against G2 y along Y" in capsys.readouterr().out
+    assert "G1 y and G2 y          along Y" in capsys.readouterr().out
     assert main([*fused, "--technique", "opposed", "--json"]) == 0
     assert [pair["box_axis"] for pair in json.loads(capsys.readouterr().out)["pairs"]] == ["Y", "Z"]
     assert main([*fused, "--json"]) == 0
