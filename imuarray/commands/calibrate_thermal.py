@@ -69,6 +69,10 @@ def print_report(report: dict[str, Any]) -> None:
             slope, sem = row["slope_lsb_per_degc"][index], row["slope_sem_lsb_per_degc"][index]
             line = f"{row['name'] + ' ' + axis:14} {slope:10.4f} {sem:8.4f}  {row['lag_s']:6.0f} {low:9.0f} {high:6.0f}"
             click.echo(f"{line}  {row['meaning'][index]}{_scale(row, index)}")
+    click.echo(
+        "lag: how long the sensor follows the thermometer, with its 95 % interval; of: what has the slope (an axis that"
+    )
+    click.echo("  feels gravity and was warmed on one face alone can't tell its bias from its scale)")
     _print_pairs(report["pairs"])
 
 
@@ -83,10 +87,14 @@ def _scale(row: dict[str, Any], index: int) -> str:
 def _print_pairs(pairs: list[dict[str, Any]]) -> None:
     if pairs:
         click.echo("opposing axes of one design: slopes, and half their difference, which is what their mean drifts by")
-        click.echo(f"  {'':25} {'LSB/degC':>9} {'LSB/degC':>9} {'half':>9} {'+-':>8} {'less by':>8} {'p cancels':>9}")
+        click.echo(f"  {'':25} {'LSB/degC':>9} {'LSB/degC':>9} {'half':>9} {'+-':>8} {'less by':>8} {'p':>9}")
     for pair in pairs:
         less = "-" if pair["reduction"] is None else f"{pair['reduction']:.1f}"
         line = f"  {pair['first']} and {pair['second']}"
         line = f"{line:27} {pair['slope_first']:9.4f} {pair['slope_second']:9.4f} {pair['half_difference']:9.4f}"
         line += f" {pair['sem']:8.4f} {less:>8} {pair['p_cancels']:9.2g}"
         click.echo(line + ("" if pair["is_bias"] else "  (bias or scale)"))
+    if pairs:
+        click.echo(
+            "less by: how many times less than one axis's slope; p: of such slopes if opposing them gained nothing"
+        )
