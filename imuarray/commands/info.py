@@ -84,17 +84,8 @@ def _wall_time(epoch: str, at_ns: int | None) -> str | None:
 
 def _sensor(sensor: SensorLog) -> dict[str, Any]:
     """One sensor's line."""
-    import numpy as np
-
-    from imuarray.log.format import FLAGS
-
     rows = len(sensor)
     seconds = float(sensor.time[-1] - sensor.time[0]) * 1e-9 if rows > 1 else 0.0
-    flagged = dict.fromkeys(FLAGS, 0)
-    for block in sensor.blocks():
-        status = np.asarray(sensor.status[block])
-        for name, flag in FLAGS.items():
-            flagged[name] += int(np.count_nonzero(status & flag))
     return {
         "name": sensor.name,
         "chip": sensor.chip,
@@ -105,7 +96,7 @@ def _sensor(sensor: SensorLog) -> dict[str, Any]:
         "rows": rows,
         "seconds": seconds,
         "rate_hz": (rows - 1) / seconds if seconds else 0.0,
-        "flags": {name: count for name, count in flagged.items() if count},
+        "flags": {name: count for name, count in sensor.flagged().items() if count},
     }
 
 

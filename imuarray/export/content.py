@@ -20,9 +20,9 @@ from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SensorHeader
 from imuarray.log.headers import recorded_header
+from imuarray.log.layout import BESIDE_UNITS
 from imuarray.units import SI_PER_UNIT
 
-_TRACK_UNITS = {"specific_force": "m s-2", "angular_rate": "rad s-1", "temperature": "degC"}
 _KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal"})
 
 
@@ -148,7 +148,8 @@ def _tracks(log: Log) -> Iterator[Table]:
 def _track_column(name: str, column: Any) -> Column:
     if name == "time":
         return _time(column)
-    kind, unit = ("<i8", "ns") if name not in _TRACK_UNITS else ("<f8", _TRACK_UNITS[name])
+    unit = BESIDE_UNITS[name]
+    kind = "<i8" if unit == "ns" else "<f8"
     cells = ("x", "y", "z") if len(column.shape) == 2 else ()
     return Column(name, kind, unit, cells, lambda rows: np.asarray(column[rows], kind))
 

@@ -22,10 +22,10 @@ from imuarray.importers.cells import Block, Column, Table, nanoseconds
 from imuarray.importers.exported import MAX_HEADER_BYTES, Head, checked_head, notes_of, parse_header, write_log
 from imuarray.importers.mapping import FileTable
 from imuarray.log.guard import MAX_TEXT_BYTES
-from imuarray.log.layout import Columns, Group
+from imuarray.log.layout import BESIDE_UNITS, Columns, Group
 from imuarray.printable import printable
 
-_UNITS = {"temperature": "degC", "pressure": "Pa", "specific_force": "m s-2", "angular_rate": "rad s-1"}
+_UNITS = {"pressure": "Pa", **BESIDE_UNITS}
 _S = 1_000_000_000
 
 
@@ -146,8 +146,7 @@ class _Tables:
 
 def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str]:
     """What the columns of a table are called that a column of a log is written as."""
-    clocks = name in ("monotonic", "monotonic_raw", "boottime", "realtime")
-    return csv_names(name, cells if tail else (), "ns" if clocks else _UNITS.get(name, ""))
+    return csv_names(name, cells if tail else (), _UNITS.get(name, ""))
 
 
 def _columns(

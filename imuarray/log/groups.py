@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from imuarray.log.format import FORMAT, FORMAT_VERSION, LONG_NAME, PLOTS, SensorHeader
-from imuarray.log.layout import BESIDE, STIMULI, Group, sensor_group
+from imuarray.log.layout import BESIDE, BESIDE_UNITS, STIMULI, Group, sensor_group
 from imuarray.log.preamble import Preamble
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
@@ -27,16 +27,6 @@ installed, and MATLAB's library, say, can't read that of HDF5 2.0.
 _TEXT = h5py.string_dtype("utf-8")
 _PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}
 """NeXus: rows over time; what is beside each other has no axis of numbers."""
-
-_BESIDE_UNITS = {
-    "specific_force": "m s-2",
-    "angular_rate": "rad s-1",
-    "temperature": "degC",
-    "monotonic": "ns",
-    "monotonic_raw": "ns",
-    "boottime": "ns",
-    "realtime": "ns",
-}
 
 
 def begin(file: h5py.File, preamble: Preamble) -> None:
@@ -105,7 +95,7 @@ def create_beside(file: h5py.File, name: str, epoch: str, chunk: int, storage: M
     group = create_columns(file, Group(name, BESIDE[name]), chunk, storage)
     group["time"].attrs["units"] = f"nanoseconds since {epoch}"
     for column, _, _ in BESIDE[name][1:]:
-        group[column].attrs["units"] = _BESIDE_UNITS[column]
+        group[column].attrs["units"] = BESIDE_UNITS[column]
     if name in STIMULI:
         group.attrs.update(_PLOTTED, signal="specific_force", auxiliary_signals=["angular_rate"])
         group.create_dataset("axis", data=["X", "Y", "Z"], dtype=_TEXT)

@@ -89,6 +89,12 @@ CLOCKS: _Columns = tuple((name.removesuffix("_ns"), "<i8", ()) for name in Clock
 BESIDE: Mapping[str, _Columns] = MappingProxyType({"truth": STIMULUS, "reference": STIMULUS, "clocks": CLOCKS})
 """What a log may have beside its sensors; a group is there if it has rows."""
 
+BESIDE_UNITS: Mapping[str, str] = MappingProxyType(
+    {"specific_force": "m s-2", "angular_rate": "rad s-1", "temperature": "degC"}
+    | {name: "ns" for name, _, _ in CLOCKS if name != "time"}
+)
+"""What the columns of these groups are in; `time` is in ns since the epoch."""
+
 STIMULI = ("truth", "reference")
 
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.column import DATASET, LiveGroup, NamedColumn
-from imuarray.log.format import TRIADS
+from imuarray.log.format import FLAGS, TRIADS
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
 _EDGE_ROWS = 4096
@@ -175,6 +175,15 @@ class SensorLog:
     def blocks(self, rows: int = 1 << 16) -> Iterator[slice]:
         """Slices that cover the log, `rows` at a time."""
         return (slice(start, min(start + rows, len(self))) for start in range(0, len(self), rows))
+
+    def flagged(self) -> dict[str, int]:
+        """How many rows bear each flag of `imuarray.log.format`."""
+        found = dict.fromkeys(FLAGS, 0)
+        for block in self.blocks():
+            status = np.asarray(self.status[block])
+            for name, flag in FLAGS.items():
+                found[name] += int(np.count_nonzero(status & flag))
+        return found
 
     def between(self, start_ns: int, end_ns: int) -> slice:
         """The rows whose time lies in [start_ns, end_ns), found without reading the column."""

@@ -47,7 +47,7 @@ def log_sections(log: Log, scales: Mapping[str, Any], *, drawn: bool) -> Iterato
 def _recorded(log: Log) -> Section:
     rows, flagged = [], dict.fromkeys(FLAGS, 0)
     for sensor in log.sensors.values():
-        flags = _flags(sensor)
+        flags = sensor.flagged()
         for name, count in flags.items():
             flagged[name] += count
         told = ", ".join(f"{count} {name}" for name, count in flags.items() if count)
@@ -75,16 +75,6 @@ def _recorded(log: Log) -> Section:
         more = f" The first {_EVENTS} of {len(events)}." if len(events) > _EVENTS else ""
         parts.append(Table(["at s", "sensor", "kind", "what"], told_events, f"What happened.{more}", (1, 2, 3)))
     return Section(f"{log.path.name}: what was recorded", words, parts)
-
-
-def _flags(sensor: SensorLog) -> dict[str, int]:
-    """How many readings bear each flag."""
-    found = dict.fromkeys(FLAGS, 0)
-    for block in sensor.blocks():
-        status = np.asarray(sensor.status[block])
-        for name, flag in FLAGS.items():
-            found[name] += int(np.count_nonzero(status & flag))
-    return found
 
 
 def _longest_s(sensor: SensorLog) -> float:
