@@ -124,6 +124,15 @@ def test_spread() -> None:
     assert (value("noise_uneven", louder) > value("noise_uneven", found) + 2.0).all()
 
 
+def test_a_segment_of_one_code_is_as_quiet_as_rounding() -> None:
+    """The first of 64: ln(1/12 / 4) is 3.87 below the others, which adds 3.87^2 / 64 to the variance of the logs."""
+    counts = np.rint(gaussian(2.0))
+    counts[:313] = 0
+    found = summary(block(counts))
+    assert (found.segments.variance[0] == 0).all()
+    np.testing.assert_allclose(value("noise_uneven", found), np.log(1 + 3.87**2 / 64 / (2 / 312)), atol=0.3)
+
+
 def test_noise_under_gravity() -> None:
     """Twice the noise on an axis that stands upright."""
     phases = []

@@ -13,6 +13,12 @@ from imuarray.gap.summary import Summary
 _LEAST = 4
 """Segments of fewer rows say nothing of a variance."""
 
+_ROUNDED = 1 / 12
+"""Variance of rounding, in counts. One code all through a segment says that there is little more, not that there is
+none: where codes are coarse it happens now and then, and a statistic that is missing then would be the strangest of
+all, in one replicate of a few.
+"""
+
 
 def noise(summary: Summary) -> Floats:
     """Log of the noise from row to row, in the sensor's unit."""
@@ -32,12 +38,14 @@ def halves(summary: Summary) -> Floats:
 
 
 def uneven(summary: Summary) -> Floats:
-    """Log of the variance of the segments' log variances, over 2 / (rows - 1) as of Gaussian noise."""
+    """Log of the variance of the segments' log variances, over 2 / (rows - 1) as of Gaussian noise; no variance is
+    smaller than that of rounding.
+    """
     part = summary.segments
     held = (part.rows >= _LEAST).nonzero()[0]
     if len(held) < _LEAST:
         return NOTHING
-    values = log(part.steady_variance.take(held, axis=0))
+    values = log(part.steady_variance.take(held, axis=0).clip(_ROUNDED))
     values = values - values.sum(axis=0) / len(held)
     expected = (2 / (part.rows[held] - 1.0)).sum() / len(held)
     return log((values * values).sum(axis=0) / (len(held) - 1) / expected)
