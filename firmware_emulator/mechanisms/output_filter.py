@@ -16,6 +16,8 @@ NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
 """Equivalent noise bandwidth of a second-order Butterworth filter by its cut-off: 1.11."""
 Step = tuple[float, float, float, float]
 PIECES = 4
+FAR_S = 0.2
+"""Looks further apart than that are those before and after a chip is set up: what changed did so at once."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,8 @@ class OutputFilter(SensorMechanism):
 
     White noise of density D gives x an rms of D sqrt(1.11 cutoff) and the autocorrelation
     exp(-a t) (cos a t + sin a t), a = w / sqrt(2); between two looks the state is propagated exactly. The stimulus is
-    filtered too, taken as straight between looks. Reference: 20 Hz, narrower as severity grows.
+    filtered too, taken as straight between looks; over a longer time without any, as when another range shifts the
+    offset, as what it is at its end. Reference: 20 Hz, narrower as severity grows.
     """
 
     cutoff_hz: float = 20.0
@@ -67,6 +70,8 @@ class OutputFilter(SensorMechanism):
             seconds = elapsed(at_ns)
             if not state:
                 state.extend((component, 0.0) for component in value)
+                before = value
+            if seconds > FAR_S:
                 before = value
             a, b, c, d = self.step(seconds / PIECES)
             for axis, (old, new) in enumerate(zip(before, value, strict=True)):

@@ -65,6 +65,14 @@ def test_the_output_filter_answers_a_step_as_scipys_butterworth_does():
     assert got.max() == pytest.approx(1.0432, abs=0.002)  # overshoot exp(-pi) of a damping of 1 / sqrt 2
 
 
+def test_what_changed_while_nobody_looked_changed_at_once():
+    """As when a chip is set up: its filter has settled long since, 0.8 s or 50 time constants ago."""
+    shifted = turning(lambda at_s: (1.0 if at_s >= 0.05 else 0.0, 0.0, 0.0))
+    times = [0, 40_000_000, 860_000_000, 880_000_000]
+    got = np.radians(samples(board(OutputFilter(10.0), "Gyro", world=shifted), "Gyro", times)[:, 0])
+    np.testing.assert_allclose(got, [0.0, 0.0, 1.0, 1.0], atol=1e-6)
+
+
 def test_the_output_filter_colours_noise_as_scipys_butterworth_does():
     found = samples(board(OutputFilter(5.0), "Gyro", noisy=True), "Gyro", every(10, 30000))
     frequencies = np.linspace(0.0, 2000.0, 400001)
