@@ -15,7 +15,6 @@ from firmware_emulator.world import Stimulus
 NOISE_BANDWIDTH = math.pi / (2 * math.sqrt(2))
 """Equivalent noise bandwidth of a second-order Butterworth filter by its cut-off: 1.11."""
 Step = tuple[float, float, float, float]
-PIECES = 4
 FAR_S = 0.2
 """Looks further apart than that are those before and after a chip is set up: what changed did so at once."""
 
@@ -26,7 +25,7 @@ class OutputFilter(SensorMechanism):
 
     White noise of density D gives x an rms of D sqrt(1.11 cutoff) and the autocorrelation
     exp(-a t) (cos a t + sin a t), a = w / sqrt(2); between two looks the state is propagated exactly. The stimulus is
-    filtered too, taken as straight between looks; over a longer time without any, as when another range shifts the
+    filtered too, exactly so if it is straight between looks; over a longer time without any, as when another range shifts the
     offset, as what it is at its end. Reference: 20 Hz, narrower as severity grows.
     """
 
@@ -43,6 +42,11 @@ class OutputFilter(SensorMechanism):
     def decay(self) -> float:
         """Real and imaginary part of the poles, per second."""
         return 2 * math.pi * self.cutoff_hz / math.sqrt(2)
+
+    @property
+    def delay_s(self) -> float:
+        """By which a slow signal is late: sqrt(2) / w."""
+        return 1 / self.decay
 
     def step(self, seconds: float) -> Step:
         """Transition matrix of (x, x') over that time, row by row, for an input of 0."""
@@ -73,13 +77,13 @@ class OutputFilter(SensorMechanism):
                 before = value
             if seconds > FAR_S:
                 before = value
-            a, b, c, d = self.step(seconds / PIECES)
+            a, b, c, d = self.step(seconds)
             for axis, (old, new) in enumerate(zip(before, value, strict=True)):
                 x, speed = state[axis]
-                for piece in range(PIECES):
-                    middle = old + (new - old) * (piece + 0.5) / PIECES
-                    x, speed = middle + a * (x - middle) + b * speed, c * (x - middle) + d * speed
-                state[axis] = x, speed
+                slope = (new - old) / seconds if seconds > 0 else 0.0
+                behind = slope * self.delay_s  # what follows a straight line, once it has settled
+                off, faster = x - (old - behind), speed - slope
+                state[axis] = new - behind + a * off + b * faster, slope + c * off + d * faster
             before = value
             return state[0][0], state[1][0], state[2][0]
 

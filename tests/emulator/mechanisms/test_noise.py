@@ -65,6 +65,14 @@ def test_the_output_filter_answers_a_step_as_scipys_butterworth_does():
     assert got.max() == pytest.approx(1.0432, abs=0.002)  # overshoot exp(-pi) of a damping of 1 / sqrt 2
 
 
+def test_the_output_filter_is_late_by_its_delay_however_seldom_it_is_looked_at():
+    """sqrt(2) / w behind a rate that rises evenly: 1.0 ms at 222 Hz, looked at every 15 ms."""
+    rising = turning(lambda at_s: (at_s, 0.0, 0.0))
+    got = np.radians(samples(board(OutputFilter(222.0), "Gyro", world=rising), "Gyro", every(15, 20))[:, 0])
+    late = 0.015 * np.arange(20) - got
+    np.testing.assert_allclose(late[5:], math.sqrt(2) / (2 * math.pi * 222.0), rtol=1e-3)
+
+
 def test_what_changed_while_nobody_looked_changed_at_once():
     """As when a chip is set up: its filter has settled long since, 0.8 s or 50 time constants ago."""
     shifted = turning(lambda at_s: (1.0 if at_s >= 0.05 else 0.0, 0.0, 0.0))
