@@ -252,7 +252,7 @@ def _step(standing: Standing, seen: _Seen, slopes: Floats) -> Floats:
     apart = np.where(known, standing.real - likeness.location, 0.0)
     scale = np.where(known, likeness.scale, 1.0)
     scores = apart / scale
-    weight = np.where(known, (FREEDOM + 1) / (FREEDOM + scores**2), 0.0) * standing.independent
+    weight = np.where(known, (FREEDOM + 1) / (FREEDOM + scores**2), 0.0) * standing.weight
     design = slopes / scale[:, None]
     return np.clip(regressed(design, scores, weight), -_FURTHEST, _FURTHEST)
 

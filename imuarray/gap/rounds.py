@@ -30,6 +30,9 @@ ROUNDS = 6
 _MORE = 1.25
 """What is left has to be so much beyond chance for another cause: no effect has exactly the form of the real one."""
 
+_IN_TIME = frozenset({"motion_delay", "motion_residual"})
+"""When a sensor follows a motion: no level, scale or code moves these, however many of the others say the same."""
+
 _FAMILY_ROUNDS = 1
 _OWN = 0.5
 
@@ -198,6 +201,9 @@ def _bare(found: Compared, unit: Unit) -> Standing:
     bench, columns = found.bench, found.bench.own(unit)
     chance = found.chance[:, columns]
     likeness = likeness_of(chance, bench.resolutions[columns])
+    scores = likeness.scores(chance)
+    in_time = np.array([bench.keys[at].probe in _IN_TIME for at in columns], bool)
+    apart = np.where(in_time, independent_share(scores[:, in_time]), 0.0) if in_time.any() else None
     return Standing(
         unit,
         {name: model for name, model in bench.models().items() if name in unit},
@@ -205,9 +211,10 @@ def _bare(found: Compared, unit: Unit) -> Standing:
         likeness,
         np.zeros((0, len(columns))),
         {name: found.real.fitted[name] for name in unit},
-        independent_share(likeness.scores(chance)),
+        independent_share(scores),
         probes=np.unique([bench.keys[at].probe for at in columns], return_inverse=True)[1],
         alike=np.unique(bench.alike[columns], return_inverse=True)[1],
+        apart=apart,
     )
 
 

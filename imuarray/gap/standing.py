@@ -40,7 +40,8 @@ class Standing:
     what the fit of the recording gave, `independent` the share of the statistics that is. `company` are the models of
     other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes, of which statistics move
     alike, and `alike` (n,) those of each axis and kind of log, which scatter alike when they do (none: nothing is known
-    of that), `misfit` the nats that the models' noise lacks.
+    of that), `misfit` the nats that the models' noise lacks. `apart` (n,) is the same share of the statistics that hang
+    together with few others (none: none do).
     """
 
     unit: Unit
@@ -54,6 +55,14 @@ class Standing:
     probes: npt.NDArray[np.intp] | None = field(default=None, repr=False)
     alike: npt.NDArray[np.intp] | None = field(default=None, repr=False)
     misfit: float = 0.0
+    apart: Floats | None = field(default=None, repr=False)
+
+    @property
+    def weight(self) -> Floats | float:
+        """(n,) how much each statistic counts: by the share of all that is independent, or where it is one of those
+        apart by the share of these.
+        """
+        return self.independent if self.apart is None else np.fmax(self.apart, self.independent)
 
     @property
     def scores(self) -> Floats:
@@ -169,7 +178,7 @@ def least_scale(before: Likeness) -> Floats:
 def gains_of(standing: Standing, likeness: Likeness, moved: Floats) -> Floats:
     """(n,) nats by which a change makes each of the recording's statistics likelier; they add up."""
     before = standing.likeness.log_density(standing.real)
-    return standing.independent * (likeness.log_density(standing.real, moved) - before)
+    return standing.weight * (likeness.log_density(standing.real, moved) - before)
 
 
 def _kept(moved: Floats, probes: npt.NDArray[np.intp]) -> Floats:

@@ -186,6 +186,16 @@ def test_what_no_longer_speaks_and_is_silent_here() -> None:
     assert gains_of(unit, likeness, moved).sum() == pytest.approx(22.8, abs=0.1)
 
 
+def test_what_hangs_together_with_nothing_else_counts_by_itself() -> None:
+    """Ten that are one and the same, and one apart: of that the gain is whole."""
+    unit = standing([3.0] * 11, drawn(11), independent=0.1)
+    likeness, moved = compared(unit, unit.values + 3.0)
+    alike = gains_of(unit, likeness, moved)
+    apart = gains_of(replace(unit, apart=np.append(np.zeros(10), 1.0)), likeness, moved)
+    np.testing.assert_allclose(apart[:10], alike[:10])
+    assert apart[10] == pytest.approx(10 * alike[10])
+
+
 def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
     """What a unit shares with sensors beside it is in the recording and in replicates of the whole array, not in those
     of the unit alone, with or without the change: all stays as it was.
