@@ -16,8 +16,11 @@ from types import MappingProxyType
 
 from imuarray.log.format import SensorHeader
 from imuarray.shipped import configs
-from imuarray.simulate.model import TRIADS, Model, Part, load_model
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.model import TRIADS, Model, Part, load_model, noise_bandwidth_hz
 from imuarray.simulate.population import Recipe, Spread
+from imuarray.simulate.signal import Triple
+from imuarray.simulate.streams import Streams
 
 SCALE_SIGMA, ANGLE_SIGMA_DEG, G_SENSITIVITY_SIGMA = 0.01, 0.7, 0.01
 """Population of sensors in an array. Of angles data sheets say how a die lies in its package (half a degree, BMA-119),
@@ -58,6 +61,16 @@ def usual_model(headers: Iterable[SensorHeader]) -> Model:
             before = parts.get((header.chip, unit, None), Part(header.chip, unit=unit))
             parts[header.chip, unit, None] = replace(before, effects={**before.effects, **missing})
     return Model("data sheets", "", tuple(parts.values()), ())
+
+
+def printed_noise(header: SensorHeader) -> Triple | None:
+    """Standard deviation of readings along a sensor's axes as its data sheet has it, in its unit, at the bandwidth that
+    is set; None where the sheet says nothing, or nothing is known of the bandwidth.
+    """
+    if noise_bandwidth_hz(header) <= 0:
+        return None
+    effects = _data_sheets().effects(header, Streams(0))
+    return next((one.rms for one in effects if isinstance(one, WhiteNoise)), None)
 
 
 def own_unit(header: SensorHeader) -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from imuarray.gap.base_model import Base, Fitted
-from imuarray.gap.usual_model import usual_model
+from imuarray.gap.usual_model import printed_noise, usual_model
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, Part, parse_model
 from imuarray.simulate.population import Spread
@@ -20,6 +20,14 @@ HEADERS = {
     "A2": header("A2", range=2.0),
     "G1": header("G1", chip="l3g4200d"),
 }
+
+
+def test_noise_as_printed() -> None:
+    """150 ug in 1 Hz (BMA-110), 0.03 dps in 1 Hz; of a bandwidth that nobody knows there is none."""
+    one = replace(HEADERS["A1"], bandwidth_hz=600.0)
+    assert printed_noise(one) == pytest.approx((150e-6 * 600**0.5,) * 3, rel=1e-4)
+    assert printed_noise(replace(HEADERS["G1"], bandwidth_hz=50.0)) == pytest.approx((0.03 * 50**0.5,) * 3, rel=1e-3)
+    assert printed_noise(replace(one, bandwidth_hz=0.0)) is None
 
 
 def recipes(model: Model, one: SensorHeader) -> dict[str, object]:

@@ -30,7 +30,8 @@ class Trial:
     axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be told from
     another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or (`sensor`) this one
     has it, and `others` show it; these have the effects `opposite` at the same time. `whole`: neither part shows it
-    without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same.
+    without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same (negative:
+    more usual).
     """
 
     effects: tuple[Effect, ...]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from imuarray.simulate.effect import Effect, require, scalar
 from imuarray.simulate.signal import Analog, Floats, Place
@@ -25,17 +26,23 @@ class Bandwidth(Effect):
     filter (1: all that is filtered on the chip) and is late by 1 / (2 pi cutoff); 0 leaves the motion as it is, as of a
     noise that is born with a memory. In data: correlation phi^k at lag k, an Allan deviation that flattens at the
     shortest times; under motion a sensor that is behind the others.
+
+    With 2 `poles` it is a Butterworth filter, as a chip's output stage rather is: a = sqrt(2) pi cutoff, correlation
+    exp(-a t) (cos a t + sin a t) after a time t, late by 1 / a.
     """
 
     name: ClassVar[str] = "bandwidth"
     cutoff_hz: float = scalar(math.inf)
     share: float = scalar(0.0)
+    poles: float = scalar(1.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a cutoff below 10 mHz, or a share outside 0 to 1."""
+        """ValueError for a cutoff below 10 mHz, a share outside 0 to 1, or other than 1 or 2 poles."""
         super().__post_init__()
         require("cutoff_hz", self.cutoff_hz, 1e-2)
         require("share", self.share, 0.0, 1.0)
+        if self.poles not in (1.0, 2.0):
+            raise ValueError(f"poles: {self.poles:g}; allowed are 1 and 2")
 
     def lookback(self, at: Place) -> int:
         """Rows until 1e-12 is left of what was before them."""
@@ -46,20 +53,53 @@ class Bandwidth(Effect):
         if math.isinf(self.cutoff_hz):
             return analog
         decay = self._decay(at)
-        phi, share = math.exp(-decay), math.sqrt(-math.expm1(-2 * decay))
+        over, under = _noise_filter(decay, self.poles)
         white = analog.noise.astype(float)
-        noise, _ = lfilter([share], [1.0, -phi], white, axis=0, zi=(1 - share) * white[:1])
+        first = np.zeros((len(under) - 1, white.shape[1]))
+        first[0] = (1 - over[0]) * white[0]
+        noise, _ = lfilter(over, under, white, axis=0, zi=first)
         return replace(analog, value=self._passed(analog.value, decay), noise=np.asarray(noise, analog.noise.dtype))
 
     def _passed(self, value: Floats, decay: float) -> Floats:
         """The signal (n, 3) after the filter, exactly so for straight lines between rows."""
         if not self.share:
             return value
-        phi, mean = math.exp(-decay), -math.expm1(-decay) / decay
         signal = value.astype(float)
-        late, _ = lfilter([1 - mean, mean - phi], [1.0, -phi], signal, axis=0, zi=mean * signal[:1])
+        over, under = _signal_filter(decay, self.poles)
+        late, _ = lfilter(over, under, signal, axis=0, zi=lfilter_zi(over, under)[:, None] * signal[:1])
         return np.asarray(value + self.share * (late - signal), value.dtype)
 
     def _decay(self, at: Place) -> float:
         """Time constants per row."""
-        return 2 * math.pi * self.cutoff_hz / at.rows_per_s
+        return 2 * math.pi * self.cutoff_hz / at.rows_per_s / math.sqrt(self.poles)
+
+
+def correlation(decay: float, poles: float) -> float:
+    """Of noise behind the filter, `decay` time constants later."""
+    fade = math.exp(-decay)
+    return fade if poles == 1 else fade * (math.cos(decay) + math.sin(decay))
+
+
+@lru_cache(maxsize=256)
+def _noise_filter(decay: float, poles: float) -> tuple[Floats, Floats]:
+    """(over, under) that make noise behind the filter, row by row, of white noise of the same rms: its poles are those
+    of the filter; with two there is a zero as well, which the first three correlations tell.
+    """
+    if poles == 1:
+        phi = math.exp(-decay)
+        return np.array([math.sqrt(-math.expm1(-2 * decay))]), np.array([1.0, -phi])
+    fade = math.exp(-decay)
+    under = np.array([1.0, -2 * fade * math.cos(decay), fade * fade])
+    rows = np.array([correlation(decay * lag, poles) for lag in range(4)])
+    apart = np.subtract.outer(np.arange(3), np.arange(3))
+    none, one = (float(under @ rows[np.abs(apart + lag)] @ under) for lag in (0, 1))
+    zero = none / (2 * one) - math.copysign(math.sqrt(max((none / (2 * one)) ** 2 - 1, 0.0)), one) if one else 0.0
+    return math.sqrt(none / (1 + zero * zero)) * np.array([1.0, zero]), under
+
+
+@lru_cache(maxsize=256)
+def _signal_filter(decay: float, poles: float) -> tuple[Floats, Floats]:
+    """(over, under) of the filter itself, for a signal that is straight between rows."""
+    over, under = ([decay], [1.0, decay]) if poles == 1 else ([2 * decay**2], [1.0, 2 * decay, 2 * decay**2])
+    discrete, under, _ = cont2discrete((over, under), 1.0, method="foh")
+    return np.asarray(discrete).ravel(), np.asarray(under)

@@ -9,9 +9,11 @@ import pytest
 
 from imuarray.gap.at_rest import Fitted
 from imuarray.gap.candidates.bandwidth import BANDWIDTH
+from imuarray.gap.candidates.quietness import rarity_behind
 from imuarray.gap.candidates.tone import TONE
 from imuarray.gap.candidates.white_noise import WHITE_NOISE
 from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.skew import Skew
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from tests.gap.candidates.evidence_of import evidence_of
@@ -37,7 +39,42 @@ def test_a_filter_on_the_signal_is_tried_where_motion_comes_late(share: float) -
     evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(5.0, share),)}, seed=7)
     found = [one for trial in BANDWIDTH.guesses(evidence) for one in trial.effects if isinstance(one, Bandwidth)]
     assert {one.share for one in found} == {0.0, share}
-    assert found[-1].cutoff_hz == pytest.approx(5.0, rel=0.1)
+    assert [one for one in found if one.poles == 1][-1].cutoff_hz == pytest.approx(5.0, rel=0.1)
+
+
+def test_a_filter_of_two_poles() -> None:
+    """Lag 1 of 100 rows a second: exp(-a t) (cos a t + sin a t), a t = sqrt(2) pi 15 / 100."""
+    evidence = evidence_of("static", "G1", {"G1": (Bandwidth(15.0, poles=2.0),)}, seed=7)
+    found = [one for trial in BANDWIDTH.guesses(evidence) for one in trial.effects if isinstance(one, Bandwidth)]
+    (two,) = (one for one in found if one.poles == 2)
+    assert two.cutoff_hz == pytest.approx(15.0, rel=0.1)
+
+
+def test_a_filter_too_fast_for_the_rows_is_guessed_by_its_delay() -> None:
+    """60 Hz: 3.8 ms, and a correlation of -0.04 from row to row."""
+    evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(60.0, 1.0, 2.0),)}, seed=7)
+    trial = list(BANDWIDTH.guesses(evidence))[-1]
+    (found,) = trial.effects
+    assert isinstance(found, Bandwidth)
+    assert (found.share, found.poles) == (1.0, 2.0)
+    assert found.cutoff_hz == pytest.approx(60.0, rel=0.3)
+    early = evidence_of(("static", "motion"), "G1", {"G1": (Skew(-0.004),)}, seed=7)
+    assert not [one for one in BANDWIDTH.guesses(early) if one.effects[0] == replace(found, cutoff_hz=60.0)]
+
+
+def test_who_is_quieter_than_printed_has_a_filter() -> None:
+    """30 mdps in 1 Hz are 0.18 dps rms in 35 Hz; behind 3.15 Hz of two poles, which pass 3.5 Hz, a third of that is left."""
+    evidence = evidence_of("static", "G1", seed=5)
+    header = replace(evidence.header, chip="l3g4200d", rate_hz=800.0, bandwidth_hz=35.0)
+    usual, quiet = (
+        replace(evidence, header=header, fitted=Fitted((rms,) * 3, *((0.0, 0.0, 0.0),) * 2))
+        for rms in (0.03 * 35**0.5, 0.03 * 3.5**0.5)
+    )
+    assert rarity_behind(usual, 3.15) == pytest.approx(-rarity_behind(quiet, 3.15), abs=0.01)
+    assert rarity_behind(quiet, 3.15) < -3  # 20 to 1
+    assert rarity_behind(quiet, 500.0) == 0  # passes all that the chip's own filter does
+    unknown = replace(quiet, header=replace(header, bandwidth_hz=0.0))
+    assert rarity_behind(unknown, 3.15) == 0
 
 
 def test_a_line() -> None:

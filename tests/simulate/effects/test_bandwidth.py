@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.linalg import toeplitz
 
 from imuarray.simulate.effects.bandwidth import Bandwidth
@@ -22,6 +23,26 @@ def test_same_rms_and_exponential_correlation_from_the_first_row_on(place: MakeP
     runs = [effect.analog(analog(0, 6, noise=rng.normal(0, 0.3, (6, 3))), at).noise.T for _ in range(3000)]
     # 27 numbers beyond 5 standard errors: 2e-5
     assert furthest(np.concatenate(runs), 0.09 * toeplitz(np.exp(-np.arange(6) / 2))) < 5
+
+
+def test_two_poles_are_scipys_butterworth(place: MakePlace, analog: MakeAnalog) -> None:
+    """Its response to a step; and of white noise the correlation exp(-u) (cos u + sin u), u = sqrt(2) pi cutoff t, with
+    standard errors of 0.005.
+    """
+    effect, at = Bandwidth(10.0, 1.0, 2.0), place(rows_per_s=100.0)
+    rise = np.repeat((np.arange(60) > 9)[:, None], 3, axis=1).astype(float)
+    found = effect.analog(analog(0, 60, value=rise), at).value[:, 0]
+    times = np.linspace(0, 0.6, 60_001)
+    straight = np.interp(times, np.arange(60) / 100, rise[:, 0])
+    _, wanted, _ = signal.lsim(signal.butter(2, 2 * np.pi * 10.0, analog=True), straight, times)
+    np.testing.assert_allclose(found, np.interp(np.arange(60) / 100, times, wanted), atol=1e-6)
+    white = np.random.default_rng(6).normal(0, 0.3, (100_000, 3))
+    noise = effect.analog(analog(0, 100_000, noise=white), at).noise
+    assert noise.std() == pytest.approx(0.3, rel=0.01)
+    for lag in (1, 2, 5):
+        u = np.sqrt(2) * np.pi * 10.0 * lag / 100
+        got = np.mean(noise[lag:] * noise[:-lag]) / noise.var()
+        assert got == pytest.approx(np.exp(-u) * (np.cos(u) + np.sin(u)), abs=0.02)
 
 
 def test_the_papers_gyroscope(place: MakePlace, analog: MakeAnalog) -> None:
