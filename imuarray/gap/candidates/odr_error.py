@@ -60,21 +60,39 @@ def _by_repeats(evidence: Evidence) -> Iterator[Trial]:
             yield Trial((OdrError(rate),))
         is_setting = any(abs(real_hz / rate - 1) < _OSCILLATOR for rate in allowed)
         yield Trial((OdrError(real_hz),), ("rate_hz",), rarity=0.0 if is_setting else _RARITY)
+        if not is_setting and code_span(evidence.header).step != 1:  # what it is set to shows in its codes
+            yield from _by_clock(evidence, real_hz)
     elif repeated < -_LEAST:
         for rate in [rate for rate in allowed if rate >= rows_hz][:2]:
             yield Trial((OdrError(rate),))
 
 
 def _by_age(evidence: Evidence) -> Iterator[Trial]:
-    """Faster than the poll, so that no row repeats, and slower than configured: readings are half a period old."""
+    """Faster than the poll, so that no row repeats, and slower than configured: readings are half a period old. It is
+    set to a slower rate, or as it should be and its oscillator limps: then the codes are those of the set rate.
+    """
     found = odd_lags(evidence)
     if not found:
         return
     lag_s = float(np.average([lag.lag_s for lag in found], weights=[lag.weight for lag in found]))
     configured_hz = evidence.header.rate_hz
     age_s = lag_s + (0.5 / configured_hz if configured_hz else 0.0)
-    if lag_s > 0 and age_s < 0.5 / evidence.rows_per_s:
-        yield Trial((OdrError(0.5 / age_s),), ("rate_hz",), rarity=_RARITY)
+    if lag_s <= 0 or age_s >= 0.5 / evidence.rows_per_s:
+        return
+    real_hz = 0.5 / age_s
+    near = [rate for rate in _rates_hz(evidence) if abs(real_hz / rate - 1) < _NEAR and rate > evidence.rows_per_s]
+    for rate in sorted(near, key=lambda rate: abs(real_hz / rate - 1))[:1]:
+        yield Trial((OdrError(rate),))
+    yield from _by_clock(evidence, real_hz)
+
+
+def _by_clock(evidence: Evidence, real_hz: float) -> Iterator[Trial]:
+    """Readings at that rate by an oscillator that should make more; of a chip without a rate, simply at that rate."""
+    configured_hz = evidence.header.rate_hz
+    if not configured_hz:
+        yield Trial((OdrError(real_hz),), ("rate_hz",), rarity=_RARITY)
+    elif _LEAST < real_hz / configured_hz < 1:
+        yield Trial((OdrError(clock_ratio=real_hz / configured_hz),), ("clock_ratio",), rarity=_RARITY)
 
 
 def _by_even_codes(evidence: Evidence) -> Iterator[Trial]:

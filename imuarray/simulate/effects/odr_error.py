@@ -18,45 +18,55 @@ class OdrError(Effect):
     `rate_hz` is the real data rate, `bandwidth_hz` the real bandwidth of the noise; nan: as configured. An ADXL345's
     bandwidth is half its rate (ADX-32 ... ADX-35), for its noise no less than that of 100 Hz (ADX-68), and at 1600 Hz
     and more its lowest bit is always 0 (ADX-47, which doesn't say whether by rounding: the nearest even code is taken);
-    other chips' bandwidth stays what was configured unless it is given. The paper's ADXL345s give even codes only, and
+    other chips' bandwidth stays what was configured unless it is given. Where the registers are as they should be and
+    the oscillator is not, at `clock_ratio` times its pace, codes stay those of the set rate, and so does the noise: a
+    filter that goes by the same clock makes as much of as many readings. The paper's ADXL345s give even codes only, and
     more noise than 400 Hz explains (PAP-02). In data: rows that repeat the one before where they come faster than the
-    rate, noise of another size, missing codes.
+    rate, readings that are older, noise of another size, missing codes.
     """
 
     name: ClassVar[str] = "odr_error"
     rate_hz: float = scalar(math.nan)
     bandwidth_hz: float = scalar(math.nan)
+    clock_ratio: float = scalar(1.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a rate or bandwidth outside 1e-3 to 1e6 Hz."""
+        """ValueError for a rate or bandwidth outside 1e-3 to 1e6 Hz, or an oscillator beyond a thousandth or ten times
+        its pace.
+        """
         super().__post_init__()
         for name, value in (("rate_hz", self.rate_hz), ("bandwidth_hz", self.bandwidth_hz)):
             if not math.isnan(value):
                 require(name, value, 1e-3, 1e6)
+        require("clock_ratio", self.clock_ratio, 1e-3, 10.0)
 
     def lookback(self, at: Place) -> int:
         """Rows that may repeat one reading, and one."""
-        slow = self.rate_hz < at.rows_per_s
-        return math.ceil(at.rows_per_s / self.rate_hz) + 1 if slow else 0
+        set_hz = at.sensor.rate_hz if math.isnan(self.rate_hz) and self.clock_ratio != 1.0 else self.rate_hz
+        real_hz = set_hz * self.clock_ratio
+        return math.ceil(at.rows_per_s / real_hz) + 1 if 0 < real_hz < at.rows_per_s else 0
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """Sets the rate of new readings."""
-        return instants if math.isnan(self.rate_hz) else replace(instants, rate_hz=self.rate_hz)
+        if math.isnan(self.rate_hz) and self.clock_ratio == 1.0:
+            return instants
+        set_hz = instants.rate_hz if math.isnan(self.rate_hz) else self.rate_hz
+        return replace(instants, rate_hz=set_hz * self.clock_ratio)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Scales the noise, sets the converter. ValueError for a bandwidth if the chip has none configured."""
         if math.isnan(self.rate_hz) and math.isnan(self.bandwidth_hz):
-            return analog
-        rate_hz = analog.rate_hz if math.isnan(self.rate_hz) else self.rate_hz
-        span = code_span(replace(at.sensor, rate_hz=rate_hz))
-        factor = math.sqrt(self._bandwidth_ratio(rate_hz, at))
+            return analog  # of an oscillator alone the instants have said it already
+        set_hz = analog.rate_hz / self.clock_ratio if math.isnan(self.rate_hz) else self.rate_hz
+        span = code_span(replace(at.sensor, rate_hz=set_hz))
+        factor = math.sqrt(self._bandwidth_ratio(set_hz, at))
         return replace(
             analog,
             noise=analog.noise * factor,
             lowest=span.lowest,
             highest=span.highest,
             step=span.step,
-            rate_hz=rate_hz,
+            rate_hz=set_hz * self.clock_ratio,
         )
 
     def _bandwidth_ratio(self, rate_hz: float, at: Place) -> float:

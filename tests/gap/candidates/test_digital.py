@@ -156,6 +156,17 @@ def test_a_chip_slower_than_the_poll(rate_hz: float) -> None:
     assert trial.free == ("rate_hz",)
 
 
+def test_a_chip_that_is_slower_than_it_is_set_to_and_faster_than_the_poll() -> None:
+    """130 Hz polled at 100 Hz: half a period is 3.8 ms, that of the set 800 Hz 0.6 ms."""
+    evidence = evidence_of(("static", "motion"), "G1", {"G1": (OdrError(130.0),)})
+    (trial,) = odr_error.guesses(evidence)
+    (found,) = trial.effects
+    assert isinstance(found, OdrError)
+    assert found.clock_ratio * 800.0 == pytest.approx(130.0, rel=0.1)
+    assert trial.free == ("clock_ratio",)
+    assert trial.rarity > 0
+
+
 def test_even_codes_of_an_adxl345() -> None:
     """Its lowest bit is always 0 from 1600 Hz on (ADX-47); at 100 Hz it is not."""
     evidence = shown("static", "A1", Quantisation(2.0))

@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.simulate.converters import held
 from imuarray.simulate.effects.odr_error import OdrError
-from imuarray.simulate.signal import Analog, Codes
+from imuarray.simulate.signal import Analog, Codes, Instants
 from tests.simulate.conftest import MakePlace, header
 
 MakeAnalog = Callable[..., Analog]
@@ -69,6 +69,22 @@ def test_its_lookback_is_enough(place: MakePlace, codes: Callable[..., Codes], r
         whole, alone = (held(codes(first, 1000), rate_hz) for first in (0, 700 - back))
         np.testing.assert_array_equal(alone.counts[back:], whole.counts[700:])
         np.testing.assert_array_equal(alone.fresh[back:], whole.fresh[700:])
+
+
+def test_an_oscillator_that_limps(place: MakePlace, analog: MakeAnalog) -> None:
+    """Set to 1600 Hz it makes a twentieth of that; its codes stay even, its noise as large."""
+    at, effect = place(header("adxl345", rate_hz=1600.0), rows_per_s=100.0), OdrError(clock_ratio=0.05)
+    stamps = np.arange(5, dtype=np.int64) * 10_000_000
+    instants = effect.sampled(Instants(0, stamps, stamps, np.ones(5, bool), 1600.0), at)
+    assert instants.rate_hz == pytest.approx(80.0)
+    rows = analog(0, 5, noise=3.0, rate_hz=instants.rate_hz, lowest=-4096, highest=4094, step=2)
+    after = effect.analog(rows, at)
+    assert (after.step, after.highest, after.rate_hz) == (2, 4094, pytest.approx(80.0))
+    np.testing.assert_array_equal(after.noise, rows.noise)
+    assert effect.lookback(at) == 3
+    wider = OdrError(bandwidth_hz=math.nan, rate_hz=200.0, clock_ratio=0.5)
+    assert wider.sampled(instants, at).rate_hz == pytest.approx(100.0)
+    assert (wider.analog(rows, at).step, wider.analog(rows, at).rate_hz) == (1, pytest.approx(100.0))
 
 
 def test_single_precision_stays_single(place: MakePlace, analog: MakeAnalog) -> None:
