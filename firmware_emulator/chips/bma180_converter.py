@@ -1,7 +1,8 @@
 """The BMA180 behind its registers: a sensing element, a converter that never stops, a filter that settles.
 
 One cycle converts temperature, x, y, z, a quarter of a period each (BMA-94); this model looks at the element once
-per cycle, when x is ready, and publishes each axis when its own quarter is over. Cycles count from the last change
+per cycle, when x is ready, and publishes each axis when its own quarter is over; if quarters are so long that the box
+moves in them, once per axis, when that is ready. Cycles count from the last change
 of a setting; index -1 stands for what the registers held at that change. Codes are signed 14-bit integers (BMA-60).
 
 Choices where the data sheet is silent: the filter settles exponentially (DEC-14), in codes, at its cut-off
@@ -46,6 +47,9 @@ UPDATE_HZ = 2400  # BMA-93; half of it in low-power mode
 LOW_POWER = 0b11  # mode_config, BMA-96
 SELF_TEST_NS = 8_000_000  # less than 10 ms, BMA-104
 SELF_TEST_G = 700 / 4096  # typical response, 700 codes at 2 g (BMA-104)
+
+IN_TURN_NS = 500_000
+"""Quarters from which on every axis is looked at when it is ready: five times those of a sound oscillator."""
 
 _BURST = Struct("<hhh")
 Codes = tuple[int, int, int]
@@ -159,7 +163,10 @@ class Converter:
 
     def _convert(self, cycle: int) -> Codes:
         at_ns = self._start_ns + cycle * self._period_ns + self._ready_after_ns[0]
-        g = self._element.sample(at_ns, self._range_g, self._bandwidth_hz)
+        g = self._sampled(at_ns)
+        if self._quarter_ns > IN_TURN_NS:
+            y_g, z_g = (self._sampled(at_ns + axis * self._quarter_ns)[axis] for axis in (1, 2))
+            g = g[0], y_g, z_g
         if not self._plain:
             g = self._disturbed(g, at_ns)
         sx, ox, sy, oy, sz, oz = self._scales
@@ -177,6 +184,9 @@ class Converter:
         self._earlier_index, self._earlier = self._latest_index, self._latest
         self._latest_index, self._latest = cycle, codes
         return codes
+
+    def _sampled(self, at_ns: int) -> Triple:
+        return self._element.sample(at_ns, self._range_g, self._bandwidth_hz)
 
     def _disturbed(self, g: Triple, at_ns: int) -> Triple:
         """`g` as a self-test, wrong temperature trims and a high-pass leave it."""

@@ -25,8 +25,8 @@ class OutputFilter(SensorMechanism):
 
     White noise of density D gives x an rms of D sqrt(1.11 cutoff) and the autocorrelation
     exp(-a t) (cos a t + sin a t), a = w / sqrt(2); between two looks the state is propagated exactly. The stimulus is
-    filtered too, exactly so if it is straight between looks; over a longer time without any, as when another range shifts the
-    offset, as what it is at its end. Reference: 20 Hz, narrower as severity grows.
+    filtered too, exactly so if it is straight between looks; over a longer time without any, as when another range
+    shifts the offset, as what it is at its end. Reference: 20 Hz, narrower as severity grows.
     """
 
     cutoff_hz: float = 20.0

@@ -51,6 +51,17 @@ def test_a_trim_moves_its_own_axis(register, mid, more, axis):
     assert moved == [0, 0]
 
 
+def test_axes_of_a_slow_oscillator_are_looked_at_in_their_turn():
+    """A hundredth of 2400 Hz: quarters of 10.4 ms (BMA-94), in which 1 g/s is 43 codes at 2 g; z is of the cycle before,
+    171 codes ago.
+    """
+    box = Box(slope=(1.0, 1.0, 1.0), g=(0.0, 0.0, 0.0))
+    x, y, z = codes(Bma180(0x40, box, rate_error=-0.99), at=1000 * MS)
+    assert (y - x, z + 171 - y) == (pytest.approx(43, abs=1), pytest.approx(43, abs=1))
+    sound = Bma180(0x40, Box(slope=(1.0, 1.0, 1.0), g=(0.0, 0.0, 0.0)))
+    assert len(set(codes(sound, at=1000 * MS))) == 1
+
+
 def test_offset_trims_shift_the_output():
     chip = unlocked(Box((0.0, 0.0, 0.0)))
     poke(chip, 0x38, 0x81, 0x39, 0x7F)

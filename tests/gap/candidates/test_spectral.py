@@ -63,7 +63,7 @@ def test_a_filter_too_fast_for_the_rows_is_guessed_by_its_delay() -> None:
 
 
 def test_who_is_quieter_than_printed_has_a_filter() -> None:
-    """30 mdps in 1 Hz are 0.18 dps rms in 35 Hz; behind 3.15 Hz of two poles, which pass 3.5 Hz, a third of that is left."""
+    """30 mdps in 1 Hz are 0.18 dps rms in 35 Hz; two poles at 3.15 Hz pass 3.5 Hz, which leaves a third of that."""
     evidence = evidence_of("static", "G1", seed=5)
     header = replace(evidence.header, chip="l3g4200d", rate_hz=800.0, bandwidth_hz=35.0)
     usual, quiet = (
