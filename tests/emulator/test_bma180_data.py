@@ -52,8 +52,8 @@ def test_a_trim_moves_its_own_axis(register, mid, more, axis):
 
 
 def test_axes_of_a_slow_oscillator_are_looked_at_in_their_turn():
-    """A hundredth of 2400 Hz: quarters of 10.4 ms (BMA-94), in which 1 g/s is 43 codes at 2 g; z is of the cycle before,
-    171 codes ago.
+    """A hundredth of 2400 Hz: quarters of 10.4 ms (BMA-94), in which 1 g/s is 43 codes at 2 g; z is of the cycle
+    before, 171 codes ago.
     """
     box = Box(slope=(1.0, 1.0, 1.0), g=(0.0, 0.0, 0.0))
     x, y, z = codes(Bma180(0x40, box, rate_error=-0.99), at=1000 * MS)

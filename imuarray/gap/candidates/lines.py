@@ -33,8 +33,10 @@ class Line(NamedTuple):
 
 
 def highest_lines(spectrum: Spectrum, count: int, known: Sequence[float] = ()) -> Iterator[Line]:
-    """So many at most, the highest first, those beside `known` bins left out."""
+    """So many at most, the highest first, those beside `known` bins left out; none of a sensor that gave one code."""
     density = spectrum.density
+    if not density.max() > 0:
+        return
     floor = median_filter(density, size=(min(_BESIDE, len(density)), 1), mode="mirror")
     floor = np.maximum(floor, 1e-12 * density.max())
     height = (np.cbrt(density / floor) - 1) / np.sqrt(2 / (9 * spectrum.freedom))[:, None]

@@ -9,6 +9,7 @@ import pytest
 
 from imuarray.gap.at_rest import Fitted
 from imuarray.gap.candidates.bandwidth import BANDWIDTH
+from imuarray.gap.candidates.lines import highest_lines
 from imuarray.gap.candidates.quietness import rarity_behind
 from imuarray.gap.candidates.tone import TONE
 from imuarray.gap.candidates.white_noise import WHITE_NOISE
@@ -114,6 +115,13 @@ def test_a_line_that_drifts() -> None:
     assert drifting.amplitude == pytest.approx((0.0, 0.05, 0.0), rel=0.2, abs=0.01)
     assert drifting.frequency_spread_hz > 0
     assert all(tone.drift_hz_per_h == 0 for tone in tones("tumble", replace(put_in, drift_hz_per_h=0.0)))
+
+
+def test_a_phase_of_one_code_has_no_line() -> None:
+    """As of a converter of which codes are missing: all of its spectrum is 0."""
+    (seen,) = evidence_of("static", "A1", seed=5).still
+    silent = replace(seen.raw.spectrum, density=np.zeros_like(seen.raw.spectrum.density))
+    assert list(highest_lines(silent, 3)) == []
 
 
 def test_nothing_is_shaped() -> None:
