@@ -1,4 +1,5 @@
-"""Allan variances at octaves for a fixed price: four starts in an averaging time, one running sum, three axes at once.
+"""Allan variances at octaves, and how long the tails of differences of means are, for a fixed price: four starts in an
+averaging time, one running sum, three axes at once.
 
 As `imuarray.characterise.allan_stream`, which also says how sure its values are; here nothing but the values is wanted,
 thousands of times, and a curve's identification of noise types would cost more than short series themselves.
@@ -20,11 +21,17 @@ _DISTANCES = (1, 2, 4)
 
 class Haar(NamedTuple):
     """Allan variances (o, k) of k columns at averaging factors 1, 2, 4, ...; `terms` (o,) squares were averaged, nan
-    where none was.
+    where none was. `kurtosis` (o, k) of the differences of neighbouring means about 0, nan at the first octaves
+    (`FINEST`), too.
     """
 
     variance: Floats
     terms: npt.NDArray[np.int64]
+    kurtosis: Floats
+
+
+FINEST = 3
+"""Fourth powers are added up from that octave on; those of more differences would cost as much as all else."""
 
 
 class HaarTally:
@@ -33,7 +40,7 @@ class HaarTally:
     def __init__(self, octaves: int, columns: int = 3) -> None:
         self._levels = [_Level(columns, _DISTANCES)]
         self._levels += [_Level(columns, _DISTANCES[-1:]) for _ in range(octaves - 3)]
-        self._squares, self._terms = np.zeros((octaves, columns)), [0] * octaves
+        self._squares, self._fourths, self._terms = *np.zeros((2, octaves, columns)), [0] * octaves
         self._total = np.zeros((columns, 1))
         self._is_begun = False
 
@@ -50,14 +57,22 @@ class HaarTally:
         terms = np.array(self._terms, np.int64)
         factors = 2.0 ** np.arange(len(terms))
         scale = np.where(terms > 0, 2 * factors * factors * terms, np.nan)
-        return Haar(self._squares / scale[:, None], terms)
+        kurtosis = np.full_like(self._squares, np.nan)
+        known = (self._squares > 0) & (np.arange(len(terms)) >= FINEST)[:, None]
+        np.divide(self._fourths * np.maximum(terms, 1)[:, None], self._squares**2, out=kurtosis, where=known)
+        return Haar(self._squares / scale[:, None], terms, kurtosis)
 
     def _feed(self, phase: Floats) -> None:
         for number, level in enumerate(self._levels):
             for distance, differences in level.second_differences(phase):
                 octave = number + distance.bit_length() - 1
                 if octave < len(self._terms):
-                    self._squares[octave] += np.einsum("kn,kn->k", differences, differences)
+                    if octave < FINEST:
+                        self._squares[octave] += np.einsum("kn,kn->k", differences, differences)
+                    else:
+                        np.multiply(differences, differences, out=differences)
+                        self._squares[octave] += differences.sum(axis=1)
+                        self._fourths[octave] += np.einsum("kn,kn->k", differences, differences)
                     self._terms[octave] += differences.shape[1]
             phase = level.coarser(phase)
             if phase.shape[1] == 0:

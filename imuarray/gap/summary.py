@@ -135,10 +135,8 @@ class Tally:
         """All that came so far of each replicate."""
         replicates = len(self._repeats)
         spectrum, haar, intervals = self._welch.result(), self._haar.result(), self._intervals.result()
-        correlation, arch, variance = (
-            apart_again(table, replicates)
-            for table in (self._covariance.correlation(), self._arch.correlation(), haar.variance)
-        )
+        tables = (self._covariance.correlation(), self._arch.correlation(), haar.variance, haar.kurtosis)
+        correlation, arch, variance, kurtosis = (apart_again(table, replicates) for table in tables)
         segments = self._segments.results(self._origin, temperature)
         return [
             Summary(
@@ -152,7 +150,7 @@ class Tally:
                 replace(spectrum, density=spectrum.density[:, 3 * at : 3 * at + 3]),
                 correlation[at],
                 arch[at],
-                haar._replace(variance=variance[at]),
+                haar._replace(variance=variance[at], kurtosis=kurtosis[at]),
                 intervals,
                 self._repeats[at].result(),
                 self._status[at].flags,
@@ -198,7 +196,10 @@ def side_by_side(replicates: Sequence[Summary]) -> Summary:
         spectrum=spectrum,
         correlation=_beside([one.correlation for one in replicates]),
         arch=_beside([one.arch for one in replicates]),
-        allan=first.allan._replace(variance=_beside([one.allan.variance for one in replicates])),
+        allan=first.allan._replace(
+            variance=_beside([one.allan.variance for one in replicates]),
+            kurtosis=_beside([one.allan.kurtosis for one in replicates]),
+        ),
     )
 
 

@@ -154,7 +154,7 @@ def _longest_s(phases: Sequence[Summary]) -> float:
 
 def _allan_at(phase: Summary, tau_s: float) -> tuple[Floats, float] | None:
     """(3,) Allan variance in the sensor's unit squared and the terms behind it; None beyond what the phase tells."""
-    variance, terms = phase.allan
+    variance, terms, _ = phase.allan
     known = np.flatnonzero(terms)
     octave = float(np.log2(tau_s / phase.intervals.mean_s))
     if len(known) == 0 or not known[0] <= octave <= known[-1]:

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.haar import HaarTally
+from imuarray.gap.haar import FINEST, HaarTally
 
 OCTAVES = 7
 
@@ -34,6 +34,9 @@ def test_any_series_in_any_pieces(numbers: list[int], cuts: list[int]) -> None:
         assert found.terms[octave] == len(squares)
         expected = np.mean(squares) if squares else np.nan
         np.testing.assert_allclose(found.variance[octave], [expected, 4 * expected], rtol=1e-9, atol=1e-9)
+        shown = octave >= FINEST and expected > 0
+        kurtosis = np.mean(np.square(squares)) / expected**2 if shown else np.nan
+        np.testing.assert_allclose(found.kurtosis[octave], [kurtosis, kurtosis], rtol=1e-9)
 
 
 def test_white_noise_falls_with_the_averaging_time() -> None:

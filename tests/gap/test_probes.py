@@ -113,6 +113,16 @@ def test_white_noise_does_not_wander() -> None:
     assert (value("wander", summary(block(walk))) > 3.0).all()
 
 
+def test_a_level_that_is_seldom() -> None:
+    """Of 64 segments every fifth lies higher, far beyond noise: skewness (1 - 2 p) / sqrt(p (1 - p)) of p = 13 / 64."""
+    counts, p = gaussian(rows=64 * 300), 13 / 64
+    counts += 400 * (np.arange(64) % 5 == 2)[np.arange(len(counts)) // 300][:, None]
+    wanted = (1 - 2 * p) / np.sqrt(p * (1 - p))
+    np.testing.assert_allclose(np.sinh(value("wander_uneven", summary(block(counts)))), wanted, rtol=0.05)
+    np.testing.assert_allclose(np.sinh(value("wander_uneven", summary(block(-counts)))), -wanted, rtol=0.05)
+    np.testing.assert_allclose(value("wander_uneven", summary(block(gaussian()))), 0.0, atol=5 * np.sqrt(6 / 64))
+
+
 def test_spread() -> None:
     counts = gaussian()
     found = summary(block(counts))

@@ -71,6 +71,21 @@ def test_correlation() -> None:
     assert (value("arch", summary(block(np.rint(bursts)))) > 0.15).all()
 
 
+def test_jumps_come_at_once() -> None:
+    """Every 1000 rows, far beyond noise: one that lies u from the middle of 2 m rows changes their two means by
+    1 - |u| / m, of which the mean square is 2 m / 3 rows a jump, the mean fourth power 2 m / 5: kurtosis
+    9 x 1000 / (10 m). Noise, and what wanders in many small steps, has 3.
+    """
+    turns = np.rint(200 * (-1.0) ** (np.arange(40_000) // 1000))[:, None]
+    found = summary(block(turns + gaussian(1.0, rows=40_000)))
+    for rows in (8, 32, 128):
+        np.testing.assert_allclose(3 * np.exp(value(f"jumps_{rows}", found)), 900 / rows, rtol=0.1)
+    walk = summary(block(np.rint(np.cumsum(np.random.default_rng(4).normal(0.0, 20.0, (40_000, 3)), axis=0) / 30)))
+    for rows in (8, 32):  # of 40 000 / 2 m independent differences: root of 24 over that, over 3; five of these
+        for one in (walk, summary(block(gaussian(rows=40_000)))):
+            np.testing.assert_allclose(value(f"jumps_{rows}", one), 0.0, atol=5 * np.sqrt(24 * 2 * rows / 40_000) / 3)
+
+
 def test_allan() -> None:
     """White: nothing above 0; a random walk: (2 m^2 + 1) / (3 m) as much at m rows, known for its variance
     (2 m + 1 / m) / 6 against 1 / 2 at one row.

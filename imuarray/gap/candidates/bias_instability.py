@@ -7,15 +7,11 @@ from collections.abc import Iterator
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.levels import levels, log_levels
 from imuarray.gap.candidates.removal import with_removal
-from imuarray.gap.candidates.slow import BEYOND, TRACES, longest_s, rms_at, sized, wander_of
+from imuarray.gap.candidates.slow import BEYOND, TRACES, longest_s, rms_at, sized, slower, wander_of
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.bias_instability import BiasInstability
 
 _FREE = ("rms", "time_constant_s")
-_APART = 4.0
-"""Another guess has a time constant so many times longer, or shorter by its square."""
-
-
 _SLOWEST = 5.0
 """A process that is slower than so many phases is another bias in each boot; within one phase it is a random walk if it
 is slower than that."""
@@ -33,12 +29,10 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     if not evidence.is_odd(*TRACES, beyond=BEYOND) or (found := wander_of(evidence)) is None:
         return
     score = evidence.score(*TRACES)
-    is_slow = found.time_constant_s > longest_s(evidence)
-    other_s = found.time_constant_s / (_APART**2) if is_slow else _APART * found.time_constant_s
-    for time_constant_s, rms in ((found.time_constant_s, found.rms), (other_s, rms_at(evidence, other_s))):
-        if rms.any():
+    for one in (found, slower(evidence, found)):
+        if one.rms.any():
             yield Trial(
-                (BiasInstability(sized(rms, score), time_constant_s),),
+                (BiasInstability(sized(one.rms, score), one.time_constant_s),),
                 _FREE,
                 limits={"time_constant_s": (0.0, longest_s(evidence))},
             )

@@ -10,13 +10,16 @@ import numpy.typing as npt
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.levels import levels
 from imuarray.gap.candidates.removal import with_removal
-from imuarray.gap.candidates.slow import BEYOND, TRACES, longest_s, sized, wander_of
+from imuarray.gap.candidates.slow import BEYOND, TRACES, Wander, longest_s, sized, slower, wander_of
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.popcorn_noise import PopcornNoise
 
 Floats = npt.NDArray[np.float64]
 
 _FREE = ("amplitude", "switches_per_s")
+_SELDOM = 0.05
+"""The upper level is there so much of the time at the least, by a first guess."""
+
 _RARITY = 2.0
 """A drift without two clear levels is seldom a telegraph."""
 
@@ -29,7 +32,8 @@ _CLEAR = 4.0
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """The telegraph with the autocovariance of the Gauss-Markov process that fits best (rms = amplitude / 2, one over
-    its time constant = twice the switches a second); another by the jumps themselves, where segments show them.
+    its time constant = twice the switches a second), and a slower one; the same with one level more seldom than the
+    other, where segments lie to one side; another by the jumps themselves, where segments show them.
     """
     yield from with_removal(evidence, PopcornNoise.name, _found(evidence))
 
@@ -40,16 +44,33 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     score = evidence.score(*TRACES)
     found = wander_of(evidence)
     limits = {"switches_per_s": (_FEWEST / longest_s(evidence), np.inf)}
-    if found is not None:
-        yield Trial(
-            (PopcornNoise(sized(2 * found.rms, score), 0.5 / found.time_constant_s),),
-            _FREE,
-            limits=limits,
-            rarity=_RARITY,
-        )
+    is_uneven = evidence.is_odd("wander_uneven", beyond=BEYOND)
+    for one in (found, slower(evidence, found)) if found is not None else ():
+        if one.rms.any():
+            effect = PopcornNoise(sized(2 * one.rms, score), 0.5 / one.time_constant_s)
+            yield Trial((effect,), _FREE, limits=limits, rarity=_RARITY)
+            if is_uneven:
+                yield _one_sided(evidence, one, score)
     amplitude, switches_per_s = _jumps(evidence)
     if switches_per_s > 0:
         yield Trial((PopcornNoise(sized(amplitude, score), switches_per_s),), _FREE, limits=limits, rarity=_RARITY)
+
+
+def _one_sided(evidence: Evidence, found: Wander, score: Floats) -> Trial:
+    """The share p of time at the seldom level by the skewness of what segments differ by, (1 - 2 p) / sqrt(p (1 - p)),
+    on the axis that wanders most; the variance is amplitude^2 p (1 - p), one over the time constant the switches a
+    second over 2 p (1 - p). On each axis it lies to its own side.
+    """
+    level = levels(evidence)
+    square = level.apart.var(axis=0) - level.square_error.mean(axis=0)
+    skewness = (level.apart**3).mean(axis=0) / np.maximum(square, level.apart.var(axis=0) / 10) ** 1.5
+    largest = float(np.abs(skewness[int(found.rms.argmax())]))
+    share = min(max((1 - largest / float(np.hypot(largest, 2.0))) / 2, _SELDOM), 0.5)
+    half = float(np.sqrt(share * (1 - share)))
+    x, y, z = (np.array(sized(found.rms / half, score)) * np.where(skewness < 0, -1.0, 1.0) + 0.0).tolist()
+    effect = PopcornNoise((x, y, z), 2 * half**2 / found.time_constant_s, share)
+    limits = {"switches_per_s": (_FEWEST / longest_s(evidence), np.inf), "high_share": (_SELDOM / 2, 1 - _SELDOM / 2)}
+    return Trial((effect,), (*_FREE, "high_share"), limits=limits, rarity=_RARITY)
 
 
 def _jumps(evidence: Evidence) -> tuple[Floats, float]:

@@ -9,6 +9,9 @@ import numpy as np
 from imuarray.gap.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, once
 from imuarray.gap.summary import Summary
 
+_LEAST, _MANY = 4, 16
+"""Fewer segments say nothing of a variance, of higher moments."""
+
 
 @once
 def mean(summary: Summary) -> Floats:
@@ -31,13 +34,35 @@ def wander(summary: Summary) -> Floats:
     """Log of the variance of the segments' means about a straight line, over what independent readings would give."""
     part = summary.segments
     held = (part.rows > 1).nonzero()[0]
-    if len(held) < 4:
+    if len(held) < _LEAST:
         return NOTHING
     expected = 1 / (part.rows[held] - 1) @ part.steady_variance.take(held, axis=0) / len(held)
+    left = _about_line(summary)
+    return np.asarray(log((left * left).sum(axis=0) / (len(held) - 2)) - log(expected))
+
+
+def uneven(summary: Summary) -> Floats:
+    """arsinh of the skewness of the segments' means about a straight line: of two levels one is seldom."""
+    if np.count_nonzero(summary.segments.rows > 1) < _MANY:
+        return np.full(summary.segments.mean.shape[1], np.nan)
+    left = _about_line(summary)
+    square = (left * left).mean(axis=0)
+    return np.asarray(np.arcsinh(_share((left**3).mean(axis=0), square**1.5)))
+
+
+@once
+def _about_line(summary: Summary) -> Floats:
+    """(s, 3) means of segments that hold readings, less a straight line through them."""
+    part = summary.segments
+    held = (part.rows > 1).nonzero()[0]
     times, means = part.time_s[held], part.mean.take(held, axis=0)
     times, means = times - times.sum() / len(held), means - means.sum(axis=0) / len(held)
-    left = means - times[:, None] * (times @ means / (times @ times))
-    return np.asarray(log((left * left).sum(axis=0) / (len(held) - 2)) - log(expected))
+    return np.asarray(means - times[:, None] * (times @ means / (times @ times)))
+
+
+def _share(moment: Floats, of: Floats) -> Floats:
+    """nan of nothing."""
+    return np.divide(moment, of, out=np.full_like(of, np.nan), where=of > 0)
 
 
 def returned(phases: Sequence[Summary]) -> Floats:
@@ -77,6 +102,9 @@ HALVES = PhaseProbe(
 )
 WANDER = PhaseProbe(
     "level", "log of the variance of segments' means about a straight line, over that of white noise", "", _SLOW, wander
+)
+UNEVEN = PhaseProbe(
+    "level", "arsinh of the skewness of segments' means about a straight line", "", ("popcorn_noise",), uneven
 )
 RETURN = LogProbe(
     "level", "mean of the last phase less that of the first on the same face", "{u}", ("random_walk",), returned

@@ -12,50 +12,68 @@ from imuarray.simulate.effect import Effect, per_axis, require, scalar
 from imuarray.simulate.signal import Analog, Integers, Place, Triple, per_row
 from imuarray.simulate.streams import CHUNK
 
+Bools = npt.NDArray[np.bool_]
+
 
 @dataclass(frozen=True)
 class PopcornNoise(Effect):
-    """y = x +- amplitude / 2, the sign of each axis switching at the instants of a Poisson process: a random telegraph.
+    """y = x + amplitude * (u - high_share), where u of each axis jumps between 0 and 1: a random telegraph.
 
-    `amplitude` is the height of a jump in the sensor's unit, `switches_per_s` how many there are on average; axes are
-    independent. Mean 0, autocovariance (amplitude / 2)^2 exp(-2 switches_per_s |t|) (Machlup, J. Appl. Phys. 25, 1954).
-    In data: two humps in the histogram of smoothed readings; its spectrum is that of Gauss-Markov noise.
+    `amplitude` is how far the upper level lies above the lower one, in the sensor's unit (below it, if negative),
+    `switches_per_s` how many jumps there are on average, `high_share` of the time y is at the upper one: a trap keeps
+    what it catches as long as it likes, however soon it catches. Times at either level are exponential, axes
+    independent. Mean 0, autocovariance amplitude^2 p (1 - p) exp(-switches_per_s |t| / (2 p (1 - p))), p the share
+    (Machlup, J. Appl. Phys. 25, 1954). In data: two humps in the histogram of smoothed readings, as large as their
+    shares; its spectrum is that of Gauss-Markov noise.
 
-    How often an axis switches in each chunk of rows comes from one stream, where in it from the chunk's own: the sign
-    that a chunk begins with follows from the numbers of switches before it.
+    The level is drawn anew, without regard to what it was, at the instants of a Poisson process. How many of these are
+    in each chunk of rows, and what the last of them draws, comes from streams of their own, where they are from the
+    chunk's: what a chunk begins with follows from those before it.
     """
 
     name: ClassVar[str] = "popcorn_noise"
     amplitude: Triple = per_axis(suffix="_{u}")
     switches_per_s: float = scalar(0.0)
+    high_share: float = scalar(0.5)
 
     def __post_init__(self) -> None:
-        """ValueError for less than 0 or more than a million switches a second."""
+        """ValueError for less than 0 or more than a million switches a second, a share outside 0.01 to 0.99."""
         super().__post_init__()
         require("switches_per_s", self.switches_per_s, 0.0, 1e6)
+        require("high_share", self.high_share, 0.01, 0.99)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""
         if self.amplitude == (0.0, 0.0, 0.0):
             return analog
         high = self._high(analog.first, analog.first + len(analog.value), at)
-        level = (high - 0.5).astype(analog.value.dtype)
+        level = (high - self.high_share).astype(analog.value.dtype)
         return replace(analog, value=analog.value + level * per_row(self.amplitude, level))
 
-    def _high(self, first: int, stop: int, at: Place) -> Integers:
-        """(stop - first, 3): 1 where an axis is at its upper level, else 0."""
+    def _high(self, first: int, stop: int, at: Place) -> Bools:
+        """(stop - first, 3): whether an axis is at its upper level."""
         begin, end = first // CHUNK, -(-stop // CHUNK)
-        mean = self.switches_per_s * CHUNK / at.rows_per_s
-        switches = at.stream(self.name, "numbers").generator().poisson(mean, (end, 3))
-        before = at.boot_generator(self.name).integers(2, size=3) + switches[:begin].sum(axis=0)
+        draws_per_s = self.switches_per_s / (2 * self.high_share * (1 - self.high_share))
+        draws = at.stream(self.name, "numbers").generator().poisson(draws_per_s * CHUNK / at.rows_per_s, (end, 3))
+        last = at.stream(self.name, "lasts").generator().random((end, 3)) < self.high_share
+        level = at.boot_generator(self.name).random(3) < self.high_share
         parts = []
-        for chunk in range(begin, end):
-            parts.append(before + _switched(at.stream(self.name, "places").generator(chunk), switches[chunk]))
-            before = before + switches[chunk]
-        return np.asarray(np.concatenate(parts)[first - begin * CHUNK : stop - begin * CHUNK] % 2)
+        for chunk in range(end):
+            drawn = draws[chunk] > 0
+            if chunk >= begin:
+                places = at.stream(self.name, "places").generator(chunk)
+                parts.append(_levels(places, draws[chunk], self.high_share, level, last[chunk]))
+            level = np.where(drawn, last[chunk], level)
+        return np.concatenate(parts)[first - begin * CHUNK : stop - begin * CHUNK]
 
 
-def _switched(places: np.random.Generator, switches: npt.NDArray[np.int64]) -> Integers:
-    """(CHUNK, 3): how often each axis has switched up to each row of a chunk, all rows being as likely."""
-    rows = [np.bincount(places.integers(CHUNK, size=count), minlength=CHUNK) for count in switches]
-    return np.cumsum(np.stack(rows, axis=1), axis=0)
+def _levels(places: np.random.Generator, draws: Integers, high_share: float, begin: Bools, last: Bools) -> Bools:
+    """(CHUNK, 3) the level of each row, all rows being as likely to have a draw, of which each axis has so many."""
+    columns = []
+    for axis, count in enumerate(draws.tolist()):
+        rows = np.sort(places.integers(CHUNK, size=count))
+        drawn = np.concatenate([begin[axis : axis + 1], places.random(count) < high_share])
+        if count:
+            drawn[-1] = last[axis]
+        columns.append(np.repeat(drawn, np.diff(rows, prepend=0, append=CHUNK)))
+    return np.stack(columns, axis=1)

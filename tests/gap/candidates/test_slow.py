@@ -89,11 +89,26 @@ def test_what_follows_the_temperature_is_no_wander() -> None:
 
 def test_a_telegraph() -> None:
     evidence = evidence_of("static", "A1", {"A1": (PopcornNoise((0.01,) * 3, 0.5),)}, seed=1)
-    by_moments, by_jumps = (trial.effects[0] for trial in POPCORN_NOISE.guesses(evidence))
+    by_moments, *_, by_jumps = (trial.effects[0] for trial in POPCORN_NOISE.guesses(evidence))
     for found in (by_moments, by_jumps):
         assert isinstance(found, PopcornNoise)
         assert np.mean(found.amplitude) == pytest.approx(0.01, rel=0.2)
         assert is_near(found.switches_per_s, 0.5, 2.5)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_level_that_is_seldom(side: float) -> None:
+    """A fifth of a minute at the one level, in some twelve stretches: the share within a half of it, the amplitude
+    within a quarter, to the side on which it is.
+    """
+    effect = PopcornNoise((0.0, side * 0.01, 0.0), 0.4, 0.2)
+    evidence = evidence_of("static", "A1", {"A1": (effect,)}, seed=1)
+    trials = [trial for trial in POPCORN_NOISE.guesses(evidence) if "high_share" in trial.free]
+    found = trials[0].effects[0]
+    assert isinstance(found, PopcornNoise)
+    assert found.amplitude[1] == pytest.approx(side * 0.01, rel=0.25)
+    assert found.high_share == pytest.approx(0.2, abs=0.1)
+    assert is_near(found.switches_per_s, 0.4, 2.5)
 
 
 def test_few_jumps() -> None:

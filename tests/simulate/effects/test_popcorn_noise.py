@@ -36,6 +36,28 @@ def test_autocovariance_of_a_random_telegraph(place: MakePlace, analog: MakeAnal
     assert np.abs(signs.mean(axis=0)).max() < 5 / 30
 
 
+def test_a_level_that_is_seldom(place: MakePlace, analog: MakeAnalog) -> None:
+    """A fifth of the time at the upper level: mean 0, variance 4 x 0.2 x 0.8 = 0.64, exp(-0.4 t / 0.32) from one
+    reading to another, wherever; times at a level of 2 x 0.2 / 0.4 = 1 s and 4 s.
+    """
+    effect = PopcornNoise(2.0, 0.4, 0.2)
+    rows = np.array([0, 5, 16_383, 16_384, 16_390])
+    values = [effect.analog(analog(0, 16_391), place(rows_per_s=10.0, seed=seed)).value for seed in range(300)]
+    np.testing.assert_allclose(np.unique(values[0]), [-0.4, 1.6])
+    found = np.concatenate([one[rows].T for one in values])
+    wanted = 0.64 * np.exp(-0.4 / 0.32 * np.abs(np.subtract.outer(rows, rows)) / 10)
+    # The squared product of two readings has a mean of at most their fourth moment, 1.6^4 x 0.2 + 0.4^4 x 0.8 = 1.33:
+    # 15 products and 5 means of 900, beyond 5 standard errors: 1e-5.
+    assert np.abs(found.T @ found / 900 - wanted).max() < 5 * np.sqrt(1.33 / 900)
+    assert np.abs(found.mean(axis=0)).max() < 5 * np.sqrt(0.64 / 900)
+    high = values[0][:, 0] > 0
+    edges = np.flatnonzero(np.diff(high.astype(int)))
+    lengths, upper = np.diff(edges) / 10, high[edges[:-1] + 1]
+    # Some 650 stretches, half of them at each level; rows hide a twentieth of those at the upper one.
+    assert lengths[upper].mean() == pytest.approx(1.0, rel=0.25)
+    assert lengths[~upper].mean() == pytest.approx(4.0, rel=0.25)
+
+
 def test_numbers_of_switches_are_poisson(place: MakePlace, analog: MakeAnalog) -> None:
     """In 200 stretches of 300 rows across several chunks; rows are so close that no two switches share one."""
     value = PopcornNoise(2.0, 1.0).analog(analog(0, 60_000), place(rows_per_s=100.0)).value
@@ -86,3 +108,5 @@ def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog
     assert PopcornNoise().analog(rows, place()) is rows
     with pytest.raises(ValueError, match=r"switches_per_s: -1(\.0)?; allowed is 0 to 1e\+06"):
         PopcornNoise(1.0, -1.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"high_share: 1(\.0)?; allowed is 0\.01 to 0\.99"):
+        PopcornNoise(1.0, 1.0, 1.0)  # type: ignore[arg-type]
