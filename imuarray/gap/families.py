@@ -10,11 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.refine import Tried
 from imuarray.gap.search import ACCEPTED, Confirmed, Round, confirmed
 from imuarray.gap.standing import Standing, Unit
+
+_MOST = 0.5
 
 
 def together(bench: Bench, asked: tuple[Standing, tuple[Confirmed, ...]]) -> Confirmed:
@@ -42,6 +46,19 @@ def staying_beside(family: Round, members: Sequence[Confirmed]) -> tuple[Confirm
         return ()
     part = best.gain / len(best.standing.unit)
     return tuple(one for one in members if one.gain > part and one.trial.name != best.trial.name)
+
+
+def is_told_twice(bench: Bench, family: Round, member: Confirmed) -> bool:
+    """Whether most of what a member's own cause explains is what the shared one explains: of two sensors that wander
+    alike, the one that shows it better gains nearly as much by a wander of its own. What the member lacks beside the
+    shared cause is looked for in the next round.
+    """
+    if family.taken is None:
+        return False
+    own, real = bench.among(member.standing.unit, family.taken.standing.unit), member.standing.real
+    before, shared = (one.likeness.of(own).log_density(real) for one in (family.before, family.taken.standing))
+    gains = np.maximum(member.standing.likeness.log_density(real) - before, 0.0)
+    return bool(np.minimum(gains, np.maximum(shared - before, 0.0)).sum() > _MOST * gains.sum())
 
 
 def members_of(bench: Bench, family: Standing, standings: Mapping[Unit, Standing]) -> dict[Unit, Standing]:

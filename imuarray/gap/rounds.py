@@ -12,7 +12,7 @@ import numpy.typing as npt
 from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.compare import Compared
 from imuarray.gap.evidence import Evidence, Scored, evidence_of
-from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
+from imuarray.gap.families import is_told_twice, members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.pairs import scorer_of
 from imuarray.gap.search import Confirmed, Round, guesses_of, placebo_of, replicated, searched
@@ -133,7 +133,8 @@ def _families(
     known: bool,
 ) -> None:
     """Shared causes in the place of those of the members, where they are better; the best first, and none for a sensor
-    that has one already. Causes of members that gain more than their part of the shared one stay beside it.
+    that has one already. Causes of members that gain more than their part of the shared one stay beside it, if
+    they explain something else.
     """
     trials = _shared_trials(found, guessed)
     missing = {(name,) for family in trials for name in family if (name,) not in standings}
@@ -143,7 +144,7 @@ def _families(
     came = searched(families, trials, placebos, run, known)
     taken = {name: own[-1].taken for (name, *more), own in rounds.items() if not more}
     members = {family: [one for name in family if (one := taken.get(name)) is not None] for family in trials}
-    staying = {family: staying_beside(came[family], members[family]) for family in trials}
+    staying = {family: _staying(found, came[family], members[family]) for family in trials}
     several = {family: trials[family] for family in trials if staying[family]}
     asked = [(families[family], staying[family]) for family in several]
     families.update({one.standing.unit: one.standing for one in run(together, asked)})
@@ -164,6 +165,12 @@ def _families(
             rounds.pop((name,), None)
         rounds[family] = [came[family]]
         standings.update(members_of(found.bench, won[family].standing, standings))
+
+
+def _staying(found: Compared, family: Round, members: Sequence[Confirmed]) -> tuple[Confirmed, ...]:
+    """The members' causes that are something else than the shared one."""
+    likely = staying_beside(family, members)
+    return tuple(one for one in likely if not is_told_twice(found.bench, family, one))
 
 
 def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Unit, list[Trial]]:

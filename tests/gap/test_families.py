@@ -10,7 +10,7 @@ import pytest
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.compare import compared_with_base
-from imuarray.gap.families import members_of, shared_wins, staying_beside, together, unlike
+from imuarray.gap.families import is_told_twice, members_of, shared_wins, staying_beside, together, unlike
 from imuarray.gap.refine import Tried
 from imuarray.gap.search import ACCEPTED, Confirmed, Round, confirmed
 from imuarray.gap.stage import Modelled
@@ -129,3 +129,25 @@ def test_causes_of_members_together(swapped: tuple[Bench, Standing, dict[tuple[s
     both = together(bench, (pair, tuple(members)))
     assert both.gain < 0
     assert all(both.standing.models[name].added == (line,) for name in BOTH)
+
+
+def test_what_is_told_twice(swapped: tuple[Bench, Standing, dict[tuple[str, ...], Standing]]) -> None:
+    """A member's own cause takes twelve statistics that lay 5 off back to the middle; the shared one seven of them, or
+    five, or makes all of them worse.
+    """
+    bench, pair, alone = swapped
+    member, mine = alone[("A1",)], bench.among(("A1",), BOTH)
+    places = np.flatnonzero(np.isfinite(member.likeness.location) & ~member.likeness.is_silent)[:12]
+
+    def moved(standing: Standing, at: np.ndarray, by: float) -> Standing:
+        location = standing.likeness.location.copy()
+        location[at] = standing.real[at] + by * standing.likeness.scale[at]
+        return replace(standing, likeness=replace(standing.likeness, location=location))
+
+    inside = np.flatnonzero(mine)[places]
+    before = moved(pair, inside, 5.0)
+    own = replace(found(50.0), standing=moved(member, places, 0.0))
+    for count, by, twice in ((7, 0.0, True), (5, 0.0, False), (12, 9.0, False)):
+        shared = replace(found(40.0), standing=moved(before, inside[:count], by))
+        assert is_told_twice(bench, Round(before, (shared,), 0.0, shared), own) is twice
+    assert not is_told_twice(bench, Round(before, (), 0.0, None), own)
