@@ -17,7 +17,19 @@ from imuarray.gap.closure import deviating, deviating_in_either
 from imuarray.gap.compare import Compared, compared_with_base, observed, prepared
 from imuarray.gap.described import changes_alike, lines_left
 from imuarray.gap.diagnosis import Cause, Diagnosis, Gap, Recorded, Unshown, Where, is_told_by_both
-from imuarray.gap.judgement import Judged, Told, floor_of, gap_of, judged, map_of, unknown_of, verdict_of, where_of
+from imuarray.gap.judgement import (
+    MORE,
+    Judged,
+    Told,
+    beyond_form,
+    floor_of,
+    gap_of,
+    judged,
+    map_of,
+    unknown_of,
+    verdict_of,
+    where_of,
+)
 from imuarray.gap.labels import Mislabelled, cause_of, corrected, mislabelled
 from imuarray.gap.menu import next_experiment
 from imuarray.gap.origins import lines_of, notes_of, with_origins
@@ -153,7 +165,7 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
     where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
     gap = _gap(case, after, causes)
     unexplained = where_of(told, after, _left(after), {}) if is_gap else ()
-    verdict = verdict_of(is_gap, gap, after, causes)
+    verdict = verdict_of(is_gap, gap, after, causes, _is_left(found, after, came, unexplained))
     untold = _untold(case, candidates, causes, told)
     in_use = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
     model = case.model.name if case.model else "data sheets"
@@ -234,6 +246,14 @@ def _left(after: Judged) -> list[int]:
     """Places of what is still beyond chance, the worst first."""
     sizes = np.nan_to_num(np.abs(after.scores))
     return [int(at) for at in np.argsort(-sizes) if sizes[at] > after.limit]
+
+
+def _is_left(found: Compared, after: Judged, came: Sequence[Values], unexplained: Sequence[Where]) -> bool:
+    """Whether something that matters is left that the causes' form doesn't excuse."""
+    scores = beyond_form(found.pairs, found.judged, after, found.real.values, np.array([one.values for one in came]))
+    sizes = np.nan_to_num(np.abs(scores))[_left(after)]
+    left = zip(unexplained, sizes.tolist(), strict=False)
+    return any(one.size == "material" and size > MORE * after.limit for one, size in left)
 
 
 def _recorded(one: Recording) -> Recorded:

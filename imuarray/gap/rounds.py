@@ -13,6 +13,7 @@ from imuarray.gap.candidates import Candidate, Trial
 from imuarray.gap.compare import Compared
 from imuarray.gap.evidence import Evidence, Scored, evidence_of
 from imuarray.gap.families import is_told_twice, members_of, shared_wins, staying_beside, together, unlike
+from imuarray.gap.judgement import MORE
 from imuarray.gap.likeness import independent_share, likeness_of
 from imuarray.gap.pairs import scorer_of
 from imuarray.gap.search import Confirmed, Round, guesses_of, placebo_of, replicated, searched
@@ -26,9 +27,6 @@ Floats = npt.NDArray[np.float64]
 
 ROUNDS = 6
 """More causes than this of one unit are not told apart."""
-
-_MORE = 1.25
-"""What is left has to be so much beyond chance for another cause: no effect has exactly the form of the real one."""
 
 _IN_TIME = frozenset({"motion_delay", "motion_residual"})
 """When a sensor follows a motion: no level, scale or code moves these, however many of the others say the same."""
@@ -235,7 +233,7 @@ def _is_open(found: Compared, standing: Standing, rounds: Sequence[Round]) -> bo
         return False
     pairs = found.bench.pairs(found.bench.own(standing.unit))
     scores = scorer_of(pairs, standing.likeness, standing.values)(standing.real)
-    return bool(np.nanmax(np.abs(scores)) > _MORE * found.located.limit)
+    return bool(np.nanmax(np.abs(scores)) > MORE * found.located.limit)
 
 
 class _Guessed(NamedTuple):

@@ -25,6 +25,7 @@ def frozen() -> dict[str, Any]:
         "closed to be a cause": causes.LEAST,
         "closed to be explained": judgement.EXPLAINED,
         "closed to be partly explained": judgement.PARTLY,
+        "beyond chance to be left": judgement.MORE,
         "replicates of the base model": trial.REPLICATES,
         "replicates of a trial": standing.REPLICATES,
         "software": f"imuarray {imuarray.__version__}",

@@ -21,6 +21,7 @@ from imuarray.gap.judgement import (
     PARTLY,
     Judged,
     Told,
+    beyond_form,
     floor_of,
     gap_of,
     judged,
@@ -114,6 +115,30 @@ def test_verdicts(closed: float, verdict: str) -> None:
     assert verdict_of(True, gap(closed), after(2.0), [CAUSE]) == verdict
     assert verdict_of(True, gap(closed), after(2.0), []) == "unexplained"
     assert verdict_of(False, gap(closed), after(2.0), []) == "no gap"
+
+
+def test_what_is_left_is_not_explained_however_much_is_closed() -> None:
+    """An interleaved converter is closed to 0.99 by a line at half the rate, and its noise is none of a line's."""
+    assert verdict_of(True, gap(0.99), after(20.0), [CAUSE], is_left=True) == "partly explained"
+    assert verdict_of(True, gap(PARTLY - 0.01), after(20.0), [CAUSE], is_left=True) == "unexplained"
+    assert verdict_of(False, gap(0.99), after(2.0), [], is_left=True) == "no gap"
+
+
+def test_a_cause_may_miss_a_twentieth_of_what_it_moves() -> None:
+    """All statistics moved by 200, by a model that is 10 off: root of 1 and 10^2 is how sure it is of both parts. One
+    that is 50 off, and one that nothing moved, 30 off, are something else.
+    """
+    without, replicates = np.zeros(2 * COUNT), chance(100, 5) + 200.0
+    replicates[:, [3, COUNT + 3]] -= 200.0
+    real = np.full(2 * COUNT, 210.0)
+    real[[3, COUNT + 3]], real[[4, COUNT + 4]] = 30.0, 250.0
+    before = judged(PAIRS, real, chance(100, 6), without)
+    with_it = judged(PAIRS, real, replicates, without)
+    found = beyond_form(PAIRS, before, with_it, real, replicates)
+    assert with_it.scores[5] == pytest.approx(10 * 2**0.5, rel=0.3)
+    assert found[5] == pytest.approx(10 * (2 / 101) ** 0.5, rel=0.3)
+    assert found[4] == pytest.approx(50 * (2 / 101) ** 0.5, rel=0.3)
+    assert found[3] == pytest.approx(with_it.scores[3], rel=1e-2)
 
 
 def test_where_no_share_is_told_what_is_left_decides() -> None:
