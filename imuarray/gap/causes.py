@@ -228,6 +228,8 @@ def _agree(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
             if value != other[key]:
                 return False
             continue
+        if len(first) != len(second) and 1 not in (len(first), len(second)):
+            return False  # lists of events, of which one sensor had more
         first, second = np.broadcast_arrays(first.astype(float), second.astype(float))
         largest = np.fmax(np.abs(first), np.abs(second))
         factor = _SAME_FREQUENCY if "frequency" in key else _SAME

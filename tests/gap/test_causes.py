@@ -22,6 +22,7 @@ from imuarray.gap.standing import Standing
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.quantisation import Quantisation
 from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.stuck import Stuck
@@ -250,6 +251,14 @@ def test_what_differs_stays_apart(bench: Bench, other: tuple[str, Effect]) -> No
 
 def test_for_ever_is_not_for_a_while(bench: Bench) -> None:
     assert len(of_sensors(bench, ("G1", Stuck(5.0, math.inf)), ("G2", Stuck(5.0, 3.0)))) == 2
+
+
+def test_as_many_events_are_not_more_of_them(bench: Bench) -> None:
+    """Two sensors whose single losses are listed lost other rows: these are two causes."""
+    one = DroppedSamples(runs=(0, 0), moments_s=(1.0, 2.0), lengths_s=(0.1, 0.1))
+    other = DroppedSamples(runs=(0, 0, 0), moments_s=(1.0, 2.0, 3.0), lengths_s=(0.1, 0.1, 0.1))
+    assert len(of_sensors(bench, ("G1", one), ("G2", other))) == 2
+    assert len(of_sensors(bench, ("G1", one), ("G2", one))) == 1
 
 
 def test_other_lines_are_other_causes(bench: Bench) -> None:
