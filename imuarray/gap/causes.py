@@ -193,7 +193,7 @@ def _origin(trial: Trial) -> Origin:
         and getattr(effect, "onset_s", 1.0) <= 0
         and getattr(effect, "probability", 0.0) >= 1
     )
-    return "metadata" if trial.name in _METADATA or from_boot else "sensor"
+    return "metadata" if trial.name in _METADATA or trial.everywhere or from_boot else "sensor"
 
 
 def _merged(bench: Bench, causes: Sequence[Cause]) -> list[Cause]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,31 +16,63 @@ from imuarray.gap.source import RecordedSource
 from imuarray.log import Log
 from imuarray.log.format import Phase
 from imuarray.simulate.timeline import Filled, Timeline
+from imuarray.simulate.waits import Awaited
 
 _END_NS = np.iinfo(np.int64).max
+
+
+class Host(NamedTuple):
+    """Of a log of so many `rows`, of all its sensors: before how many of them the host was kept waiting (`waits`), the
+    sum of the squares of half of these times in s^2, and how many rows it `missed`.
+    """
+
+    rows: int = 0
+    waits: int = 0
+    square_s2: float = 0.0
+    missed: int = 0
+
+
+IN_TIME = Host()
 
 
 @dataclass(frozen=True)
 class Events:
     """Of one sensor in one log: stretches in which its rows are `held`; which readings are `lone` beside other sensors,
-    in each phase in which the box moves; and the `holes` in its rows, as `Filled.holes` gives them.
+    in each phase in which the box moves; and the `holes` in its rows, as `Filled.holes` gives them. `host` is what
+    the times of all sensors tell of the host.
     """
 
     held: Held = NOWHERE
     lone: tuple[Lone, ...] = ()
     holes: tuple[tuple[int, int, int], ...] = ()
+    host: Host = IN_TIME
 
 
 def events_of(log: Log, timelines: Mapping[str, Timeline], moving: Sequence[Phase]) -> Mapping[str, Events]:
     """Of the sensors with these timelines; `moving` are the phases in which the box moves."""
-    return MappingProxyType({name: _events(log, name, line, moving, timelines) for name, line in timelines.items()})
+    host = _host(timelines.values())
+    return MappingProxyType(
+        {name: _events(log, name, line, moving, timelines, host) for name, line in timelines.items()}
+    )
 
 
-def _events(log: Log, name: str, line: Timeline, moving: Sequence[Phase], known: Collection[str]) -> Events:
+def _host(timelines: Collection[Timeline]) -> Host:
+    late = [line for line in timelines if isinstance(line, Awaited)]
+    return Host(
+        sum(line.rows for line in timelines),
+        sum(len(line.waited) for line in late),
+        sum(float(np.square(line.half_ns * 1e-9).sum()) for line in late),
+        sum(len(line.missed) for line in late),
+    )
+
+
+def _events(log: Log, name: str, line: Timeline, moving: Sequence[Phase], known: Collection[str], host: Host) -> Events:
     sensor = log[name]
     others = [log[other] for other in known if other != name and log[other].quantity == sensor.quantity]
+    own = line.own if isinstance(line, Awaited) else line
     return Events(
         held_in(RecordedSource(sensor).blocks(0, _END_NS)),
         tuple(lone_beside(sensor, others, phase) for phase in moving),
-        tuple(line.holes()) if isinstance(line, Filled) else (),
+        tuple(own.holes()) if isinstance(own, Filled) else (),
+        host,
     )

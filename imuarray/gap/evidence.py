@@ -13,6 +13,7 @@ from imuarray.gap.base_model import Fitted, residual
 from imuarray.gap.bench import Bench
 from imuarray.gap.campaign import runs_in
 from imuarray.gap.cross import Cross
+from imuarray.gap.events import Host
 from imuarray.gap.held import Held
 from imuarray.gap.lone import Lone
 from imuarray.gap.runs import Runs
@@ -58,7 +59,8 @@ class Evidence:
     deviations lie between; nan where nothing is said. `effects` is what the model gives the sensor now, `runs` its
     boots if there are several logs of a turn-on series, `others` the sensors that measure the same, `holes` where rows
     that were due were lost, `held` where rows (so many each) repeat the one before, in whatever phase or none, `lone`
-    which of its readings stand alone, by logs, in each phase in which the box moves.
+    which of its readings stand alone, by logs, in each phase in which the box moves; `hosts` is what
+    the times of all sensors of a log tell of the host that read them.
     """
 
     header: SensorHeader
@@ -73,6 +75,7 @@ class Evidence:
     holes: tuple[Span, ...] = ()
     held: tuple[tuple[Span, int], ...] = ()
     lone: tuple[tuple[int, Lone], ...] = ()
+    hosts: tuple[Host, ...] = ()
 
     @property
     def still(self) -> tuple[Seen, ...]:
@@ -156,6 +159,7 @@ def evidence_of(
         tuple(hole for log, own in events for hole in _holes(log, own.holes)),
         tuple(held for log, own in events for held in _held(log, own.held)),
         tuple((log, lone) for log, own in events for lone in own.lone),
+        tuple(own.host for _, own in events),
     )
 
 

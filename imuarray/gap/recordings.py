@@ -27,6 +27,7 @@ from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Posed
 from imuarray.simulate.simulation import Plan, plan_like
 from imuarray.simulate.timeline import filled
+from imuarray.simulate.waits import awaited
 from imuarray.units import INERTIAL
 
 Floats = npt.NDArray[np.float64]
@@ -63,9 +64,8 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     """
     chosen, left_out = _chosen(log, only)
     plan = plan_like(log, chosen)
-    sensors = {
-        name: (_without_strange_thermometer(header), filled(log[name])) for name, (header, _) in plan.sensors.items()
-    }
+    lines = awaited({name: filled(log[name]) for name in plan.sensors}, log.sensors)
+    sensors = {name: (_without_strange_thermometer(header), lines[name]) for name, (header, _) in plan.sensors.items()}
     motion = LikeLog(log)
     phases, skipped = phases_of(log, motion)
     attitudes, assumed = attitudes_of(log, phases, motion)

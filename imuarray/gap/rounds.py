@@ -173,7 +173,8 @@ def _staying(found: Compared, family: Round, members: Sequence[Confirmed]) -> tu
 
 def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Unit, list[Trial]]:
     """What sensors share, by the sensors concerned: those of a chip of which two or more differ and whose common
-    statistics do, or whose levels change from one part to the other; or one and the other whose data it has.
+    statistics do, or whose levels change from one part to the other; or one and the other whose data it has; or all
+    sensors.
     """
     odd = {
         key.sensor
@@ -186,7 +187,9 @@ def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Un
         family = tuple(other for (other,) in guessed if _is_alike(headers[other], headers[name]))
         for trial in one.shared:
             unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
-            if len(unit) > 1 and (trial.whole or trial.opposite or odd & set(unit)):
+            if trial.everywhere:
+                unit = tuple(sorted(headers))
+            if len(unit) > 1 and (trial.whole or trial.opposite or trial.everywhere or odd & set(unit)):
                 units.setdefault(unit, []).append(trial)
     return {unit: unlike(trials) for unit, trials in units.items()}
 

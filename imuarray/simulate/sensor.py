@@ -26,6 +26,7 @@ from imuarray.simulate.effects.own_clock import AT_ITS_RATE
 from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Floats, Instants, Integers, Motion, Place, per_row
 from imuarray.simulate.streams import CHUNK, Streams
 from imuarray.simulate.timeline import Timeline
+from imuarray.simulate.waits import Awaited
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 OVERSAMPLING = 3
@@ -67,8 +68,9 @@ class SimulatedSensor:
         self.effects = tuple(effects)
         self.rows = timeline.rows
         self._motion = motion
+        waits = timeline.waits if isinstance(timeline, Awaited) else None
         self._place = Place(
-            header, timeline.rows_per_s, motion, streams, neighbour, self._reaching, timeline.stamps, dtype
+            header, timeline.rows_per_s, motion, streams, neighbour, self._reaching, timeline.stamps, dtype, waits
         )
         self._span = code_span(header)
         self._orientation = np.array(lies or header.orientation)

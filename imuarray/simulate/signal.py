@@ -94,6 +94,8 @@ class Place:
     `rows_per_s` is the nominal rate of the rows, `neighbour(name, first, stop)` the codes of another sensor of the
     array (KeyError if there is none), `reaching(effect, row)` the codes of one row as they reach that effect of this
     sensor, `stamps(first, stop)` the times in ns that the log says of rows; `dtype` is that of the analog arrays.
+    `waits(first, stop)` tells, where rows are read as in a log that does, half of what the host waited before each, in
+    ns, and which it missed (None: nothing is known of that).
     """
 
     sensor: SensorHeader
@@ -104,6 +106,7 @@ class Place:
     reaching: Callable[[str, int], Codes]
     stamps: Callable[[int, int], Integers]
     dtype: npt.DTypeLike = np.float64
+    waits: Callable[[int, int], tuple[Integers, Bools]] | None = None
     copy: int = 1
     """Which of several effects of one kind this is for: each has streams of its own."""
     _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)

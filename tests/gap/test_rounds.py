@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from imuarray.gap.candidates import CANDIDATES, Candidate, Trial
+from imuarray.gap.causes import causes_of
+from imuarray.gap.compare import compared_with_base
 from imuarray.gap.evidence import Evidence
 from imuarray.gap.rounds import ROUNDS, Searched, searches
 from imuarray.simulate.effects.tone import Tone
-from tests.gap.test_bench import LINE, Run
+from tests.gap.test_bench import LINE, SHORT, Run, prepared
 from tests.gap.test_refine import found_in
 
 OTHER = Tone((0.06, 0.0, 0.0), 29.0)
@@ -42,6 +44,18 @@ def test_each_round_explains_more(two_lines: Searched) -> None:
     (rounds,) = two_lines.rounds.values()
     sizes = [np.sqrt(np.nanmean(np.square(one.before.scores))) for one in rounds]
     assert sizes == sorted(sizes, reverse=True)
+
+
+def test_what_all_sensors_have_is_one_cause_of_all() -> None:
+    """The same line in sensors of two chips, guessed for each of them as one that everything has."""
+    bench, campaign = prepared([("static", SHORT)], ["G1", "A1"], {"G1": (LINE,), "A1": (LINE,)})
+    found = compared_with_base(bench, campaign, Run(bench), 40)
+    everywhere = Candidate("tone", lambda evidence: [Trial((LINE,), shared=True, everywhere=True)])
+    came = searches(found, {"tone": everywhere}, Run(bench))
+    assert [unit for unit, rounds in came.rounds.items() if any(one.taken for one in rounds)] == [("A1", "G1")]
+    assert all(LINE in model.added for model in came.models.values())
+    (cause,) = causes_of(bench, came.rounds, 1)
+    assert (cause.sensors, cause.origin) == (("A1", "G1"), "metadata")
 
 
 def test_nothing_is_found_without_candidates() -> None:

@@ -29,9 +29,9 @@ class Trial:
     none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis axis by
     axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be told from
     another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or (`sensor`) this one
-    has it, and `others` show it; these have the effects `opposite` at the same time. `whole`: neither part shows it
-    without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same (negative:
-    more usual).
+    has it, and `others` show it; these have the effects `opposite` at the same time; or (`everywhere`) all that the
+    host reads have it. `whole`: neither part shows it without the other. `rarity`: nats by which it is rarer, as it is
+    meant, than others that look the same (negative: more usual).
     """
 
     effects: tuple[Effect, ...]
@@ -41,6 +41,7 @@ class Trial:
     sensor: str = ""
     others: tuple[str, ...] = ()
     opposite: tuple[Effect, ...] = ()
+    everywhere: bool = False
     whole: bool = False
     rarity: float = 0.0
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -1,5 +1,5 @@
 """`jitter` is recognised by noise under motion, in proportion to how fast the signal changes; and by rows that repeat
-the one before, if that was read late.
+the one before, if that was read late. The times of all sensors' rows tell when the host came late to all of them.
 """
 
 from __future__ import annotations
@@ -21,6 +21,12 @@ Floats = npt.NDArray[np.float64]
 
 _LEAST, _MOST = 1e-4, 0.9
 
+_OF_THE_HOST = ("repeats", "stale", "longest_repeat", "motion_residual", "motion_delay", "gaps", "lost", "interval")
+_BEHIND = 3.0
+"""Nats by which a program waits more rarely between a transfer and its clock than before the transfer, of which each
+byte is one more occasion.
+"""
+
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """The time that makes the variance which is left over of the speed at which readings change; and the share of late
@@ -30,12 +36,26 @@ def guesses(evidence: Evidence) -> Iterator[Trial]:
 
 
 def _found(evidence: Evidence) -> Iterator[Trial]:
+    if evidence.is_odd(*_OF_THE_HOST):
+        yield from _of_the_host(evidence)
     rms_s = _rms_s(evidence) if (evidence.score("motion_residual") > 2.5).any() else 0.0
     if rms_s > 0:
         yield Trial((Jitter(rms_s),), ("rms_s",))
     repeated = repeated_share(evidence) if evidence.is_odd("repeats", "stale") else 0.0
     if repeated > _LEAST:
         yield from late(repeated, rms_s, 1 / evidence.rows_per_s, evidence.header.rate_hz)
+
+
+def _of_the_host(evidence: Evidence) -> Iterator[Trial]:
+    """All rows that waited, in every sensor that is read, before the transfer or behind it."""
+    waits = sum(host.waits for host in evidence.hosts)
+    if not waits and not any(host.missed for host in evidence.hosts):
+        return
+    rms_s = float(np.sqrt(sum(host.square_s2 for host in evidence.hosts) / max(waits, 1)))
+    share = min(waits / sum(host.rows for host in evidence.hosts), 1.0)
+    for told in (1.0, -1.0):
+        effect = Jitter(rms_s, share, told)
+        yield Trial((effect,), shared=True, everywhere=True, rarity=0.0 if told > 0 else _BEHIND)
 
 
 def late(repeated: float, rms_s: float, row_s: float, rate_hz: float) -> Iterator[Trial]:

@@ -21,23 +21,31 @@ class Jitter(Effect):
     their stamps say so.
 
     `rms_s` in seconds: what the scheduler of the logging computer puts between a burst and the reading of its clock;
-    late are those before which another program had the processor. In data: nothing at rest, unless a late reading is
-    the one that the next row brings once more; under motion noise in proportion to how fast the signal changes,
-    rms_s sqrt(share) |dx/dt|.
+    late are those before which another program had the processor. Where the times of a log's rows tell which these were
+    (`imuarray.simulate.waits`), these are late and no others, by `told` of half of each wait: 1 if all of it lay before
+    the transfer, -1 if behind it; rows that nobody was there to read are lost. In data: nothing at
+    rest, unless a late reading is the one that the next row brings once more; under motion noise in proportion to how
+    fast the signal changes, rms_s sqrt(share) |dx/dt|.
     """
 
     name: ClassVar[str] = "jitter"
     rms_s: float = scalar(0.0)
     share: float = scalar(1.0)
+    told: float = scalar(0.0)
 
     def __post_init__(self) -> None:
         """ValueError for a negative or an absurd one, and for no share."""
         super().__post_init__()
         require("rms_s", self.rms_s, 0.0, 1e3)
         require("share", self.share, 0.0, 1.0)
+        require("told", self.told, -1.0, 1.0)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
-        """Moves every instant by a draw of its own."""
+        """Moves every instant by a draw of its own, or those that are told."""
+        if self.told and at.waits is not None:
+            halves, missed = at.waits(instants.first, instants.first + len(instants.stamp_ns))
+            later = np.rint(self.told * halves).astype(np.int64)
+            return replace(instants, instant_ns=instants.instant_ns + later, kept=instants.kept & ~missed)
         if not self.rms_s:
             return instants
         off = self._drawn(instants.first, instants.first + len(instants.stamp_ns), at)

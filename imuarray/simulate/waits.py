@@ -1,0 +1,230 @@
+"""When the host that read an array was kept waiting, as the times of all its sensors' rows in a log tell.
+
+The sensors of a frame are read one after the other, as fast as the bus gives their bytes. Where another program had the
+processor before one of them, it and all that follow it come late by that. Of a reading that took longer than its bits
+need a recorder knows no more than between which two times it was on the wire, and says the middle (it is wrong by half
+of the wait at most): so a wait lies half before the time of the row that waited, half behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.log import SensorLog
+from imuarray.log.format import LOST_BEFORE
+from imuarray.simulate.signal import Bools, Integers
+from imuarray.simulate.timeline import Filled, Timeline
+
+Floats = npt.NDArray[np.float64]
+
+_TIGHT_NS = 500_000
+"""By how much intervals between two readings of a frame spread, apart from waits; what a wait shortens is idle time."""
+
+_LEAST_NS = 250_000
+"""Half of a shorter wait is none."""
+
+_LEAST = 16
+"""So often one sensor has to follow another for their usual interval to be known."""
+
+_NEVER_NS = 1 << 62
+_NOTHING: Integers = np.zeros(0, np.int64)
+
+_WINDOW_ROWS = 1 << 16
+_MARGIN_NS = 10**9
+
+
+@dataclass(frozen=True, eq=False)
+class Awaited:
+    """The rows of a recorded sensor, as its `own` timeline has them; before those numbered `waited` (w,), ascending,
+    the host was kept waiting, twice `half_ns` (w,), and those numbered `missed` (m,), ascending, no sensor has.
+    """
+
+    own: Timeline
+    waited: Integers
+    half_ns: Integers
+    missed: Integers
+
+    @property
+    def rows(self) -> int:
+        """Those of its own timeline."""
+        return self.own.rows
+
+    @property
+    def rows_per_s(self) -> float:
+        """That of its own timeline."""
+        return self.own.rows_per_s
+
+    def stamps(self, start: int, stop: int) -> Integers:
+        """Those of its own timeline."""
+        return self.own.stamps(start, stop)
+
+    def waits(self, start: int, stop: int) -> tuple[Integers, Bools]:
+        """Of rows start ... stop - 1: (n,) half of what the host waited before each, in ns; (n,) which it missed."""
+        halves, missed = np.zeros(stop - start, np.int64), np.zeros(stop - start, bool)
+        first, last = np.searchsorted(self.waited, (start, stop))
+        halves[self.waited[first:last] - start] = self.half_ns[first:last]
+        first, last = np.searchsorted(self.missed, (start, stop))
+        missed[self.missed[first:last] - start] = True
+        return halves, missed
+
+
+def awaited(lines: Mapping[str, Timeline], sensors: Mapping[str, SensorLog]) -> dict[str, Timeline]:
+    """The `lines` of recorded `sensors`, with what all of these say of the host; a line on which there is nothing of it
+    stays as it is.
+    """
+    names = list(lines)
+    recorded = [sensors[name] for name in names]
+    windows = _windows(recorded)
+    first = next(windows, None)
+    if first is None:
+        return dict(lines)
+    pairs = _pairs(first, len(names))
+    parts = [_of_window(rows, pairs, len(names)) for rows in chain([first], windows)]
+    found = [_Told(*map(np.concatenate, zip(*own, strict=True))) for own in zip(*parts, strict=True)]
+    polled = {name: told for which, (name, told) in enumerate(zip(names, found, strict=True)) if pairs.has(which)}
+    after = {name: told.after_loss_ns for name, told in polled.items()}
+    late = {name: _line(lines[name], told, _missed(name, lines[name], after)) for name, told in polled.items()}
+    return {**lines, **late}
+
+
+class _Told(NamedTuple):
+    """Of one sensor: rows (w,) before which the host waited, half of how long (w,), and the times (l,) of rows that are
+    flagged as ones before which others were lost.
+    """
+
+    waited: Integers
+    half_ns: Integers
+    after_loss_ns: Integers
+
+
+class _Rows(NamedTuple):
+    """Rows of all sensors in the order of time (n,): of `which` sensor, their `number` there, whether they are flagged
+    as ones before which others were lost, and whether they lie within the window and not in its margins.
+    """
+
+    time_ns: Integers
+    which: Integers
+    number: Integers
+    is_after_loss: Bools
+    inner: Bools
+
+
+class _Pairs(NamedTuple):
+    """(s, s) of the sensors: the interval in ns at which the second is usually read right after the first; nan unless
+    that is within a frame, as fast as the bus gives. `idle_ns` is that of the others.
+    """
+
+    usual_ns: Floats
+    idle_ns: Floats
+
+    def has(self, which: int) -> bool:
+        """Whether this sensor is read right before or after another one."""
+        return bool(np.isfinite(self.usual_ns[which]).any() or np.isfinite(self.usual_ns[:, which]).any())
+
+
+def _windows(sensors: Sequence[SensorLog]) -> Iterator[_Rows]:
+    """All rows, many at a time."""
+    longest = max(sensors, key=len)
+    for block in longest.blocks(_WINDOW_ROWS):
+        is_first, is_last = block.start == 0, block.stop == len(longest)
+        begin_ns = -_NEVER_NS if is_first else int(longest.time[block.start])
+        end_ns = _NEVER_NS if is_last else int(longest.time[block.stop])
+        yield _rows(sensors, begin_ns, end_ns)
+
+
+def _rows(sensors: Sequence[SensorLog], begin_ns: int, end_ns: int) -> _Rows:
+    parts = []
+    for which, sensor in enumerate(sensors):
+        span = sensor.between(begin_ns - _MARGIN_NS, end_ns + _MARGIN_NS)
+        times = np.asarray(sensor.time[span], np.int64)
+        flags = (np.asarray(sensor.status[span]) & LOST_BEFORE) != 0
+        number = np.arange(span.start, span.start + len(times))
+        parts.append((times, np.full(len(times), which), number, flags, (times >= begin_ns) & (times < end_ns)))
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(columns[0], kind="stable")
+    return _Rows(*(column[order] for column in columns))
+
+
+def _of_window(rows: _Rows, pairs: _Pairs, sensors: int) -> list[_Told]:
+    halves = _halves(rows, pairs)
+    late = rows.inner & (halves >= _LEAST_NS)
+    lost = rows.inner & rows.is_after_loss
+    found = []
+    for which in range(sensors):
+        own = late & (rows.which == which)
+        after_loss_ns = rows.time_ns[lost & (rows.which == which)]
+        found.append(_Told(rows.number[own], np.rint(halves[own]).astype(np.int64), after_loss_ns))
+    return found
+
+
+def _pairs(rows: _Rows, count: int) -> _Pairs:
+    """By the first rows of so many sensors."""
+    usual, idle = np.full((2, count, count), np.nan)
+    intervals = np.diff(rows.time_ns)
+    for first in range(count):
+        for second in range(count):
+            own = intervals[(rows.which[:-1] == first) & (rows.which[1:] == second)]
+            if len(own) < _LEAST:
+                continue
+            least, middle, upper = np.percentile(own, (0, 50, 75))
+            tight = first != second and middle - least < _TIGHT_NS and upper - middle < _TIGHT_NS
+            (usual if tight else idle)[first, second] = middle
+    return _Pairs(usual, idle)
+
+
+def _halves(rows: _Rows, pairs: _Pairs) -> Floats:
+    """(n,) half of how long the host waited before each row: what the intervals before and after it have in common, or
+    if one of these tells nothing what the other has more than its neighbour's part.
+    """
+    interval, step = np.diff(rows.time_ns), (rows.which[:-1], rows.which[1:])
+    over, idle = interval - pairs.usual_ns[step], interval - pairs.idle_ns[step]
+    edge = [np.nan]
+    before, after = np.concatenate([edge, over]), np.concatenate([over, edge])
+    begun = np.concatenate([edge, idle])
+    both = np.clip(np.minimum(before, after), 0.0, None)  # nan where one of them is
+    inside = np.nan_to_num(both)
+    for at in np.flatnonzero((inside[1:] > 0) & (inside[:-1] > 0)) + 1:  # what the one before has had is gone
+        both[at] = inside[at] = max(min(before[at] - inside[at - 1], after[at]), 0.0)
+    behind, ahead = np.concatenate([[0.0], inside[:-1]]), np.concatenate([inside[1:], [0.0]])
+    first = np.clip(after - ahead, 0.0, None)
+    lonely = np.isnan(np.concatenate([both[1:], edge]))  # of two in a frame both come of the same interval
+    first = np.where(lonely, np.clip(np.fmin(first, begun), 0.0, None), first)
+    kept = np.concatenate([[0.0], np.nan_to_num(np.where(np.isnan(before), first, 0.0))[:-1]])
+    last = np.clip(before - np.where(behind > 0, behind, kept), 0.0, None)
+    return np.asarray(np.nan_to_num(np.where(np.isfinite(both), both, np.where(np.isfinite(after), first, last))))
+
+
+def _missed(name: str, line: Timeline, after: Mapping[str, Integers]) -> Integers:
+    """The numbers of its rows that were lost when every other sensor lost some: nobody was there to read them."""
+    others = [times for other, times in after.items() if other != name]
+    if not isinstance(line, Filled) or not others:
+        return _NOTHING
+    found, rows = [_NOTHING], line.recorded.rows
+    begins = line.before + np.cumsum(line.missing) - line.missing
+    for row, count, begin in zip(line.before.tolist(), line.missing.tolist(), begins.tolist(), strict=True):
+        last_ns, _, *more = line.recorded.stamps(row - 1, min(row + 2, rows)).tolist()
+        (next_ns,) = more or [_NEVER_NS]
+        if all(_has_between(times, last_ns, next_ns) for times in others):
+            found.append(np.arange(begin, begin + count))
+    return np.concatenate(found)
+
+
+def _has_between(times: Integers, after_ns: int, until_ns: int) -> bool:
+    first = int(np.searchsorted(times, after_ns, side="right"))
+    return first < len(times) and int(times[first]) <= until_ns
+
+
+def _line(line: Timeline, told: _Told, missed: Integers) -> Timeline:
+    waited = told.waited
+    if not len(waited) and not len(missed):
+        return line
+    if isinstance(line, Filled):
+        lead = np.concatenate([[0], np.cumsum(line.missing)])
+        waited = waited + lead[np.searchsorted(line.before, waited, side="right")]
+    return Awaited(line, waited, told.half_ns, missed)
