@@ -13,6 +13,7 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from imuarray.simulate.effect import Effect, require, scalar
 from imuarray.simulate.signal import Analog, Floats, Place
 
+_FINE = 1e-3  # time constants per row below which correlations of rows differ too little to be told apart
 _FORGOTTEN = 12 * math.log(10.0)  # time constants after which 1e-12 is left of the past
 
 
@@ -90,10 +91,15 @@ def _noise_filter(decay: float, poles: float) -> tuple[Floats, Floats]:
         return np.array([math.sqrt(-math.expm1(-2 * decay))]), np.array([1.0, -phi])
     fade = math.exp(-decay)
     under = np.array([1.0, -2 * fade * math.cos(decay), fade * fade])
+    fine = max(decay, _FINE)
+    if fine > decay:
+        over, _ = _noise_filter(fine, poles)
+        return over * (decay / fine) ** 1.5, under
     rows = np.array([correlation(decay * lag, poles) for lag in range(4)])
     apart = np.subtract.outer(np.arange(3), np.arange(3))
     none, one = (float(under @ rows[np.abs(apart + lag)] @ under) for lag in (0, 1))
-    zero = none / (2 * one) - math.copysign(math.sqrt(max((none / (2 * one)) ** 2 - 1, 0.0)), one) if one else 0.0
+    share = 2 * one / none
+    zero = share / (1 + math.sqrt(max(1 - share * share, 0.0)))  # of the two that do, the one within the unit circle
     return math.sqrt(none / (1 + zero * zero)) * np.array([1.0, zero]), under
 
 

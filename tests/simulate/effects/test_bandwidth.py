@@ -45,6 +45,15 @@ def test_two_poles_are_scipys_butterworth(place: MakePlace, analog: MakeAnalog) 
         assert got == pytest.approx(np.exp(-u) * (np.cos(u) + np.sin(u)), abs=0.02)
 
 
+@pytest.mark.parametrize("cutoff_hz", [1e4, 1e6])
+def test_two_poles_far_beyond_the_rows_leave_noise_as_it_is(
+    place: MakePlace, analog: MakeAnalog, cutoff_hz: float
+) -> None:
+    white = np.random.default_rng(6).normal(0, 0.3, (50, 3))
+    noise = Bandwidth(cutoff_hz, 1.0, 2.0).analog(analog(0, 50, noise=white), place(rows_per_s=100.0)).noise
+    np.testing.assert_allclose(noise, white, rtol=1e-12)
+
+
 def test_the_papers_gyroscope(place: MakePlace, analog: MakeAnalog) -> None:
     """Correlation 0.4 between neighbours at 350 Hz (Appendix A, Figure 13) is a cutoff of 51 Hz."""
     white = np.random.default_rng(6).normal(0, 0.31, (100_000, 3))
