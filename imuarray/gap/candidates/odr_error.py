@@ -26,8 +26,10 @@ _NEAR = 0.15
 _LEAST = 1e-3
 _FEW_ODD = 0.01
 _OSCILLATOR = 0.1
-_RARITY = 3.0
-"""A rate to which the chip can't be set is rare; its oscillator is a tenth off at most."""
+_RARITY, _ONLY = 3.0, 1.0
+"""A rate to which the chip can't be set is rare; its oscillator is a tenth off at most. Of a chip that can't be set to
+any other there is no other way to a wrong rate.
+"""
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
@@ -92,7 +94,8 @@ def _by_clock(evidence: Evidence, real_hz: float) -> Iterator[Trial]:
     if not configured_hz:
         yield Trial((OdrError(real_hz),), ("rate_hz",), rarity=_RARITY)
     elif _LEAST < real_hz / configured_hz < 1:
-        yield Trial((OdrError(clock_ratio=real_hz / configured_hz),), ("clock_ratio",), rarity=_RARITY)
+        rarity = _RARITY if _rates_hz(evidence) else _ONLY
+        yield Trial((OdrError(clock_ratio=real_hz / configured_hz),), ("clock_ratio",), rarity=rarity)
 
 
 def _by_even_codes(evidence: Evidence) -> Iterator[Trial]:
