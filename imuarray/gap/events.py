@@ -12,6 +12,7 @@ import numpy as np
 from imuarray.gap.beside import lone_beside
 from imuarray.gap.held import NOWHERE, Held, held_in
 from imuarray.gap.lone import Lone
+from imuarray.gap.resets import Reset, resets_in
 from imuarray.gap.source import RecordedSource
 from imuarray.log import Log
 from imuarray.log.format import Phase
@@ -39,13 +40,14 @@ IN_TIME = Host()
 class Events:
     """Of one sensor in one log: stretches in which its rows are `held`; which readings are `lone` beside other sensors,
     in each phase in which the box moves; and the `holes` in its rows, as `Filled.holes` gives them. `host` is what
-    the times of all sensors tell of the host.
+    the times of all sensors tell of the host, `resets` are stretches in which the chip was not set as it should be.
     """
 
     held: Held = NOWHERE
     lone: tuple[Lone, ...] = ()
     holes: tuple[tuple[int, int, int], ...] = ()
     host: Host = IN_TIME
+    resets: tuple[Reset, ...] = ()
 
 
 def events_of(log: Log, timelines: Mapping[str, Timeline], moving: Sequence[Phase]) -> Mapping[str, Events]:
@@ -75,4 +77,5 @@ def _events(log: Log, name: str, line: Timeline, moving: Sequence[Phase], known:
         tuple(lone_beside(sensor, others, phase) for phase in moving),
         tuple(own.holes()) if isinstance(own, Filled) else (),
         host,
+        resets_in(sensor),
     )

@@ -16,6 +16,7 @@ from imuarray.gap.cross import Cross
 from imuarray.gap.events import Host
 from imuarray.gap.held import Held
 from imuarray.gap.lone import Lone
+from imuarray.gap.resets import Reset
 from imuarray.gap.runs import Runs
 from imuarray.gap.split import Side
 from imuarray.gap.stage import Modelled
@@ -60,7 +61,8 @@ class Evidence:
     boots if there are several logs of a turn-on series, `others` the sensors that measure the same, `holes` where rows
     that were due were lost, `held` where rows (so many each) repeat the one before, in whatever phase or none, `lone`
     which of its readings stand alone, by logs, in each phase in which the box moves; `hosts` is what
-    the times of all sensors of a log tell of the host that read them.
+    the times of all sensors of a log tell of the host that read them, `resets` are stretches, by logs, in which the
+    recorder found the chip set otherwise.
     """
 
     header: SensorHeader
@@ -76,6 +78,7 @@ class Evidence:
     held: tuple[tuple[Span, int], ...] = ()
     lone: tuple[tuple[int, Lone], ...] = ()
     hosts: tuple[Host, ...] = ()
+    resets: tuple[tuple[int, Reset], ...] = ()
 
     @property
     def still(self) -> tuple[Seen, ...]:
@@ -160,6 +163,7 @@ def evidence_of(
         tuple(held for log, own in events for held in _held(log, own.held)),
         tuple((log, lone) for log, own in events for lone in own.lone),
         tuple(own.host for _, own in events),
+        tuple((log, reset) for log, own in events for reset in own.resets),
     )
 
 

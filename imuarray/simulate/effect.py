@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Place, Triple
+from imuarray.simulate.signal import Analog, Codes, Felt, Flags, Instants, Place, Triple
 
 
 def per_axis(default: float = 0.0, *, suffix: str = "") -> Any:
@@ -53,6 +53,10 @@ class Effect:
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """When rows are read, and which of them arrive."""
         return instants
+
+    def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
+        """What the logger makes of it: (n,) flags of the rows."""
+        return status
 
     def felt(self, felt: Felt, at: Place) -> Felt:
         """What is felt where the sensor sits."""

@@ -147,6 +147,8 @@ class SimulatedSensor:
         cut = slice(begin - first, None)
         counts = codes.counts.astype(np.int16)
         status = self._status(counts, codes.fresh)
+        for effect, at in acting:
+            status = effect.flagged(status, instants, at)
         if not instants.kept.all():
             status[1:][~instants.kept[:-1]] |= LOST_BEFORE
         return Chunk(instants.stamp_ns[cut], instants.kept[cut], _cut(codes, begin, end), counts[cut], status[cut])

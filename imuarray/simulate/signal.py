@@ -24,6 +24,7 @@ Floats = npt.NDArray[np.floating[Any]]
 Integers = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.int32]
 Bools = npt.NDArray[np.bool_]
+Flags = npt.NDArray[np.uint16]
 Triple = tuple[float, float, float]
 Kept = TypeVar("Kept")
 

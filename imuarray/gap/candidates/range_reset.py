@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from imuarray.gap.candidates.levels import levels, log_levels
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.candidates.steps import Onset, States, onsets, states_of_logs
 from imuarray.gap.evidence import Evidence
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.range_reset import RangeReset
 
 Floats = npt.NDArray[np.float64]
@@ -34,13 +35,23 @@ _NOISE_SHARES = (0.1, 10.0)
 _MOST = 3.0
 """An offset is not larger than so many times the step that it takes part in."""
 
+_NUMBERS = 2.0
+"""Nats that a moment and a length cost."""
+
+_SOON = 2.0
+"""Rows that are lost so many rows behind a stretch are those in which the chip was set up again."""
+
+_OFFSET = 0.005
+"""By how much of the configured range the offsets of ranges differ, or a few times that."""
+
 _RANGES = 2
 """So many ranges are tried, those that need the smallest offset and change of noise."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
-    """Another range always, by the response to force or motion; in some logs, or from the row on at which level or
-    noise change: the offset is what the range leaves of the level, `noise_share` what it leaves of the noise.
+    """Another range always, by the response to force or motion; in some logs; while the recorder found the chip set
+    otherwise; or from the row on at which level or noise change: the offset is what the range leaves of the level,
+    `noise_share` what it leaves of the noise.
     """
     yield from with_removal(evidence, RangeReset.name, _found(evidence))
 
@@ -55,6 +66,8 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
         rare = rarer(means, errors) if len(means) > 1 else None
         if rare is not None and (states := states_of_logs(evidence, rare)) is not None:
             yield from _reset(evidence, states, 0.0, float(rare.mean()))
+    if evidence.resets and evidence.is_odd("doubt", *_WITHIN, beyond=_BEYOND):
+        yield from _noticed(evidence)
     if evidence.is_odd(*_WITHIN, beyond=_BEYOND) and (found := onsets(evidence)):
         yield from _within(evidence, found)
 
@@ -75,6 +88,45 @@ def _within(evidence: Evidence, found: Sequence[Onset]) -> Iterator[Trial]:
         if others:
             yield Trial((alone, *others))
         yield replace(trial, effects=(alone,))
+
+
+def _noticed(evidence: Evidence) -> Iterator[Trial]:
+    """Stretches that the recorder noticed, however short: the range that takes readings before to those within, and the
+    rows that were lost while the chip was set up again.
+    """
+    logs, resets = zip(*evidence.resets, strict=True)
+    scale = evidence.header.sensitivity
+    sides = [
+        States(*(side / scale for side in (one.before, one.within, one.noise_before, one.noise_within)))
+        for one in resets
+    ]
+    row_s = 1 / evidence.rows_per_s
+    lost = [
+        hole
+        for hole in evidence.holes
+        if any(log == hole.log and abs(one.end_s - hole.moment_s) < _SOON * row_s for log, one in evidence.resets)
+    ]
+    stretches: dict[str, Any] = {
+        "runs": tuple(float(log) for log in logs),
+        "moments_s": tuple(one.moment_s for one in resets),
+        "lengths_s": tuple(one.end_s - one.moment_s for one in resets),
+        "doubts_s": tuple(one.moment_s - one.doubt_s for one in resets),
+    }
+    missing = DroppedSamples(
+        runs=tuple(float(hole.log) for hole in lost),
+        moments_s=tuple(hole.moment_s for hole in lost),
+        lengths_s=tuple(hole.length_s for hole in lost),
+    )
+    numbers = _NUMBERS * (len(resets) + len(lost))
+    found = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides)]
+    for rarity, effect in sorted(found, key=lambda one: one[0])[:_RANGES]:  # so few readings say little of the noise
+        effects = (replace(effect, **stretches), *([missing] if lost else []))
+        yield Trial(effects, whole=True, rarity=numbers + rarity)
+
+
+def _unlike(evidence: Evidence, size: float) -> float:
+    """Nats by which an offset is rarer than none: what few readings show another range explains with another one."""
+    return float(np.log1p((size / (_OFFSET * evidence.header.range)) ** 2))
 
 
 def _ratios(evidence: Evidence) -> dict[float, float]:
@@ -100,28 +152,39 @@ def _always(evidence: Evidence) -> Iterator[Trial]:
 
 
 class _Guess(NamedTuple):
+    """What it costs; root mean square of the offsets that each pair of sides asks for."""
+
     cost: float
-    trial: Trial
+    size: float
+    effect: RangeReset
 
 
 def _reset(evidence: Evidence, states: States, onset_s: float, probability: float) -> Iterator[Trial]:
     """By the levels and noises before and after, of the true ones: r (x + offset), r share noise."""
-    found: list[_Guess] = []
     free = _FREE if probability < 1 else _FREE[:2]
+    for guess in _cheapest(_guesses(evidence, [states])):
+        yield Trial((replace(guess.effect, onset_s=onset_s, probability=probability),), free)
+
+
+def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
+    """Of each other range, with the offset and the noise that it leaves in the middle of all pairs of sides."""
+    step = float(np.median([np.linalg.norm(one.after - one.before) for one in sides]))
     for other, ratio in _ratios(evidence).items():
-        offset = states.after / ratio - states.before
-        share = states.noise_after / (ratio * states.noise_before)
+        offsets = np.array([one.after / ratio - one.before for one in sides])
+        offset = np.median(offsets, axis=0)
+        share = np.median([one.noise_after / (ratio * one.noise_before) for one in sides], axis=0)
         if not ((share > _NOISE_SHARES[0]) & (share < _NOISE_SHARES[1])).all():
             continue
-        step, size = float(np.linalg.norm(states.after - states.before)), float(np.linalg.norm(offset))
+        size = float(np.sqrt(np.mean(np.square(offsets).sum(axis=1))))  # faces tell a wrong range by other ones each
         if size > _MOST * step:
             continue
-        cost = size / step + float(np.abs(np.log(share)).mean())
         (x, y, z), (a, b, c) = offset.tolist(), share.tolist()
-        effect = RangeReset(other, (x, y, z), (a, b, c), onset_s, probability)
-        found.append(_Guess(cost, Trial((effect,), free)))
-    for guess in sorted(found, key=lambda one: one.cost)[:_RANGES]:
-        yield guess.trial
+        cost = size / step + float(np.abs(np.log(share)).mean())
+        yield _Guess(cost, size, RangeReset(other, (x, y, z), (a, b, c)))
+
+
+def _cheapest(found: Iterable[_Guess]) -> list[_Guess]:
+    return sorted(found, key=lambda one: one.cost)[:_RANGES]
 
 
 RANGE_RESET = Candidate(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar, TypeVar
 
@@ -10,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.chips import CHIPS
-from imuarray.log.format import SensorHeader
+from imuarray.log.format import RECONFIGURED, SUSPECT, SensorHeader
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect, per_axis, require, scalar
-from imuarray.simulate.signal import Analog, Bools, Floats, Place, Triple, per_row
+from imuarray.simulate.parameters import alongside, listed
+from imuarray.simulate.signal import Analog, Bools, Flags, Floats, Instants, Place, Triple, per_row
 
 Number = TypeVar("Number", int, float)
 
@@ -29,6 +31,10 @@ class RangeReset(Effect):
     (ADX-46). The paper's BMA1 reads 4309 LSB for 1 g in its run 10 (Table 6): 4096 LSB/g, the chip's 2 g after a reset
     (PAP-01). In data: everything scaled by a ratio of sensitivities, noise by another; where the onset is within the
     run, from one row to the next.
+
+    Where single stretches are known, these are and no others: from each of `moments_s`, by the log's clock, for as long
+    as `lengths_s` says, in the run with that number in `runs`. A logger that reads back how the chip is set doubts its
+    rows from so much before as `doubts_s` says, and flags the first row that comes when it is set up again.
     """
 
     name: ClassVar[str] = "range_reset"
@@ -38,6 +44,10 @@ class RangeReset(Effect):
     onset_s: float = scalar(0.0)
     probability: float = scalar(1.0)
     run: float = scalar(math.nan)
+    runs: tuple[float, ...] = listed()
+    moments_s: tuple[float, ...] = listed()
+    lengths_s: tuple[float, ...] = listed()
+    doubts_s: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
         """ValueError for an infinite onset or a probability outside 0 to 1."""
@@ -45,14 +55,19 @@ class RangeReset(Effect):
         require("onset_s", self.onset_s, -1e9, 1e9)
         require("probability", self.probability, 0.0, 1.0)
         require("noise_share", min(self.noise_share), 0.0, 1e6)
+        lists = {name: getattr(self, name) for name in ("runs", "moments_s", "lengths_s", "doubts_s")}
+        for name, values in alongside(**lists).items():
+            object.__setattr__(self, name, values)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds the offset, scales the noise and sets the converter. ValueError for a range that the chip hasn't."""
         if math.isnan(self.range) or (not math.isnan(self.run) and self.run != at.streams.boot):
             return analog
         sensitivity = _sensitivity(at.sensor, self.range)
-        since = analog.instant_ns >= self.onset_s * 1e9
-        if not since.any() or at.boot_generator(self.name).random() >= self.probability:
+        first, stop = analog.first, analog.first + len(analog.instant_ns)
+        since = self._known(first, stop, at) if self.moments_s else analog.instant_ns >= self.onset_s * 1e9
+        by_chance = not self.moments_s and self.probability < 1
+        if not since.any() or (by_chance and at.boot_generator(self.name).random() >= self.probability):
             return analog
         span = code_span(replace(at.sensor, range=self.range, rate_hz=analog.rate_hz))
         dtype = analog.value.dtype
@@ -64,6 +79,33 @@ class RangeReset(Effect):
             lowest=_from(since, span.lowest, analog.lowest, dtype),
             highest=_from(since, span.highest, analog.highest, dtype),
         )
+
+    def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
+        """Doubts the rows of known stretches, and marks where they end."""
+        marked = status.copy() if self.moments_s else status
+        for doubt_ns, _, over_ns in self._stretches(at):
+            due, over = np.searchsorted(instants.stamp_ns, (doubt_ns, over_ns))
+            marked[due:over] |= SUSPECT
+            if over > 0 and (came := np.flatnonzero(instants.kept[over:])).size:
+                marked[over + came[0]] |= RECONFIGURED
+        return marked
+
+    def _stretches(self, at: Place) -> Iterator[tuple[float, float, float]]:
+        """Of this run, in ns: since when rows are doubted, and from when to when readings are others."""
+        known = zip(self.runs, self.moments_s, self.lengths_s, self.doubts_s, strict=True)
+        for run, moment_s, length_s, doubt_s in known:
+            if run == at.streams.boot:
+                yield (moment_s - doubt_s) * 1e9, moment_s * 1e9, (moment_s + length_s) * 1e9
+
+    def _known(self, first: int, stop: int, at: Place) -> Bools:
+        """(stop - first,) which of these rows lie in known stretches."""
+        since = np.zeros(stop - first, bool)
+        first_ns, last_ns = (int(at.stamps(row, row + 1)[0]) for row in (first, stop - 1))
+        for _, due_ns, over_ns in self._stretches(at):
+            if due_ns <= last_ns and over_ns > first_ns:
+                due, over = (max(at.row_at(edge_ns, stop) - first, 0) for edge_ns in (due_ns, over_ns))
+                since[due:over] = True
+        return since
 
 
 def _sensitivity(sensor: SensorHeader, range_: float) -> float:

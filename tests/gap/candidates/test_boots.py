@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,11 @@ from imuarray.gap.candidates.bias import BIAS
 from imuarray.gap.candidates.bistable_bias import BISTABLE_BIAS
 from imuarray.gap.candidates.range_reset import RANGE_RESET
 from imuarray.gap.candidates.turn_on_bias import TURN_ON_BIAS
+from imuarray.gap.evidence import Span
+from imuarray.gap.resets import Reset
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.bistable_bias import BistableBias
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from tests.gap.candidates.evidence_of import evidence_of
@@ -94,3 +99,52 @@ def test_a_step_that_stays() -> None:
     assert isinstance(effect, Bias)
     assert effect.from_boot == 4
     assert effect.offset == pytest.approx((0.05, 0.0, -0.02), abs=0.002)
+
+
+def test_faces_tell_the_range() -> None:
+    """z up and z down at 4 g, as at 1 g (four times the counts) with an offset of 0.3 g; any other range would need
+    another offset on either face.
+    """
+    noise = np.full(3, 3.0)
+    up, down = (np.array([0.0, 0.0, 2048.0 * z]) for z in (0.7, -1.3))
+    told = [
+        Reset(at, at, at + 0.1, before, 4 * (before + 0.3 * 2048.0 * np.array([0.0, 0.0, 1.0])), noise, noise)
+        for at, before in ((5.0, up), (8.0, down))
+    ]
+    evidence = replace(
+        evidence_of("static", "A1"), resets=((0, told[0]), (1, told[1])), scores={"doubt": np.full((1, 1), 50.0)}
+    )
+    first, *_ = RANGE_RESET.guesses(evidence)
+    (effect,) = first.effects
+    assert isinstance(effect, RangeReset)
+    assert effect.range == 1.0
+    assert effect.offset == pytest.approx((0.0, 0.0, 0.3))
+
+
+def test_another_range_for_a_while() -> None:
+    """2 g in the place of 4 g in two logs, as the recorder noticed: twice the counts, and 20 mg more; behind the second
+    rows are lost while the chip is set up again, and others by themselves.
+    """
+    before, noise = np.array([100.0, -200.0, 2000.0]), np.full(3, 3.0)
+    within, felt = 2 * (before + 0.02 * 2048), 4 * noise  # twice of the doubled one
+    told = (Reset(4.9, 5.0, 5.1, before, within, noise, felt), Reset(7.8, 8.0, 8.2, before, within, noise, felt))
+    evidence = replace(
+        evidence_of("static", "A1"),
+        resets=((0, told[0]), (3, told[1])),
+        holes=(Span(3, 8.2, 0.3), Span(0, 30.0, 0.1)),
+        scores={"doubt": np.full((1, 1), 50.0)},
+    )
+    first, second = RANGE_RESET.guesses(evidence)
+    reset, lost = first.effects
+    assert isinstance(reset, RangeReset)
+    assert isinstance(lost, DroppedSamples)
+    assert (reset.range, reset.runs, reset.moments_s) == (2.0, (0.0, 3.0), (5.0, 8.0))
+    assert reset.lengths_s == pytest.approx((0.1, 0.2))
+    assert reset.doubts_s == pytest.approx((0.1, 0.2))
+    assert reset.offset == pytest.approx((0.02,) * 3)
+    assert reset.noise_share == pytest.approx((2.0,) * 3)
+    assert (lost.runs, lost.moments_s, lost.lengths_s) == ((3.0,), (8.2,), (0.3,))
+    assert first.whole
+    assert first.name == "range_reset"
+    assert second.rarity > first.rarity > 0
+    assert not list(RANGE_RESET.guesses(replace(evidence, scores={})))

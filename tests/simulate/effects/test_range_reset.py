@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from imuarray.log.format import RECONFIGURED, SUSPECT
 from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.signal import Analog
+from imuarray.simulate.signal import Analog, Instants
 from tests.simulate.conftest import MakePlace, header
 
 MakeAnalog = Callable[..., Analog]
@@ -88,3 +90,27 @@ def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog
         RangeReset(2.0, probability=2.0)
     with pytest.raises(ValueError, match="onset_s: inf"):
         RangeReset(2.0, onset_s=np.inf)
+
+
+def test_stretches_that_are_known(place: MakePlace, analog: MakeAnalog, instants: Callable[..., Instants]) -> None:
+    """Rows 7 and 8 of 100 a second in run 2, doubted since row 5; rows 9 and 10 are lost while it is set up again."""
+    effect = RangeReset(2.0, 0.25, runs=(2, 3), moments_s=(0.065, 0.2), lengths_s=(0.02, 0.1), doubts_s=(0.02, 0.0))  # type: ignore[arg-type]
+    for first in (0, 8, 12):
+        rows = effect.analog(analog(first, 20, value=1.0), place(boot=2))
+        counts = np.broadcast_to(rows.value * rows.sensitivity, (20 - first, 3))[:, 0]
+        wanted = np.where(np.isin(np.arange(first, 20), [7, 8]), 1.25 * 4096, 512.0)
+        np.testing.assert_array_equal(counts, wanted)
+    here = instants(0, 20)
+    kept = replace(here, kept=~np.isin(np.arange(20), [9, 10]))
+    status = np.zeros(20, np.uint16)
+    flagged = effect.flagged(status, kept, place(boot=2))
+    assert {int(row): int(flagged[row]) for row in np.flatnonzero(flagged)} == {
+        5: SUSPECT,
+        6: SUSPECT,
+        7: SUSPECT,
+        8: SUSPECT,
+        11: RECONFIGURED,
+    }
+    assert not status.any()
+    assert not effect.flagged(status, here, place(boot=1)).any()
+    assert effect.analog(analog(0, 20), place(boot=1)).sensitivity == 512

@@ -1,0 +1,113 @@
+"""Stretches of a recorded log in which a chip was not set as it should be, as its recorder noticed: from which row on
+its readings show that, and what they were before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.log import SensorLog
+from imuarray.log.format import SUSPECT
+
+Floats = npt.NDArray[np.float64]
+
+MOST = 64
+"""So many of a log are kept, the first."""
+
+_BEFORE, _WITHIN = 16, 4096
+"""Rows that are looked at."""
+
+_FEWEST = 8
+_FAR = 6.0
+"""Standard deviations from the readings before, on some axis, of a chip that is set otherwise."""
+
+_ROUNDED_LSB = 0.5
+
+_OF_A_NORMAL = 1.4826
+"""Standard deviation over the median of absolute deviations."""
+
+
+class Reset(NamedTuple):
+    """Rows that the recorder doubts, from `doubt_s` on; their readings are others from `moment_s` until `end_s`,
+    seconds since the log's epoch, between rows. `before` and `within` (3,) are readings in counts, with their
+    `noise_before` and `noise_within`.
+    """
+
+    doubt_s: float
+    moment_s: float
+    end_s: float
+    before: Floats
+    within: Floats
+    noise_before: Floats
+    noise_within: Floats
+
+
+def resets_in(sensor: SensorLog) -> tuple[Reset, ...]:
+    """In the order of time. A stretch in which no reading changes, or before which there are none, is none."""
+    found: list[Reset] = []
+    for begin, end in _doubted(sensor):
+        reset = _reset(sensor, begin, end)
+        if reset is not None:
+            found.append(reset)
+        if len(found) == MOST:
+            break
+    return tuple(found)
+
+
+def _doubted(sensor: SensorLog) -> Iterator[tuple[int, int]]:
+    """Rows [begin, end) that are flagged, stretch by stretch."""
+    begun: int | None = None
+    for block in sensor.blocks():
+        flagged = (np.asarray(sensor.status[block]) & SUSPECT) != 0
+        edges = np.diff(flagged.astype(np.int8), prepend=np.int8(begun is not None))
+        for at in np.flatnonzero(edges).tolist():
+            if edges[at] > 0:
+                begun = block.start + at
+            elif begun is not None:
+                yield begun, block.start + at
+                begun = None
+    if begun is not None:
+        yield begun, len(sensor)
+
+
+def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
+    before = _counts(sensor, max(begin - _BEFORE, 0), begin)
+    inside = _counts(sensor, begin, min(end, begin + _WITHIN))
+    if len(before) < _FEWEST:
+        return None
+    level, noise = _middle(before)
+    last = np.median(inside[-_FEWEST // 2 :], axis=0) - level
+    axis = int(np.abs(last / noise).argmax())
+    if abs(last[axis]) < _FAR * noise[axis]:
+        return None
+    usual = np.flatnonzero((inside[:, axis] - level[axis]) / last[axis] < 1 / 2)
+    onset = int(usual[-1]) + 1 if len(usual) else 0
+    changed = inside[onset:]
+    if not len(changed):
+        return None
+    within, noise_within = _middle(changed)
+    doubt_s, moment_s, end_s = (_between_s(sensor, row) for row in (begin, begin + onset, end))
+    return Reset(doubt_s, moment_s, end_s, level, within, noise, noise_within)
+
+
+def _middle(counts: Floats) -> tuple[Floats, Floats]:
+    """(3,) median of readings (n, 3), and how they scatter, whatever few of them do."""
+    level = np.median(counts, axis=0)
+    spread = np.median(np.abs(counts - level), axis=0) * _OF_A_NORMAL
+    return np.asarray(level), np.maximum(spread, _ROUNDED_LSB)
+
+
+def _counts(sensor: SensorLog, begin: int, end: int) -> Floats:
+    return np.asarray(sensor.counts[begin:end], float)
+
+
+def _between_s(sensor: SensorLog, row: int) -> float:
+    """Half an interval before a row, that of the two rows before it: it may come long after these."""
+    first = max(min(row, len(sensor)) - 2, 0)
+    times = np.asarray(sensor.time[first : first + 2], np.int64)
+    step_ns = int(times[-1] - times[0])
+    return float(times[-1] + step_ns / 2) * 1e-9

@@ -1,0 +1,75 @@
+"""Stretches in which the recorder found a chip set otherwise: when its readings changed, and what they were before."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.gap.resets import MOST, resets_in
+from imuarray.log import Block, Log, LogWriter, open_log
+from imuarray.log.format import SUSPECT, SensorHeader
+
+ROW_NS = 10_000_000
+USUAL, OTHER = np.array([40.0, -30.0, 520.0]), np.array([20.0, 90.0, 4160.0])
+
+
+def readings(rows: int, changed: Collection[int] = (), noise: float = 2.0) -> npt.NDArray[np.float64]:
+    """(rows, 3) with noise, those `changed` at another level with four times the noise."""
+    drawn = np.random.default_rng(3).normal(0.0, noise, (rows, 3))
+    other = np.isin(np.arange(rows), list(changed))[:, None]
+    return np.where(other, OTHER + 4 * drawn, USUAL + drawn)
+
+
+def recorded(path: Path, counts: npt.NDArray[np.float64], doubted: Collection[int], lost: Collection[int] = ()) -> Log:
+    """Rows every 10 ms, some of them flagged; those that are `lost` don't come."""
+    rows = np.array([row for row in range(len(counts)) if row not in lost])
+    status = np.where(np.isin(rows, list(doubted)), SUSPECT, 0).astype(np.uint16)
+    header = SensorHeader("A", "bma180", "specific_force", "g", 16.0, 512.0, rate_hz=2400.0)
+    with LogWriter(path, [header], source="imported", epoch="2024-01-01T00:00:00Z", force=True) as log:
+        log.append("A", Block(rows * ROW_NS, np.rint(counts[rows]).astype(np.int16), status))
+    return open_log(path)
+
+
+def test_a_dip_that_comes_back(tmp_path: Path) -> None:
+    """Doubted since row 300, other readings from 306 to 311, then set up again, for which ten rows are lost."""
+    with recorded(tmp_path / "log.h5", readings(500, range(306, 312)), range(300, 312), range(312, 322)) as log:
+        (found,) = resets_in(log["A"])
+    assert (found.doubt_s, found.moment_s, found.end_s) == pytest.approx((2.995, 3.055, 3.115))
+    np.testing.assert_allclose(found.before, USUAL, atol=2)  # medians of 16 and of 6 rows: 3 standard errors and more
+    np.testing.assert_allclose(found.within, OTHER, atol=16)
+
+
+def test_until_the_log_ends(tmp_path: Path) -> None:
+    with recorded(tmp_path / "log.h5", readings(400, range(300, 400)), range(295, 400)) as log:
+        (found,) = resets_in(log["A"])
+    assert (found.doubt_s, found.moment_s, found.end_s) == pytest.approx((2.945, 2.995, 3.995))
+    assert 4 < found.noise_within.mean() < 12
+    assert 1 < found.noise_before.mean() < 3
+
+
+def test_across_blocks(tmp_path: Path) -> None:
+    """Flags are read 65536 rows at a time."""
+    with recorded(tmp_path / "log.h5", readings(65_700, range(65_530, 65_560)), range(65_520, 65_560)) as log:
+        (found,) = resets_in(log["A"])
+    assert found.moment_s == pytest.approx(655.295)
+    assert found.end_s == pytest.approx(655.595)
+
+
+def test_doubt_alone_is_no_reset(tmp_path: Path) -> None:
+    """Nor is one from the first row on; without a flag nothing is looked at."""
+    with recorded(tmp_path / "same.h5", readings(200), range(100, 120)) as log:
+        assert resets_in(log["A"]) == ()
+    with recorded(tmp_path / "first.h5", readings(200, range(20)), range(20)) as log:
+        assert resets_in(log["A"]) == ()
+    with recorded(tmp_path / "none.h5", readings(200, range(100, 120)), ()) as log:
+        assert resets_in(log["A"]) == ()
+
+
+def test_so_many_are_kept(tmp_path: Path) -> None:
+    changed = [row for row in range(100, 4000) if row % 40 < 5]
+    with recorded(tmp_path / "log.h5", readings(4000, changed), changed) as log:
+        assert len(resets_in(log["A"])) == MOST
