@@ -43,7 +43,8 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
         return
     score = evidence.score(*TRACES)
     found = wander_of(evidence)
-    limits = {"switches_per_s": (_FEWEST / longest_s(evidence), np.inf)}
+    fewest_per_s = _FEWEST / longest_s(evidence)
+    limits = {"switches_per_s": (fewest_per_s, np.inf)}
     is_uneven = evidence.is_odd("wander_uneven", beyond=BEYOND)
     for one in (found, slower(evidence, found)) if found is not None else ():
         if one.rms.any():
@@ -52,7 +53,7 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
             if is_uneven:
                 yield _one_sided(evidence, one, score)
     amplitude, switches_per_s = _jumps(evidence)
-    if switches_per_s > 0:
+    if switches_per_s >= fewest_per_s:
         yield Trial((PopcornNoise(sized(amplitude, score), switches_per_s),), _FREE, limits=limits, rarity=_RARITY)
 
 
