@@ -249,11 +249,13 @@ def _left(after: Judged) -> list[int]:
 
 
 def _is_left(found: Compared, after: Judged, came: Sequence[Values], unexplained: Sequence[Where]) -> bool:
-    """Whether something that matters is left that the causes' form doesn't excuse."""
+    """Whether something that matters is left that the causes' form doesn't excuse, well beyond any replicate's:
+    of a few events one in thirty is a strange one.
+    """
     scores = beyond_form(found.pairs, found.judged, after, found.real.values, np.array([one.values for one in came]))
     sizes = np.nan_to_num(np.abs(scores))[_left(after)]
     left = zip(unexplained, sizes.tolist(), strict=False)
-    return any(one.size == "material" and size > MORE * after.limit for one, size in left)
+    return any(one.size == "material" and size > MORE * after.furthest for one, size in left)
 
 
 def _recorded(one: Recording) -> Recorded:

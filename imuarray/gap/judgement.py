@@ -29,7 +29,7 @@ DOUBT = 0.05
 """The p of what is left below which something is left."""
 
 MORE = 1.25
-"""What is left is something else if it is so much beyond chance: no effect has exactly the form of the real one."""
+"""What is left has to be so much beyond chance to be something else: no effect has exactly the form of the real one."""
 
 _HALF, _STEEP = 0.65, 6.0
 """Share closed at which something unknown is as probable as not, and how fast that changes."""
@@ -39,7 +39,7 @@ _HALF, _STEEP = 0.65, 6.0
 class Judged:
     """The recording beside one model: scores (m,) of pairs and (n,) of their parts, how far these lie `apart`, what the
     model makes of them, and how often chance makes as large a score (`p`); `limit` is what chance reaches in one of
-    twenty campaigns.
+    twenty campaigns, `furthest` what it reached in any.
     """
 
     scores: Floats
@@ -48,6 +48,7 @@ class Judged:
     likeness: Likeness
     p: float
     limit: float
+    furthest: float = math.nan
 
 
 def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance: Floats | None = None) -> Judged:
@@ -57,9 +58,8 @@ def judged(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
     likeness = likeness_of(replicates, floor)
     scores, parts = scorer_of(pairs, likeness, replicates)(real), likeness.scores(real)
     largest = _largest(scores_by_others(pairs, replicates, floor) if chance is None else chance)
-    return Judged(
-        scores, parts, real - likeness.location, likeness, p_value(float(_largest(scores)), largest), _high(largest)
-    )
+    p, furthest = p_value(float(_largest(scores)), largest), float(largest.max())
+    return Judged(scores, parts, real - likeness.location, likeness, p, _high(largest), furthest)
 
 
 def where_of(told: Told, one: Judged, found: Iterable[int], p: Mapping[int, float]) -> tuple[Where, ...]:

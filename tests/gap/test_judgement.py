@@ -90,6 +90,7 @@ def test_what_is_wrong_is_scored_in_standard_deviations() -> None:
     assert found.scores[3] == pytest.approx(5 * 2**0.5, rel=0.3)
     assert found.scores[4] == pytest.approx(6 / 2**0.5, rel=0.3)
     assert found.p == pytest.approx(1 / 121)
+    assert found.limit < found.furthest < 7  # of 120 such campaigns any
     assert 2.5 < found.limit < 5  # the largest of 60 standard ones, in one of twenty campaigns: 3.3
     assert np.abs(np.delete(found.scores, [3, 4])).max() < 5
 
