@@ -43,6 +43,7 @@ def cause(effect: str, discrepancy: str) -> dict[str, Any]:
     )
 
 
+@pytest.mark.slow
 def test_bma1_fell_back_to_2_g_with_another_offset() -> None:
     entry = cause("range_reset", "boot fault")
     assert entry["sensors"] == ["BMA1"]
@@ -191,6 +192,7 @@ def test_even_codes_with_the_noise_of_a_rate_are_that_rate(
             assert one.rate_hz == pytest.approx(400 * factor**2)
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "gap"
     assert main(["paper", "--gap", "--seed", "3", "--json", "-o", str(out)]) == 0

@@ -208,6 +208,7 @@ def slow_chips(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
     log.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["A", "G"])
 def test_readings_are_as_old_as_the_chips_own_clock_has_them(slow_chips: Any, name: str) -> None:
     """With the right rate there is a phase at which nothing is left but two noises, in all rows of the motion; half a

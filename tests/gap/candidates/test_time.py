@@ -25,6 +25,7 @@ def shown(kind: str, sensor: str, effect: Effect) -> Evidence:
     return evidence_of(kind, sensor, {sensor: (effect,)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["static", "motion"])
 @pytest.mark.parametrize("sensor", ["A1", "G1"])
 def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
