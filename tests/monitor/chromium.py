@@ -15,6 +15,9 @@ from typing import Any
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
+PATIENCE_S = 120
+"""How long a page may take: on a busy machine a browser draws nothing for half a minute."""
+
 
 class Browser:
     """One page of it."""
@@ -48,9 +51,9 @@ class Browser:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    async def until(self, expression: str, seconds: float = 30) -> Any:
+    async def until(self, expression: str) -> Any:
         """Wait until JavaScript says something true, and what."""
-        end_s = time.monotonic() + seconds
+        end_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < end_s:
             if found := await self.value(expression):
                 return found
@@ -82,7 +85,7 @@ async def browser(folder: Path, address: str) -> AsyncIterator[Browser]:
     process = subprocess.Popen([CHROMIUM, *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         port_file = folder / "DevToolsActivePort"
-        end_s = time.monotonic() + 30
+        end_s = time.monotonic() + PATIENCE_S
         while not (port_file.exists() and port_file.read_text().count("\n")):
             assert time.monotonic() < end_s, "the browser did not start"
             await asyncio.sleep(0.1)

@@ -108,10 +108,10 @@ def test_the_page_says_that_the_monitor_is_gone_and_comes_back_with_it(log_path:
             await page.until(f"{state} === 'no connection'")
             assert "goes on trying" in await page.value("document.getElementById('connection').textContent")
             with served(log_path, "--port", port):
-                await page.until(f"{state} === 'being written'", 40)
+                await page.until(f"{state} === 'being written'")
                 assert await page.value("document.getElementById('connection').hidden")
                 writer.__exit__(None, None, None)
-                await page.until(f"{state} === 'the log has ended'", 40)
+                await page.until(f"{state} === 'the log has ended'")
 
     with served(log_path) as (address, first):
         asyncio.run(visit(address, address.rsplit(":", 1)[1].strip("/")))
