@@ -9,14 +9,9 @@ import numpy as np
 
 from imuarray.gap.candidates.candidate import Candidate, Kind, Trial
 from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.candidates.single import NUMBERS, SINGLE, stretches
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
-
-_FEWEST, _SINGLE = 1, 64
-"""Holes that are told one by one."""
-
-_NUMBERS = 2.0
-"""Nats that a moment and a length cost."""
 
 _PROBES = ("gaps", "lost", "longest_interval", "irregularity", "interval")
 
@@ -49,14 +44,9 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
 def _one_by_one(evidence: Evidence) -> Iterator[Trial]:
     """Those that the log says were lost."""
     holes = evidence.holes
-    if not _FEWEST <= len(holes) <= _SINGLE:
+    if not 0 < len(holes) <= SINGLE:
         return
-    effect = DroppedSamples(
-        runs=tuple(float(hole.log) for hole in holes),
-        moments_s=tuple(hole.moment_s for hole in holes),
-        lengths_s=tuple(hole.length_s for hole in holes),
-    )
-    yield Trial((effect,), whole=True, rarity=_NUMBERS * len(holes))
+    yield Trial((DroppedSamples(**stretches(holes)),), whole=True, rarity=NUMBERS * len(holes))
 
 
 def _interval_s(evidence: Evidence) -> float:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.candidates.single import NUMBERS, SINGLE
 from imuarray.gap.evidence import Evidence, Seen
 from imuarray.gap.probes.probe import noise_lsb
 from imuarray.gap.summary import Summary
@@ -35,11 +36,8 @@ _FAR, _FEWEST_LSB = 6.0, 4.0
 _AMONG = 2.5
 """So many times further off than the nearest that is kept of an axis is a reading that no motion explains."""
 
-_SINGLE, _AGAIN = 64, 3
-"""More readings are not told one by one, fewer tell no frequency."""
-
-_NUMBERS = 2.0
-"""Nats that a moment and a jump cost."""
+_AGAIN = 3
+"""Fewer readings tell no frequency."""
 
 
 class _Tail(NamedTuple):
@@ -94,7 +92,7 @@ def _few(evidence: Evidence) -> Iterator[Trial]:
     """Where chance hit so few readings that it left most phases out: these very readings, all of which are known."""
     hits = [hit for seen in evidence.still for hit in _hits(seen)]
     hits += _torn_in_motion(evidence)
-    if not 0 < len(hits) <= _SINGLE:
+    if not 0 < len(hits) <= SINGLE:
         return
     rows = sum(seen.raw.rows for seen in evidence.seen)
     scale = evidence.header.sensitivity
@@ -106,7 +104,7 @@ def _few(evidence: Evidence) -> Iterator[Trial]:
         moments_s=tuple(hit.moment_s for hit in hits),
         jumps=tuple(jumps),
     )
-    yield Trial((effect,), whole=True, rarity=_NUMBERS * len(hits))
+    yield Trial((effect,), whole=True, rarity=NUMBERS * len(hits))
 
 
 def _hits(seen: Seen) -> Iterator[_Hit]:

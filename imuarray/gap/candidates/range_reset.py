@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,9 @@ from imuarray.gap.candidates.bistable_bias import rarer
 from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.levels import levels, log_levels
 from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.candidates.single import NUMBERS, stretches
 from imuarray.gap.candidates.steps import Onset, States, onsets, states_of_logs
-from imuarray.gap.evidence import Evidence
+from imuarray.gap.evidence import Evidence, Span
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.range_reset import RangeReset
 
@@ -34,9 +35,6 @@ _FREE = ("offset", "noise_share", "probability")
 _NOISE_SHARES = (0.1, 10.0)
 _MOST = 3.0
 """An offset is not larger than so many times the step that it takes part in."""
-
-_NUMBERS = 2.0
-"""Nats that a moment and a length cost."""
 
 _SOON = 2.0
 """Rows that are lost so many rows behind a stretch are those in which the chip was set up again."""
@@ -94,7 +92,7 @@ def _noticed(evidence: Evidence) -> Iterator[Trial]:
     """Stretches that the recorder noticed, however short: the range that takes readings before to those within, and the
     rows that were lost while the chip was set up again.
     """
-    logs, resets = zip(*evidence.resets, strict=True)
+    resets = [one for _, one in evidence.resets]
     scale = evidence.header.sensitivity
     sides = [
         States(*(side / scale for side in (one.before, one.within, one.noise_before, one.noise_within)))
@@ -106,21 +104,13 @@ def _noticed(evidence: Evidence) -> Iterator[Trial]:
         for hole in evidence.holes
         if any(log == hole.log and abs(one.end_s - hole.moment_s) < _SOON * row_s for log, one in evidence.resets)
     ]
-    stretches: dict[str, Any] = {
-        "runs": tuple(float(log) for log in logs),
-        "moments_s": tuple(one.moment_s for one in resets),
-        "lengths_s": tuple(one.end_s - one.moment_s for one in resets),
-        "doubts_s": tuple(one.moment_s - one.doubt_s for one in resets),
-    }
-    missing = DroppedSamples(
-        runs=tuple(float(hole.log) for hole in lost),
-        moments_s=tuple(hole.moment_s for hole in lost),
-        lengths_s=tuple(hole.length_s for hole in lost),
-    )
-    numbers = _NUMBERS * (len(resets) + len(lost))
+    known = stretches([Span(log, one.moment_s, one.end_s - one.moment_s) for log, one in evidence.resets])
+    doubts_s = tuple(one.moment_s - one.doubt_s for one in resets)
+    missing = DroppedSamples(**stretches(lost))
+    numbers = NUMBERS * (len(resets) + len(lost))
     found = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides)]
     for rarity, effect in sorted(found, key=lambda one: one[0])[:_RANGES]:  # so few readings say little of the noise
-        effects = (replace(effect, **stretches), *([missing] if lost else []))
+        effects = (replace(effect, **known, doubts_s=doubts_s), *([missing] if lost else []))
         yield Trial(effects, whole=True, rarity=numbers + rarity)
 
 

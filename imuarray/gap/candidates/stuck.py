@@ -10,6 +10,7 @@ import numpy as np
 
 from imuarray.gap.candidates.candidate import Candidate, Kind, Trial
 from imuarray.gap.candidates.removal import with_removal
+from imuarray.gap.candidates.single import NUMBERS, SINGLE, stretches
 from imuarray.gap.evidence import Evidence, Seen
 from imuarray.simulate.effects.stuck import Stuck
 
@@ -22,14 +23,11 @@ _MOST = 2
 _AGAIN = 3
 """Phases with such a run; fewer are single events."""
 
-_FEWEST, _SINGLE = 2, 64
+_FEWEST = 2
 """Stretches that are told one by one."""
 
 _BEYOND = 1.5
 """So many times longer than the longest run that the model makes in any phase."""
-
-_NUMBERS = 2.0
-"""Nats that a moment and a length cost."""
 
 
 class _Run(NamedTuple):
@@ -78,15 +76,9 @@ def _one_by_one(evidence: Evidence) -> Iterator[Trial]:
     longest = np.exp(evidence.expected.get("longest_repeat", np.zeros((0, 1)))) + 0.5  # rows, the first one too
     least = _BEYOND * float(np.nanmax(longest, initial=1.0)) - 1
     held = [span for span, rows in evidence.held if rows >= least]
-    if not _FEWEST <= len(held) <= _SINGLE:
+    if not _FEWEST <= len(held) <= SINGLE:
         return
-    effect = Stuck(
-        kind=_kind(evidence),
-        runs=tuple(float(span.log) for span in held),
-        moments_s=tuple(span.moment_s for span in held),
-        lengths_s=tuple(span.length_s for span in held),
-    )
-    yield Trial((effect,), whole=True, rarity=_NUMBERS * len(held))
+    yield Trial((Stuck(kind=_kind(evidence), **stretches(held)),), whole=True, rarity=NUMBERS * len(held))
 
 
 def _kind(evidence: Evidence) -> str:

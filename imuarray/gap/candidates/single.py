@@ -1,0 +1,31 @@
+"""Events so few that each of them is told by itself: when it came is taken from the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypedDict
+
+from imuarray.gap.evidence import Span
+
+NUMBERS = 2.0
+"""Nats that the two numbers of one event cost: its moment, and how long or how large it is."""
+
+SINGLE = 64
+"""More events than this are not told one by one."""
+
+
+class Stretches(TypedDict):
+    """Parameters of an effect whose single stretches are known."""
+
+    runs: tuple[float, ...]
+    moments_s: tuple[float, ...]
+    lengths_s: tuple[float, ...]
+
+
+def stretches(spans: Sequence[Span]) -> Stretches:
+    """In which log, when, and for how long."""
+    return {
+        "runs": tuple(float(span.log) for span in spans),
+        "moments_s": tuple(span.moment_s for span in spans),
+        "lengths_s": tuple(span.length_s for span in spans),
+    }
