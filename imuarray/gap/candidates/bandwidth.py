@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from imuarray.gap.candidates.candidate import Candidate, Trial
-from imuarray.gap.candidates.lag import odd_lags
+from imuarray.gap.candidates.lag import mean_of, odd_lags
 from imuarray.gap.candidates.quietness import rarity_behind
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
@@ -66,7 +66,7 @@ def _by_delay(evidence: Evidence) -> Iterator[Trial]:
     found = odd_lags(evidence)
     if not found or any(lag.is_large for lag in found):
         return
-    lag_s = float(np.average([lag.lag_s for lag in found], weights=[lag.weight for lag in found]))
+    lag_s = mean_of(found, "lag_s")
     if lag_s > 0 and correlation(1 / (lag_s * evidence.rows_per_s), 2) < _UNSEEN:
         cutoff_hz = _of_two_poles(1 / lag_s)
         yield Trial((Bandwidth(cutoff_hz, 1.0, 2.0),), ("cutoff_hz",), rarity=rarity_behind(evidence, cutoff_hz))

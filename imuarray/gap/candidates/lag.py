@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,11 @@ def odd_lags(evidence: Evidence) -> list[Lag]:
     found = list(lags(evidence))
     large = any(lag.is_large for lag in found) and bool((evidence.score("motion_residual") > ODD).any())
     return found if large or evidence.is_odd("motion_delay", beyond=ODD) else []
+
+
+def mean_of(found: Sequence[Lag], name: str) -> float:
+    """Of the field of that name, by how much moved."""
+    return float(np.average([getattr(lag, name) for lag in found], weights=[lag.weight for lag in found]))
 
 
 def lags(evidence: Evidence) -> Iterator[Lag]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from imuarray.chips import CHIPS
 from imuarray.gap.candidates.candidate import Candidate, Kind, Trial
-from imuarray.gap.candidates.lag import odd_lags
+from imuarray.gap.candidates.lag import mean_of, odd_lags
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.candidates.repetition import repeated_share
 from imuarray.gap.evidence import Evidence
@@ -76,7 +76,7 @@ def _by_age(evidence: Evidence) -> Iterator[Trial]:
     found = odd_lags(evidence)
     if not found:
         return
-    lag_s = float(np.average([lag.lag_s for lag in found], weights=[lag.weight for lag in found]))
+    lag_s = mean_of(found, "lag_s")
     configured_hz = evidence.header.rate_hz
     age_s = lag_s + (0.5 / configured_hz if configured_hz else 0.0)
     if lag_s <= 0 or age_s >= 0.5 / evidence.rows_per_s:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import numpy as np
-
 from imuarray.gap.candidates.candidate import Candidate, Trial
-from imuarray.gap.candidates.lag import odd_lags
+from imuarray.gap.candidates.lag import mean_of, odd_lags
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effects.skew import Skew
@@ -28,10 +26,7 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     found = odd_lags(evidence)
     if not found:
         return
-    lag_s, pace = (
-        float(np.average([getattr(lag, name) for lag in found], weights=[lag.weight for lag in found]))
-        for name in ("lag_s", "pace")
-    )
+    lag_s, pace = mean_of(found, "lag_s"), mean_of(found, "pace")
     delays_s = [lag_s]
     if any(lag.is_large for lag in found):
         delays_s.append(lag_s - math.copysign(2 * math.pi / pace, lag_s))
