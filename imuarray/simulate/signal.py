@@ -8,7 +8,7 @@ the first row. An effect returns a new one and leaves the one it was given as it
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, TypeVar
@@ -120,6 +120,15 @@ class Place:
     def row_at(self, at_ns: float, stop: int) -> int:
         """The first of the rows before `stop` that is stamped then or later; `stop` if none is."""
         return bisect_left(range(stop), at_ns, key=lambda row: int(self.stamps(row, row + 1)[0]))
+
+    def rows_in(self, first: int, stop: int, stretches_ns: Iterable[tuple[float, float]]) -> Iterator[tuple[int, int]]:
+        """Of each stretch (from, until) that reaches into rows first ... stop - 1: its first row, and the one behind
+        it, or `stop` if that comes first.
+        """
+        first_ns, last_ns = (int(self.stamps(row, row + 1)[0]) for row in (first, stop - 1))
+        for due_ns, over_ns in stretches_ns:
+            if due_ns <= last_ns and over_ns > first_ns:
+                yield self.row_at(due_ns, stop), self.row_at(over_ns, stop)
 
     def stream(
         self,

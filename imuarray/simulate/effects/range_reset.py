@@ -100,11 +100,8 @@ class RangeReset(Effect):
     def _known(self, first: int, stop: int, at: Place) -> Bools:
         """(stop - first,) which of these rows lie in known stretches."""
         since = np.zeros(stop - first, bool)
-        first_ns, last_ns = (int(at.stamps(row, row + 1)[0]) for row in (first, stop - 1))
-        for _, due_ns, over_ns in self._stretches(at):
-            if due_ns <= last_ns and over_ns > first_ns:
-                due, over = (max(at.row_at(edge_ns, stop) - first, 0) for edge_ns in (due_ns, over_ns))
-                since[due:over] = True
+        for due, over in at.rows_in(first, stop, ((due_ns, over_ns) for _, due_ns, over_ns in self._stretches(at))):
+            since[max(due - first, 0) : over - first] = True
         return since
 
 

@@ -62,11 +62,9 @@ class Stuck(Effect):
 
     def _known(self, first: int, stop: int, at: Place) -> Iterator[tuple[int, int]]:
         """The rows of the known stretches that reach into first ... stop - 1."""
-        first_ns, last_ns = (int(at.stamps(row, row + 1)[0]) for row in (first, stop - 1))
-        for run, moment_s, length_s in zip(self.runs, self.moments_s, self.lengths_s, strict=True):
-            due_ns, over_ns = moment_s * 1e9, (moment_s + length_s) * 1e9
-            if run == at.streams.boot and due_ns <= last_ns and over_ns > first_ns:
-                yield at.row_at(due_ns, stop), at.row_at(over_ns, stop)
+        known = zip(self.runs, self.moments_s, self.lengths_s, strict=True)
+        held_ns = ((moment * 1e9, (moment + length) * 1e9) for run, moment, length in known if run == at.streams.boot)
+        return at.rows_in(first, stop, held_ns)
 
     def _holds(self, stop: int, at: Place) -> Iterator[tuple[float, float]]:
         """From which row to which readings are held, up to row `stop`."""
