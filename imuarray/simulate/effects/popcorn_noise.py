@@ -56,15 +56,19 @@ class PopcornNoise(Effect):
         draws_per_s = self.switches_per_s / (2 * self.high_share * (1 - self.high_share))
         draws = at.stream(self.name, "numbers").generator().poisson(draws_per_s * CHUNK / at.rows_per_s, (end, 3))
         last = at.stream(self.name, "lasts").generator().random((end, 3)) < self.high_share
-        level = at.boot_generator(self.name).random(3) < self.high_share
+        level = _behind(at.boot_generator(self.name).random(3) < self.high_share, draws[:begin], last[:begin])
         parts = []
-        for chunk in range(end):
-            drawn = draws[chunk] > 0
-            if chunk >= begin:
-                places = at.stream(self.name, "places").generator(chunk)
-                parts.append(_levels(places, draws[chunk], self.high_share, level, last[chunk]))
-            level = np.where(drawn, last[chunk], level)
+        for chunk in range(begin, end):
+            places = at.stream(self.name, "places").generator(chunk)
+            parts.append(_levels(places, draws[chunk], self.high_share, level, last[chunk]))
+            level = _behind(level, draws[chunk : chunk + 1], last[chunk : chunk + 1])
         return np.concatenate(parts)[first - begin * CHUNK : stop - begin * CHUNK]
+
+
+def _behind(level: Bools, draws: Integers, last: Bools) -> Bools:
+    """(3,) the level behind chunks (c, 3): what the last of them with a draw drew, or what it was before."""
+    known, levels = np.vstack([np.ones((1, 3), bool), draws > 0]), np.vstack([level, last])
+    return np.asarray(levels[len(known) - 1 - known[::-1].argmax(axis=0), np.arange(3)])
 
 
 def _levels(places: np.random.Generator, draws: Integers, high_share: float, begin: Bools, last: Bools) -> Bools:
