@@ -164,8 +164,9 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
     as_noted = told if noted is found else Told(noted.bench, noted.campaign, found.pairs, names)
     where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
     gap = _gap(case, after, causes)
-    unexplained = where_of(told, after, _left(after), {}) if is_gap else ()
-    verdict = verdict_of(is_gap, gap, after, causes, _is_left(found, after, came, unexplained))
+    left = _left(after) if is_gap else []
+    unexplained = where_of(told, after, left, {})
+    verdict = verdict_of(is_gap, gap, after, causes, bool(left) and _is_left(found, after, came, left, unexplained))
     untold = _untold(case, candidates, causes, told)
     in_use = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
     model = case.model.name if case.model else "data sheets"
@@ -248,14 +249,16 @@ def _left(after: Judged) -> list[int]:
     return [int(at) for at in np.argsort(-sizes) if sizes[at] > after.limit]
 
 
-def _is_left(found: Compared, after: Judged, came: Sequence[Values], unexplained: Sequence[Where]) -> bool:
+def _is_left(
+    found: Compared, after: Judged, came: Sequence[Values], left: Sequence[int], unexplained: Sequence[Where]
+) -> bool:
     """Whether something that matters is left that the causes' form doesn't excuse, well beyond any replicate's:
     of a few events one in thirty is a strange one.
     """
     scores = beyond_form(found.pairs, found.judged, after, found.real.values, np.array([one.values for one in came]))
-    sizes = np.nan_to_num(np.abs(scores))[_left(after)]
-    left = zip(unexplained, sizes.tolist(), strict=False)
-    return any(one.size == "material" and size > MORE * after.furthest for one, size in left)
+    sizes = np.nan_to_num(np.abs(scores))[left].tolist()
+    told = zip(unexplained, sizes, strict=False)
+    return any(one.size == "material" and size > MORE * after.furthest for one, size in told)
 
 
 def _recorded(one: Recording) -> Recorded:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.gap.runs import robust_std
 from imuarray.log import SensorLog
 from imuarray.log.format import SUSPECT
 
@@ -26,9 +27,6 @@ _FAR = 6.0
 """Standard deviations from the readings before, on some axis, of a chip that is set otherwise."""
 
 _ROUNDED_LSB = 0.5
-
-_OF_A_NORMAL = 1.4826
-"""Standard deviation over the median of absolute deviations."""
 
 
 class Reset(NamedTuple):
@@ -96,9 +94,7 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
 
 def _middle(counts: Floats) -> tuple[Floats, Floats]:
     """(3,) median of readings (n, 3), and how they scatter, whatever few of them do."""
-    level = np.median(counts, axis=0)
-    spread = np.median(np.abs(counts - level), axis=0) * _OF_A_NORMAL
-    return np.asarray(level), np.maximum(spread, _ROUNDED_LSB)
+    return np.asarray(np.median(counts, axis=0)), np.maximum(robust_std(counts), _ROUNDED_LSB)
 
 
 def _counts(sensor: SensorLog, begin: int, end: int) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -51,13 +51,13 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
             effect = PopcornNoise(sized(2 * one.rms, score), 0.5 / one.time_constant_s)
             yield Trial((effect,), _FREE, limits=limits, rarity=_RARITY)
             if is_uneven:
-                yield _one_sided(evidence, one, score)
+                yield _one_sided(evidence, one, score, limits)
     amplitude, switches_per_s = _jumps(evidence)
     if switches_per_s >= fewest_per_s:
         yield Trial((PopcornNoise(sized(amplitude, score), switches_per_s),), _FREE, limits=limits, rarity=_RARITY)
 
 
-def _one_sided(evidence: Evidence, found: Wander, score: Floats) -> Trial:
+def _one_sided(evidence: Evidence, found: Wander, score: Floats, limits: Mapping[str, tuple[float, float]]) -> Trial:
     """The share p of time at the seldom level by the skewness of what segments differ by, (1 - 2 p) / sqrt(p (1 - p)),
     on the axis that wanders most; the variance is amplitude^2 p (1 - p), one over the time constant the switches a
     second over 2 p (1 - p). On each axis it lies to its own side.
@@ -70,7 +70,7 @@ def _one_sided(evidence: Evidence, found: Wander, score: Floats) -> Trial:
     half = float(np.sqrt(share * (1 - share)))
     x, y, z = (np.array(sized(found.rms / half, score)) * np.where(skewness < 0, -1.0, 1.0) + 0.0).tolist()
     effect = PopcornNoise((x, y, z), 2 * half**2 / found.time_constant_s, share)
-    limits = {"switches_per_s": (_FEWEST / longest_s(evidence), np.inf), "high_share": (_SELDOM / 2, 1 - _SELDOM / 2)}
+    limits = {**limits, "high_share": (_SELDOM / 2, 1 - _SELDOM / 2)}
     return Trial((effect,), (*_FREE, "high_share"), limits=limits, rarity=_RARITY)
 
 
