@@ -85,16 +85,14 @@ def _scale(row: dict[str, Any], index: int) -> str:
 
 
 def _print_pairs(pairs: list[dict[str, Any]]) -> None:
-    if pairs:
-        click.echo("opposing axes of one design: slopes, and half their difference, which is what their mean drifts by")
-        click.echo(f"  {'':25} {'LSB/degC':>9} {'LSB/degC':>9} {'half':>9} {'+-':>8} {'less by':>8} {'p':>9}")
+    if not pairs:
+        return
+    click.echo("opposing axes of one design: slopes, and half their difference, which is what their mean drifts by")
+    click.echo(f"  {'':25} {'LSB/degC':>9} {'LSB/degC':>9} {'half':>9} {'+-':>8} {'less by':>8} {'p':>9}")
     for pair in pairs:
         less = "-" if pair["reduction"] is None else f"{pair['reduction']:.1f}"
         line = f"  {pair['first']} and {pair['second']}"
         line = f"{line:27} {pair['slope_first']:9.4f} {pair['slope_second']:9.4f} {pair['half_difference']:9.4f}"
         line += f" {pair['sem']:8.4f} {less:>8} {pair['p_cancels']:9.2g}"
         click.echo(line + ("" if pair["is_bias"] else "  (bias or scale)"))
-    if pairs:
-        click.echo(
-            "less by: how many times less than one axis's slope; p: of such slopes if opposing them gained nothing"
-        )
+    click.echo("less by: how many times less than one axis's slope; p: of such slopes if opposing them gained nothing")

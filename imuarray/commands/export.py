@@ -8,6 +8,7 @@ import click
 
 from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
 from imuarray.export import UNITS, WRITERS
+from imuarray.printable import counted
 
 _STEPS = 1000
 
@@ -82,8 +83,8 @@ def command(
         said = {"files": files, "units": written.units, "rows": dict(written.rows)}
         print_json({"source": str(source), **said, "uncalibrated": list(written.uncalibrated)})
         return
-    rows, tables = sum(written.rows.values()), len(written.rows)
-    click.echo(f"{output}: {rows} rows of {tables} table{'s' * (tables != 1)}, units: {written.units}")
+    rows, tables = sum(written.rows.values()), counted(len(written.rows), "table")
+    click.echo(f"{output}: {rows} rows of {tables}, units: {written.units}")
     if written.uncalibrated:
         click.echo(f"  not calibrated, data sheet's values: {', '.join(written.uncalibrated)}")
     for file in written.files:
