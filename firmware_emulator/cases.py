@@ -47,6 +47,7 @@ RATE_HZ = 64.0
 """Frames a second: mains shows at 14 Hz, its harmonics at 28 and 22 Hz."""
 FIRST_LOG = datetime(2013, 9, 16, 9, 0, tzinfo=UTC)
 BETWEEN_LOGS = timedelta(minutes=20)
+_NAMES = {kind: name for name, kind in MECHANISMS.items()}
 
 
 @dataclass(frozen=True)
@@ -106,17 +107,16 @@ class Case:
         return paths
 
     def truth(self, logs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """What the sealed file says; `logs` say what happened in each."""
-        names = {kind: name for name, kind in MECHANISMS.items()}
+        """What the sealed file says; `logs` say what happened in each, and where if that was left to chance."""
         return {
             "array": self.array.name,
             "seed": self.seed,
             "rate_hz": self.rate_hz,
             "mechanisms": [
                 {
-                    "mechanism": names[type(fitting.mechanism)],
+                    "mechanism": _NAMES[type(fitting.mechanism)],
                     "severity": severity,
-                    "sensors": list(fitting.sensors),
+                    "sensors": _where(_NAMES[type(fitting.mechanism)], fitting, logs),
                     "parameters": asdict(fitting.mechanism),
                     "resembles": list(fitting.mechanism.resembles),
                 }
@@ -150,7 +150,14 @@ class Case:
         if self.reference and experiment.reference_hz:
             begun_ns = bus.clock.now_ns() - round(summary.seconds * 1e9)
             read_reference(path, experiment, begun_ns)
-        return {"log": path.name, "run": run, "notes": boards[0].notes}
+        touched = {_NAMES[type(one)]: sorted(sensors) for one, sensors in boards[0].touched.items()}
+        return {"log": path.name, "run": run, "notes": boards[0].notes, "touched": touched}
+
+
+def _where(mechanism: str, fitting: Fitting, logs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The sensors that a mechanism is put on, or those of them that it touched in any log, if it says so."""
+    touched = {name for log in logs for name in log["touched"].get(mechanism, ())}
+    return [name for name in fitting.sensors if name in touched] or list(fitting.sensors)
 
 
 def as_shown(phases: Sequence[Phase], bus: EmulatedBus) -> tuple[Phase, ...]:

@@ -66,20 +66,23 @@ def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
 class Host:
     """What acts on the host and on the multiplexer; see `firmware_emulator.mechanisms.host`.
 
-    `clocks` are pairs (shown, when), each reading what the one before shows.
+    `clocks` are pairs (shown, when), each reading what the one before shows. `mux` is there when the array is soldered,
+    if a mechanism acts on it.
     """
 
     waits_ns: list[Callable[[], int]] = field(default_factory=list)
     clocks: list[tuple[Reading, Reading]] = field(default_factory=list)
     obeys: list[Callable[[int], bool]] = field(default_factory=list)
     switched: list[Callable[[int], None]] = field(default_factory=list)
+    mux: WatchedMux | None = None
 
 
 class FittedBoard(Board):
     """The board of `array` after power-up number `run`, with `fittings` at work; `units` as in `UNITS`.
 
-    `notes` collects what mechanisms did that parameters don't tell; `crossed` whose wiring leads to whom. ValueError
-    for mechanisms that this array has no place for.
+    `notes` collects what mechanisms did that parameters don't tell, `touched` the sensors of which readings were false,
+    of mechanisms that leave that to chance; `crossed` says whose wiring leads to whom. ValueError for mechanisms that
+    this array has no place for.
     """
 
     def __init__(
@@ -98,6 +101,7 @@ class FittedBoard(Board):
         self.run, self.units = run, units
         self.sensors = {sensor.name: sensor for sensor in array.sensors}
         self.notes: list[str] = []
+        self.touched: dict[Mechanism, set[str]] = {}
         self.crossed: dict[str, str] = {}
         self.host = Host()
         self.powered_on_ns = world.start_ns if isinstance(world, Delayed) else 0
@@ -136,7 +140,8 @@ class FittedBoard(Board):
         if not (self.host.obeys or self.host.switched):
             return super().router(chip, address, channels, powered_on_ns)
         named(chip, MUXES, "mux")
-        return WatchedMux(address, channels, powered_on_ns, self.host.obeys, self.host.switched)
+        self.host.mux = WatchedMux(address, channels, powered_on_ns, self.host.obeys, self.host.switched)
+        return self.host.mux
 
     def element(self, sensor: SensorLike) -> SensingElement:
         """The sensing element that is found at that sensor's place, with its unit and what acts on it."""

@@ -9,8 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 from firmware_emulator.chip import Target
 from firmware_emulator.clock import Clock
-from firmware_emulator.mux import Pca9544a
+from firmware_emulator.mux import NO_CHANNEL, Pca9544a
 from firmware_emulator.wire import Wire
+from imuarray.facts import pca9544a as facts
 
 Reading = Callable[[int], int]
 
@@ -78,6 +79,12 @@ class WatchedMux(Pca9544a):
         self._obeys, self._switched = obeys, switched
         self._powered_on_ns = powered_on_ns
         super().__init__(address, channels, powered_on_ns)
+
+    @property
+    def astray_for(self) -> int:
+        """The channel that was ordered while another one is connected, `NO_CHANNEL` if there is no such."""
+        ordered = facts.CHANNEL.of(self.control) if facts.ENABLE.of(self.control) else NO_CHANNEL
+        return NO_CHANNEL if ordered == self.route else ordered
 
     def stop(self, at_ns: int) -> None:
         """Switch the wires, if the switch moves at all; the control register reads back as written either way."""

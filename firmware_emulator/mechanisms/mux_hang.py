@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 from firmware_emulator.element import stream
 from firmware_emulator.mechanisms.fitted import FittedBoard
+from firmware_emulator.mechanisms.line import Codes, Latch
 from firmware_emulator.mechanisms.mechanism import Mechanism
 from firmware_emulator.mechanisms.site import WHILE_SET_UP_S, Site
 
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class MuxHang(Mechanism):
     """A `share` of the orders is not obeyed; who has no twin at his address on the other channel is not acknowledged,
-    the others are answered for. Begins `WHILE_SET_UP_S` after power-on. Reference: 0.5 % of the orders.
+    the others are answered for, and those are its sensors in the truth. Begins `WHILE_SET_UP_S` after power-on.
+    Reference: 0.5 % of the orders.
     """
 
     share: float = 0.005
@@ -49,3 +51,23 @@ class MuxHang(Mechanism):
             return False
 
         board.host.obeys.append(obeys)
+        touched = board.touched.setdefault(self, set())
+        for site in sites:
+            site.links.latches.append(_answers(board, site, touched))
+
+
+def _answers(board: FittedBoard, site: Site, touched: set[str]) -> Latch:
+    """Readings of the site as they are; whoever they pass for while the switch is astray is `touched`."""
+    own = board.sensors[site.name]
+    twins = {
+        one.channel: name
+        for name, one in board.sensors.items()
+        if (one.address, one.chip) == (own.address, own.chip) and one.channel is not None
+    }
+
+    def passed(at_ns: int, codes: Codes) -> Codes:
+        if board.host.mux is not None and board.host.mux.astray_for in twins:
+            touched.add(twins[board.host.mux.astray_for])
+        return codes
+
+    return passed

@@ -90,9 +90,18 @@ def test_the_truth_tells_everything(tmp_path):
         "parameters": {"tilt_deg": 4.0},
         "resembles": ["misalignment"],
     }
-    assert hang["sensors"] == ["BMA1", "BMA3", "Gyro1", "Gyro3"]
+    assert hang["sensors"] == ["BMA1", "BMA3", "Gyro1", "Gyro3"]  # each begins its segment with a twin
     assert [log["log"] for log in truth["logs"]] == ["static.h5", "boot_01.h5", "boot_02.h5", "motion.h5"]
     assert "multiplexer hung" in truth["logs"][0]["notes"][0]
+
+
+def test_the_truth_tells_whose_readings_were_anothers(tmp_path):
+    """Who comes first in a segment and has no twin isn't acknowledged: the order is repeated before others are read."""
+    array = load_array(configs() / "martin2013.toml").only(("ADXL1", "BMA1", "BMA3", "Gyro1", "Gyro3"))
+    case = Case.of(array, SHORT[:1], ("mux_hang", 20.0, ()))
+    case.write(tmp_path / "logs", tmp_path / "truth.json")
+    (hang,) = json.loads((tmp_path / "truth.json").read_text())["mechanisms"]
+    assert hang["sensors"] == ["BMA3", "Gyro3"]
 
 
 def test_the_truth_may_not_lie_beside_the_logs(tmp_path):

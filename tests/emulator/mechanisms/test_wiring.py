@@ -187,6 +187,21 @@ def test_a_hanging_multiplexer_leaves_the_twin_to_answer():
         assert hung == pytest.approx(80, abs=32)  # two STOPs an order: h = (1 - h) / 4, of 400
 
 
+def test_whoever_is_answered_for_is_noted():
+    fitted = board(MuxHang(0.5), "BMA", "BMA twin")
+    mux, passes = fitted.router("pca9544a", MUX, {}, 0), fitted._sites["BMA"].links.latches[0]
+    fitted.host.obeys[:] = [lambda at_ns: True]
+    mux.write(b"\x04", 0, 1)
+    mux.stop(0)
+    assert passes(0, (1, 2, 3)) == (1, 2, 3)
+    assert fitted.touched == {MuxHang(0.5): set()}
+    fitted.host.obeys[:] = [lambda at_ns: False]
+    mux.write(b"\x05", 0, 1)
+    mux.stop(0)
+    assert passes(0, (1, 2, 3)) == (1, 2, 3)
+    assert fitted.touched == {MuxHang(0.5): {"BMA twin"}}
+
+
 def test_the_switch_of_the_multiplexer_is_heard_for_a_while():
     fitted = board(MuxCrosstalk(kick_dps=0.6, decay_ms=2.0), "Gyro")
     element = fitted.element(of("Gyro"))
