@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from imuarray.gap.belief import believed
 from imuarray.gap.bench import Bench
 from imuarray.gap.candidates import Trial
 from imuarray.gap.closure import Deviating, deviating, deviating_in_either
@@ -22,13 +23,6 @@ from imuarray.simulate.parameters import to_table
 
 TEMPER = 0.3
 """The log odds of a trial count so much in its probability."""
-
-LEAST_RIGHT, MOST_RIGHT, _STEEP = 0.23, 0.89, 4
-"""How often a cause without a rival is right if all causes of its sensors together close nothing of their gap, and if
-they close all of it; and the power of the share by which it goes from one to the other. What is at work in a sensor
-need not be in the library, nor have the form that it has there: of 28 causes told in 27 cases of physical mechanisms,
-of the development half, 17 were right, 14 of the 17 that nothing else came near (`imuarray.validation.calibration`).
-"""
 
 ALTERNATIVE = 0.1
 """An effect that is less probable than that is not told as a cause."""
@@ -61,14 +55,6 @@ def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -
     single = [cause for unit, own in rounds.items() for cause in _of_unit(bench, unit, own, seed)]
     merged = [replace(one, probability=believed(one.share, one.all_closed)) for one in _merged(bench, single)]
     return tuple(sorted(merged, key=lambda cause: (-cause.probability, -cause.gain)))
-
-
-def believed(share: float, all_closed: float | None, least: float = LEAST_RIGHT, most: float = MOST_RIGHT) -> float:
-    """The probability of a cause with such a `share` among its rivals, by what is closed of its sensors' gap in all
-    (None: nothing was to be closed), with the rates of being right where that is nothing and where it is all.
-    """
-    part = min(max(all_closed or 0.0, 0.0), 1.0)
-    return share * (least + (most - least) * part**_STEEP)
 
 
 def judged_of(rounds: Mapping[Unit, Sequence[Round]]) -> tuple[Judged, ...]:

@@ -2,9 +2,9 @@
 
     python -m imuarray.validation.calibration DIR...
 
-Of development runs. Printed are how often causes without a rival were right, and the rates at nothing and at all closed
-that make the causes of these runs likeliest (`imuarray.gap.causes.LEAST_RIGHT`, `MOST_RIGHT`), with the calibration
-error and Brier score before and after.
+Of development runs, and of sealed ones that have been opened. Printed are how often causes without a rival were right,
+and the rates that make the causes of these runs likeliest (`imuarray.gap.belief.RATES`), with the calibration error and
+Brier score before and after, and the calibration error that so many causes would show if all probabilities were right.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from typing import NamedTuple
 import click
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
-from imuarray.gap.causes import LEAST_RIGHT, MOST_RIGHT, believed
-from imuarray.validation.rates import brier, calibration_error, rate
+from imuarray.gap.belief import RATES, Rates, believed
+from imuarray.validation.rates import brier, calibration_error, calibration_error_by_chance, rate
 from imuarray.validation.score_answers import Answer, number, read_run
 from imuarray.validation.score_rows import FULL
 
@@ -29,6 +29,10 @@ Floats = npt.NDArray[np.float64]
 
 _SOLE = 0.9
 """Share from which on a cause has no rival."""
+
+_BOUNDS = ((0.01, 0.99), (0.01, 0.99), (0.5, 20.0), (0.1, 1.0))
+_STARTS = ((0.3, 0.9, 4.0, 0.9), (0.1, 0.97, 1.5, 0.4))
+_SURE = 1e-3
 
 _EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)
 
@@ -53,26 +57,27 @@ def told_in(answers: Sequence[Answer]) -> Iterator[Told]:
                 yield Told(share, number(cause.get("all_closed"), 0.0), is_right)
 
 
-def rates_of(told: Sequence[Told]) -> tuple[float, float]:
-    """Of causes without a rival where nothing, and where all is closed: the likeliest, between 0.01 and 0.99; (nan,
-    nan) of none.
-    """
+def rates_of(told: Sequence[Told]) -> Rates:
+    """The likeliest, within `_BOUNDS`; nan of none."""
     if not told:
-        return nan, nan
+        return Rates(nan, nan, nan, nan)
     right = np.array([one.is_right for one in told])
 
-    def unlikely(rates: Floats) -> float:
-        chances = _chances(told, *rates.tolist())
+    def unlikely(values: Floats) -> float:
+        chances = np.clip(chances_of(told, Rates(*values.tolist())), _SURE, 1 - _SURE)
         return -float(np.log(np.where(right, chances, 1 - chances)).sum())
 
-    found = minimize(unlikely, (0.5, 0.5), bounds=[(0.01, 0.99)] * 2, method="Nelder-Mead")
-    least, most = found.x.tolist()
-    return least, most
+    found = min((minimize(unlikely, start, bounds=_BOUNDS, method="Nelder-Mead") for start in _STARTS), key=_height)
+    return Rates(*found.x.tolist())
 
 
-def _chances(told: Sequence[Told], least: float, most: float) -> Floats:
-    """(k,) with these rates in the place of those that are used."""
-    return np.array([believed(one.share, one.all_closed, least, most) for one in told])
+def chances_of(told: Sequence[Told], rates: Rates) -> Floats:
+    """(k,) probabilities with these rates in the place of those that are used."""
+    return np.array([believed(one.share, one.all_closed, rates) for one in told])
+
+
+def _height(found: OptimizeResult) -> float:
+    return float(found.fun)
 
 
 @click.command()
@@ -87,10 +92,14 @@ def program(runs: tuple[Path, ...]) -> None:
         found = rate(sum(one.is_right for one in own), len(own))
         click.echo(f"  {low:.2f} to {high:.2f} closed: {found.value:.2f} of {len(own)}")
     right = [one.is_right for one in told]
-    for name, rates in (("now", (LEAST_RIGHT, MOST_RIGHT)), ("likeliest", rates_of(told))):
-        chances = _chances(told, *rates)
+    for name, rates in (("now", RATES), ("likeliest", rates_of(told))):
+        chances = chances_of(told, rates)
         error, score = calibration_error(chances, right), brier(chances, right)
-        click.echo(f"{name}: {rates[0]:.2f} to {rates[1]:.2f}; calibration error {error:.3f}, Brier score {score:.3f}")
+        floor = calibration_error_by_chance(chances, seed=0) if told else nan
+        click.echo(
+            f"{name}: {', '.join(f'{value:.2f}' for value in rates)};"
+            f" calibration error {error:.3f} (by chance {floor:.3f}), Brier score {score:.3f}"
+        )
 
 
 if __name__ == "__main__":

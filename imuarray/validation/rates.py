@@ -22,6 +22,7 @@ BINS = 10
 """Of probabilities, equally wide."""
 
 _DRAWS = 1000
+_MEANS = 200
 _ROUNDING = 1e-9
 
 
@@ -145,6 +146,13 @@ def calibration_error(probabilities: Numbers, right: Any, bins: int = BINS) -> f
     filled = [one for one in reliability(probabilities, right, bins) if one.cases]
     total = sum(one.cases for one in filled)
     return sum(one.cases * abs(one.mean - one.right) for one in filled) / total if total else nan
+
+
+def calibration_error_by_chance(probabilities: Floats, seed: int) -> float:
+    """The mean error of probabilities (n,) that are right: of few no bin is full, and its share is off by chance."""
+    random = np.random.default_rng(seed)
+    drawn = (random.random(len(probabilities)) < probabilities for _ in range(_MEANS))
+    return float(np.mean([calibration_error(probabilities, came) for came in drawn]))
 
 
 def brier(probabilities: Numbers, right: Any) -> float:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import isfinite
+from math import isfinite, nan
 from typing import NamedTuple
 
 import numpy as np
 
 from imuarray.validation.rates import (
     Bin,
+    Estimate,
     bootstrapped,
     brier,
     calibration_error,
+    calibration_error_by_chance,
     of_groups,
     reliability,
 )
@@ -58,7 +60,7 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Ro
 
 
 def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
-    """Calibration error and Brier score of all causes told."""
+    """Calibration error and Brier score of all causes told, and what the error is of so few."""
     counted = [one for one in answers if one.case.plan == full]
     about = "all causes told in cases of one mechanism, two or none: right if the name is, at one of the sensors"
     for name, statistic, bar in (
@@ -71,6 +73,12 @@ def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterato
         ]
         found = of_groups(statistic, _told(counted), seed)
         yield row_of(name, found, bar, f"{about}; counted are causes", cells)
+    values = np.array([value for own, _ in _told(counted) for value in own])
+    about = (
+        "what the calibration error would be, on average, if all these probabilities were right: bins have few causes"
+    )
+    floor = calibration_error_by_chance(values, seed) if len(values) else nan
+    yield row_of("calibration error by chance alone", Estimate(floor, nan, nan, len(values)), NO_BAR, about)
 
 
 def time_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import imuarray
-from imuarray.gap import causes, judgement, likeness, search, significance, standing
+from imuarray.gap import belief, causes, judgement, likeness, search, significance, standing
 from imuarray.validation import trial
 
 
@@ -18,8 +18,10 @@ def frozen() -> dict[str, Any]:
         "nats a parameter costs": search.COST,
         "wrong form allowed": likeness.FORM,
         "log odds tempered": causes.TEMPER,
-        "right if nothing closes": causes.LEAST_RIGHT,
-        "right if all closes": causes.MOST_RIGHT,
+        "right if nothing closes": belief.RATES.least,
+        "right if all closes": belief.RATES.most,
+        "power of what closes": belief.RATES.steep,
+        "power of odds against rivals": belief.RATES.rivals,
         "probability to be told": causes.ALTERNATIVE,
         "odds to be confusable": causes.CONFUSABLE,
         "closed to be a cause": causes.LEAST,

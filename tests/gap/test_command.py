@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from imuarray.cli import main
+from imuarray.gap.belief import RATES
 from imuarray.gap.candidates import CANDIDATES
-from imuarray.gap.causes import MOST_RIGHT
 from imuarray.gap.probes import PROBES
 from imuarray.log import open_log
 from imuarray.simulate import load_model
@@ -154,7 +154,7 @@ def test_the_cause_is_told(found: dict[str, Any]) -> None:
     cause = found["causes"][0]
     assert (cause["effect"], cause["action"], cause["sensors"], cause["axes"]) == ("tone", "add", ["G1"], ["y"])
     assert cause["share"] > 0.9
-    assert 0.6 < cause["probability"] <= MOST_RIGHT
+    assert 0.6 < cause["probability"] <= RATES.most
     assert cause["parameters"]["amplitude_dps"] == pytest.approx([0.0, 0.04, 0.0], abs=0.009)
     assert cause["parameters"]["frequency_hz"] == pytest.approx(17.0, abs=0.4)
     assert cause["closed"] > 0.8

@@ -15,17 +15,21 @@ from tests.validation.made_run import Made, cause, put, said
 
 
 def test_rates_are_found_again() -> None:
-    """400 causes without a rival that close nothing, a quarter of them right, 400 that close all, 0.9 of them; a rival
-    of equal odds takes half of either. Rates of 400 come within 0.08 but for one in a thousand.
+    """800 causes each that close nothing, a half and all of it, half of them with odds of 27 to 1 against a rival, half
+    without one (10000 to 1): by the third root worth 3 and 21.5 to 1. Drawn from 0.25 and 0.9 and squares; shares of
+    400 come within 0.08 but for one in a thousand.
     """
     random = np.random.default_rng(2)
     told = [
-        Told(share, closed, bool(random.random() < share * chance))
-        for closed, chance in ((0.0, 0.25), (1.0, 0.9))
-        for share in (1.0, 0.5)
+        Told(share, closed, bool(random.random() < worth * (0.25 + 0.65 * closed**2)))
+        for closed in (0.0, 0.5, 1.0)
+        for share, worth in ((1.0, 21.5 / 22.5), (27 / 28, 0.75))
         for _ in range(400)
     ]
-    assert rates_of(told) == pytest.approx((0.25, 0.9), abs=0.08)
+    found = rates_of(told)
+    assert (found.least, found.most) == pytest.approx((0.25, 0.9), abs=0.08)
+    assert found.least + (found.most - found.least) * 0.5**found.steep == pytest.approx(0.4125, abs=0.08)
+    assert 27**found.rivals / (1 + 27**found.rivals) == pytest.approx(0.75, abs=0.08)
     assert all(map(math.isnan, rates_of([])))
 
 

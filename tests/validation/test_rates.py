@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import permutations
-from math import inf, isnan, nan, sqrt
+from math import inf, isnan, nan, pi, sqrt
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from imuarray.validation.rates import (
     bootstrapped,
     brier,
     calibration_error,
+    calibration_error_by_chance,
     limit_of,
     of_groups,
     permuted,
@@ -88,6 +89,14 @@ def test_errors_of_bins_are_weighed_by_their_cases() -> None:
     """Two at 0.9, one right; one at 0.2, wrong: (2 * 0.4 + 0.2) / 3."""
     assert calibration_error([0.9, 0.9, 0.2], [True, False, False]) == pytest.approx(1 / 3)
     assert isnan(calibration_error([], []))
+
+
+def test_few_right_probabilities_have_a_calibration_error_too() -> None:
+    """Of n halves the share that comes true is off by sqrt(1 / (2 pi n)) on average; certainties are never off. The
+    mean of 200 such is known to 5 %; 0.2 is four times that.
+    """
+    assert calibration_error_by_chance(np.full(100, 0.5), seed=1) == pytest.approx(1 / sqrt(200 * pi), rel=0.2)
+    assert calibration_error_by_chance(np.ones(7), seed=1) == 0.0
 
 
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:
