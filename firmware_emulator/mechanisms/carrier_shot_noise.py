@@ -26,8 +26,8 @@ class CarrierShotNoise(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """Larger steps."""
-        return cls(step_g=cls.step_g * severity, step_dps=cls.step_dps * severity)
+        """Larger currents: more carriers, each with the charge that it has."""
+        return cls(carriers=cls.carriers * severity**2)
 
     def put_on(self, site: Site) -> None:
         """One pair of currents an axis."""

@@ -97,7 +97,7 @@ SIZES: Mapping[str, Size] = MappingProxyType(
             severities=(20.0,),
             mechanisms=("mains_ripple", "power_on_stress", "stuck_bit", "interleaved_converters"),
         ),
-        "short": Size(controls=8, singles=1, hidden=1, withheld=1, unnamed=1, pairs=6, removals=1, severities=(2, 5)),
+        "short": Size(controls=20, singles=1, hidden=1, withheld=1, unnamed=1, pairs=6, removals=1, severities=(2, 5)),
         "medium": Size(controls=20, singles=1, others=1, withheld=1, unnamed=2, pairs=20, removals=2),
         "full": Size(controls=200, singles=20, others=4, withheld=4, unnamed=20, pairs=100, removals=12),
     }

@@ -11,6 +11,7 @@ import numpy as np
 from imuarray.validation.rates import (
     Bin,
     Estimate,
+    Floats,
     bootstrapped,
     brier,
     calibration_error,
@@ -53,7 +54,9 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Ro
     yield rate_row("closure near the oracle's", told, is_near, NEAR, about, full, groups)
     about = "as above: the oracle's share lies in the 95 % interval"
     yield rate_row("closure's interval covers the oracle's", told, is_covered, COVERED, about, full, groups)
-    yield _wrong([one for one in answers if one.case.plan == full], seed)
+    own = [one for one in answers if one.case.plan == full and one.is_detected]
+    yield _wrong(own, seed)
+    yield _without(own, seed)
     controls = [one for one in answers if one.case.kind == "none"]
     about = "nothing is wrong: nothing is said to be closed, or the interval has 0 in it"
     yield rate_row("without a gap, closure may be 0", controls, is_empty, EMPTY, about, full, ())
@@ -125,12 +128,22 @@ def _wrong(answers: Sequence[Answer], seed: int) -> Row:
     wrong = [
         number(one.first.get("closed"))
         for one in answers
-        if one.case.kind == "single" and one.is_detected and one.first and not one.is_first_right()
+        if one.case.kind == "single" and one.first and not one.is_first_right()
     ]
     claims = [value for value in wrong if isfinite(value)]
     about = "single mechanisms that were detected, the first cause a wrong one: the mean share that it claims to close"
-    found = bootstrapped(lambda drawn: float(np.mean(drawn)), claims, seed=seed)
-    return row_of("closure claimed for a wrong cause", found, WRONG, about)
+    return row_of("closure claimed for a wrong cause", bootstrapped(_mean, claims, seed=seed), WRONG, about)
+
+
+def _without(answers: Sequence[Answer], seed: int) -> Row:
+    """Other than of wrong causes that were told, it asks how far a wrong one can get where there is none but such."""
+    claims = [max(one.closed, 0.0) if isfinite(one.closed) else 0.0 for one in answers if one.case.kind == "withheld"]
+    about = "detected, the right cause withheld: the mean share said to be closed, 0 where none is said"
+    return row_of("closure claimed without the right cause", bootstrapped(_mean, claims, seed=seed), NO_BAR, about)
+
+
+def _mean(drawn: Floats) -> float:
+    return float(np.mean(drawn))
 
 
 def _told(answers: Sequence[Answer]) -> list[tuple[list[float], list[bool]]]:

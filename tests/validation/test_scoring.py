@@ -264,6 +264,15 @@ def test_closure_that_is_claimed_wrongly(made: Made) -> None:
     assert shares(found.row("without a gap, closure may be 0")) == (0.75, 4)
 
 
+def test_closure_where_only_wrong_causes_are_left(made: Made) -> None:
+    """0.6, nothing said, and worse than nothing: 0.2 on average. Only what is detected and withheld counts."""
+    for closed in (0.6, None, -0.1):
+        made.both("withheld", said(cause("scale", closed=0.9), closed=closed), put("mains_ripple"))
+    made.both("withheld", NO_GAP, put("mains_ripple"))
+    made.both("single", said(cause("tone"), closed=0.9), put("mains_ripple"))
+    assert shares(figures(made).row("closure claimed without the right cause")) == (pytest.approx(0.2), 3)
+
+
 def test_probabilities_of_all_causes_told(made: Made) -> None:
     """0.9 right, 0.9 at another sensor and so wrong, 0.2 wrong: ECE (2 * 0.4 + 0.2) / 3, Brier 0.86 / 3.
     Unknown mechanisms and removals have no right name, and do not count.

@@ -31,6 +31,11 @@ def test_shot_noise_has_twice_the_carriers_as_its_variance():
     assert abs(steps.mean()) < 4 * math.sqrt(16 / 12000)
 
 
+def test_more_shot_noise_is_of_more_carriers():
+    """A charge is as large as ever: noise twice as strong has four times the carriers, and no coarser steps."""
+    assert CarrierShotNoise.at(2.0) == CarrierShotNoise(carriers=4 * CarrierShotNoise().carriers)
+
+
 def test_a_bank_of_traps_has_the_mean_of_its_traps_correlations():
     bank = TrappedCharges(rms_dps=1.0, traps=6, fastest_s=0.01, slowest_s=0.5)
     found = errors(bank, "Gyro", every(10, 30000))
