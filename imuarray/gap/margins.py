@@ -140,6 +140,7 @@ MARGINS: Mapping[str, Rule] = MappingProxyType(
         "band_6": fixed(_GENEROUS),
         "line": fixed(_SCORE),
         "alternation": fixed(_GENEROUS),
+        "every_other": fixed(_SCORE),
         "lag_1": fixed(_CORRELATION),
         "lag_2": fixed(_CORRELATION),
         "lag_3": fixed(_CORRELATION),

@@ -71,6 +71,7 @@ class Summary:
     codes: tuple[Histogram, ...]
     steps: tuple[Histogram, ...]
     spectrum: Spectrum
+    alternating: Floats
     correlation: Floats
     arch: Floats
     allan: Haar
@@ -99,6 +100,7 @@ class Tally:
         self._status = [StatusTally() for _ in range(replicates)]
         self._lone = [LoneTally() for _ in range(replicates)]
         self._origin, self._rows = np.zeros(columns), 0
+        self._alternating = np.zeros(columns)
         self._last = np.zeros((columns, 0))
 
     def update(self, *blocks: Block) -> None:
@@ -108,8 +110,10 @@ class Tally:
         apart = counts.astype(np.float64)
         if self._rows == 0:
             self._origin = np.rint(apart.mean(axis=1))
-        self._rows += len(time)
         apart -= self._origin[:, None]
+        even, odd = (apart[:, (self._rows + first) % 2 :: 2].sum(axis=1) for first in (0, 1))
+        self._alternating += even - odd
+        self._rows += len(time)
         line = np.concatenate([self._last, apart], axis=1)
         steps = line[:, 1:] - line[:, :-1]
         self._last = apart[:, -1:].copy()
@@ -137,6 +141,7 @@ class Tally:
         spectrum, haar, intervals = self._welch.result(), self._haar.result(), self._intervals.result()
         tables = (self._covariance.correlation(), self._arch.correlation(), haar.variance, haar.kurtosis)
         correlation, arch, variance, kurtosis = (apart_again(table, replicates) for table in tables)
+        alternating = self._alternating.reshape(replicates, 3) / max(self._rows, 1)
         segments = self._segments.results(self._origin, temperature)
         return [
             Summary(
@@ -148,6 +153,7 @@ class Tally:
                 tuple(self._codes[3 * at : 3 * at + 3]),
                 tuple(self._steps[3 * at : 3 * at + 3]),
                 replace(spectrum, density=spectrum.density[:, 3 * at : 3 * at + 3]),
+                alternating[at],
                 correlation[at],
                 arch[at],
                 haar._replace(variance=variance[at], kurtosis=kurtosis[at]),
@@ -194,6 +200,7 @@ def side_by_side(replicates: Sequence[Summary]) -> Summary:
         codes=tuple(chain.from_iterable(one.codes for one in replicates)),
         steps=tuple(chain.from_iterable(one.steps for one in replicates)),
         spectrum=spectrum,
+        alternating=np.concatenate([one.alternating for one in replicates]),
         correlation=_beside([one.correlation for one in replicates]),
         arch=_beside([one.arch for one in replicates]),
         allan=first.allan._replace(

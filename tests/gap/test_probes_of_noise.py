@@ -59,6 +59,19 @@ def test_lines() -> None:
     assert (value("alternation", turns) > 3.0).all()
 
 
+def test_every_other_reading() -> None:
+    """0.3 of the noise added and taken away in turn, over 20000 rows: 0.3 sqrt(20000) = 42; a sine of twice that,
+    at 0.4985 of the rate, turns round and round. Without either it is normal.
+    """
+    rows, noise = np.arange(20_000), gaussian()
+    spread = noise.std(axis=0).mean()
+    assert (np.abs(value("every_other", summary(block(noise)))) < 5.0).all()
+    turns = summary(block(noise + 0.3 * spread * (-1.0) ** rows[:, None]))
+    np.testing.assert_allclose(value("every_other", turns), 42.0, rtol=0.25)
+    beats = summary(block(noise + 0.6 * spread * np.sin(2 * np.pi * 0.4985 * rows)[:, None]))
+    assert (np.abs(value("every_other", beats)) < 6.0).all()
+
+
 def test_correlation() -> None:
     """A moving mean of two: 1/2 at lag 1, nothing beyond; and noise that comes in bursts."""
     noise = gaussian(rows=20_001)

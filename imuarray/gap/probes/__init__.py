@@ -55,6 +55,7 @@ PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe
         "band_6": spectrum.BAND_PROBES[5],
         "line": spectrum.LINE,
         "alternation": spectrum.ALTERNATION,
+        "every_other": spectrum.EVERY_OTHER,
         "lag_1": autocorrelation.LAG_PROBES[1],
         "lag_2": autocorrelation.LAG_PROBES[2],
         "lag_3": autocorrelation.LAG_PROBES[3],
