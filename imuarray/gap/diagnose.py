@@ -18,10 +18,8 @@ from imuarray.gap.compare import Compared, compared_with_base, observed, prepare
 from imuarray.gap.described import changes_alike, lines_left
 from imuarray.gap.diagnosis import Cause, Diagnosis, Gap, Recorded, Unshown, Where, is_told_by_both
 from imuarray.gap.judgement import (
-    MORE,
     Judged,
     Told,
-    beyond_form,
     floor_of,
     gap_of,
     judged,
@@ -31,6 +29,7 @@ from imuarray.gap.judgement import (
     where_of,
 )
 from imuarray.gap.labels import Mislabelled, cause_of, corrected, mislabelled
+from imuarray.gap.left import is_left_single, left_alike, left_single, worst_of
 from imuarray.gap.menu import next_experiment
 from imuarray.gap.origins import lines_of, notes_of, with_origins
 from imuarray.gap.overlays import overlays_of
@@ -161,13 +160,16 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
     lines = lines_of(causes, bench.base.headers)
     causes = tuple(sorted((*map(cause_of, case.wrong), *causes), key=lambda one: -one.probability))
     told = Told(bench, found.campaign, found.pairs, names)
+    untold = _untold(case, candidates, causes, told)
     as_noted = told if noted is found else Told(noted.bench, noted.campaign, found.pairs, names)
     where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
     gap = _gap(case, after, causes)
-    left = _left(after) if is_gap else []
-    unexplained = where_of(told, after, left, {})
-    verdict = verdict_of(is_gap, gap, after, causes, bool(left) and _is_left(found, after, came, left, unexplained))
-    untold = _untold(case, candidates, causes, told)
+    left = left_single(after) if is_gap else []
+    kept_up = left_alike(found, after, came, causes) if is_gap and causes else []
+    single = where_of(told, after, left, {})
+    unexplained = (*single, *where_of(told, after, worst_of(found, after, kept_up, left), {}))
+    is_left = bool(kept_up) or (bool(left) and is_left_single(found, after, came, left, single))
+    verdict = verdict_of(is_gap, gap, after, causes, is_left)
     in_use = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
     model = case.model.name if case.model else "data sheets"
     return Diagnosis(
@@ -177,7 +179,7 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
         gap,
         where,
         causes,
-        unknown_of(is_gap, gap, after),
+        unknown_of(is_gap, gap, after, max((abs(one.score) / one.furthest for one in kept_up), default=0.0)),
         unexplained,
         "" if briefly else next_experiment(bench, searched, causes, unexplained, untold, run),
         untold,
@@ -241,24 +243,6 @@ def _gap(case: Begun, after: Judged, causes: Sequence[Cause]) -> Gap:
         counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
     gap = gap_of(counted, floor_of(counted, before, case.noted.chance), case.seed)
     return gap if case.noted.located.is_gap else replace(gap, after=gap.before, closed=None, closed_ci95=None)
-
-
-def _left(after: Judged) -> list[int]:
-    """Places of what is still beyond chance, the worst first."""
-    sizes = np.nan_to_num(np.abs(after.scores))
-    return [int(at) for at in np.argsort(-sizes) if sizes[at] > after.limit]
-
-
-def _is_left(
-    found: Compared, after: Judged, came: Sequence[Values], left: Sequence[int], unexplained: Sequence[Where]
-) -> bool:
-    """Whether something that matters is left that the causes' form doesn't excuse, well beyond any replicate's:
-    of a few events one in thirty is a strange one.
-    """
-    scores = beyond_form(found.pairs, found.judged, after, found.real.values, np.array([one.values for one in came]))
-    sizes = np.nan_to_num(np.abs(scores))[left].tolist()
-    told = zip(unexplained, sizes, strict=False)
-    return any(one.size == "material" and size > MORE * after.furthest for one, size in told)
 
 
 def _recorded(one: Recording) -> Recorded:

@@ -124,15 +124,16 @@ def verdict_of(is_gap: bool, gap: Gap, after: Judged, causes: Sequence[Cause], i
     return "partly explained" if gap.closed >= PARTLY else "unexplained"
 
 
-def unknown_of(is_gap: bool, gap: Gap, after: Judged) -> float:
+def unknown_of(is_gap: bool, gap: Gap, after: Judged, alike: float = 0.0) -> float:
     """Probability that something outside the library is present: by the share of the gap that the causes leave open,
-    and by how far beyond chance what is left goes.
+    and by how far beyond chance what is left goes, in one place or everywhere `alike` (`imuarray.gap.overall`), in
+    units of what chance reaches.
     """
     if not is_gap:
         return 0.0
     closed = gap.closed if gap.closed is not None else (1.0 if after.p > DOUBT else 0.0)
     largest = float(_largest(after.scores))
-    beyond = math.log(max(largest / max(after.limit, 1.0), 0.1))
+    beyond = math.log(max(largest / max(after.limit, 1.0), alike, 0.1))
     return 1 / (1 + math.exp(min(max(_STEEP * (closed - _HALF) - beyond, -50.0), 50.0)))
 
 
