@@ -39,7 +39,7 @@ from imuarray.gap.rounds import Searched, searches
 from imuarray.gap.sentence import sentence_of
 from imuarray.gap.standing import least_scale
 from imuarray.gap.stimulus import environment_of
-from imuarray.gap.unshown import facts_of, unshown, unsure
+from imuarray.gap.unshown import alike, facts_of, unshown, unsure
 from imuarray.gap.use import uses
 from imuarray.gap.workers import Run
 from imuarray.simulate.model import Model
@@ -161,6 +161,7 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
     causes = tuple(sorted((*map(cause_of, case.wrong), *causes), key=lambda one: -one.probability))
     told = Told(bench, found.campaign, found.pairs, names)
     untold = _untold(case, candidates, causes, told)
+    causes = alike(causes, untold)
     as_noted = told if noted is found else Told(noted.bench, noted.campaign, found.pairs, names)
     where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
     gap = _gap(case, after, causes)

@@ -5,23 +5,24 @@ than the differences that matter.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.campaign import Campaign, LogSummary
+from imuarray.gap.campaign import Campaign, PhaseSummary
 from imuarray.gap.candidates.candidate import Candidate, Kind
-from imuarray.gap.diagnosis import Unshown
+from imuarray.gap.diagnosis import Cause, Unshown
 from imuarray.gap.margins import TWO_SIDED_95, needed, record_words
 from imuarray.gap.statistics import Key
+from imuarray.gap.summary import Summary
 from imuarray.gap.use import attitude_of
 from imuarray.log.format import SensorHeader
 
 Floats = npt.NDArray[np.float64]
-Need = Literal["faces", "warmth", "runs", "turns"]
+Need = Literal["faces", "warmth", "runs", "turns", "warm_faces", "warm_turns"]
 Needs = tuple[tuple[Need, ...], ...]
 """One of several sets, all of it."""
 
@@ -39,13 +40,24 @@ _RECORD: Mapping[Need, str] = MappingProxyType(
         "warmth": "warmer by 10 degC or more and cool again, twice",
         "runs": "a dozen short logs, switched off in between",
         "turns": "turns to and fro about every axis, 1 minute",
+        "warm_faces": "warmer by 10 degC or more on two opposite faces",
+        "warm_turns": "turns to and fro about every axis, 1 minute, and again when it is warmer by 10 degC or more",
     }
 )
 """In words, where the candidate has none for the kind of experiment."""
 
 _KIND: Mapping[Need, Kind] = MappingProxyType(
-    {"faces": "tumble", "warmth": "heating", "runs": "turn-on", "turns": "motion"}
+    {
+        "faces": "tumble",
+        "warmth": "heating",
+        "runs": "turn-on",
+        "turns": "motion",
+        "warm_faces": "heating",
+        "warm_turns": "motion",
+    }
 )
+_DONE_BY: tuple[Need, ...] = ("faces", "warmth", "runs", "turns")
+"""What makes an experiment of its kind."""
 
 _NEEDS: Mapping[str, Needs] = MappingProxyType(
     {
@@ -57,7 +69,7 @@ _NEEDS: Mapping[str, Needs] = MappingProxyType(
         "g_sensitivity": (("faces",), ("turns",)),
         "size_effect": (("turns",),),
         "thermal_bias": (("warmth",),),
-        "thermal_scale": (("warmth", "faces"),),
+        "thermal_scale": (("warm_faces",),),
         "thermal_lag": (("warmth",),),
         "turn_on_bias": (("runs",),),
         "bistable_bias": (("runs",),),
@@ -74,13 +86,16 @@ _GYROSCOPE_NEEDS: Mapping[str, Needs] = MappingProxyType(
         "axis_error": (("turns",),),
         "nonlinearity": (("turns",),),
         "saturation": (("turns",),),
-        "thermal_scale": (("turns", "warmth"),),
+        "thermal_scale": (("warm_turns",),),
     }
 )
 """The same where a gyroscope, which feels nothing on any face, needs something else."""
 
 _ONLY: Mapping[str, str] = MappingProxyType({"g_sensitivity": "angular_rate", "size_effect": "specific_force"})
 """Effects that sensors of one quantity alone have."""
+
+_SAME_AS: Mapping[str, str] = MappingProxyType({"thermal_scale": "thermal_bias"})
+"""What an effect can't be told from as long as nothing was recorded that shows it."""
 
 _INSTEAD: Mapping[str, str] = MappingProxyType(
     {
@@ -100,7 +115,8 @@ _TRIAD = 3
 class Facts:
     """What was done in a campaign: how many `faces` the box rested on, poses by hand too; largest `span_degc` of
     temperature in one log; `runs` of a turn-on series; whether the box `has_turned` while gyroscopes were read;
-    `rest_s` at rest in all.
+    `rest_s` at rest in all; `warm_faces`: on how many of the faces, and `has_turned_warm`: whether its turns, were at
+    temperatures that far apart.
     """
 
     faces: int
@@ -108,6 +124,8 @@ class Facts:
     runs: int
     has_turned: bool
     rest_s: float
+    warm_faces: int = 0
+    has_turned_warm: bool = False
 
 
 def facts_of(campaign: Campaign) -> Facts:
@@ -115,12 +133,19 @@ def facts_of(campaign: Campaign) -> Facts:
     phases = [phase for log in campaign.logs for phase in log.phases]
     still = [phase for phase in phases if phase.is_still]
     moving = [sensor for phase in phases if not phase.is_still for sensor in phase.sensors.values()]
+    turned = [one for one in moving if one.rows and one.header.quantity == "angular_rate"]
+    faces = {attitude_of(phase.phase) for phase in still} - {""}
     return Facts(
-        faces=len({attitude_of(phase.phase) for phase in still} - {""}),
-        span_degc=max(map(_span_degc, campaign.logs), default=0.0),
+        faces=len(faces),
+        span_degc=max((_span_degc(_sensors(log.phases)) for log in campaign.logs), default=0.0),
         runs=sum(log.kind == "turn-on" for log in campaign.logs),
-        has_turned=any(sensor.rows and sensor.header.quantity == "angular_rate" for sensor in moving),
+        has_turned=bool(turned),
         rest_s=sum((phase.phase.end_ns - phase.phase.start_ns) * 1e-9 for phase in still),
+        warm_faces=sum(
+            _span_degc(_sensors([phase for phase in still if attitude_of(phase.phase) == face])) >= LEAST_DEGC
+            for face in faces
+        ),
+        has_turned_warm=_span_degc(turned) >= LEAST_DEGC,
     )
 
 
@@ -133,9 +158,9 @@ def unshown(
     Faces, warmth and turns in a log of another kind count as well. A candidate with an empty `shown_by` is left out,
     unless it is known what it needs: nothing can be asked for.
     """
-    done = _kinds_done(kinds, facts)
+    done, met = _kinds_done(kinds, facts), {need for need in _KIND if _is_met(need, kinds, facts)}
     triads = {name: header for name, header in sensors.items() if len(header.columns) == _TRIAD}
-    found = (_of_candidate(candidate, done, triads) for candidate in candidates.values())
+    found = (_of_candidate(candidate, done, met, triads) for candidate in candidates.values())
     return tuple(one for one in found if one is not None)
 
 
@@ -163,15 +188,34 @@ def unsure(
     )
 
 
-def _span_degc(log: LogSummary) -> float:
-    parts = [sensor.segments.temperature_degc for phase in log.phases for sensor in phase.sensors.values()]
+def alike(causes: Sequence[Cause], hidden: Sequence[Unshown]) -> tuple[Cause, ...]:
+    """The causes, confusable also with what they can't be told from because nothing that was recorded shows it, of one
+    of the sensors concerned at least: `hidden` effects.
+    """
+    twins = {_SAME_AS[one.effect]: one for one in hidden if one.effect in _SAME_AS}
+
+    def told(cause: Cause) -> Cause:
+        twin = twins.get(cause.effect)
+        if twin is None or not set(twin.sensors) & set(cause.sensors):
+            return cause
+        return replace(cause, confusable_with=tuple(sorted({*cause.confusable_with, twin.effect})))
+
+    return tuple(map(told, causes))
+
+
+def _sensors(phases: Sequence[PhaseSummary]) -> list[Summary]:
+    return [sensor for phase in phases for sensor in phase.sensors.values()]
+
+
+def _span_degc(sensors: Sequence[Summary]) -> float:
+    parts = [sensor.segments.temperature_degc for sensor in sensors]
     degc = np.concatenate(parts) if parts else np.zeros(0)
     known = degc[np.isfinite(degc)]
     return float(np.ptp(known)) if len(known) else 0.0
 
 
 def _kinds_done(kinds: Collection[str], facts: Facts) -> frozenset[Kind]:
-    met: list[Kind] = [_KIND[need] for need in _KIND if _is_met(need, kinds, facts)]
+    met: list[Kind] = [_KIND[need] for need in _DONE_BY if _is_met(need, kinds, facts)]
     rests: list[Kind] = ["static"] if "static" in kinds and facts.rest_s >= LEAST_REST_S else []
     return frozenset(met + rests)
 
@@ -183,25 +227,31 @@ def _is_met(need: Need, kinds: Collection[str], facts: Facts) -> bool:
         return facts.span_degc >= LEAST_DEGC
     if need == "runs":
         return facts.runs >= LEAST_RUNS
+    if need == "warm_faces":
+        return facts.warm_faces >= LEAST_FACES
+    if need == "warm_turns":
+        return facts.has_turned_warm
     return facts.has_turned or "motion" in kinds
 
 
-def _of_candidate(candidate: Candidate, done: Collection[str], triads: Mapping[str, SensorHeader]) -> Unshown | None:
+def _of_candidate(
+    candidate: Candidate, done: Collection[str], met: Collection[Need], triads: Mapping[str, SensorHeader]
+) -> Unshown | None:
     effect = candidate.effect
     concerned = {name: one.quantity for name, one in triads.items() if _ONLY.get(effect, one.quantity) == one.quantity}
-    texts = {name: _lacking(candidate, quantity, done) for name, quantity in concerned.items()}
+    texts = {name: _lacking(candidate, quantity, done, met) for name, quantity in concerned.items()}
     lacking = {name: text for name, text in texts.items() if text}
     return Unshown(effect, tuple(lacking), "; ".join(dict.fromkeys(lacking.values()))) if lacking else None
 
 
-def _lacking(candidate: Candidate, quantity: str, done: Collection[str]) -> str:
+def _lacking(candidate: Candidate, quantity: str, done: Collection[str], met: Collection[Need]) -> str:
     """What to record so that a sensor of this quantity shows the effect; "" if that was done."""
     special = _GYROSCOPE_NEEDS if quantity == "angular_rate" else _NEEDS
     needs = special.get(candidate.effect, _NEEDS.get(candidate.effect, ()))
     if not needs:
         is_shown = any(kind in done for kind in candidate.shown_by)
         return "" if is_shown else next((f"{kind}: {text}" for kind, text in candidate.shown_by.items()), "")
-    missing = [[need for need in group if _KIND[need] not in done] for group in needs]
+    missing = [[need for need in group if need not in met] for group in needs]
     return " and ".join(_words(candidate, need) for need in missing[0]) if all(missing) else ""
 
 

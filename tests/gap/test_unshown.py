@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.candidates.candidate import Candidate, Kind
-from imuarray.gap.diagnosis import Unshown
+from imuarray.gap.diagnosis import Cause, Unshown
 from imuarray.gap.probes import PROBES
 from imuarray.gap.statistics import Key
-from imuarray.gap.unshown import Facts, facts_of, unshown, unsure
+from imuarray.gap.unshown import Facts, alike, facts_of, unshown, unsure
 from imuarray.log.format import SensorHeader
 from tests.gap.made import campaign_of, header
 
@@ -79,17 +80,35 @@ def test_faces_tell_of_accelerometers_turns_of_gyroscopes() -> None:
 
 
 def test_thermal_scale_needs_more_than_warmth() -> None:
-    """On one face it looks like a slope of the bias; a gyroscope has to turn."""
-    heat: dict[str, dict[Kind, str]] = {"thermal_scale": {"heating": "warm it"}}
-    (one_face,) = found(("heating",), Facts(1, 30.0, 0, False, 600.0), **heat).values()
+    """Warm on one face alone it looks like a slope of the bias, whatever other faces there were at one temperature; a
+    gyroscope has to turn while it is cool and while it is warm.
+    """
+    heat: dict[str, dict[Kind, str]] = {"thermal_scale": {"heating": "warm it on two faces"}}
+    tumbled = Facts(6, 30.0, 0, True, 600.0, warm_faces=1)
+    (one_face,) = found(("heating", "tumble", "motion"), tumbled, **heat).values()
     assert one_face.sensors == ("A1", "A2", "G1")
     assert one_face.record == (
-        "tumble: all six faces, 1 minute each; motion: turns to and fro about every axis, 1 minute"
+        "heating: warm it on two faces; "
+        "motion: turns to and fro about every axis, 1 minute, and again when it is warmer by 10 degC or more"
     )
-    (faces,) = found(("heating",), Facts(2, 30.0, 0, False, 600.0), **heat).values()
+    (faces,) = found(("heating",), replace(tumbled, warm_faces=2), **heat).values()
     assert faces.sensors == ("G1",)
-    (cold,) = found(("tumble", "motion"), Facts(6, 1.0, 0, True, 600.0), **heat).values()
-    assert cold.record == "heating: warm it"
+    (turns,) = found(("heating",), replace(tumbled, has_turned_warm=True), **heat).values()
+    assert turns.sensors == ("A1", "A2")
+    assert not found(("heating",), replace(tumbled, warm_faces=2, has_turned_warm=True), **heat)
+
+
+def test_what_nothing_tells_apart_is_confusable() -> None:
+    """Of the sensors concerned; a cause that has another name, or was told apart, stays as it is."""
+    hidden = [Unshown("thermal_scale", ("A1", "A2"), "heating: warm it on two faces"), Unshown("scale", ("A1",), "")]
+    causes = [
+        Cause(effect, "add", (sensor,), (), 0.9, {}, 0.9, (0.8, 1.0), ("thermal_lag",))
+        for effect, sensor in (("thermal_bias", "A1"), ("thermal_bias", "G1"), ("bias", "A1"))
+    ]
+    first, *others = alike(causes, hidden)
+    assert first == replace(causes[0], confusable_with=("thermal_lag", "thermal_scale"))
+    assert others == causes[1:]
+    assert alike(causes, hidden[1:]) == tuple(causes)
 
 
 def test_half_hearted_experiments_do_not_count() -> None:
@@ -123,7 +142,9 @@ def test_facts(kind: str, faces: int, runs: int, has_turned: bool, rest_s: float
 
 def test_warmth_is_that_of_one_log() -> None:
     """The emulated heat pulse of the paper warms by some 30 degC (Figure 9)."""
-    assert 20 < facts_of(campaign_of("heating")).span_degc < 40
+    facts = facts_of(campaign_of("heating"))
+    assert 20 < facts.span_degc < 40
+    assert (facts.warm_faces, facts.has_turned_warm) == (1, False)
 
 
 def key(probe: str, sensor: str = "A1", axis: str = "x") -> Key:
