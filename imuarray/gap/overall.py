@@ -63,7 +63,9 @@ def overall(keys: Sequence[Key], before: Likeness, after: Likeness, real: Floats
     found = apart / np.hypot(np.maximum(means.std(axis=0, ddof=1), least), form)
     furthest = float(np.abs(_by_others(means, least)).max())
     order = np.argsort(-np.abs(found))
-    return [Overall(*groups[at], score=float(found[at]), furthest=furthest) for at in order.tolist()]
+    scored = zip(groups, found.tolist(), strict=True)
+    told = [Overall(sensor, axis, probe, places, score, furthest) for (sensor, axis, probe, places), score in scored]
+    return [told[at] for at in order.tolist()]
 
 
 def _groups(keys: Sequence[Key], says: npt.NDArray[np.bool_]) -> Iterator[tuple[str, str, str, Integers]]:
