@@ -22,6 +22,8 @@ from imuarray.gap.split import Split, split_of
 from imuarray.gap.stage import TOGETHER, Asked, Models
 from imuarray.gap.workers import Run
 from imuarray.simulate.model import Model
+from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.like import LikeLog
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,13 +56,18 @@ def prepared(recordings: Sequence[Recording], model: Model | None, seed: int) ->
         summary = summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion))
         lines = {name: line for name, (_, line) in one.experiment.plan.sensors.items()}
         moving = [phase for phase in one.phases if not is_at_rest(phase)]
-        logs.append(replace(summary, events=events_of(one.log, lines, moving)))
+        logs.append(replace(summary, events=events_of(one.log, lines, moving, _tracked(one.experiment.motion))))
     campaign = _of_both_parts(Campaign(tuple(logs)), split)
     train = split.train(campaign)
     motions = [recordings[at].experiment.motion for at in train.logs]
     base = fit(train.campaign, motions, model=model, seed=seed)
     bench = bench_of(campaign, split, [one.experiment for one in recordings], base)
     return (bench if model is None else settled(bench)), campaign
+
+
+def _tracked(motion: Motion) -> Motion | None:
+    """A motion that a track of the log tells; None if it is only known on which face the box lay."""
+    return motion if isinstance(motion, LikeLog) and motion.source != "phases" else None
 
 
 def _of_both_parts(campaign: Campaign, split: Split) -> Campaign:

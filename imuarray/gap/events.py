@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imuarray.gap.behind import Behind, behind
 from imuarray.gap.beside import lone_beside
 from imuarray.gap.held import NOWHERE, Held, held_in
 from imuarray.gap.lone import Lone
@@ -16,6 +17,7 @@ from imuarray.gap.resets import Reset, resets_in
 from imuarray.gap.source import RecordedSource
 from imuarray.log import Log
 from imuarray.log.format import Phase
+from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.timeline import Filled, Timeline
 from imuarray.simulate.waits import Awaited
 
@@ -24,13 +26,15 @@ _END_NS = np.iinfo(np.int64).max
 
 class Host(NamedTuple):
     """Of a log of so many `rows`, of all its sensors: before how many of them the host was kept waiting (`waits`), the
-    sum of the squares of half of these times in s^2, and how many rows it `missed`.
+    sum of the squares of half of these times in s^2, and how many rows it `missed`; `behind`, how far all sensors are
+    behind the track of the box's motion, if the log has one.
     """
 
     rows: int = 0
     waits: int = 0
     square_s2: float = 0.0
     missed: int = 0
+    behind: tuple[Behind, ...] = ()
 
 
 IN_TIME = Host()
@@ -50,9 +54,14 @@ class Events:
     resets: tuple[Reset, ...] = ()
 
 
-def events_of(log: Log, timelines: Mapping[str, Timeline], moving: Sequence[Phase]) -> Mapping[str, Events]:
-    """Of the sensors with these timelines; `moving` are the phases in which the box moves."""
-    host = _host(timelines.values())
+def events_of(
+    log: Log, timelines: Mapping[str, Timeline], moving: Sequence[Phase], motion: Motion | None = None
+) -> Mapping[str, Events]:
+    """Of the sensors with these timelines; `moving` are the phases in which the box moves, `motion` is what it felt if
+    a track of the log tells.
+    """
+    lags = behind([log[name] for name in timelines], motion) if motion is not None else ()
+    host = _host(timelines.values())._replace(behind=lags)
     return MappingProxyType(
         {name: _events(log, name, line, moving, timelines, host) for name, line in timelines.items()}
     )

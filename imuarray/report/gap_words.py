@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 MEANINGS: Mapping[str, str] = MappingProxyType(
     {
-        "clock_error": "the log's clock goes wrong by a constant ratio",
+        "clock_error": "the log's clock goes wrong by a ratio that is constant, or settles",
         "own_clock": "the chip makes its readings by a clock of its own, and answers a poll with the latest of them",
         "skew": "readings are older than their stamps",
         "jitter": "readings are stamped a little off",

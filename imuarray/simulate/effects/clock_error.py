@@ -1,4 +1,4 @@
-"""`clock_error`: the log's clock goes wrong by a constant ratio."""
+"""`clock_error`: the log's clock goes wrong by a ratio that is constant, or settles."""
 
 from __future__ import annotations
 
@@ -19,19 +19,31 @@ class ClockError(Effect):
     sign that of true over logged time. A quartz is off by tens, an oscillator without one by up to a hundred thousand
     (BMA-107: 10 %). In data: everything happens faster by that ratio; lines of the spectrum are shifted, a known
     profile of motion or temperature is left behind further and further.
+
+    An oscillator that warms up from the epoch on is off by warm_up_ppm exp(-t / warm_up_s) more at the time t, which
+    adds up to warm_up_ppm warm_up_s (1 - exp(-t / warm_up_s)): with warm_up_ppm = -error_ppm it is right when it is
+    cold. 0: its rate is constant.
     """
 
     name: ClassVar[str] = "clock_error"
     error_ppm: float = scalar(0.0)
+    warm_up_ppm: float = scalar(0.0)
+    warm_up_s: float = scalar(60.0)
 
     def __post_init__(self) -> None:
-        """ValueError beyond a factor of a half or three halves."""
+        """ValueError beyond a factor of a half or three halves, and for a time to warm up below a millisecond."""
         super().__post_init__()
         require("error_ppm", self.error_ppm, -5e5, 5e5)
+        require("warm_up_ppm", self.warm_up_ppm, -5e5, 5e5)
+        require("error_ppm + warm_up_ppm", self.error_ppm + self.warm_up_ppm, -5e5, 5e5)
+        require("warm_up_s", self.warm_up_s, 1e-3, 1e9)
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """Stretches time."""
-        if not self.error_ppm:
+        if not self.error_ppm and not self.warm_up_ppm:
             return instants
-        late_ns = np.rint(instants.stamp_ns * (self.error_ppm * 1e-6)).astype(np.int64)
-        return replace(instants, instant_ns=instants.instant_ns + late_ns)
+        late_ns = instants.stamp_ns * (self.error_ppm * 1e-6)
+        if self.warm_up_ppm:
+            warm_ns = self.warm_up_s * 1e9
+            late_ns -= np.expm1(-np.maximum(instants.stamp_ns, 0) / warm_ns) * (self.warm_up_ppm * 1e-6 * warm_ns)
+        return replace(instants, instant_ns=instants.instant_ns + np.rint(late_ns).astype(np.int64))

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
+from imuarray.gap.behind import Behind
 from imuarray.gap.candidates import clock_error, dropped_samples, jitter, skew
 from imuarray.gap.candidates.candidate import Trial
 from imuarray.gap.events import Host
@@ -52,6 +55,33 @@ def test_clock_error(sensor: str, error_ppm: float) -> None:
     assert isinstance(found, ClockError)
     assert found.error_ppm == pytest.approx(error_ppm, rel=0.3)
     assert trial.free == ("error_ppm",)
+
+
+def test_the_clock_of_the_host() -> None:
+    """All sensors 4 ms behind at the epoch, and by 1 ms a second more (a fast clock: -1000 ppm); or by a rate that
+    settles within 30 s, 0.001 (t - 30 s (1 - exp(-t / 30 s))). A sensor whose own oscillator is slow is as late all the
+    time, and asks for no clock.
+    """
+    at_s = np.linspace(5, 100, 12)
+    bare = evidence_of("static", "A1")
+    assert not _of_the_host(bare, at_s, 0.004 + 3e-4 * np.cos(at_s))
+    (steady,) = _of_the_host(bare, at_s, 0.004 + 1e-3 * at_s)
+    (constant,) = steady.effects
+    assert steady.everywhere
+    assert isinstance(constant, ClockError)
+    assert (constant.error_ppm, constant.warm_up_ppm) == (pytest.approx(-1000.0), 0.0)
+    _, settling = _of_the_host(bare, at_s, 0.004 + 1e-3 * (at_s + 30 * np.expm1(-at_s / 30)))
+    (warm,) = settling.effects
+    assert isinstance(warm, ClockError)
+    assert (warm.error_ppm, warm.warm_up_ppm) == (pytest.approx(-1000.0, rel=0.05), pytest.approx(1000.0, rel=0.05))
+    assert warm.warm_up_s == pytest.approx(30.0, rel=0.1)
+    assert not _of_the_host(bare, at_s[:2], 0.01 * at_s[:2])
+
+
+def _of_the_host(evidence: Evidence, at_s: npt.NDArray[np.float64], lag_s: npt.NDArray[np.float64]) -> list[Trial]:
+    """What is guessed of lags that are known to 0.2 ms."""
+    lags = tuple(Behind(at, lag, 2e-4) for at, lag in zip(at_s.tolist(), lag_s.tolist(), strict=True))
+    return list(clock_error.guesses(replace(evidence, hosts=(Host(behind=lags),))))
 
 
 def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:

@@ -53,6 +53,16 @@ class TestClockError:
         late = Skew(-1.0).sampled(stamped(DAY_NS), place())
         assert ClockError(1000.0).sampled(late, place()).instant_ns.tolist() == [DAY_NS + 10**9 + DAY_NS // 1000]
 
+    def test_an_oscillator_that_is_right_when_cold(self, place) -> None:
+        """The integral of -1e-3 (1 - exp(-t / 30 s)): -5e-7 t^2 / 30 s at first, at last -1e-3 (t - 30 s)."""
+        after = ClockError(-1000.0, 1000.0, 30.0).sampled(stamped(0, 10**8, DAY_NS), place()).instant_ns
+        assert after.tolist() == [0, 10**8 - 166, DAY_NS - DAY_NS // 1000 + 30_000_000]
+
+    def test_without_an_error_that_lasts(self, place) -> None:
+        """1e-4 exp(-t / 10 s) adds up to 1 ms."""
+        after = ClockError(warm_up_ppm=100.0, warm_up_s=10.0).sampled(stamped(DAY_NS), place())
+        assert after.instant_ns.tolist() == [DAY_NS + 1_000_000]
+
 
 class TestSkew:
     def test_reading_is_older_than_its_stamp(self, place) -> None:
@@ -179,6 +189,8 @@ class TestDroppedSamples:
 REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: ClockError(-1e6), "error_ppm: -1000000.0; allowed is -500000 to 500000"),
     (lambda: ClockError(math.nan), "error_ppm: nan"),
+    (lambda: ClockError(3e5, 3e5), r"error_ppm \+ warm_up_ppm: 600000.0; allowed is -500000 to 500000"),
+    (lambda: ClockError(warm_up_ppm=1.0, warm_up_s=0.0), "warm_up_s: 0.0; allowed is 0.001 to 1e"),
     (lambda: Skew(math.inf), "delay_s: inf"),
     (lambda: Jitter(-1e-3), "rms_s: -0.001; allowed is 0 to 1000"),
     (lambda: Jitter(1e-3, 0.1, 1.5), "told: 1.5; allowed is -1 to 1"),

@@ -1,0 +1,50 @@
+"""How far all sensors are behind the track of a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.gap.behind import Behind, behind
+from imuarray.log import open_log
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.clock_error import ClockError
+from imuarray.simulate.effects.skew import Skew
+from imuarray.simulate.motion.hand_shake import HandShake
+from imuarray.simulate.motion.still import Still
+from imuarray.simulate.record import write_log
+from tests.gap.made import simulation
+
+SHAKEN = HandShake(peak_g=0.5, peak_dps=150.0, still_s=5, motion_s=20)
+SENSORS = ("A1", "A2", "G1", "G2")
+
+
+def lags(folder: Path, *effects: Effect) -> tuple[Behind, ...]:
+    """Of sensors that all have these."""
+    path = folder / "log.h5"
+    write_log(simulation(SHAKEN, dict.fromkeys(SENSORS, effects), seed=2), path)
+    with open_log(path) as log:
+        return behind([log[name] for name in SENSORS], SHAKEN)
+
+
+@pytest.mark.parametrize(
+    ("effect", "late_s", "rate"),
+    [(ClockError(-4000.0), 0.0, 4e-3), (ClockError(9000.0), 0.0, -9e-3), (Skew(0.03), 0.03, 0)],
+)
+def test_lag(tmp_path: Path, effect: Effect, late_s: float, rate: float) -> None:
+    """A clock that is fast by 4000 ppm is 4 ms ahead after a second."""
+    at_s, lag_s, error_s = np.array(lags(tmp_path, effect)).T
+    assert len(at_s) >= 4
+    assert ((at_s > 4) & (at_s < 26)).all()
+    np.testing.assert_allclose(lag_s, late_s + rate * at_s, atol=2e-3)
+    assert (error_s < 2e-3).all()
+
+
+def test_nothing_moves(tmp_path: Path) -> None:
+    path = tmp_path / "log.h5"
+    write_log(simulation(Still(seconds=20), {}, seed=2), path)
+    with open_log(path) as log:
+        assert not behind([log[name] for name in SENSORS], Still(seconds=20))
+        assert not behind([], Still(seconds=20))
