@@ -20,7 +20,7 @@ from imuarray.gap.candidates import Trial
 from imuarray.gap.factors import Factor, active_axes, factors_of, moved, without
 from imuarray.gap.likeness import FREEDOM, Likeness
 from imuarray.gap.stage import Models
-from imuarray.gap.standing import LOOKS, NUMBERS, Came, Standing, compared, gains_of
+from imuarray.gap.standing import LOOKS, NUMBERS, Came, Standing, compared, counts_of, gains_of, touched_by
 from imuarray.gap.statistics import AXES
 
 Floats = npt.NDArray[np.float64]
@@ -48,13 +48,14 @@ _ADAPTED, _FITS = 2, 0.5
 
 @dataclass(frozen=True)
 class Tried:
-    """A trial as far as it was refined: the models with it, nats gained on the training part; None as `models` if it
-    wasn't, or can't be, simulated.
+    """A trial as far as it was refined: the models with it, nats gained on the training part, how much more these count
+    (`counts_of`); None as `models` if it wasn't, or can't be, simulated.
     """
 
     trial: Trial
     models: Models | None = None
     gain: float = -np.inf
+    counts: float = 1.0
 
 
 def look(bench: Bench, standing: Standing, trial: Trial) -> Tried:
@@ -72,7 +73,7 @@ def looks(bench: Bench, standing: Standing, trials: Sequence[Trial]) -> list[Tri
         came = _seen_each(bench, standing, [models[at] for at in places], whole, LOOKS)
         for at, seen in zip(places, came, strict=True):
             if seen is not None:
-                found[at] = Tried(trials[at], models[at], _gain(standing, seen, trials[at]))
+                found[at] = Tried(trials[at], models[at], _gain(standing, seen, trials[at]), _counts(standing, seen))
     return found
 
 
@@ -154,7 +155,8 @@ def _simulated(bench: Bench, standing: Standing, trial: Trial, models: Models, l
     seen = _seen(bench, standing, models, trial.needs_both, looks)
     if seen is None:
         return None
-    return _Simulated(Tried(trial, models, _gain(standing, seen, trial) - seen.misfit + standing.misfit), seen)
+    gain = _gain(standing, seen, trial) - seen.misfit + standing.misfit
+    return _Simulated(Tried(trial, models, gain, _counts(standing, seen)), seen)
 
 
 def _seen(bench: Bench, standing: Standing, models: Models, whole: bool, count: int) -> _Seen | None:
@@ -200,6 +202,10 @@ def _gain(standing: Standing, seen: _Seen, trial: Trial) -> float:
     """
     gain = float(gains_of(standing, seen.likeness, seen.moved).sum())
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
+
+
+def _counts(standing: Standing, seen: _Seen) -> float:
+    return counts_of(standing, seen.likeness, seen.moved)
 
 
 def _slopes(bench: Bench, standing: Standing, trial: Trial, factors: Sequence[Factor], seen: _Seen) -> Floats:
@@ -277,14 +283,22 @@ def _pruned(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
     active = active_axes(found.tried.trial)
     if len(active) < 2:
         return found
-    gains = gains_of(standing, found.seen.likeness, found.seen.moved)
-    idle = {axis for axis in active if gains[_of_axis(bench, standing, axis)].sum() < _AXIS_GAIN}
+    gains = gains_of(standing, found.seen.likeness, found.seen.moved) * found.tried.counts
+    told = touched_by(standing.likeness, found.seen.likeness, found.seen.moved)
+    idle = {axis for axis in active if _most_of(gains, told, _of_axis(bench, standing, axis)) < _AXIS_GAIN}
     if not idle or len(idle) == len(active):
         return found
     trial = found.tried.trial
     fewer = replace(trial, effects=tuple(without(effect, idle) for effect in trial.effects))
     models = _with_fitted(standing.changed(fewer), found.seen.settled)
     return _simulated(bench, standing, fewer, models, len(found.seen.values)) or found
+
+
+def _most_of(gains: Floats, told: npt.NDArray[np.bool_], own: npt.NDArray[np.bool_]) -> float:
+    """Nats of an axis by all of its own statistics, or by those that tell of the effect, if that is more: a hundred
+    levels that all lie a little aside for one reason cost as many times what one costs.
+    """
+    return max(float(gains[own].sum()), float(gains[own & told].sum()))
 
 
 def _of_axis(bench: Bench, standing: Standing, axis: int) -> npt.NDArray[np.bool_]:

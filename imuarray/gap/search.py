@@ -23,7 +23,7 @@ from imuarray.gap.factors import factors_of
 from imuarray.gap.likeness import independent_share
 from imuarray.gap.refine import Tried, looks, refine
 from imuarray.gap.stage import TOGETHER
-from imuarray.gap.standing import LOOKS, NUMBERS, Standing, Unit, compared, gains_of
+from imuarray.gap.standing import LOOKS, NUMBERS, Standing, Unit, compared, gains_of, touched_by
 from imuarray.gap.workers import Run
 from imuarray.simulate.effects.tone import Tone
 
@@ -44,7 +44,6 @@ COST = 1.0
 _BEHIND = 15.0
 """Nats by which a guess may be worse than the best one, and still be refined or confirmed; or half of its gain."""
 
-_WIDER = 0.3
 _BRIEF = 4.0
 """Nats that the choice of a moment costs."""
 
@@ -135,11 +134,11 @@ def searched(
 def likeliest(tried: Iterable[Tried], count: int) -> list[Tried]:
     """The best trials that are worth it and not left far behind, of each form at most two."""
     ranked = sorted((one for one in tried if one.models is not None), key=lambda one: -one.gain)
-    least = max(WORTH, ranked[0].gain - max(_BEHIND, ranked[0].gain / 2)) if ranked else WORTH
+    least = ranked[0].gain - max(_BEHIND, ranked[0].gain / 2) if ranked else 0.0
     kept: list[Tried] = []
     for one in ranked:
         alike = sum(other.trial.form == one.trial.form for other in kept)
-        if one.gain > least and alike < 2 and len(kept) < count:
+        if one.gain > least and one.gain * one.counts > WORTH and alike < 2 and len(kept) < count:
             kept.append(one)
     return kept
 
@@ -171,7 +170,7 @@ def confirmed(bench: Bench, standing: Standing, tried: Tried) -> Confirmed:
     if tried.trial.needs_both:
         gain = (train_gain + gain) / 2 - _BRIEF
     share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
-    touched = (np.abs(moved) > before.scale) | (np.abs(np.log(likeness.scale / before.scale)) > _WIDER)
+    touched = touched_by(before, likeness, moved)
     independent = independent_share(likeness.scores(values)[:, touched]) if touched.any() else standing.independent
     stands = replace(changed, likeness=likeness)
     counted = np.ones_like(out) if tried.trial.needs_both else out
@@ -250,7 +249,7 @@ def _round(standing: Standing, found: Sequence[Confirmed], has_placebo: bool, kn
         for one in ranked
         if one.closes
         and (1.0 if one.trial.needs_both else _tempered(standing, one)) * one.gain > least
-        and (one.train_gain > WORTH or one.trial.needs_both)
+        and (max(_tempered(standing, one), 1.0) * one.train_gain > WORTH or one.trial.needs_both)
     ]
     return Round(standing, ranked, bar, good[0] if good else None)
 

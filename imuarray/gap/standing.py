@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from imuarray.gap.base_model import Fitted
 from imuarray.gap.candidates import Trial
-from imuarray.gap.likeness import FORM, FREEDOM, Likeness, likeness_of
+from imuarray.gap.likeness import FORM, FREEDOM, Likeness, independent_share, likeness_of
 from imuarray.gap.stage import Modelled, Models
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -181,6 +181,25 @@ def gains_of(standing: Standing, likeness: Likeness, moved: Floats) -> Floats:
     return standing.weight * (likeness.log_density(standing.real, moved) - before)
 
 
+def touched_by(before: Likeness, likeness: Likeness, moved: Floats) -> npt.NDArray[np.bool_]:
+    """(n,) which statistics a change moved, or made wider or narrower, beyond chance."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        widened = np.abs(np.log(likeness.scale / before.scale)) > _WIDER
+    return np.asarray((np.abs(moved) > before.scale) | widened)
+
+
+def counts_of(standing: Standing, likeness: Likeness, moved: Floats) -> float:
+    """How much more a gain counts whose statistics are more independent than all of the unit's are: few of those that
+    a curved response moves say the same, whatever hundreds of levels do. Never less: that a change moves many of them
+    for one reason is told when it is judged.
+    """
+    touched = touched_by(standing.likeness, likeness, moved)
+    if not touched.any() or len(standing.values) < _PAIRS:
+        return 1.0
+    share = independent_share(standing.likeness.scores(standing.values)[:, touched])
+    return max(share / standing.independent, 1.0)
+
+
 def _kept(moved: Floats, probes: npt.NDArray[np.intp]) -> Floats:
     """(n,) how much of what each statistic moved by (r, n), in standard deviations, the change did.
 
@@ -244,6 +263,7 @@ _INDEPENDENT = 2.0
 """Variance of the difference of two independent readings of variance 1."""
 
 _LIKE_IT = 4.0
+_WIDER = 0.3
 _UNSURE = 0.1
 _TINY = 1e-12
 _SAME = 1e-9

@@ -288,6 +288,14 @@ def test_nothing_worth_looking_at() -> None:
     assert (found.confirmed, found.taken, found.placebo_gain) == ((), None, 0.0)
 
 
+def test_a_gain_of_few_is_worth_as_much_as_it_counts() -> None:
+    """Half of what is worth it is enough where it counts three times, for the order it counts once."""
+    weak, strong = (Tried(Trial((one,)), {}, gain) for one, gain in ((Bias(1.0), WORTH / 2), (Tone(1.0, 9.0), WORTH)))
+    assert likeliest([weak, strong], 4) == []
+    counted = [replace(weak, counts=3.0), replace(strong, counts=1.1)]
+    assert likeliest(counted, 4) == counted[::-1]
+
+
 def test_a_round_on_simulations(tone: tuple[Bench, Standing]) -> None:
     """A line that is there, guessed at half its size, and a noise that isn't."""
     bench, standing = tone

@@ -17,7 +17,7 @@ from imuarray.gap.at_rest import Fitted
 from imuarray.gap.candidates import Trial
 from imuarray.gap.likeness import FORM, FREEDOM, Likeness
 from imuarray.gap.stage import Modelled
-from imuarray.gap.standing import LOOKS, NUMBERS, REPLICATES, Standing, compared, gains_of
+from imuarray.gap.standing import LOOKS, NUMBERS, REPLICATES, Standing, compared, counts_of, gains_of
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -310,3 +310,20 @@ def test_what_another_noise_costs() -> None:
     came = [{"G1": replace(FITTED, rms=(0.1, 0.1 * math.exp(factor), 0.1))} for factor in (0.2, 0.2)]
     expected = stats.t.logpdf(0, FREEDOM) - stats.t.logpdf(4.0, FREEDOM)
     assert unit.misfit_of({"G1": header}, came) == pytest.approx(expected, rel=1e-3)
+
+
+def test_what_hangs_together_with_little_counts_more() -> None:
+    """Ninety statistics that are one, and three of their own: a gain of these three counts as much more as they are
+    more independent, one of the ninety no more, and one that is seen in nothing neither.
+    """
+    alone = drawn(3, 2, rows=4) @ np.ones((3, 1))
+    own = np.concatenate([np.eye(3), -np.eye(3), np.zeros((REPLICATES - 6, 3))])  # without any correlation
+    values = np.concatenate([np.repeat(np.resize(alone, (REPLICATES, 1)), 90, axis=1), own], axis=1)
+    unit = standing([0.0] * 93, values, independent=0.25)
+    moved = np.zeros(93)
+    assert counts_of(unit, unit.likeness, moved) == 1.0
+    moved[90:] = 9.0
+    assert counts_of(unit, unit.likeness, moved) == pytest.approx(4.0)
+    assert counts_of(unit, unit.likeness, 9.0 - moved) == 1.0
+    few = replace(unit, values=values[:LOOKS])  # which tell nothing of what hangs together
+    assert counts_of(few, unit.likeness, moved) == 1.0

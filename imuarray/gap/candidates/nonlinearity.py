@@ -36,10 +36,10 @@ def guesses(evidence: Evidence) -> Iterator[Trial]:
 
 
 def _found(evidence: Evidence) -> Iterator[Trial]:
-    faces, quadratic = evidence.is_odd("force_square", beyond=_BEYOND), np.zeros(3)
-    if faces:
+    quadratic = np.zeros(3)
+    if evidence.header.quantity != "angular_rate":
         quadratic = np.where(np.abs(evidence.score("force_square")) > _BEYOND, evidence.shift("force_square"), 0.0)
-    elif evidence.header.quantity == "angular_rate" and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
+    elif evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):  # on a face there is no rate that could be squared
         quadratic = _from_rates(evidence)
     quadratic = np.clip(quadratic, -_LARGEST / evidence.header.range, _LARGEST / evidence.header.range)
     if quadratic.any():

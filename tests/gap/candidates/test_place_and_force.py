@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,13 @@ def test_a_curve_on_faces() -> None:
     (effect,) = trial.effects
     assert isinstance(effect, Nonlinearity)
     assert effect.quadratic == pytest.approx((0.005,) * 3, rel=0.1)
+
+
+def test_a_gyroscope_on_a_face_has_no_rate_to_square() -> None:
+    """What the square of force adds, in dps/g^2, is no coefficient of the square of a rate."""
+    evidence = evidence_of("tumble", "G1", {"G1": (GSensitivity((0.05, 0.02, 0.0) * 3),)}, seed=7)
+    odd = replace(evidence, scores={**evidence.scores, "force_square": np.full((1, 3), 9.0)})
+    assert list(NONLINEARITY.guesses(odd)) == []
 
 
 @pytest.mark.parametrize(
