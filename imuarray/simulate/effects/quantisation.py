@@ -4,34 +4,46 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
 
 from imuarray.simulate.effect import Effect, require, scalar
 from imuarray.simulate.signal import Analog, Codes, Place
 
+Whole = npt.NDArray[np.signedinteger[Any]]
+
 
 @dataclass(frozen=True)
 class Quantisation(Effect):
-    """Codes are rounded to multiples of `step_lsb` counts, and end at the last multiple within the code span; of them
-    those bits are cleared that are set in the number `dead_bits` (4: bit 2).
+    """Codes are rounded to multiples of `step_lsb` counts, and end at the last multiple within the code span; of every
+    `carry_lsb` of them the last `missing_lsb` never come, but the code of the carry in their place; and those bits are
+    cleared that are set in the number `dead_bits` (4: bit 2).
 
     Rounding to one count belongs to the converter and is always there. Two counts are an ADXL345 at 1600 Hz and more
     (ADX-47), four a BMA180 read out with 12 bits (BMA-61). Where the converter's step is coarser already, codes are
     multiples of both. In data: codes that never occur; readings that stand still and jump where there is less noise
     than half a step, rounding noise of step / sqrt(12) rms where there is more. A dead bit, a line that is shorted to
-    ground, leaves out every other stretch of 2^bit codes: what belongs there reads a stretch too low.
+    ground, leaves out every other stretch of 2^bit codes: what belongs there reads a stretch too low. Codes are missing
+    before a carry where the converter's capacitor (resistor) of the bit that is carried to is smaller than those of all
+    lower bits together by more than a count, a differential nonlinearity of -1 (IEEE Std 1241).
     """
 
     name: ClassVar[str] = "quantisation"
     step_lsb: float = scalar(1.0)
     dead_bits: float = scalar(0.0)
+    carry_lsb: float = scalar(1.0)
+    missing_lsb: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError unless they are whole numbers, the step 1 or more."""
+        """ValueError unless they are whole numbers, steps 1 or more, and some code before a carry comes."""
         super().__post_init__()
         require("step_lsb", self.step_lsb, 1, 4096)
         require("dead_bits", self.dead_bits, 0, 32767)
-        for name in ("step_lsb", "dead_bits"):
+        require("carry_lsb", self.carry_lsb, 1, 4096)
+        require("missing_lsb", self.missing_lsb, 0, self.carry_lsb - 1)
+        for name in ("step_lsb", "dead_bits", "carry_lsb", "missing_lsb"):
             if (value := getattr(self, name)) != int(value):
                 raise ValueError(f"{name}: {value}; a whole number is wanted")
 
@@ -44,5 +56,15 @@ class Quantisation(Effect):
         return replace(analog, step=step, lowest=lowest, highest=highest)
 
     def codes(self, codes: Codes, at: Place) -> Codes:
-        """Clears the dead bits, of negative codes in two's complement."""
-        return replace(codes, counts=codes.counts & ~int(self.dead_bits)) if self.dead_bits else codes
+        """Carries, and clears the dead bits, of negative codes in two's complement."""
+        changed = self.dead_bits or self.missing_lsb
+        return replace(codes, counts=self.coded(codes.counts)) if changed else codes
+
+    def coded(self, counts: Whole) -> Whole:
+        """What comes in the place of these codes."""
+        if self.missing_lsb:
+            carry, most = int(self.carry_lsb), np.iinfo(counts.dtype).max
+            short = carry - counts % carry
+            carried = np.minimum(counts, most - short) + short
+            counts = np.where(short <= int(self.missing_lsb), carried, counts)
+        return counts & ~int(self.dead_bits) if self.dead_bits else counts

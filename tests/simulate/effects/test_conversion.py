@@ -38,6 +38,17 @@ class TestQuantisation:
         after = Quantisation(dead_bits=4).codes(before, place()).counts[:, 0]
         assert after.tolist() == [-13, -8, -7, -6, -5, -8, -7, -6, -5, 0, 1, 2, 3, 0, 1, 2, 3, 8, 9]
 
+    def test_codes_that_are_missing(self, place, codes) -> None:
+        """Of every eight the last three, 5, 6 and 7, come out as the next eight: of negative codes -3, -2 and -1."""
+        before = codes(0, 19, np.arange(-9, 10)[:, None])
+        after = Quantisation(carry_lsb=8, missing_lsb=3).codes(before, place()).counts[:, 0]
+        assert after.tolist() == [-8, -8, -7, -6, -5, -4, 0, 0, 0, 0, 1, 2, 3, 4, 8, 8, 8, 8, 9]
+
+    def test_no_code_lies_beyond_its_integers(self) -> None:
+        """16 bits of a gyroscope end before the carry."""
+        counts = np.array([32765, 32759], np.int16)
+        assert Quantisation(carry_lsb=16, missing_lsb=4).coded(counts).tolist() == [32767, 32759]
+
     def test_code_ends_that_change_within_a_run(self, place, analog) -> None:
         ends = np.array([[-512.0], [-4096.0]]), np.array([[511.0], [4095.0]])
         after = Quantisation(10).analog(analog(0, 2, lowest=ends[0], highest=ends[1]), place())
@@ -69,6 +80,8 @@ class TestSaturation:
 REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: Quantisation(0), "step_lsb: 0; allowed is 1 to 4096"),
     (lambda: Quantisation(2.5), "step_lsb: 2.5; a whole number"),
+    (lambda: Quantisation(carry_lsb=8, missing_lsb=8), "missing_lsb: 8; allowed is 0 to 7"),
+    (lambda: Quantisation(missing_lsb=1), "missing_lsb: 1; allowed is 0 to 0"),
     (lambda: Saturation(-1.0), "limit: -1.0; allowed is 0 to inf"),
     (lambda: Saturation(math.nan), "limit: nan"),
 ]
