@@ -118,7 +118,8 @@ def reads_another(model: Modelled) -> bool:
 def _changed(model: Modelled, trial: Trial) -> Modelled:
     kept = tuple(effect for effect in model.added if effect.name != trial.removed)
     removed = model.removed | ({trial.removed} if trial.removed else set())
-    return replace(model, added=(*kept, *trial.effects), removed=removed)
+    fitted = model.fitted if trial.fitted is None else trial.fitted
+    return replace(model, fitted=fitted, added=(*kept, *trial.effects), removed=removed)
 
 
 def compared(standing: Standing, values: Floats) -> tuple[Likeness, Floats]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields
 from math import isfinite
 from typing import Literal
 
+from imuarray.gap.at_rest import Fitted
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.effect import Effect
 
@@ -31,7 +32,8 @@ class Trial:
     another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or (`sensor`) this one
     has it, and `others` show it; these have the effects `opposite` at the same time; or (`everywhere`) all that the
     host reads have it. `whole`: neither part shows it without the other. `rarity`: nats by which it is rarer, as it is
-    meant, than others that look the same (negative: more usual).
+    meant, than others that look the same (negative: more usual). `fitted` are the ordinary parameters to begin with,
+    where the effect misleads the fit (None: those of the fit).
     """
 
     effects: tuple[Effect, ...]
@@ -45,6 +47,7 @@ class Trial:
     whole: bool = False
     rarity: float = 0.0
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fitted: Fitted | None = None
 
     @property
     def name(self) -> str:

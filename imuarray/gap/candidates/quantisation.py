@@ -1,4 +1,6 @@
-"""`quantisation` is recognised by codes that are all multiples of a number, or that never have one of their bits."""
+"""`quantisation` is recognised by codes that are all multiples of a number, that never have one of their bits, or of
+which those before every carry are missing.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,11 @@ from typing import get_args
 import numpy as np
 
 from imuarray.characterise.codes import NOTHING, Histogram
+from imuarray.gap.candidates.behind_codes import behind
 from imuarray.gap.candidates.candidate import Candidate, Kind, Trial
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.evidence import Evidence
 from imuarray.simulate.converters import code_span
-from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.quantisation import Quantisation
 
 _PROBES = ("odd_codes", "second_bit", "absent_codes", "repeats")
@@ -26,22 +28,13 @@ _ODD_ONES = 0.01
 
 _HIGHEST_BIT = 12
 
-_NORMAL = np.array([-3.0, -1.28, -0.52, 0.0, 0.52, 1.28, 3.0])
-"""Standard deviations: about equally likely parts of a normal distribution, and its ends."""
-
-_REACH, _SHIFTS = 1.5, 49
-"""Biases are looked for up to so many stretches off, at so many places."""
-
-_UNITS_DIFFER = 0.015
-"""Of what is felt: a scale, and an angle, of a chip's population; no bias is to depend on which one this is."""
-
 _FEWEST = 3
 """Fewer different codes have a common divisor by chance."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """The greatest step of which (nearly) all codes are multiples, and the power of two in it; bits that are never set,
-    though codes leap over where they would be.
+    though codes leap over where they would be; codes before a carry that never come.
     """
     yield from with_removal(evidence, Quantisation.name, _found(evidence))
 
@@ -57,36 +50,24 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     for step in dict.fromkeys((divisor, *powers[-1:])):
         if step > usual:
             yield Trial((Quantisation(float(step)),))
-    for bit in range(_HIGHEST_BIT) if divisor in (0, usual) else ():
-        if _is_dead(bit, merged, codes):
-            dead = Quantisation(dead_bits=float(1 << bit))
-            yield Trial((dead,))
-            for bias in _moved(evidence, 1 << bit):
-                yield Trial((dead, bias))
-
-
-def _moved(evidence: Evidence, dead: int) -> Iterator[Bias]:
-    """By how much the bias has to be another one for the same levels to come out without that bit: the fit took its
-    own from what came out, a stretch too low on some of the faces.
-    """
-    if not evidence.still:
+    if divisor not in (0, usual):
         return
-    raw, left = (
-        np.array([np.nanmean(part.segments.mean, axis=0) for part in parts])
-        for parts in ([seen.raw for seen in evidence.still], [seen.left for seen in evidence.still])
-    )
-    scale = evidence.header.sensitivity
-    felt = np.abs(raw - left - np.mean(raw - left, axis=0)).max(axis=0) * _UNITS_DIFFER
-    noise, units = (np.multiply.outer(_NORMAL, width)[:, None] for width in (evidence.noise * scale, felt))
-    shifts = np.unique(np.rint(np.linspace(-_REACH * dead, _REACH * dead, _SHIFTS)))
-    shifts = shifts[np.argsort(np.abs(shifts), kind="stable")]  # of equals the nearest
-    apart = np.zeros((len(shifts), 3))
-    for unit in units:
-        true = np.rint((raw - left) + unit + shifts[:, None, None, None] + noise).astype(np.int64)
-        apart += np.abs((true & ~dead).mean(axis=1) - raw).mean(axis=1)
-    x, y, z = (shifts[apart.argmin(axis=0)] / scale).tolist()
-    if any((x, y, z)):
-        yield Bias((x, y, z))
+    for bit in range(_HIGHEST_BIT):
+        if _is_dead(bit, merged, codes):
+            yield from _with_what_hides(evidence, Quantisation(dead_bits=float(1 << bit)), 2 << bit, 1 << bit)
+    for carry in _STEPS[1:]:
+        if missing := _missing(carry, merged, codes):
+            found = Quantisation(carry_lsb=float(carry), missing_lsb=float(missing))
+            yield from _with_what_hides(evidence, found, carry, missing)
+            return
+
+
+def _with_what_hides(evidence: Evidence, found: Quantisation, period: int, stretch: int) -> Iterator[Trial]:
+    """With the parameters of the fit, and with those that the sensor has behind the codes that come."""
+    yield Trial((found,))
+    fitted = behind(evidence, found.coded, period, stretch)
+    if fitted is not None:
+        yield Trial((found,), fitted=fitted)
 
 
 def _divisor(merged: Histogram) -> int:
@@ -108,9 +89,31 @@ def _is_dead(bit: int, merged: Histogram, each: Sequence[Histogram]) -> bool:
 
 
 def _leaps(bit: int, codes: Histogram) -> bool:
+    low, high = _most(codes)
+    return low >> (bit + 1) != high >> (bit + 1)
+
+
+def _most(codes: Histogram) -> tuple[int, int]:
+    """The lowest and the highest one, but for a hundredth of the readings at either end."""
     upto = np.cumsum(codes.counts)
-    low, high = codes.codes[np.searchsorted(upto, np.array([_ODD_ONES, 1 - _ODD_ONES]) * upto[-1])]
-    return bool(low >> (bit + 1) != high >> (bit + 1))
+    low, high = codes.codes[np.searchsorted(upto, np.array([_ODD_ONES, 1 - _ODD_ONES]) * upto[-1])].tolist()
+    return low, high
+
+
+def _missing(carry: int, merged: Histogram, each: Sequence[Histogram]) -> int:
+    """How many codes before every multiple of `carry` never come, but that multiple in their place, though readings of
+    an axis in a phase lie on either side; 0 if none.
+    """
+    counts = np.bincount(merged.codes % carry, weights=merged.counts, minlength=carry)
+    upto = np.cumsum(counts[::-1])  # of so many and one codes before the carry
+    few = upto <= _ODD_ONES * counts.sum() * np.arange(1, carry + 1) / carry
+    missing = int(np.argmin(few)) if few[0] else 0
+    there = counts[1 : carry - missing]
+    beside = np.concatenate([there[:2], there[-2:]])
+    if not missing or not len(there) or counts[0] < (1 + missing / 2) * beside.mean():
+        return 0
+    spans = np.array([_most(codes) for codes in each])
+    return missing if ((spans[:, 0] - 1) // carry < (spans[:, 1] - 1) // carry).any() else 0
 
 
 QUANTISATION = Candidate(

@@ -213,13 +213,22 @@ def test_a_bit_that_is_never_set(bit: int) -> None:
     stretch too low on average, by which the fit's bias is wrong.
     """
     evidence = shown("static", "A1", Quantisation(dead_bits=float(1 << bit)))
-    as_fitted, moved = quantisation.guesses(evidence)
+    as_fitted, behind = quantisation.guesses(evidence)
     assert as_fitted == Trial((Quantisation(dead_bits=float(1 << bit)),))
-    dead, bias = moved.effects
-    assert dead == as_fitted.effects[0]
-    assert isinstance(bias, Bias)
+    assert behind.effects == as_fitted.effects
+    assert behind.fitted is not None
     half = (1 << bit) / 2 / evidence.header.sensitivity
-    assert np.median(bias.offset) == pytest.approx(half, rel=0.3)
+    assert np.median(np.subtract(behind.fitted.offset, evidence.fitted.offset)) == pytest.approx(half, rel=0.3)
+
+
+@pytest.mark.parametrize(("carry", "missing"), [(16, 7), (16, 4), (8, 3), (32, 10)])
+def test_codes_that_are_missing_before_every_carry(carry: int, missing: int) -> None:
+    trials = list(quantisation.guesses(shown("static", "A1", _missing(carry, missing))))
+    assert [trial.effects for trial in trials] == [(_missing(carry, missing),)] * 2
+
+
+def _missing(carry: int, missing: int) -> Quantisation:
+    return Quantisation(carry_lsb=float(carry), missing_lsb=float(missing))
 
 
 def test_a_bit_that_is_never_set_in_motion() -> None:
