@@ -7,8 +7,10 @@ from typing import TypedDict
 
 from imuarray.gap.evidence import Span
 
-NUMBERS = 2.0
-"""Nats that the two numbers of one event cost: its moment, and how long or how large it is."""
+NUMBERS = 1.0
+"""Nats that one event costs of a gain. Its two numbers, its moment and how long or how large it is, cost a nat each;
+what is told by both parts gains the mean of them, and an event lies in one.
+"""
 
 SINGLE = 64
 """More events than this are not told one by one."""
