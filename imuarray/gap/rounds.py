@@ -81,20 +81,21 @@ def searches(
 
 
 def _deferred(found: Compared, came: Mapping[Unit, Round]) -> list[Unit]:
-    """Units that wait for the next round: what they gain lies in how they move beside others, one of which gains more.
-    The odd one out makes all others look odd.
+    """Units that wait for the next round: what they gain lies in how they move beside others of their quantity, one of
+    which gains more, or has taken what it shows alone. The odd one out makes all others look odd, and who had something
+    else to say of itself first was not asked yet whether it is the one.
     """
-    best: dict[str, float] = {}
-    for unit, one in came.items():
-        if one.taken is not None:
-            quantity = found.bench.base.headers[unit[0]].quantity
-            best[quantity] = max(best.get(quantity, 0.0), _worth(one.taken))
+    quantities = {unit: found.bench.base.headers[unit[0]].quantity for unit in came}
     return [
         unit
         for unit, one in came.items()
         if one.taken is not None
         and one.taken.own_share < _OWN
-        and _worth(one.taken) < best[found.bench.base.headers[unit[0]].quantity]
+        and any(
+            _worth(other.taken) > _worth(one.taken) or other.taken.own_share >= _OWN
+            for beside, other in came.items()
+            if beside != unit and other.taken is not None and quantities[beside] == quantities[unit]
+        )
     ]
 
 

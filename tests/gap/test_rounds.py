@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,9 @@ from imuarray.gap.candidates import CANDIDATES, Candidate, Trial
 from imuarray.gap.causes import causes_of
 from imuarray.gap.compare import compared_with_base
 from imuarray.gap.evidence import Evidence
-from imuarray.gap.rounds import ROUNDS, Searched, searches
+from imuarray.gap.rounds import ROUNDS, Searched, _deferred, searches
+from imuarray.gap.search import Round
+from imuarray.gap.standing import Unit
 from imuarray.simulate.effects.tone import Tone
 from tests.gap.test_bench import LINE, SHORT, Run, prepared
 from tests.gap.test_refine import found_in
@@ -56,6 +59,34 @@ def test_what_all_sensors_have_is_one_cause_of_all() -> None:
     assert all(LINE in model.added for model in came.models.values())
     (cause,) = causes_of(bench, came.rounds, 1)
     assert (cause.sensors, cause.origin) == (("A1", "G1"), "metadata")
+
+
+@pytest.mark.parametrize(
+    ("shares", "gains", "waiting"),
+    [
+        ((0.0, 0.0), (9.0, 8.0), ["G2"]),  # the odd one out makes the other look odd
+        ((0.0, 0.0), (8.0, 9.0), ["G1"]),
+        ((1.0, 0.0), (8.0, 9.0), ["G2"]),  # the first has not been asked yet whether it is the one
+        ((0.0, 1.0), (8.0, 7.0), ["G1"]),
+        ((1.0, 1.0), (8.0, 9.0), []),
+        ((0.0, None), (8.0, 9.0), []),  # the other took nothing
+    ],
+)
+def test_what_shows_beside_others_waits(
+    two_lines: Searched, shares: tuple[float, float | None], gains: tuple[float, float], waiting: list[str]
+) -> None:
+    """Of two gyroscopes and an accelerometer, which is another matter, by shares of the gain that each shows alone."""
+    found = found_in()
+    headers = {name: replace(found.bench.base.headers["G1"], name=name) for name in ("G1", "G2")}
+    headers["A1"] = replace(headers["G1"], name="A1", quantity="specific_force")
+    bench = replace(found.bench, base=replace(found.bench.base, headers=headers))
+    (first, *_) = next(iter(two_lines.rounds.values()))
+    assert first.taken is not None
+    came: dict[Unit, Round] = {
+        (name,): replace(first, taken=None if share is None else replace(first.taken, own_share=share, gain=gain))
+        for name, share, gain in zip(("G1", "G2", "A1"), (*shares, 1.0), (*gains, 50.0), strict=True)
+    }
+    assert [name for (name,) in _deferred(replace(found, bench=bench), came)] == waiting
 
 
 def test_nothing_is_found_without_candidates() -> None:
