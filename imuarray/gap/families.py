@@ -33,10 +33,19 @@ def together(bench: Bench, asked: tuple[Standing, tuple[Confirmed, ...]]) -> Con
 
 def shared_wins(family: Round, members: Confirmed, count: int = 1) -> Confirmed | None:
     """The shared cause, if it is worth it and beats the `count` causes of the members, each of which has to be worth it
-    too.
+    too, by more than it is rarer. That there is a cause the held-out part has told already; whether it is one or
+    several both parts tell, to which as many numbers were fitted either way.
     """
     best = family.taken
-    return best if best is not None and best.gain + ACCEPTED * max(count - 1, 0) > members.gain else None
+    if best is None:
+        return None
+    more = 2 * ACCEPTED * max(count - 1, 0) - best.trial.rarity
+    return best if _on_both(best) + more > _on_both(members) else None
+
+
+def _on_both(one: Confirmed) -> float:
+    """Nats gained on both parts."""
+    return 2 * one.gain if one.trial.needs_both else one.train_gain + one.gain
 
 
 def staying_beside(family: Round, members: Sequence[Confirmed]) -> tuple[Confirmed, ...]:

@@ -32,6 +32,9 @@ _IN_TIME = frozenset({"motion_delay", "motion_residual"})
 """When a sensor follows a motion: no level, scale or code moves these, however many of the others say the same."""
 
 _FAMILY_ROUNDS = 1
+_FAINT = 3.0
+"""Nats by which what several share is rarer where only one of them differs, or what they have in common doesn't."""
+
 _OWN = 0.5
 
 
@@ -175,7 +178,8 @@ def _staying(found: Compared, family: Round, members: Sequence[Confirmed]) -> tu
 def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Unit, list[Trial]]:
     """What sensors share, by the sensors concerned: those of a chip of which two or more differ and whose common
     statistics do, or whose levels change from one part to the other; or one and the other whose data it has; or all
-    sensors.
+    sensors. Where only one of a chip differs, or what they have in common doesn't by itself, the others may still
+    have the same, too faint to be sure of: that is rarer.
     """
     odd = {
         key.sensor
@@ -186,12 +190,21 @@ def _shared_trials(found: Compared, guessed: Mapping[Unit, _Guessed]) -> dict[Un
     units: dict[Unit, list[Trial]] = {}
     for (name,), one in guessed.items():
         family = tuple(other for (other,) in guessed if _is_alike(headers[other], headers[name]))
+        of_chip = tuple(sorted(other for other in headers if _is_alike(headers[other], headers[name])))
         for trial in one.shared:
-            unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
             if trial.everywhere:
                 unit = tuple(sorted(headers))
-            if len(unit) > 1 and (trial.whole or trial.opposite or trial.everywhere or odd & set(unit)):
-                units.setdefault(unit, []).append(trial)
+            else:
+                unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
+            if trial.whole or trial.opposite or trial.everywhere or (len(unit) > 1 and odd & set(unit)):
+                chosen = trial
+            elif trial.sensor:
+                continue
+            else:
+                unit = unit if len(unit) > 1 else of_chip
+                chosen = replace(trial, rarity=trial.rarity + _FAINT)
+            if len(unit) > 1:
+                units.setdefault(unit, []).append(chosen)
     return {unit: unlike(trials) for unit, trials in units.items()}
 
 

@@ -48,6 +48,15 @@ def test_what_is_shared_has_to_be_taken_and_to_gain_more(shared: float | None, m
     assert shared_wins(round_, found(members)) is (best if is_shared else None)
 
 
+def test_both_parts_tell_whose_cause_it_is() -> None:
+    """One that fits 6 nats better and gains 2 less; not if it is rarer by 5."""
+    shared, members = replace(found(10.0), train_gain=18.0), replace(found(12.0), train_gain=12.0)
+    round_ = Round(by_hand([0.0], drawn(1)), (shared,), 0.0, shared)
+    assert shared_wins(round_, members) is shared
+    rarer = replace(shared, tried=Tried(Trial((), rarity=5.0)))
+    assert shared_wins(replace(round_, taken=rarer), members) is None
+
+
 def test_what_stays_beside_a_shared_cause() -> None:
     """A line that gains more than a member's part, 20 of 2; not what gains less, nor another of the shared kind."""
     shared = found(40.0)

@@ -16,6 +16,7 @@ from imuarray.gap.rounds import ROUNDS, Searched, _deferred, searches
 from imuarray.gap.search import Round
 from imuarray.gap.standing import Unit
 from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.white_noise import WhiteNoise
 from tests.gap.test_bench import LINE, SHORT, Run, prepared
 from tests.gap.test_refine import found_in
 
@@ -87,6 +88,21 @@ def test_what_shows_beside_others_waits(
         for name, share, gain in zip(("G1", "G2", "A1"), (*shares, 1.0), (*gains, 50.0), strict=True)
     }
     assert [name for (name,) in _deferred(replace(found, bench=bench), came)] == waiting
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+def test_what_only_one_of_a_chip_shows_may_be_in_all(is_there: bool) -> None:
+    """The line drowns in the noise of G2, of which nobody can say that it isn't there; where G2 is as quiet as G1, and
+    without it, the line is none that they share.
+    """
+    other = (WhiteNoise(1.0), LINE) if is_there else ()
+    bench, campaign = prepared([("static", SHORT)], ["G1", "G2"], {"G1": (LINE,), "G2": other})
+    found = compared_with_base(bench, campaign, Run(bench), 40)
+    assert [node.path[-1] for node in found.located.root.found("sensor")] == ["G1"]
+    shared = Candidate("tone", lambda evidence: [Trial((LINE,), shared=True)])
+    came = searches(found, {"tone": shared}, Run(bench))
+    units = [unit for unit, rounds in came.rounds.items() if any(one.taken for one in rounds)]
+    assert units == ([("G1", "G2")] if is_there else [])
 
 
 def test_nothing_is_found_without_candidates() -> None:

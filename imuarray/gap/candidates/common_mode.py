@@ -11,7 +11,16 @@ from imuarray.gap.candidates.candidate import Candidate, Trial
 from imuarray.gap.candidates.in_motion import takes_part
 from imuarray.gap.candidates.levels import change_between_logs
 from imuarray.gap.candidates.removal import with_removal
-from imuarray.gap.candidates.slow import longest_s, wander_of, within
+from imuarray.gap.candidates.slow import (
+    TRACES,
+    Wander,
+    longest_s,
+    over_logs,
+    sized,
+    slower,
+    wander_of,
+    within,
+)
 from imuarray.gap.cross import Cross
 from imuarray.gap.evidence import Evidence, Seen
 from imuarray.simulate.effects.common_mode import CommonMode
@@ -20,8 +29,9 @@ from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 Floats = npt.NDArray[np.float64]
 
 _TRACES = ("slow_own_axes", "fast_own_axes", "slow_between_axes")
+_FREE = ("rms", "time_constant_s")
 _BEYOND = 2.7
-_APART = 5.0
+_APART, _ALIKE = 5.0, 1.5
 _FOR_EVER_S = 1e6
 _LEAST_DEGC = 1.0
 _LEAST = 4
@@ -29,8 +39,9 @@ _LEAST = 4
 
 def guesses(evidence: Evidence) -> Iterator[Trial]:
     """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
-    and straight lines taken out; its time constant by that of the sensor's wander, another one slower. Of two
-    logs, what they differ by, constant within each: alone, and with what the others don't share of it.
+    and straight lines taken out; its time constant by that of the sensor's wander, in logs and between them, another
+    one slower; or all of this wander. Of two logs, what they differ by, constant within each: alone, and with what the
+    others don't share of it.
     """
     yield from with_removal(evidence, CommonMode.name, _found(evidence))
 
@@ -43,13 +54,36 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     partners = pairs[0][1].others(evidence.header.name, family=True) if pairs else ()
     if not partners:
         return
-    wander = wander_of(evidence)
-    time_constant_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
-    for time_s in (time_constant_s, min(_APART * time_constant_s, 3 * longest_s(evidence))):
+    for time_s in _times_s(evidence):
         rms = np.sqrt(np.maximum(_variance(pairs, evidence.header.name, partners, time_s), 0.0))
         if rms.any():
             x, y, z = np.where(rms < rms.max() / 5, 0.0, rms).tolist()
-            yield Trial((CommonMode((x, y, z), time_s),), ("rms", "time_constant_s"), shared=True)
+            yield Trial((CommonMode((x, y, z), time_s),), _FREE, shared=True)
+    score = evidence.score(*TRACES)
+    for one in _own(evidence):
+        yield Trial((CommonMode(sized(one.rms, score), one.time_constant_s),), _FREE, shared=True)
+
+
+def _own(evidence: Evidence) -> Iterator[Wander]:
+    """How the sensor itself wanders: few of a slow process's values are independent, and say little of a covariance."""
+    wander, over = wander_of(evidence), over_logs(evidence)
+    for one in (None if wander is None else slower(evidence, wander), over):
+        if one is not None and one.rms.any():
+            yield one
+
+
+def _times_s(evidence: Evidence) -> list[float]:
+    """Time constants that are apart."""
+    wander, over = wander_of(evidence), over_logs(evidence)
+    first_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
+    times_s = [first_s, min(_APART * first_s, 3 * longest_s(evidence))]
+    if over is not None:
+        times_s.append(over.time_constant_s)
+    kept: list[float] = []
+    for time_s in times_s:
+        if all(max(time_s / other, other / time_s) > _ALIKE for other in kept):
+            kept.append(time_s)
+    return kept
 
 
 def _between_logs(evidence: Evidence) -> Iterator[Trial]:

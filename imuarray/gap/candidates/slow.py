@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import nnls
 
+from imuarray.gap.candidates.levels import levels, log_levels
 from imuarray.gap.evidence import Evidence, Seen
 
 Floats = npt.NDArray[np.float64]
@@ -34,6 +35,10 @@ TRACES = (
 
 BEYOND = 3.0
 """A trace that far from what the model makes is followed up."""
+
+SLOWEST = 5.0
+"""A process that is slower than so many phases is another bias in each boot; within one phase it is a random walk if it
+is slower than that."""
 
 _FACTORS = 4
 """Starts in an averaging time: terms that hang together."""
@@ -146,6 +151,22 @@ def slower(evidence: Evidence, found: Wander) -> Wander:
     is_slow = found.time_constant_s > longest_s(evidence)
     time_constant_s = found.time_constant_s / (_APART**2) if is_slow else _APART * found.time_constant_s
     return Wander(rms_at(evidence, time_constant_s), time_constant_s)
+
+
+def over_logs(evidence: Evidence) -> Wander | None:
+    """Logs' levels say how large it is, what goes on within them 2 rms^2 / time constant, how fast; None where these
+    don't wander, or there are less than three.
+    """
+    _, means, errors = log_levels(levels(evidence))
+    if len(means) < 3 or not evidence.is_odd("run_scatter", "run_spread", "mean", beyond=BEYOND):
+        return None
+    square = (means.var(axis=0, ddof=1) - errors.mean(axis=0)).clip(0.0)
+    long_s = 10 * longest_s(evidence)
+    pace = rms_at(evidence, long_s) ** 2 / long_s
+    if not square.any() or not pace.any():
+        return None
+    time_constant_s = min(max(square.mean() / pace.mean(), longest_s(evidence) / 3), SLOWEST * longest_s(evidence))
+    return Wander(square**0.5, time_constant_s)
 
 
 def rms_at(evidence: Evidence, time_constant_s: float) -> Floats:

@@ -13,7 +13,7 @@ from imuarray.gap.candidates.candidate import Trial
 from imuarray.gap.candidates.common_mode import COMMON_MODE
 from imuarray.gap.candidates.popcorn_noise import POPCORN_NOISE
 from imuarray.gap.candidates.random_walk import RANDOM_WALK
-from imuarray.gap.candidates.slow import allan_of, gauss_markov, within
+from imuarray.gap.candidates.slow import allan_of, gauss_markov, slower, wander_of, within
 from imuarray.simulate.effects.bias_instability import BiasInstability
 from imuarray.simulate.effects.common_mode import CommonMode
 from imuarray.simulate.effects.popcorn_noise import PopcornNoise
@@ -140,6 +140,17 @@ def test_a_wander_of_all_units(kind: str, rms: float, time_constant_s: float) ->
     found = common(list(COMMON_MODE.guesses(evidence_of(kind, "A1", both, seed=7))))
     assert is_near(float(np.mean(found.rms)), rms, 2.0)
     assert is_near(found.time_constant_s, time_constant_s, 4.0)
+
+
+def test_all_of_a_wander_may_be_shared() -> None:
+    """A few values say little of a covariance: sizes of the sensor's own wander are tried too, as large as it is."""
+    both = dict.fromkeys(("A1", "A2"), (CommonMode((0.003,) * 3, 2.0),))
+    evidence = evidence_of("static", "A1", both, seed=7)
+    wander = wander_of(evidence)
+    assert wander is not None
+    apart = slower(evidence, wander)
+    effects = [effect for trial in COMMON_MODE.guesses(evidence) for effect in trial.effects]
+    assert CommonMode(tuple(apart.rms.tolist()), apart.time_constant_s) in effects
 
 
 def test_a_change_between_two_logs_that_all_units_share() -> None:
