@@ -279,7 +279,9 @@ def _with_fitted(models: Models, settled: Models) -> Models:
 
 
 def _pruned(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
-    """Without the axes that gain too little, where an axis of 0 is without the effect."""
+    """Without the axes that gain too little, unless more than that is lost: an axis of 0 is without the effect, but an
+    offset that another range has on one is not.
+    """
     active = active_axes(found.tried.trial)
     if len(active) < 2:
         return found
@@ -291,7 +293,8 @@ def _pruned(bench: Bench, standing: Standing, found: _Simulated) -> _Simulated:
     trial = found.tried.trial
     fewer = replace(trial, effects=tuple(without(effect, idle) for effect in trial.effects))
     models = _with_fitted(standing.changed(fewer), found.seen.settled)
-    return _simulated(bench, standing, fewer, models, len(found.seen.values)) or found
+    after = _simulated(bench, standing, fewer, models, len(found.seen.values))
+    return after if after is not None and after.tried.gain > found.tried.gain - _AXIS_GAIN * len(idle) else found
 
 
 def _most_of(gains: Floats, told: npt.NDArray[np.bool_], own: npt.NDArray[np.bool_]) -> float:

@@ -21,6 +21,7 @@ from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.g_sensitivity import GSensitivity
 from imuarray.simulate.effects.glitches import Glitches
+from imuarray.simulate.effects.range_reset import RangeReset
 from imuarray.simulate.effects.stale_samples import StaleSamples
 from imuarray.simulate.effects.stuck import Stuck
 from imuarray.simulate.effects.tone import Tone
@@ -110,6 +111,20 @@ def test_axes_that_gain_nothing_are_left(tone: tuple[Bench, Standing]) -> None:
     assert [bool(one) for one in effect.amplitude] == [False, True, False]
     assert found.models is not None
     assert found.models["G1"].added == (effect,)
+
+
+def test_an_axis_that_gains_nothing_stays_where_it_loses_without() -> None:
+    """Another range for half a second, with half the counts: its offset on x makes good for that, so that nothing shows
+    there; without the offset the model would have x change by half of its bias.
+    """
+    known = {"runs": (0.0,), "moments_s": (8.0,), "lengths_s": (0.5,), "doubts_s": (0.0,)}
+    reset = RangeReset(500.0, (0.5, 0.0, 2.0), (2.0, 1.0, 1.0), **known)
+    found = found_in(reset)
+    refined = refine(found.bench, standing_of(found), Trial((reset,), ("offset",), whole=True))
+    (effect,) = refined.trial.effects
+    assert isinstance(effect, RangeReset)
+    assert effect.offset == pytest.approx(reset.offset, rel=0.2)
+    assert effect.offset[0] > 0
 
 
 def test_what_has_no_free_parameter_is_as_guessed(tone: tuple[Bench, Standing]) -> None:
