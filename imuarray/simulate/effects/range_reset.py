@@ -15,7 +15,7 @@ from imuarray.log.format import RECONFIGURED, SUSPECT, SensorHeader
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect, per_axis, require, scalar
 from imuarray.simulate.parameters import alongside, listed
-from imuarray.simulate.signal import Analog, Bools, Flags, Floats, Instants, Place, Triple, per_row
+from imuarray.simulate.signal import Analog, Bools, Codes, Flags, Floats, Instants, Place, Triple, per_row
 
 Number = TypeVar("Number", int, float)
 
@@ -34,7 +34,9 @@ class RangeReset(Effect):
 
     Where single stretches are known, these are and no others: from each of `moments_s`, by the log's clock, for as long
     as `lengths_s` says, in the run with that number in `runs`. A logger that reads back how the chip is set doubts its
-    rows from so much before as `doubts_s` says, and flags the first row that comes when it is set up again.
+    rows from so much before as `doubts_s` says, and flags the first row that comes when it is set up again. For as long
+    as `blanks_s` says from each moment on (0 if it says nothing) the chip has made no reading yet: zeros, not fresh,
+    and its own thermometer's too.
     """
 
     name: ClassVar[str] = "range_reset"
@@ -48,6 +50,7 @@ class RangeReset(Effect):
     moments_s: tuple[float, ...] = listed()
     lengths_s: tuple[float, ...] = listed()
     doubts_s: tuple[float, ...] = listed()
+    blanks_s: tuple[float, ...] = listed()
 
     def __post_init__(self) -> None:
         """ValueError for an infinite onset or a probability outside 0 to 1."""
@@ -56,6 +59,7 @@ class RangeReset(Effect):
         require("probability", self.probability, 0.0, 1.0)
         require("noise_share", min(self.noise_share), 0.0, 1e6)
         lists = {name: getattr(self, name) for name in ("runs", "moments_s", "lengths_s", "doubts_s")}
+        lists["blanks_s"] = self.blanks_s or (0.0,) * len(self.runs)
         for name, values in alongside(**lists).items():
             object.__setattr__(self, name, values)
 
@@ -78,6 +82,26 @@ class RangeReset(Effect):
             sensitivity=_from(since, sensitivity, analog.sensitivity, dtype),
             lowest=_from(since, span.lowest, analog.lowest, dtype),
             highest=_from(since, span.highest, analog.highest, dtype),
+        )
+
+    def codes(self, codes: Codes, at: Place) -> Codes:
+        """Zeros where there is no reading yet."""
+        if math.isnan(self.range) or not any(self.blanks_s):
+            return codes
+        blank = np.zeros(len(codes.counts), bool)
+        first, stop = codes.first, codes.first + len(blank)
+        known = zip(self.runs, self.moments_s, self.blanks_s, strict=True)
+        empty_ns = ((moment * 1e9, (moment + blank) * 1e9) for run, moment, blank in known if run == at.streams.boot)
+        for due, over in at.rows_in(first, stop, empty_ns):
+            blank[max(due - first, 0) : over - first] = True
+        if not blank.any():
+            return codes
+        degc = codes.temperature_counts
+        return replace(
+            codes,
+            counts=np.where(blank[:, None], 0, codes.counts),
+            temperature_counts=None if degc is None else np.where(blank, 0, degc),
+            fresh=codes.fresh & ~blank,
         )
 
     def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:

@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.log.format import RECONFIGURED, SUSPECT
 from imuarray.simulate.effects.range_reset import RangeReset
-from imuarray.simulate.signal import Analog, Instants
+from imuarray.simulate.signal import Analog, Codes, Instants
 from tests.simulate.conftest import MakePlace, header
 
 MakeAnalog = Callable[..., Analog]
@@ -114,3 +114,19 @@ def test_stretches_that_are_known(place: MakePlace, analog: MakeAnalog, instants
     assert not status.any()
     assert not effect.flagged(status, here, place(boot=1)).any()
     assert effect.analog(analog(0, 20), place(boot=1)).sensitivity == 512
+
+
+def test_before_the_first_reading(place: MakePlace, codes: Callable[..., Codes]) -> None:
+    """Rows 7 to 9 of 100 a second in run 2, 7 before the chip has measured anything; none unless that is said."""
+    effect = RangeReset(2.0, runs=(2,), moments_s=(0.065,), lengths_s=(0.03,), doubts_s=(0.0,), blanks_s=(0.01,))
+    before = codes(0, 20, np.full((20, 1), 300))
+    for first in (0, 7, 8):
+        after = effect.codes(
+            replace(before, first=first, counts=before.counts[first:], fresh=before.fresh[first:]), place(boot=2)
+        )
+        assert np.flatnonzero(~after.counts.any(axis=1)).tolist() == [7 - first] * (first < 8)
+        assert np.flatnonzero(~after.fresh).tolist() == [7 - first] * (first < 8)
+    assert effect.codes(before, place(boot=1)) is before
+    silent = replace(effect, blanks_s=())
+    assert silent.blanks_s == (0.0,)
+    assert silent.codes(before, place(boot=2)) is before
