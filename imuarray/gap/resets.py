@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from imuarray.gap.runs import robust_std
 from imuarray.log import SensorLog
-from imuarray.log.format import SUSPECT
+from imuarray.log.format import STALE, SUSPECT
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ _ROUNDED_LSB = 0.5
 class Reset(NamedTuple):
     """Rows that the recorder doubts, from `doubt_s` on; their readings are others from `moment_s` until `end_s`,
     seconds since the log's epoch, between rows. `before` and `within` (3,) are readings in counts, with their
-    `noise_before` and `noise_within`.
+    `noise_before` and `noise_within` (nan if they are too few). `blank_s`: for so long the chip gave zeros at first.
     """
 
     doubt_s: float
@@ -42,6 +42,7 @@ class Reset(NamedTuple):
     within: Floats
     noise_before: Floats
     noise_within: Floats
+    blank_s: float = 0.0
 
 
 def resets_in(sensor: SensorLog) -> tuple[Reset, ...]:
@@ -78,18 +79,40 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
     if len(before) < _FEWEST:
         return None
     level, noise = _middle(before)
-    last = np.median(inside[-_FEWEST // 2 :], axis=0) - level
-    axis = int(np.abs(last / noise).argmax())
-    if abs(last[axis]) < _FAR * noise[axis]:
+    blank = _is_blank(sensor, begin, inside)
+    read = np.flatnonzero(~blank)
+    onset = _onset(inside[read], level, noise)
+    if onset is None:
         return None
-    usual = np.flatnonzero((inside[:, axis] - level[axis]) / last[axis] < 1 / 2)
-    onset = int(usual[-1]) + 1 if len(usual) else 0
-    changed = inside[onset:]
-    if not len(changed):
-        return None
+    changed = inside[read[onset:]]
+    since = int(read[onset])
+    emptied = int(read[onset - 1]) + 1 if onset else 0  # zeros in between come of the reset
     within, noise_within = _middle(changed)
-    doubt_s, moment_s, end_s = (_between_s(sensor, row) for row in (begin, begin + onset, end))
-    return Reset(doubt_s, moment_s, end_s, level, within, noise, noise_within)
+    if len(changed) < _FEWEST // 2:
+        noise_within = np.full(3, np.nan)
+    doubt_s, moment_s, read_s, end_s = (_between_s(sensor, row) for row in (begin, begin + emptied, begin + since, end))
+    return Reset(doubt_s, moment_s, end_s, level, within, noise, noise_within, read_s - moment_s)
+
+
+def _onset(inside: Floats, level: Floats, noise: Floats) -> int | None:
+    """From which of the readings (n, 3) within the stretch on all are others than before; None if none are. A dip may
+    end after the first one.
+    """
+    for last_rows in (_FEWEST // 2, 1) if len(inside) else ():
+        last = np.median(inside[-last_rows:], axis=0) - level
+        axis = int(np.abs(last / noise).argmax())
+        if abs(last[axis]) > _FAR * noise[axis]:
+            usual = np.flatnonzero((inside[:, axis] - level[axis]) / last[axis] < 1 / 2)
+            onset = int(usual[-1]) + 1 if len(usual) else 0
+            if onset < len(inside):
+                return onset
+    return None
+
+
+def _is_blank(sensor: SensorLog, begin: int, inside: Floats) -> npt.NDArray[np.bool_]:
+    """Which rows hold no reading, but the zeros of a chip that has made none since it was reset."""
+    stale = (np.asarray(sensor.status[begin : begin + len(inside)]) & STALE) != 0
+    return np.asarray(stale & (inside == 0).all(axis=1))
 
 
 def _middle(counts: Floats) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ import pytest
 
 from imuarray.gap.resets import MOST, resets_in
 from imuarray.log import Block, Log, LogWriter, open_log
-from imuarray.log.format import SUSPECT, SensorHeader
+from imuarray.log.format import STALE, SUSPECT, SensorHeader
 
 ROW_NS = 10_000_000
 USUAL, OTHER = np.array([40.0, -30.0, 520.0]), np.array([20.0, 90.0, 4160.0])
@@ -24,10 +24,18 @@ def readings(rows: int, changed: Collection[int] = (), noise: float = 2.0) -> np
     return np.where(other, OTHER + 4 * drawn, USUAL + drawn)
 
 
-def recorded(path: Path, counts: npt.NDArray[np.float64], doubted: Collection[int], lost: Collection[int] = ()) -> Log:
-    """Rows every 10 ms, some of them flagged; those that are `lost` don't come."""
+def recorded(
+    path: Path,
+    counts: npt.NDArray[np.float64],
+    doubted: Collection[int],
+    lost: Collection[int] = (),
+    blank: Collection[int] = (),
+) -> Log:
+    """Rows every 10 ms, some of them flagged; those that are `lost` don't come, those `blank` are zeros, not fresh."""
     rows = np.array([row for row in range(len(counts)) if row not in lost])
     status = np.where(np.isin(rows, list(doubted)), SUSPECT, 0).astype(np.uint16)
+    status[np.isin(rows, list(blank))] |= STALE
+    counts = np.where(np.isin(np.arange(len(counts)), list(blank))[:, None], 0, counts)
     header = SensorHeader("A", "bma180", "specific_force", "g", 16.0, 512.0, rate_hz=2400.0)
     with LogWriter(path, [header], source="imported", epoch="2024-01-01T00:00:00Z", force=True) as log:
         log.append("A", Block(rows * ROW_NS, np.rint(counts[rows]).astype(np.int16), status))
@@ -41,6 +49,21 @@ def test_a_dip_that_comes_back(tmp_path: Path) -> None:
     assert (found.doubt_s, found.moment_s, found.end_s) == pytest.approx((2.995, 3.055, 3.115))
     np.testing.assert_allclose(found.before, USUAL, atol=2)  # medians of 16 and of 6 rows: 3 standard errors and more
     np.testing.assert_allclose(found.within, OTHER, atol=16)
+
+
+def test_a_chip_that_has_made_no_reading_yet(tmp_path: Path) -> None:
+    """Zeros in row 306, one reading in 307, and then it is set up again: one reading says nothing of the noise."""
+    with recorded(tmp_path / "log.h5", readings(500, [306, 307]), range(300, 308), range(308, 330), [306]) as log:
+        (found,) = resets_in(log["A"])
+    assert (found.doubt_s, found.moment_s, found.end_s) == pytest.approx((2.995, 3.055, 3.075))
+    assert found.blank_s == pytest.approx(0.01)
+    np.testing.assert_allclose(found.within, OTHER, atol=4 * 4 * 2)
+    assert np.isnan(found.noise_within).all()
+
+
+def test_zeros_alone_tell_no_range(tmp_path: Path) -> None:
+    with recorded(tmp_path / "log.h5", readings(500), range(300, 308), range(308, 330), [306, 307]) as log:
+        assert resets_in(log["A"]) == ()
 
 
 def test_until_the_log_ends(tmp_path: Path) -> None:

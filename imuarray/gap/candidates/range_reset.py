@@ -110,7 +110,8 @@ def _noticed(evidence: Evidence) -> Iterator[Trial]:
     numbers = NUMBERS * (len(resets) + len(lost))
     found = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides)]
     for rarity, effect in sorted(found, key=lambda one: one[0])[:_RANGES]:  # so few readings say little of the noise
-        effects = (replace(effect, **known, doubts_s=doubts_s), *([missing] if lost else []))
+        told = replace(effect, **known, doubts_s=doubts_s, blanks_s=tuple(one.blank_s for one in resets))
+        effects = (told, *([missing] if lost else []))
         yield Trial(effects, whole=True, rarity=numbers + rarity)
 
 
@@ -162,7 +163,9 @@ def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
     for other, ratio in _ratios(evidence).items():
         offsets = np.array([one.after / ratio - one.before for one in sides])
         offset = np.median(offsets, axis=0)
-        share = np.median([one.noise_after / (ratio * one.noise_before) for one in sides], axis=0)
+        shares = np.array([one.noise_after / (ratio * one.noise_before) for one in sides])
+        known = shares[np.isfinite(shares).all(axis=1)]
+        share = np.median(known, axis=0) if len(known) else np.ones(3)
         if not ((share > _NOISE_SHARES[0]) & (share < _NOISE_SHARES[1])).all():
             continue
         size = float(np.sqrt(np.mean(np.square(offsets).sum(axis=1))))  # faces tell a wrong range by other ones each

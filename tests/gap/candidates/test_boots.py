@@ -144,7 +144,12 @@ def test_another_range_for_a_while() -> None:
     assert reset.offset == pytest.approx((0.02,) * 3)
     assert reset.noise_share == pytest.approx((2.0,) * 3)
     assert (lost.runs, lost.moments_s, lost.lengths_s) == ((3.0,), (8.2,), (0.3,))
+    assert reset.blanks_s == (0.0, 0.0)
     assert first.whole
     assert first.name == "range_reset"
     assert second.rarity > first.rarity > 0
     assert not list(RANGE_RESET.guesses(replace(evidence, scores={})))
+    brief = told[0]._replace(noise_within=np.full(3, np.nan), blank_s=0.01)
+    found = next(iter(RANGE_RESET.guesses(replace(evidence, resets=((0, brief),))))).effects[0]
+    assert isinstance(found, RangeReset)
+    assert (found.blanks_s, found.noise_share) == ((0.01,), (1.0, 1.0, 1.0))
