@@ -47,7 +47,8 @@ def overall(keys: Sequence[Key], before: Likeness, after: Likeness, real: Floats
     made of them what `after` says, and the base model what `before` does. The worst first.
 
     The causes may miss what they have moved by the share by which the form of the right ones may be wrong, everywhere
-    alike. Single statistics count up to five standard deviations, so that none stands for many.
+    alike. Single statistics count up to five standard deviations, so that none stands for many. How axes hang together
+    is left aside: what effects draw they draw for each axis, and one supply, or one bearing, has one course for all.
     """
     scores, own = (np.clip(after.scores(values), -_WILD, _WILD) for values in (replicates, real))
     moved = np.nan_to_num(np.abs(after.location - before.location))
@@ -71,6 +72,8 @@ def overall(keys: Sequence[Key], before: Likeness, after: Likeness, real: Floats
 def _groups(keys: Sequence[Key], says: npt.NDArray[np.bool_]) -> Iterator[tuple[str, str, str, Integers]]:
     places: dict[tuple[str, str, str], list[int]] = {}
     for at in np.flatnonzero(says).tolist():
+        if keys[at].domain == "cross_sensor":
+            continue
         for axis in {keys[at].axis, ""}:
             places.setdefault((keys[at].sensor, axis, keys[at].probe), []).append(at)
     for place, members in places.items():

@@ -92,3 +92,10 @@ def test_few_statistics_say_nothing_together() -> None:
     few = LEAST - 1
     before = likeness_of(replicates[:, :few], np.zeros(few))
     assert overall(KEYS[:few], before, before, real[:few], replicates[:, :few]) == []
+
+
+def test_how_axes_hang_together_is_left_aside() -> None:
+    keys = [key._replace(domain="cross_sensor", probe="slow_own_axes") for key in KEYS]
+    real, replicates = chance(1, 11)[0] + 5.0, chance(REPLICATES, 12)
+    before = likeness_of(replicates, np.zeros(len(KEYS)))
+    assert overall(keys, before, before, real, replicates) == []
