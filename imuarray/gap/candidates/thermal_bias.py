@@ -33,12 +33,15 @@ def guesses(evidence: Evidence) -> Iterator[Trial]:
 
 
 def _squares(found: Levels) -> Iterator[Trial]:
+    """With the slope that goes with them: the straight line that was fitted lies along the curve where the sensor was
+    warm, and would turn away from it there if the square were put on top.
+    """
     warm = warmth(found)
     fit = fitted(np.stack([warm, warm**2], axis=1), found.mean, found.group)
     clear = np.abs(fit.coefficient[1]) > _CLEAR * fit.error[1]
     if clear.any():
-        x, y, z = np.where(clear, fit.coefficient[1], 0.0).tolist()
-        yield Trial((ThermalBias(quadratic=(x, y, z)),), ("quadratic",))
+        slope, quadratic = np.where(clear, fit.coefficient, 0.0).tolist()
+        yield Trial((ThermalBias(tuple(slope), tuple(quadratic)),), ("quadratic",))
 
 
 def _between_logs(found: Levels) -> Iterator[Trial]:

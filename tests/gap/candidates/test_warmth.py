@@ -24,7 +24,7 @@ def test_a_square() -> None:
     (effect,) = trial.effects
     assert isinstance(effect, ThermalBias)
     assert effect.quadratic == pytest.approx((0.001, 0.001, -0.0005), rel=0.1)
-    assert effect.slope == (0.0, 0.0, 0.0)
+    assert np.add(effect.slope, evidence.fitted.slope) == pytest.approx((0.05, 0.05, 0.05), abs=0.002)  # at 25 degC
     assert trial.free == ("quadratic",)
 
 
