@@ -12,8 +12,9 @@ from imuarray.gap.diagnosis import Cause, Where
 from imuarray.gap.judgement import MORE, Judged, beyond_form
 from imuarray.gap.overall import Overall, overall
 
-ALIKE = 1.5
-"""An average is so much beyond any replicate's to be something else: of forty phases it tells what no use would notice.
+ALIKE = 2.0
+"""An average is so much beyond any replicate's to be something else: of forty phases it tells what no use would notice,
+as that a telegraph is a little longer in one of its states than the effect has it.
 """
 
 
