@@ -22,8 +22,10 @@ from imuarray.gap.statistics import Key, statistics
 
 Floats = npt.NDArray[np.float64]
 
-EXPLAINED, PARTLY = 0.8, 0.3
-"""Shares of the gap closed from which on it is explained, or partly."""
+EXPLAINED, PARTLY = 0.9, 0.3
+"""Shares of the gap closed from which on it is explained, or partly. What is at work closes more than nine tenths as a
+rule: of causes of one mechanism that closed 0.8 to 0.9, in all runs that have been looked at, 6 were right and 11 not.
+"""
 
 DOUBT = 0.05
 """The p of what is left below which something is left."""
