@@ -30,13 +30,14 @@ class BrownOut(SensorMechanism):
     def put_on(self, site: Site) -> None:
         """Before the chip is next addressed."""
         due_ns = (WHILE_SET_UP_S + site.run_random("dip").exponential(self.mean_s)) * 1e9
-        done = False
+        done, touched = False, site.touched.setdefault(self, set())
 
         def reset(at_ns: int) -> int | None:
             nonlocal done
             if done or at_ns < due_ns:
                 return None
             done = True
+            touched.add(site.name)
             site.note(f"browned out at {due_ns * 1e-9:.3f} s")
             return round(due_ns)
 

@@ -126,6 +126,7 @@ class FittedBoard(Board):
                 self.seed,
                 self.run,
                 self.notes,
+                self.touched,
             )
         return self._sites[sensor.name]
 

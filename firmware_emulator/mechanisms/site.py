@@ -33,7 +33,7 @@ class Site:
 
     `run` counts the times that the array was powered up, from 0. `chain` and `links` are where mechanisms act on its
     signal and on its wiring; `kinds` changes the chip itself, `switches` its keyword arguments; `notes` says what
-    happened, for the sealed truth.
+    happened, for the sealed truth, and `touched` to whom, by the mechanisms that leave that to chance.
     """
 
     name: str
@@ -44,6 +44,7 @@ class Site:
     seed: int
     run: int
     notes: list[str]
+    touched: dict[Any, set[str]] = field(default_factory=dict)
     chain: Chain = field(default_factory=Chain)
     links: Links = field(default_factory=Links)
     kinds: list[Callable[[Callable[..., Chip]], Callable[..., Chip]]] = field(default_factory=list)

@@ -149,7 +149,8 @@ class Run:
 
 def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
     """Open the sealed truth of a run's folder. Cases without outcome are lost, as are outcomes without truth; so are
-    those of `planned` that have nothing at all. ConfigError if it isn't a run's folder.
+    those of `planned` that have nothing at all. Where what comes by chance never came there is no answer. ConfigError
+    if it isn't a run's folder.
     """
     place = Path(folder)
     try:
@@ -157,18 +158,24 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
     except (OSError, ValueError):
         raise ConfigError(f"{place}: no plan.json; allowed is the folder of a validation run") from None
     sealed, came = _tables(place / "sealed"), _tables(place / "outcomes")
-    answers, lost, differing = [], [], 0
+    answers, lost, differing, idle = [], [], 0, 0
     for name, table in sealed.items():
         case, outcome = Case.of_table(table["case"]), Outcome(**came[name]) if name in came else None
         if outcome is None or outcome.error or not outcome.diagnosis:
             lost.append(Lost(name, case.kind, case.plan, _why(outcome)))
             continue
+        if _is_idle(table.get("truth") or {}):
+            idle += 1
+            continue
         answers.append(Answer(case, at_work_of(case, table.get("truth") or {}), outcome))
         differing += _differs(case, table.get("truth") or {})
     lost += _unsealed(planned, sealed, came)
     answers.sort(key=lambda one: (one.case.half, one.case.number))
-    notes = [f"In {differing} cases what is at work has other names in the plan than by its generator."]
-    return Run(plan, tuple(answers), tuple(lost), tuple(notes if differing else ()))
+    notes = {
+        f"In {differing} cases what is at work has other names in the plan than by its generator.": differing,
+        f"In {idle} cases what comes by chance never came while something was recorded: they don't count.": idle,
+    }
+    return Run(plan, tuple(answers), tuple(lost), tuple(note for note, count in notes.items() if count))
 
 
 def at_work_of(case: Case, truth: Mapping[str, Any]) -> tuple[AtWork, ...]:
@@ -218,6 +225,15 @@ def _axes(parameters: Mapping[str, Any]) -> Iterable[str]:
 
 def _told(truth: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return list(truth.get("mechanisms") or ())
+
+
+def _is_idle(truth: Mapping[str, Any]) -> bool:
+    """Whether a mechanism that says whom it touched, when it comes, touched none in any log."""
+    said: dict[str, bool] = {}
+    for log in truth.get("logs") or ():
+        for mechanism, sensors in log.get("touched", {}).items():
+            said[mechanism] = said.get(mechanism, False) or bool(sensors)
+    return not all(said.values())
 
 
 def _differs(case: Case, truth: Mapping[str, Any]) -> bool:

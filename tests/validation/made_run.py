@@ -80,8 +80,9 @@ class Made:
         plan: str = "full",
         resembles: Sequence[Sequence[str]] | None = None,
         extra: Mapping[str, Any] | None = None,
+        touched: Sequence[Mapping[str, Sequence[str]]] = (),
     ) -> Case:
-        """The next one, of those that are sealed."""
+        """The next one, of those that are sealed; in each log what comes by chance `touched` these."""
         self.count += 1
         names = (
             tuple(tuple(one) for one in resembles)
@@ -99,7 +100,8 @@ class Made:
             }
             for put, effects in zip(puts, names, strict=kind != "removal")
         ]
-        table = {"case": case.table(), "truth": {"array": "martin2013", "mechanisms": mechanisms, "logs": []}}
+        table = {"case": case.table(), "truth": {"array": "martin2013", "mechanisms": mechanisms}}
+        table["truth"]["logs"] = [{"touched": one} for one in touched]
         write_json(self.folder / "sealed" / f"{case.name}.json", table)
         return case
 

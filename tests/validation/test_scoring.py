@@ -365,6 +365,17 @@ def test_seconds_are_those_of_the_full_plan(made: Made) -> None:
     assert found.row("seconds a case, median").mark == ""
 
 
+def test_what_never_came_does_not_count(made: Made) -> None:
+    """It came in one of the logs, in none, and the last leaves nothing to chance."""
+    for touched in ([{"torn_reads": []}, {"torn_reads": ["Gyro1"]}], [{"torn_reads": []}] * 2, [{}, {}]):
+        made.both("single", NO_GAP, put("torn_reads"), touched=touched)
+    found = figures(made)
+    assert shares(found.row("detection at 5x the limit")) == (0.0, 2)
+    assert found.notes == (
+        "In 1 cases what comes by chance never came while something was recorded: they don't count.",
+    )
+
+
 def test_names_that_differ_from_the_generators_are_noted(made: Made) -> None:
     case = made.both("single", RIPPLE, put("mains_ripple"))
     assert figures(made).notes == ()

@@ -157,6 +157,14 @@ def test_a_brown_out_brings_back_the_eeproms_range():
         assert words(bus.transfer(BMA, b"\x02", 6))[2] >> 2 == 4096
 
 
+@pytest.mark.parametrize(("until_s", "touched"), [(1, set()), (200, {"BMA"})])
+def test_a_brown_out_that_never_came_is_known(until_s, touched):
+    """It comes 5 s after power-on at the soonest, and after 200 s it came but for one case in 10^17."""
+    fitted = board(BrownOut(mean_s=5.0), "BMA")
+    fitted._sites["BMA"].links.resets[0](until_s * S)
+    assert fitted.touched == {BrownOut(mean_s=5.0): touched}
+
+
 def test_a_loose_contact_does_not_acknowledge_for_its_share_of_the_time():
     with bus_with(LooseContact(open_s=0.3, closed_s=0.7), "ADXL") as bus:
         lost = 0
