@@ -53,14 +53,15 @@ def lags(evidence: Evidence) -> Iterator[Lag]:
     """Of each phase of motion, over the axes as much as they move.
 
     For a sine of angular frequency w that is behind by d, the share of motion is cos(w d) and the probe of delay sin(w
-    d) / w; w^2 is the mean square of change over that of the signal.
+    d) / p, p = sin(w h) / h with windows of length h; p^2 is the mean square of change over that of the signal.
     """
     usual_s, share = _usual(evidence, "motion_delay", 0.0), _usual(evidence, "motion_gain", 1.0)
     share = np.where(share > 0, share, np.nan)
     sensor = evidence.header.name
     for phase, cross in motions(evidence):
-        pace, moved = _pace(cross, sensor)
-        found = np.arctan2(pace * (delay(cross, sensor) - usual_s), gain(cross, sensor) / share) / pace
+        seen, moved = _pace(cross, sensor)
+        pace = np.arcsin(np.minimum(seen * cross.window_s, 1.0)) / cross.window_s
+        found = np.arctan2(seen * (delay(cross, sensor) - usual_s), gain(cross, sensor) / share) / pace
         known = np.isfinite(found) & (moved > 0)
         if known.any():
             middle_s = (phase.start_ns + phase.end_ns) * 0.5e-9
@@ -82,7 +83,7 @@ def speed_squared(cross: Cross, sensor: str) -> Floats:
 
 
 def _pace(cross: Cross, sensor: str) -> tuple[Floats, Floats]:
-    """(3,) mean angular frequency, 1/s, and the speed's square."""
+    """(3,) root of the mean square of change per second over that of the signal, 1/s, and the speed's square."""
     speed = speed_squared(cross, sensor)
     square = np.diag(cross.fast)[cross.columns(sensor)]
     ratio = np.divide(speed, square, out=np.full(3, np.nan), where=(square > 0) & (speed > 0))

@@ -1,0 +1,47 @@
+"""How far a sensor is behind the others, by moments of their readings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.gap.candidates.lag import lags
+from imuarray.gap.cross import Cross
+from tests.gap.candidates.evidence_of import evidence_of
+
+WINDOW_S = 0.05
+
+
+def behind(cross: Cross, late_s: float, pace: float) -> Cross:
+    """A1 that much behind A2 in sines of one angular frequency along all axes of the box, which are independent."""
+    turned = np.array(cross.header("A1").orientation).T @ np.array(cross.header("A2").orientation)
+    change, lag = np.sin(pace * WINDOW_S), pace * late_s
+    own, other = cross.columns("A1"), cross.columns("A2")
+    fast, turning, changes = np.zeros((3, *cross.fast.shape))
+    for moments, same, across in (
+        (fast, 0.5, 0.5 * np.cos(lag)),
+        (changes, change**2 / 2, change**2 / 2 * np.cos(lag)),
+    ):
+        moments[own, own] = moments[other, other] = same * np.eye(3)
+        moments[own, other], moments[other, own] = across * turned, across * turned.T
+    turning[own, other] = -change * np.sin(lag) / 2 * turned  # sin(w t - w d) cos(w t) in the mean
+    turning[other, own] = change * np.sin(lag) / 2 * turned.T
+    return replace(cross, window_s=WINDOW_S, fast=fast, turning=turning, changes=changes)
+
+
+@pytest.mark.parametrize("late_s", [0.003, -0.02])
+@pytest.mark.parametrize("frequency_hz", [0.5, 2.0, 4.5])
+def test_a_sine_of_any_frequency(frequency_hz: float, late_s: float) -> None:
+    """Below a quarter of the windows' rate, 5 Hz: a fast motion changes less from window to window than it goes."""
+    evidence = evidence_of("motion", "A1")
+    pace = 2 * np.pi * frequency_hz
+    seen = tuple(
+        one if one.cross is None else replace(one, cross=behind(one.cross, late_s, pace)) for one in evidence.seen
+    )
+    found = list(lags(replace(evidence, seen=seen, expected={})))
+    assert found
+    for one in found:
+        assert one.lag_s == pytest.approx(late_s, rel=1e-6)
+        assert one.pace == pytest.approx(pace, rel=1e-6)
