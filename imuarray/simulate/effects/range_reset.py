@@ -22,8 +22,8 @@ Number = TypeVar("Number", int, float)
 
 @dataclass(frozen=True)
 class RangeReset(Effect):
-    """From `onset_s` on, in a run with this probability, or only in that number `run`: counts per unit of that other
-    range, y = x + offset, and noise times `noise_share`.
+    """From `onset_s` on, in a run with this probability, or only in that number `run`, or in those with numbers in
+    `runs`: counts per unit of that other range, y = x + offset, and noise times `noise_share`.
 
     `range` in the sensor's unit (nan: no reset), `offset` too: each range has an offset of its own (BMA-79). A chip
     that lost its settings has another filter and another gain before its converter: its noise, in the unit, is another.
@@ -60,12 +60,13 @@ class RangeReset(Effect):
         require("noise_share", min(self.noise_share), 0.0, 1e6)
         lists = {name: getattr(self, name) for name in ("runs", "moments_s", "lengths_s", "doubts_s")}
         lists["blanks_s"] = self.blanks_s or (0.0,) * len(self.runs)
-        for name, values in alongside(**lists).items():
+        whole_runs = not any((self.moments_s, self.lengths_s, self.doubts_s, self.blanks_s))
+        for name, values in alongside(**({"runs": self.runs} if whole_runs else lists)).items():
             object.__setattr__(self, name, values)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds the offset, scales the noise and sets the converter. ValueError for a range that the chip hasn't."""
-        if math.isnan(self.range) or (not math.isnan(self.run) and self.run != at.streams.boot):
+        if math.isnan(self.range) or not self._is_in(at.streams.boot):
             return analog
         sensitivity = _sensitivity(at.sensor, self.range)
         first, stop = analog.first, analog.first + len(analog.instant_ns)
@@ -83,6 +84,9 @@ class RangeReset(Effect):
             lowest=_from(since, span.lowest, analog.lowest, dtype),
             highest=_from(since, span.highest, analog.highest, dtype),
         )
+
+    def _is_in(self, run: int) -> bool:
+        return (math.isnan(self.run) or self.run == run) and (not self.runs or run in self.runs)
 
     def codes(self, codes: Codes, at: Place) -> Codes:
         """Zeros where there is no reading yet."""
@@ -116,7 +120,7 @@ class RangeReset(Effect):
 
     def _stretches(self, at: Place) -> Iterator[tuple[float, float, float]]:
         """Of this run, in ns: since when rows are doubted, and from when to when readings are others."""
-        known = zip(self.runs, self.moments_s, self.lengths_s, self.doubts_s, strict=True)
+        known = zip(self.runs if self.moments_s else (), self.moments_s, self.lengths_s, self.doubts_s, strict=True)
         for run, moment_s, length_s, doubt_s in known:
             if run == at.streams.boot:
                 yield (moment_s - doubt_s) * 1e9, moment_s * 1e9, (moment_s + length_s) * 1e9

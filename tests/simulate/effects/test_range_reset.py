@@ -44,6 +44,12 @@ def test_in_one_run_only(place: MakePlace, analog: MakeAnalog) -> None:
     assert effect.analog(before, place(boot=3)).sensitivity == 4096
 
 
+def test_in_several_runs(place: MakePlace, analog: MakeAnalog) -> None:
+    effect, before = RangeReset(2.0, runs=(3, 5)), analog(0, 5)
+    reset = [effect.analog(before, place(boot=boot)).sensitivity == 4096 for boot in range(7)]
+    assert np.flatnonzero(reset).tolist() == [3, 5]
+
+
 def test_stretches_before_within_and_after_agree(place: MakePlace, analog: MakeAnalog) -> None:
     effect = RangeReset(2.0, (0.1, 0.2, 0.3), onset_s=0.05)
     whole = effect.analog(analog(0, 20, value=1.0), place())
