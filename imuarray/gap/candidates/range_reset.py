@@ -42,6 +42,9 @@ _SOON = 2.0
 _OFFSET = 0.005
 """By how much of the configured range the offsets of ranges differ, or a few times that."""
 
+_NOISE_TOO = 0.3
+"""Of what another range makes of noise that comes before its amplifier, in the log: some of it comes behind."""
+
 _RANGES = 2
 """So many ranges are tried, those that need the smallest offset and change of noise."""
 
@@ -60,10 +63,11 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     if evidence.is_odd(*_WHOLE, beyond=_BEYOND):
         yield from _always(evidence)
     if evidence.is_odd(*_LOGS, beyond=_BEYOND):
-        _, means, errors = log_levels(levels(evidence))
+        logs, means, errors = log_levels(levels(evidence))
         rare = rarer(means, errors) if len(means) > 1 else None
         if rare is not None and (states := states_of_logs(evidence, rare)) is not None:
             yield from _reset(evidence, states, 0.0, float(rare.mean()))
+            yield from _just_in(evidence, states, logs[rare].tolist())
     if evidence.resets and evidence.is_odd("doubt", *_WITHIN, beyond=_BEYOND):
         yield from _noticed(evidence)
     if evidence.is_odd(*_WITHIN, beyond=_BEYOND) and (found := onsets(evidence)):
@@ -86,6 +90,18 @@ def _within(evidence: Evidence, found: Sequence[Onset]) -> Iterator[Trial]:
         if others:
             yield Trial((alone, *others))
         yield replace(trial, effects=(alone,))
+
+
+def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterator[Trial]:
+    """In these logs and no others: chance may put all of them into one part, of which the other knows nothing. Noise
+    has to be another one too, as that of a mere bias is not.
+    """
+    for guess in _cheapest(_guesses(evidence, [states])):
+        ratio = _ratios(evidence)[guess.effect.range]
+        changed = np.log(states.noise_after / states.noise_before) / np.log(ratio)
+        if changed.min() > _NOISE_TOO:
+            effect = replace(guess.effect, runs=tuple(map(float, logs)))
+            yield Trial((effect,), whole=True, rarity=NUMBERS * len(logs) + _unlike(evidence, guess.size))
 
 
 def _noticed(evidence: Evidence) -> Iterator[Trial]:

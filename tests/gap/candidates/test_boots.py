@@ -49,11 +49,27 @@ def test_two_groups_of_levels() -> None:
 
 def test_another_range_in_some_boots() -> None:
     found = resets("turn-on", "A1", RangeReset(2.0, (0.02,) * 3, (1.5,) * 3, probability=0.4))
-    (of_two_g,) = [one for one in found if one.range == 2.0]
+    of_two_g, just_in = [one for one in found if one.range == 2.0]
+    assert just_in == replace(of_two_g, probability=1.0, runs=just_in.runs)
+    assert len(just_in.runs) == round(8 * of_two_g.probability)
     assert of_two_g.offset == pytest.approx((0.02,) * 3, abs=0.002)
     assert of_two_g.noise_share == pytest.approx((1.5,) * 3, rel=0.1)
     assert 0.1 < of_two_g.probability <= 0.5
     assert of_two_g.onset_s == 0.0
+
+
+def test_another_range_in_the_boots_that_have_it() -> None:
+    """Boots 2 and 6, both of one part; a bias of its own in these, without another noise, is no range of theirs."""
+    put_in = RangeReset(2.0, (0.02,) * 3, runs=(2.0, 6.0))
+    trials = RANGE_RESET.guesses(evidence_of("turn-on", "A1", {"A1": (put_in,)}, seed=7))
+    told = [trial for trial in trials if trial.effects[0].runs]  # type: ignore[attr-defined]
+    assert all(trial.whole and trial.rarity >= 4 for trial in told)
+    first, *_ = [one for trial in told for one in trial.effects if isinstance(one, RangeReset)]
+    assert (first.range, first.runs, first.probability) == (2.0, (2.0, 6.0), 1.0)
+    assert first.noise_share == pytest.approx((1.0,) * 3, rel=0.1)
+    states = evidence_of("turn-on", "A1", {"A1": (BistableBias((0.5, 0.3, 0.2), 0.4),)}, seed=7)
+    others = [one for trial in RANGE_RESET.guesses(states) for one in trial.effects if isinstance(one, RangeReset)]
+    assert not [one for one in others if one.runs]
 
 
 @pytest.mark.parametrize(("sensor", "range_", "offset"), [("A1", 2.0, 0.02), ("G1", 2000.0, 0.2)])
