@@ -55,11 +55,11 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     for bit in range(_HIGHEST_BIT):
         if _is_dead(bit, merged, codes):
             yield from _with_what_hides(evidence, Quantisation(dead_bits=float(1 << bit)), 2 << bit, 1 << bit)
-    for carry in _STEPS[1:]:
-        if missing := _missing(carry, merged, codes):
-            found = Quantisation(carry_lsb=float(carry), missing_lsb=float(missing))
-            yield from _with_what_hides(evidence, found, carry, missing)
-            return
+    each = {carry: missing for carry in _STEPS[1:] if (missing := _missing(carry, merged, codes))}
+    if each:  # of every 16 all but two are, of every four, two
+        carry = max(each, key=lambda carry: each[carry] / carry)
+        found = Quantisation(carry_lsb=float(carry), missing_lsb=float(each[carry]))
+        yield from _with_what_hides(evidence, found, carry, each[carry])
 
 
 def _with_what_hides(evidence: Evidence, found: Quantisation, period: int, stretch: int) -> Iterator[Trial]:

@@ -227,6 +227,12 @@ def test_codes_that_are_missing_before_every_carry(carry: int, missing: int) -> 
     assert [trial.effects for trial in trials] == [(_missing(carry, missing),)] * 2
 
 
+def test_most_codes_are_missing() -> None:
+    """Two of 16 come, which looks like two of four, or of eight, and like bits that are dead."""
+    trials = list(quantisation.guesses(shown("static", "A1", _missing(16, 14))))
+    assert [trial.effects for trial in trials][-2:] == [(_missing(16, 14),)] * 2
+
+
 def _missing(carry: int, missing: int) -> Quantisation:
     return Quantisation(carry_lsb=float(carry), missing_lsb=float(missing))
 
