@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.candidates.candidate import Candidate, Trial
+from imuarray.gap.candidates.lag import mean_of, odd_lags
 from imuarray.gap.candidates.removal import with_removal
 from imuarray.gap.candidates.single import NUMBERS, SINGLE
 from imuarray.gap.evidence import Evidence, Seen
@@ -64,6 +65,19 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     if evidence.is_odd(*_STEPS, _IN_MOTION):
         yield from _torn_again(evidence)
         yield from _few(evidence)
+    if evidence.is_odd(_IN_MOTION):
+        yield from _torn_by_lag(evidence)
+
+
+def _torn_by_lag(evidence: Evidence) -> Iterator[Trial]:
+    """A high byte that is a row old is wrong by 256 counts as often as a change has the share of these: in the mean the
+    reading is a row late. So many of them that they don't stand alone make the sensor late by as much of a row; one of
+    three axes is hit.
+    """
+    found = odd_lags(evidence)
+    share = 3 * mean_of(found, "lag_s") * evidence.rows_per_s if found else 0.0
+    if 0 < share <= 1:
+        yield Trial((Glitches(share, kind="torn"),), ("probability",), limits={"probability": (0.0, 1.0)})
 
 
 def _again(evidence: Evidence) -> Iterator[Trial]:

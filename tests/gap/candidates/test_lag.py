@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from imuarray.gap.candidates import glitches
 from imuarray.gap.candidates.lag import lags
 from imuarray.gap.cross import Cross
+from imuarray.simulate.effects.glitches import Glitches
+from imuarray.simulate.effects.skew import Skew
 from tests.gap.candidates.evidence_of import evidence_of
 
 WINDOW_S = 0.05
@@ -45,3 +48,17 @@ def test_a_sine_of_any_frequency(frequency_hz: float, late_s: float) -> None:
     for one in found:
         assert one.lag_s == pytest.approx(late_s, rel=1e-6)
         assert one.pace == pytest.approx(pace, rel=1e-6)
+
+
+def test_torn_readings_are_a_row_late_in_the_mean() -> None:
+    """So many that none stands alone: a third of 60 % on each axis. A sensor that is a tenth of a second late is more
+    than a row behind, and not torn.
+    """
+    evidence = evidence_of("motion", "G1", {"G1": (Glitches(0.6, kind="torn"),)})
+    found = [trial.effects[0] for trial in glitches.guesses(evidence) if trial.free == ("probability",)]
+    assert any(
+        isinstance(one, Glitches) and one.kind == "torn" and one.probability == pytest.approx(0.6, rel=0.3)
+        for one in found
+    )
+    late = evidence_of("motion", "A1", {"A1": (Skew(0.1),)})
+    assert not [trial for trial in glitches.guesses(late) if trial.free == ("probability",)]
