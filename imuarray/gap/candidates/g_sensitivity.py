@@ -35,7 +35,8 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     if found is None and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):
         found = _from_motion(evidence)
     if found is not None and found.any():
-        yield Trial((GSensitivity(tuple(found.ravel().tolist())),))
+        fitted = float(np.count_nonzero(found))  # numbers, whose cost none of them being refined doesn't save
+        yield Trial((GSensitivity(tuple(found.ravel().tolist())),), rarity=fitted)
 
 
 def _from_faces(evidence: Evidence) -> Floats | None:

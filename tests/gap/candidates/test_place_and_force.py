@@ -34,6 +34,7 @@ def test_a_gyroscope_that_feels_force(kind: str, size: float, tolerance: float) 
     (effect,) = trial.effects
     assert isinstance(effect, GSensitivity)
     np.testing.assert_allclose(effect.response, response, atol=tolerance)
+    assert trial.rarity == np.count_nonzero(effect.response)  # a nat each, as numbers cost that are refined
 
 
 def test_a_curve_on_faces() -> None:
