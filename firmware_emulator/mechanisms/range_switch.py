@@ -2,37 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar, Self
 
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
 from firmware_emulator.mechanisms.site import Site
 
+RANGES: Mapping[str, tuple[float, ...]] = MappingProxyType(
+    {"bma180": (1.0, 1.5, 2.0, 3.0, 4.0, 8.0, 16.0), "l3g4200d": (250.0, 500.0, 2000.0)}
+)
+"""In g (BMA-70 to BMA-76) and dps (L3G-40 to L3G-42), by chip."""
+
 
 @dataclass(frozen=True)
 class RangeSwitch(SensorMechanism):
-    """After every `every`-th power-up the amplifier stays `octaves` octaves more sensitive than the range bits ask:
-    codes are 2^octaves as large and clip at their ends; the offset is that of the range in force (BMA-79).
+    """After every `every`-th power-up the amplifier stays in a range that is `steps` smaller than the range bits ask,
+    or in the next larger one where that is the smallest: codes are as much larger and clip at their ends; the offset
+    is that of the range in force (BMA-79). In full resolution an ADXL345 has one scale in all ranges (ADX-40): it has
+    nothing to switch.
 
-    Looks like run 10 of BMA1 in the paper's Table 6. Reference: one octave, every fourth power-up; each doubling of
-    severity is one octave more.
+    Looks like run 10 of BMA1 in the paper's Table 6. Reference: one range, every fourth power-up; each doubling of
+    severity is one range more.
     """
 
-    octaves: int = 1
+    steps: int = 1
     every: int = 4
 
+    touches: ClassVar[tuple[str, ...]] = ("bma180", "l3g4200d")
     resembles: ClassVar[tuple[str, ...]] = ("range_reset",)
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """More octaves."""
-        return cls(octaves=min(3, max(1, round(severity).bit_length())))
+        """A range that is further off."""
+        return cls(steps=min(3, max(1, round(severity).bit_length())))
 
     def put_on(self, site: Site) -> None:
         """Which power-ups are the wrong ones is the part's own; the first two never."""
         first = 2 + int(site.unit_random("range switch").integers(self.every))
         if site.run < first or (site.run - first) % self.every:
             return
-        site.note(f"range {self.octaves} octaves low")
-        share = 0.5**self.octaves
-        site.chain.full_scale.append(lambda full_scale: full_scale * share)
+        site.note(f"in a range of {self._in_force(site.chip, site.full_scale):g}")
+        site.chain.full_scale.append(lambda full_scale: self._in_force(site.chip, full_scale))
+
+    def _in_force(self, chip: str, asked: float) -> float:
+        ranges = RANGES[chip]
+        place = min(range(len(ranges)), key=lambda at: abs(ranges[at] - asked))
+        return ranges[max(place - self.steps, 0) if place else 1]
