@@ -205,7 +205,13 @@ def test_a_range_switch_that_stays_open_doubles_the_codes_after_every_fourth_pow
 
 @pytest.mark.parametrize(
     ("name", "asked", "steps", "in_force"),
-    [("BMA", 16.0, 3, 3.0), ("BMA", 1.5, 3, 1.0), ("BMA", 1.0, 1, 1.5), ("Gyro", 2000.0, 1, 500.0), ("Gyro", 250.0, 2, 500.0)],
+    [
+        ("BMA", 16.0, 3, 3.0),
+        ("BMA", 1.5, 3, 1.0),
+        ("BMA", 1.0, 1, 1.5),
+        ("Gyro", 2000.0, 1, 500.0),
+        ("Gyro", 250.0, 2, 500.0),
+    ],
 )
 def test_the_range_in_force_is_one_that_the_chip_has(name, asked, steps, in_force):
     """BMA-70 to BMA-76, L3G-40 to L3G-42."""
