@@ -18,16 +18,14 @@ RANGES: Mapping[str, tuple[float, ...]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class RangeSwitch(SensorMechanism):
-    """After every `every`-th power-up the amplifier stays in a range that is `steps` smaller than the range bits ask,
-    or in the next larger one where that is the smallest: codes are as much larger and clip at their ends; the offset
-    is that of the range in force (BMA-79). In full resolution an ADXL345 has one scale in all ranges (ADX-40): it has
-    nothing to switch.
+    """After every `every`-th power-up the amplifier stays in the range below the one that the range bits ask, or above
+    it where that is the smallest: codes are as much larger and clip at their ends; the offset is that of the range in
+    force (BMA-79). In full resolution an ADXL345 has one scale in all ranges (ADX-40): it has nothing to switch.
 
-    Looks like run 10 of BMA1 in the paper's Table 6. Reference: one range, every fourth power-up; each doubling of
-    severity is one range more.
+    Looks like run 10 of BMA1 in the paper's Table 6. There or not, every fourth power-up: the next range shows whatever
+    it is.
     """
 
-    steps: int = 1
     every: int = 4
 
     touches: ClassVar[tuple[str, ...]] = ("bma180", "l3g4200d")
@@ -35,18 +33,19 @@ class RangeSwitch(SensorMechanism):
 
     @classmethod
     def at(cls, severity: float) -> Self:
-        """A range that is further off."""
-        return cls(steps=min(3, max(1, round(severity).bit_length())))
+        """There or not."""
+        return cls()
 
     def put_on(self, site: Site) -> None:
         """Which power-ups are the wrong ones is the part's own; the first two never."""
         first = 2 + int(site.unit_random("range switch").integers(self.every))
         if site.run < first or (site.run - first) % self.every:
             return
-        site.note(f"in a range of {self._in_force(site.chip, site.full_scale):g}")
-        site.chain.full_scale.append(lambda full_scale: self._in_force(site.chip, full_scale))
+        site.note(f"in a range of {_in_force(site.chip, site.full_scale):g}")
+        site.chain.full_scale.append(lambda full_scale: _in_force(site.chip, full_scale))
 
-    def _in_force(self, chip: str, asked: float) -> float:
-        ranges = RANGES[chip]
-        place = min(range(len(ranges)), key=lambda at: abs(ranges[at] - asked))
-        return ranges[max(place - self.steps, 0) if place else 1]
+
+def _in_force(chip: str, asked: float) -> float:
+    ranges = RANGES[chip]
+    place = min(range(len(ranges)), key=lambda at: abs(ranges[at] - asked))
+    return ranges[place - 1 if place else 1]

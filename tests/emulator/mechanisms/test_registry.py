@@ -27,7 +27,7 @@ EFFECTS = {
     *("channel_swap", "thermometer"),
 }
 """The names of effects, as the documentation lists them."""
-EITHER_OR = ("rotated_package", "crossed_wiring")
+EITHER_OR = ("rotated_package", "crossed_wiring", "range_switch")
 ON_THE_ELEMENT = (
     *("carrier_shot_noise", "trapped_charges", "stress_relaxation", "single_trap", "mains_ripple", "package_tilt"),
     *("reference_voltage", "plate_gap", "drive_imbalance", "thermistor_bow", "gain_resistor", "soft_clipping"),
