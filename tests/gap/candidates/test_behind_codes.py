@@ -34,6 +34,7 @@ def test_moments_where_no_reading_leaps() -> None:
     assert table.unsure[32 * 4] == pytest.approx(2 * table.variance[32 * 4] ** 2, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("below_lsb", [2.0, 4.0])
 def test_a_gyroscope_that_warms_up_towards_a_dead_bit(below_lsb: float) -> None:
     """Its fit sees leaps by 32 counts where the bias comes near the stretch; without them bias, slope and noise are

@@ -26,6 +26,7 @@ def resets(kind: str, sensor: str, put_in: RangeReset, seed: int = 7) -> list[Ra
     return [effect for trial in trials for effect in trial.effects if isinstance(effect, RangeReset)]
 
 
+@pytest.mark.slow
 def test_levels_that_scatter() -> None:
     """Eight boots: a standard deviation of seven degrees of freedom is within a factor of 2 in 99 of 100 cases."""
     evidence = evidence_of("turn-on", "G1", {"G1": (TurnOnBias((0.5, 0.1, 0.3)),)}, seed=7)
