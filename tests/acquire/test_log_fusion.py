@@ -136,6 +136,7 @@ def test_optimal_that_watches_is_what_fusing_the_log_gives(log: Log, tmp_path: P
     assert all(0 < each["sd"] < each["sd_before"] for found in biases.values() for each in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "names"),
     [

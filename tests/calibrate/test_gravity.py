@@ -104,6 +104,7 @@ def test_bias_is_within_its_stated_uncertainty(poses: int) -> None:
     assert (sums > low).all() and (sums < high).all(), sums
 
 
+@pytest.mark.slow
 def test_response_is_within_its_stated_uncertainty() -> None:
     """Chi-square over 100 draws; error rate 1e-3 for each axis. (A sem that is too large would pass.)"""
     sums = sums_of_squares(draws(36).scale_ratios(), 15 * 36)

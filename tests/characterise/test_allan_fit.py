@@ -82,6 +82,7 @@ def test_terms_that_are_not_there_are_left_out() -> None:
     assert kstest([found.p_value for found in fits], "uniform").pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_random_walk_alone() -> None:
     fits = all_fitted(np.cumsum(white(5), axis=0))
     assert covered(fits, "random walk", INTERVAL_S**-0.5) >= binom.ppf(1e-4, REPEATS, 0.94)

@@ -226,6 +226,7 @@ def test_the_decimated_estimator_says_so_and_agrees(log_path: Path) -> None:
     assert all(inside)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     import tracemalloc
 

@@ -141,6 +141,7 @@ def test_events_are_bounded_and_counted(tmp_path: Path, out: Path) -> None:
 STEPS = st.lists(st.one_of(st.just(1), st.integers(1, 100), st.integers(1, 60_000)), max_size=8)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 65535), st.integers(0, 2**32 - 1), STEPS, st.integers(-1000, 1000), st.integers(1, 600))
 def test_time_and_losses_through_every_wrap(number: int, ticks: int, steps: list[int], drift: int, block: int) -> None:

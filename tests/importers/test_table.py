@@ -274,6 +274,7 @@ def test_every_count_and_time_survives(rows: list[tuple[int, int, int, int]], de
     assert summary.rows == len(rows)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_table(tmp_path: Path) -> None:
     def peak(rows: int) -> int:
         table = "".join(f"{row},1,2,3\n" for row in range(rows)).encode()

@@ -59,6 +59,7 @@ def test_bma1_fell_back_to_2_g_with_another_offset() -> None:
     assert max(map(abs, z_scores)) < 2
 
 
+@pytest.mark.slow
 def test_gyro3_has_two_states_in_three_axes_at_once() -> None:
     entry = cause("bistable_bias", "two states")
     assert entry["sensors"] == ["Gyro3"]

@@ -276,6 +276,7 @@ def test_nothing_at_all_is_said_too(tmp_path: Path) -> None:
     assert "Nothing can be said of any sensor" in page.words["Where the gap is"]
 
 
+@pytest.mark.slow
 def test_many_curves_are_counted(tmp_path: Path) -> None:
     page = page_of(replace(made(), overlays=overlays()[3:] * 16), tmp_path)
     assert len(page.images["Curves: real, before and after"]) == MOST_OVERLAYS

@@ -14,6 +14,7 @@ from imuarray.validation.score_answers import read_run
 from tests.validation.made_run import Made, cause, put, said
 
 
+@pytest.mark.slow
 def test_rates_are_found_again() -> None:
     """800 causes each that close nothing, a half and all of it, half of them with odds of 27 to 1 against a rival, half
     without one (10000 to 1): by the third root worth 3 and 21.5 to 1. Drawn from 0.25 and 0.9 and squares; shares of

@@ -84,6 +84,7 @@ def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) 
     assert first.run == 0.0
 
 
+@pytest.mark.slow
 def test_another_range_from_another_row_on_in_each_log() -> None:
     """A supply that dips now and then: the second log has its own moment, the same range."""
     dips = [RangeReset(2.0, onset_s=onset_s, run=run) for onset_s, run in ((33.3, 0.0), (20.0, 1.0))]

@@ -54,6 +54,7 @@ def test_a_wander(rms: float, time_constant_s: float) -> None:
     assert is_near(first.time_constant_s, time_constant_s, 2.5)
 
 
+@pytest.mark.slow
 def test_a_wander_that_is_as_slow_as_a_run() -> None:
     """Runs are 20 s long: their levels say how large it is, what goes on within them how slow."""
     evidence = evidence_of("turn-on", "G1", {"G1": (BiasInstability((0.2,) * 3, 60.0),)}, seed=4)

@@ -85,6 +85,7 @@ def test_a_line() -> None:
     assert first.amplitude == pytest.approx((0.0, 0.02, 0.0), abs=0.004)
 
 
+@pytest.mark.slow
 def test_a_line_beyond_half_the_rate_is_guessed_where_it_shows() -> None:
     first, *_ = tones("turn-on", Tone((0.0, 0.03, 0.01), 63.7))
     rate_hz = RATE_HZ

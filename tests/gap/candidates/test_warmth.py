@@ -46,6 +46,7 @@ def test_the_lagged_temperature() -> None:
     np.testing.assert_allclose(behind[steady], 0.2 * slope[steady], atol=0.02 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
     """On one face it is a slope of the bias, which is fitted."""
     put_in = {"A1": (ThermalScale((1e-3,) * 3),)}
