@@ -34,6 +34,11 @@ class Pca9544a:
         self.control = facts.CONTROL.reset
         self.route = NO_CHANNEL
 
+    @property
+    def ordered(self) -> int:
+        """The channel that the control register asks for, `NO_CHANNEL` if none."""
+        return facts.CHANNEL.of(self.control) if facts.ENABLE.of(self.control) else NO_CHANNEL
+
     def branch(self) -> Sequence[Target]:
         """The devices that are joined to the trunk now."""
         return self.channels.get(self.route, ())
@@ -50,4 +55,4 @@ class Pca9544a:
 
     def stop(self, at_ns: int) -> None:
         """Switch the wires to what the control register says."""
-        self.route = facts.CHANNEL.of(self.control) if facts.ENABLE.of(self.control) else NO_CHANNEL
+        self.route = self.ordered

@@ -11,7 +11,6 @@ from firmware_emulator.chip import Target
 from firmware_emulator.clock import Clock
 from firmware_emulator.mux import NO_CHANNEL, Pca9544a
 from firmware_emulator.wire import Wire
-from imuarray.facts import pca9544a as facts
 
 Reading = Callable[[int], int]
 
@@ -83,8 +82,7 @@ class WatchedMux(Pca9544a):
     @property
     def astray_for(self) -> int:
         """The channel that was ordered while another one is connected, `NO_CHANNEL` if there is no such."""
-        ordered = facts.CHANNEL.of(self.control) if facts.ENABLE.of(self.control) else NO_CHANNEL
-        return NO_CHANNEL if ordered == self.route else ordered
+        return NO_CHANNEL if self.ordered == self.route else self.ordered
 
     def stop(self, at_ns: int) -> None:
         """Switch the wires, if the switch moves at all; the control register reads back as written either way."""

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar, Self
 
+from firmware_emulator.chips.bma180_converter import RANGES as BMA180
+from firmware_emulator.chips.l3g4200d_signal import RANGES_DPS as L3G4200D_DPS
 from firmware_emulator.mechanisms.mechanism import SensorMechanism
 from firmware_emulator.mechanisms.site import Site
 
 RANGES: Mapping[str, tuple[float, ...]] = MappingProxyType(
-    {"bma180": (1.0, 1.5, 2.0, 3.0, 4.0, 8.0, 16.0), "l3g4200d": (250.0, 500.0, 2000.0)}
+    {"bma180": tuple(range_g for range_g, _ in BMA180.values()), "l3g4200d": tuple(dict.fromkeys(L3G4200D_DPS))}
 )
-"""In g (BMA-70 to BMA-76) and dps (L3G-40 to L3G-42), by chip."""
+"""Of each chip, in g or dps, the smallest first."""
 
 
 @dataclass(frozen=True)
