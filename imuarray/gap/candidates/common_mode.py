@@ -54,27 +54,20 @@ def _found(evidence: Evidence) -> Iterator[Trial]:
     partners = pairs[0][1].others(evidence.header.name, family=True) if pairs else ()
     if not partners:
         return
-    for time_s in _times_s(evidence):
+    wander, over = wander_of(evidence), over_logs(evidence)
+    for time_s in _times_s(evidence, wander, over):
         rms = np.sqrt(np.maximum(_variance(pairs, evidence.header.name, partners, time_s), 0.0))
         if rms.any():
             x, y, z = np.where(rms < rms.max() / 5, 0.0, rms).tolist()
             yield Trial((CommonMode((x, y, z), time_s),), _FREE, shared=True)
     score = evidence.score(*TRACES)
-    for one in _own(evidence):
-        yield Trial((CommonMode(sized(one.rms, score), one.time_constant_s),), _FREE, shared=True)
-
-
-def _own(evidence: Evidence) -> Iterator[Wander]:
-    """How the sensor itself wanders: few of a slow process's values are independent, and say little of a covariance."""
-    wander, over = wander_of(evidence), over_logs(evidence)
     for one in (None if wander is None else slower(evidence, wander), over):
-        if one is not None and one.rms.any():
-            yield one
+        if one is not None and one.rms.any():  # few values of a slow process are independent: a covariance says little
+            yield Trial((CommonMode(sized(one.rms, score), one.time_constant_s),), _FREE, shared=True)
 
 
-def _times_s(evidence: Evidence) -> list[float]:
-    """Time constants that are apart."""
-    wander, over = wander_of(evidence), over_logs(evidence)
+def _times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> list[float]:
+    """Time constants that are apart, by how the sensor itself wanders in logs, and between them."""
     first_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
     times_s = [first_s, min(_APART * first_s, 3 * longest_s(evidence))]
     if over is not None:

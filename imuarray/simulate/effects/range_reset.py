@@ -95,7 +95,7 @@ class RangeReset(Effect):
         blank = np.zeros(len(codes.counts), bool)
         first, stop = codes.first, codes.first + len(blank)
         known = zip(self.runs, self.moments_s, self.blanks_s, strict=True)
-        empty_ns = ((moment * 1e9, (moment + blank) * 1e9) for run, moment, blank in known if run == at.streams.boot)
+        empty_ns = ((moment * 1e9, (moment + length) * 1e9) for run, moment, length in known if run == at.streams.boot)
         for due, over in at.rows_in(first, stop, empty_ns):
             blank[max(due - first, 0) : over - first] = True
         if not blank.any():
