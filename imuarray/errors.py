@@ -17,6 +17,8 @@
     +-- OutputError               a file that can't be written; exit code 3 if the disk is full
     +-- MissingExtraError         an optional package that a command needs is not installed
 
+A log that is read although something in it is damaged or lost gives a `LogWarning`.
+
 A bus itself speaks `OSError` with the errno that Linux would give: 6 (ENXIO) or 121 (EREMOTEIO) for an address that
 nobody acknowledges, 110 (ETIMEDOUT) for a clock held too long (LNX-40 ... LNX-49).
 """
@@ -80,6 +82,10 @@ class DiskFullError(LogError):
         """`kept` says what there is all the same."""
         self.why = why
         super().__init__(f"{path}: {why}; {kept}")
+
+
+class LogWarning(UserWarning):
+    """A log was opened that is not whole: rows are lost, or texts are not as they were written; says which."""
 
 
 class SourceError(ImuArrayError):

@@ -23,9 +23,9 @@ def command(run: Path, as_json: bool) -> None:
     \b
     imuarray info run.h5
     """
-    from imuarray.log import open_log
+    from imuarray.log import Log
 
-    with open_log(run) as log:
+    with Log(run) as log:
         summary = describe(log)
     if as_json:
         print_json(summary)

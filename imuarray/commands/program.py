@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import click
 
-from imuarray.errors import NO_ROOM, ImuArrayError
+from imuarray.errors import NO_ROOM, ImuArrayError, LogWarning
 from imuarray.printable import printable
 
 EXIT_CODES = (
@@ -22,7 +25,8 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
     """
     try:
         given = None if arguments is None else list(arguments)
-        result = command.main(args=given, prog_name=name, standalone_mode=False)
+        with _warnings_as_lines(name):
+            result = command.main(args=given, prog_name=name, standalone_mode=False)
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except (click.Abort, KeyboardInterrupt):
@@ -36,6 +40,25 @@ def run(command: click.Command, name: str, arguments: Sequence[str] | None = Non
         place = f"{error.filename}: " if error.filename else ""
         return _ended(name, f"{place}{error.strerror or error}", 3 if error.errno in NO_ROOM else 2)
     return result if isinstance(result, int) else 0
+
+
+@contextmanager
+def _warnings_as_lines(name: str) -> Iterator[None]:
+    """Print each LogWarning as one line on standard error, once."""
+    said: set[str] = set()
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", LogWarning)
+        show = warnings.showwarning
+
+        def print_line(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if not issubclass(category, LogWarning):
+                show(message, category, *place, **more)
+            elif str(message) not in said:
+                said.add(str(message))
+                click.echo(printable(f"{name}: warning: {message}"), err=True)
+
+        warnings.showwarning = print_line
+        yield
 
 
 def _ended(name: str, text: str, exit_code: int) -> int:

@@ -28,12 +28,12 @@ def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
     \b
     imuarray recover run.h5
     """
-    from imuarray.log import open_log
+    from imuarray.log import Log
     from imuarray.log.finish import recover
 
     if output is not None:
         refuse_existing(output, force, run)
-    with open_log(run) as log:
+    with Log(run) as log:
         rows = sum(len(sensor) for sensor in log.sensors.values())
     with progress(rows, str(run)) as done:
         recovered = recover(run, output, done, force=force)

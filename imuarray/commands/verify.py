@@ -26,10 +26,10 @@ def command(run: Path, as_json: bool) -> None:
     \b
     imuarray verify run.h5
     """
-    from imuarray.log import open_log
+    from imuarray.log import Log
     from imuarray.log.verify import verify
 
-    with open_log(run) as log:
+    with Log(run) as log:
         rows = sum(len(sensor) for sensor in log.sensors.values())
     with progress(rows, str(run)) as done:
         verdict = verify(run, done)

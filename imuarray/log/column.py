@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, cast
 
 import h5py
@@ -14,8 +13,7 @@ import numpy.typing as npt
 
 from imuarray.errors import LogError
 
-_TRIES = 3
-_UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
+UNREADABLE = (OSError, RuntimeError, KeyError, MemoryError)
 """What HDF5 raises on stored rows that it can't read; ValueError, TypeError and IndexError are of a bad slice."""
 
 
@@ -51,7 +49,7 @@ class NamedColumn:
     def __getitem__(self, key: Any) -> Any:
         try:
             return self._column[key]
-        except _UNREADABLE:
+        except UNREADABLE:
             raise self._damaged(key) from None
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
@@ -74,14 +72,22 @@ class NamedColumn:
 class Column:
     """A column whose first rows stand in a file and whose last ones are here; slices and shapes as an HDF5 dataset."""
 
-    def __init__(self, dataset: h5py.Dataset, rows: int, tail: npt.NDArray[Any]) -> None:
-        self._dataset, self._rows, self._tail = dataset, rows, tail
+    chunks = None
+
+    def __init__(
+        self,
+        name: str,
+        tail: npt.NDArray[Any],
+        rows: int = 0,
+        stored: Callable[[int, int], npt.NDArray[Any]] | None = None,
+    ) -> None:
+        """`stored` gives the rows from one number to another of the `rows` in the file; OSError where they can't be
+        had.
+        """
+        self.name, self._rows, self._tail, self._stored = name, rows, tail, stored
         self.dtype: np.dtype[Any] = tail.dtype
         self.shape: tuple[int, ...] = (rows + len(tail), *tail.shape[1:])
         self.ndim, self.size = tail.ndim, int(np.prod(self.shape))
-        self.attrs = dataset.attrs
-        self.name = dataset.name
-        self.chunks = dataset.chunks
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -100,21 +106,14 @@ class Column:
 
     def _slice(self, start: int, stop: int, step: int) -> npt.NDArray[Any]:
         """Rows from both parts."""
-        head = np.asarray(self._stored(slice(start, max(start, min(stop, self._rows)), step)), self.dtype)
+        head = self._tail[:0]
+        if self._stored is not None and start < min(stop, self._rows):
+            head = np.asarray(self._stored(start, min(stop, self._rows)), self.dtype)[::step]
         if stop <= self._rows:
-            return head
-        behind = start if start >= self._rows else start + step * len(head)
-        tail = self._tail[behind - self._rows : stop - self._rows : step]
-        return np.concatenate([head, tail]) if start < self._rows else tail.copy()
-
-    def _stored(self, rows: slice) -> npt.NDArray[Any]:
-        """Rows of the file; once more if its writer was just changing the page that says where they are."""
-        for _ in range(_TRIES - 1):
-            try:
-                return cast(npt.NDArray[Any], self._dataset[rows])
-            except OSError:
-                time.sleep(0.01)
-        return cast(npt.NDArray[Any], self._dataset[rows])
+            return head.copy()
+        first = start if start >= self._rows else start + step * len(head)
+        tail = self._tail[first - self._rows : stop - self._rows : step]
+        return np.concatenate([head, tail])
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         return np.asarray(self[:], dtype)
@@ -123,8 +122,8 @@ class Column:
 class LiveGroup:
     """A group of such columns, in the place of an HDF5 group."""
 
-    def __init__(self, group: h5py.Group, columns: Mapping[str, Column]) -> None:
-        self.name, self.attrs = group.name, group.attrs
+    def __init__(self, name: str, attributes: Mapping[str, Any], columns: Mapping[str, Column]) -> None:
+        self.name, self.attrs = name, attributes
         self._columns = columns
 
     def get(self, name: str) -> Column | None:

@@ -1,32 +1,48 @@
 """How far an HDF5 file that is being written is good: a table in it with a row for every commit.
 
 A row is written after its data are on the disk, and says: where the journal stood (position, CRC), the CRC of the rows
-that this commit added, the number of rows of every group, and its own CRC, which goes on from the log's identity.
+that this commit added, the number of rows of every group, and its own CRC, which goes on from the log's identity. Rows
+are given out only after their commit was checked; those of a bad one are read from the journal.
 """
 
 from __future__ import annotations
 
+import errno
+import time
 import zlib
+from bisect import bisect_right
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.log.journal import Mark
-from imuarray.log.layout import Group
+from imuarray.errors import LogError
+from imuarray.log.guard import DAMAGE
+from imuarray.log.journal import JournalReader, Mark
+from imuarray.log.layout import NOTES, Columns, Group
+from imuarray.printable import counted
 
 COMMITS = "commits"
 _FIXED = 3
 _LONGEST_COMMIT = 1 << 30
+_TRIES, _PAUSE_S = 3, 0.01
+"""How often rows are read of a file whose writer may just be changing the page that says where they are."""
+_KEPT_REPLACEMENTS = 4
+"""Commits whose rows from the journal stay in memory."""
 
 
 class Commit(NamedTuple):
-    """A state of the file: everything in the journal before `mark` is in it, as the first `rows` rows of its groups."""
+    """A state of the file: everything in the journal before `mark` is in it, as the first `rows` rows of its groups.
+
+    `crc` is that of the rows that it added; None where the commit before it can't be read, so that nobody knows which.
+    """
 
     mark: Mark
-    crc: int
+    crc: int | None
     rows: tuple[int, ...]
 
 
@@ -35,28 +51,30 @@ def width(groups: Sequence[Group]) -> int:
     return _FIXED + len(groups) + 1
 
 
-def row_of(commit: Commit, identity: str) -> npt.NDArray[np.int64]:
+def row_of(mark: Mark, crc: int, rows: Sequence[int], identity: str) -> npt.NDArray[np.int64]:
     """A commit as a row of the table."""
-    words = np.array([*commit.mark, commit.crc, *commit.rows], "<i8")
+    words = np.array([*mark, crc, *rows], "<i8")
     return np.append(words, _own_crc(words, identity))
 
 
 def read_commits(table: npt.NDArray[Any], identity: str, groups: Sequence[Group]) -> list[Commit]:
-    """The commits up to the first row that is not whole, or that adds less than nothing or more than a block holds."""
-    found: list[Commit] = []
-    before: tuple[int, ...] = (0,) * len(groups)
+    """The commits that are whole and of the log with this identity, each after the one before."""
+    commits: list[Commit] = []
     if table.ndim != 2 or table.shape[1] != width(groups) or table.dtype != np.dtype("<i8"):
-        return found
+        return commits
+    before: tuple[int, ...] = (0,) * len(groups)
+    follows = True
     for row in table:
-        if int(row[-1]) != _own_crc(row[:-1], identity):
-            break
         position, chain, crc, *rows = row.tolist()[:-1]
         added = [(end - start) * group.row_bytes for start, end, group in zip(before, rows, groups, strict=True)]
-        if min(added) < 0 or sum(added) > _LONGEST_COMMIT or position < 0:
-            break
+        is_whole = int(row[-1]) == _own_crc(row[:-1], identity)
+        if not is_whole or min(added) < 0 or sum(added) > _LONGEST_COMMIT or position < 0:
+            follows = False
+            continue
         before = tuple(rows)
-        found.append(Commit(Mark(position, chain), crc, before))
-    return found
+        commits.append(Commit(Mark(position, chain), crc if follows else None, before))
+        follows = True
+    return commits
 
 
 def _own_crc(words: npt.NDArray[np.int64], identity: str) -> int:
@@ -72,11 +90,125 @@ def block_crc(groups: Sequence[Group], stretches: Mapping[int, Mapping[str, npt.
     return crc
 
 
-def stored_crc(file: h5py.File, groups: Sequence[Group], before: Sequence[int], commit: Commit) -> int:
-    """The CRC of what the file holds of one commit; `before` are the rows of the commit before it."""
-    stretches = {
-        number: {name: file[group.path][name][start:end] for name, _, _ in group.columns}
-        for number, (group, start, end) in enumerate(zip(groups, before, commit.rows, strict=True))
-        if end > start
-    }
-    return block_crc(groups, stretches)
+class Segment(NamedTuple):
+    """What one commit added: its number, and the rows of every group in the file before and after it."""
+
+    number: int
+    start: tuple[int, ...]
+    end: tuple[int, ...]
+
+
+class CommittedRows:
+    """The rows of an unfinished HDF5 file. `rows` says how many there are of each group."""
+
+    def __init__(
+        self, file: h5py.File, groups: Sequence[Group], commits: Sequence[Commit], journal: JournalReader | None
+    ) -> None:
+        """`journal` has the same rows, where there is one; it stays open as long as this is used."""
+        self._file, self._groups, self._commits, self._journal = file, groups, commits, journal
+        zero = (0,) * len(groups)
+        ends = [commit.rows for commit in commits]
+        self._segments = [Segment(number, *rows) for number, rows in enumerate(pairwise([zero, *ends]))]
+        self._is_good: dict[int, bool] = {}
+        self._replacements: OrderedDict[int, list[Columns]] = OrderedDict()
+        self._count()
+
+    def _count(self) -> None:
+        """Where the segments begin and end, of each group."""
+        lengths = [[end - start for start, end in zip(part.start, part.end, strict=True)] for part in self._segments]
+        table = np.cumsum(np.array([[0] * len(self._groups), *lengths], np.int64), axis=0)
+        self._edges = [column.tolist() for column in table.T]
+        self.rows = tuple(edges[-1] for edges in self._edges)
+
+    def check(self) -> list[str]:
+        """Check every commit; rows that are damaged here and in no journal are left out from now on, and said."""
+        lost, kept = np.zeros(len(self._groups), np.int64), []
+        for segment in self._segments:
+            if self._fits(segment) or self._replaced(segment) is not None:
+                kept.append(segment)
+            else:
+                lost += np.subtract(segment.end, segment.start)
+        self._segments = kept
+        self._count()
+        counts = [
+            f"{counted(rows, 'byte' if group.path == NOTES else 'row')} of {group.path}"
+            for group, rows in zip(self._groups, lost.tolist(), strict=True)
+            if rows
+        ]
+        return [f"damaged, and in no journal: {', '.join(counts)}"] if counts else []
+
+    @property
+    def damaged(self) -> int:
+        """Commits that were found damaged so far."""
+        return sum(not good for good in self._is_good.values())
+
+    def read(self, number: int, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+        """The rows `start` to `stop` of a column of the group of this number; OSError where they are damaged."""
+        kind, tail = next((kind, tail) for column, kind, tail in self._groups[number].columns if column == name)
+        pieces: list[npt.NDArray[Any]] = [np.empty((0, *tail), kind)]
+        edges = self._edges[number]
+        at = start
+        while at < stop:
+            index = bisect_right(edges, at) - 1
+            segment, offset = self._segments[index], at - edges[index]
+            count = min(stop, edges[index + 1]) - at
+            if self._fits(segment):
+                first = segment.start[number] + offset
+                pieces.append(self._stored(number, name, first, first + count))
+            else:
+                replaced = self._replaced(segment)
+                if replaced is None:
+                    raise OSError(errno.EBADMSG, "rows are damaged, and the journal does not have them")
+                pieces.append(replaced[number][name][offset : offset + count])
+            at += count
+        return pieces[1] if len(pieces) == 2 else np.concatenate(pieces)
+
+    def _stored(self, number: int, name: str, start: int, stop: int) -> npt.NDArray[Any]:
+        """Rows of the file, as they stand there."""
+        column = self._file[self._groups[number].path][name]
+        for _ in range(_TRIES - 1):
+            try:
+                return np.asarray(column[start:stop])
+            except OSError:
+                time.sleep(_PAUSE_S)
+        return np.asarray(column[start:stop])
+
+    def _fits(self, segment: Segment) -> bool:
+        """Whether the rows of a commit are those that were written."""
+        if segment.number not in self._is_good:
+            try:
+                crc = self._commits[segment.number].crc
+                self._is_good[segment.number] = crc is not None and self._crc(segment) == crc
+            except DAMAGE:
+                self._is_good[segment.number] = False
+        return self._is_good[segment.number]
+
+    def _crc(self, segment: Segment) -> int:
+        stretches = {
+            number: {name: self._stored(number, name, start, end) for name, _, _ in group.columns}
+            for number, (group, start, end) in enumerate(zip(self._groups, segment.start, segment.end, strict=True))
+            if end > start
+        }
+        return block_crc(self._groups, stretches)
+
+    def _replaced(self, segment: Segment) -> list[Columns] | None:
+        """The rows of a commit from the journal, by group; None if the journal does not have them all."""
+        if self._journal is None:
+            return None
+        if segment.number not in self._replacements:
+            begin = self._commits[segment.number - 1].mark if segment.number else None
+            parts: list[list[Columns]] = [[] for _ in self._groups]
+            try:
+                for record in self._journal.between(begin, self._commits[segment.number].mark):
+                    parts[record.group].append(self._groups[record.group].decode(record.payload, record.rows))
+            except (LogError, OSError):
+                return None
+            rows: list[Columns] = [group.joined(some) for group, some in zip(self._groups, parts, strict=True)]
+            lengths = [len(next(iter(columns.values()))) for columns in rows]
+            if lengths != [end - start for start, end in zip(segment.start, segment.end, strict=True)]:
+                return None
+            self._replacements[segment.number] = rows
+            if len(self._replacements) > _KEPT_REPLACEMENTS:
+                self._replacements.popitem(last=False)
+        self._replacements.move_to_end(segment.number)
+        return self._replacements[segment.number]

@@ -15,6 +15,7 @@ from imuarray.log.format import CACHE_BYTES, Event, Phase
 from imuarray.log.layout import BESIDE, CHUNK, NOTES, Columns, Group, Notes, groups_of
 from imuarray.log.preamble import Preamble
 from imuarray.log.room import Allowance, unwritable
+from imuarray.log.texts import CHECK_SUMS, check_sums
 
 _EMPTY_BYTES = 1 << 14
 """What HDF5 takes for a group and its columns, generously."""
@@ -53,7 +54,7 @@ class Draft:
         self._durable = durable
         try:
             self._room.ask(len(self.groups) * _EMPTY_BYTES + len(preamble.config) * 4)
-            groups.begin(self.file, preamble)
+            self.file.attrs.update(groups.log_attributes(preamble))
             self.file.create_group("sensors")
             for header in preamble.sensors:
                 groups.create_sensor(self.file, header, preamble.epoch, chunk, groups.COMPRESSED)
@@ -126,6 +127,7 @@ class Draft:
             groups.write_plots(self.file, names)
         groups.write_table(self.file, "phases", Phase._fields, self.notes.phases_until(self._end_ns), _RENAMED)
         groups.write_table(self.file, "events", Event._fields, self.notes.events, _RENAMED)
+        self.file.attrs[CHECK_SUMS] = np.array(check_sums(self.file), np.uint32)
         self.file.close()
         self._room.trim()
         if self._durable:

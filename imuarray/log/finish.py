@@ -72,7 +72,7 @@ def recover(
 
 def finish(path: Path, lock: JournalLock) -> None:
     """Finish the log at `path`, whose writer has closed it and holds its `lock`; DiskFullError, LogError."""
-    with Log(path) as log:
+    with Log(path, journal_fd=lock.fd) as log:
         losses = log.losses
         _rewrite(log, path, lambda rows: None, _losses(log))
     _sweep(path, lock, keep=bool(losses))

@@ -29,20 +29,39 @@ _PLOTTED: Mapping[str, Any] = {"NX_class": "NXdata", "axes": ["time", "."]}
 """NeXus: rows over time; what is beside each other has no axis of numbers."""
 
 
-def begin(file: h5py.File, preamble: Preamble) -> None:
+def log_attributes(preamble: Preamble) -> dict[str, Any]:
     """The attributes of the file itself."""
-    file.attrs.update(
-        format=FORMAT,
-        format_version=FORMAT_VERSION,
-        epoch=preamble.epoch,
-        source=preamble.source,
-        config=preamble.config,
-        software=preamble.software,
-        Conventions="CF-1.8",
-        NX_class="NXroot",
-    )
-    if preamble.frame_rate_hz:
-        file.attrs["frame_rate_hz"] = float(preamble.frame_rate_hz)
+    attributes = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "epoch": preamble.epoch,
+        "source": preamble.source,
+        "config": preamble.config,
+        "software": preamble.software,
+        "Conventions": "CF-1.8",
+        "NX_class": "NXroot",
+    }
+    return attributes | ({"frame_rate_hz": float(preamble.frame_rate_hz)} if preamble.frame_rate_hz else {})
+
+
+def sensor_attributes(header: SensorHeader) -> dict[str, Any]:
+    """The attributes of `/sensors/<NAME>`; ValueError for impossible axes."""
+    attributes = {
+        "chip": header.chip,
+        "quantity": header.quantity,
+        "range": header.range,
+        "unit": header.unit,
+        "sensitivity": header.sensitivity,
+        "rate_hz": header.rate_hz,
+        "bandwidth_hz": header.bandwidth_hz,
+        "axes": header.axes,
+        "orientation": np.array(header.orientation),
+        "position_mm": np.array(header.position_mm),
+        "columns": list(header.columns),
+        "NX_class": "NXcollection",
+        **header.extra,
+    }
+    return attributes | ({} if header.delay_ns is None else {"delay_ns": header.delay_ns})
 
 
 def create_columns(file: h5py.File, group: Group, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
@@ -57,25 +76,9 @@ def create_sensor(
     file: h5py.File, header: SensorHeader, epoch: str, chunk: int, storage: Mapping[str, Any]
 ) -> h5py.Group:
     """Create `/sensors/<NAME>` with its attributes and empty columns; ValueError for impossible axes."""
-    orientation = np.array(header.orientation)
+    attributes = sensor_attributes(header)
     group = create_columns(file, sensor_group(header), chunk, storage)
-    group.attrs.update(
-        chip=header.chip,
-        quantity=header.quantity,
-        range=header.range,
-        unit=header.unit,
-        sensitivity=header.sensitivity,
-        rate_hz=header.rate_hz,
-        bandwidth_hz=header.bandwidth_hz,
-        axes=header.axes,
-        orientation=orientation,
-        position_mm=np.array(header.position_mm),
-        columns=list(header.columns),
-        NX_class="NXcollection",
-        **header.extra,
-    )
-    if header.delay_ns is not None:
-        group.attrs["delay_ns"] = header.delay_ns
+    group.attrs.update(attributes)
     group.create_dataset("axis", data=list(header.columns), dtype=_TEXT)
     group["time"].attrs["units"] = f"nanoseconds since {epoch}"
     group["time"].attrs["long_name"] = "start of the burst on the wire"

@@ -1,56 +1,69 @@
-"""A log that is being written, or whose writing was cut short, looked at as if it were whole; nothing is changed.
+"""A log that is being written, or whose writing was cut short, read as if it were whole; nothing is changed.
 
-Its rows are those that the HDF5 file has up to its last good commit, and behind them what the journal holds since.
-Where the HDF5 file itself was damaged, all of it is made again from the journal, in a temporary file.
+What such a log holds stands twice: in the HDF5 file up to its last commit, and in the journal. Both have the preamble,
+with check sums. So each makes good what is damaged in the other: attributes come from the preamble; rows from the HDF5
+file, commit by commit, each checked before it is given out; rows of a bad commit, and all behind the last one, from the
+journal. Where HDF5 can't read its file at all, the whole log is made again from the journal, in a temporary file.
 """
 
 from __future__ import annotations
 
 import tempfile
+import zlib
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
+from imuarray.log import groups as hdf5
 from imuarray.log.column import Column, LiveGroup
-from imuarray.log.commits import COMMITS, Commit, read_commits, stored_crc
+from imuarray.log.commits import COMMITS, CommittedRows, read_commits
 from imuarray.log.draft import Draft
 from imuarray.log.format import Event, Phase
 from imuarray.log.guard import DAMAGE
-from imuarray.log.inspection import refuse_hostile
+from imuarray.log.inspection import inspect, refuse_hostile
 from imuarray.log.journal import JournalReader, journal_of
 from imuarray.log.layout import BESIDE, NOTES, Columns, Group, Notes, groups_of
-from imuarray.log.live import PREAMBLE
-from imuarray.log.preamble import Preamble
+from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
 from imuarray.log.unclosed import Unclosed, says_unclosed
+
+_SENSORS = "sensors/"
 
 
 class LiveView:
     """The whole log, in the place of an HDF5 file: its attributes and groups."""
 
-    def __init__(self, file: h5py.File, tail: _Tail) -> None:
-        self._file = file
-        self.attrs = file.attrs
-        self.preamble = tail.preamble
-        self.losses = tail.losses
-        self.has_journal = tail.has_journal
+    def __init__(self, file: h5py.File, journal: JournalReader | None, content: _Content) -> None:
+        """Takes over the file and the journal: `close` closes both."""
+        self._file, self._journal, self._committed = file, journal, content.committed
+        self.preamble, self.losses = content.preamble, content.losses
+        self.has_journal = journal is not None
+        self.attrs = hdf5.log_attributes(self.preamble)
+        attributes = {_SENSORS + header.name: hdf5.sensor_attributes(header) for header in self.preamble.sensors}
         parts = {}
-        for group, rows, columns in zip(groups_of(tail.preamble.sensors), tail.rows, tail.columns, strict=True):
-            parts[group.path] = _joined(file[group.path], group, rows, columns)
+        for number, (group, tail) in enumerate(zip(groups_of(self.preamble.sensors), content.tail, strict=True)):
+            columns = {name: _column(content.committed, number, group, name, tail[name]) for name in tail}
+            parts[group.path] = LiveGroup(f"/{group.path}", attributes.get(group.path, {}), columns)
         notes = Notes()
         notes.add({"text": np.asarray(parts.pop(NOTES)["text"])})
         end_ns = max((int(part["time"][-1]) + 1 for part in parts.values() if len(part["time"])), default=0)
         beside = {name: part for name in BESIDE if len((part := parts.pop(name))["time"])}
         self._items: dict[str, Any] = {
-            "sensors": {path.removeprefix("sensors/"): parts[path] for path in sorted(parts)},
+            "sensors": {path.removeprefix(_SENSORS): parts[path] for path in sorted(parts)},
             "phases": _table(("start", "end", "name", "up"), notes.phases_until(end_ns)),
             "events": _table(("time", "sensor", "kind", "message"), notes.events),
             **beside,
         }
+
+    @property
+    def damaged_commits(self) -> int:
+        """Commits of the HDF5 file that were found damaged so far, and whose rows come from the journal."""
+        return self._committed.damaged
 
     def get(self, name: str) -> Any:
         """A part, None if the log has none of that name."""
@@ -63,27 +76,24 @@ class LiveView:
         return bool(self._file)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the files."""
         self._file.close()
+        if self._journal is not None:
+            self._journal.close()
 
 
-class _Tail(NamedTuple):
-    """What the journal adds to a file that is good for `rows`."""
+class _Content(NamedTuple):
+    """What file and journal hold together: committed rows, and the rows of every group behind them."""
 
     preamble: Preamble
-    rows: tuple[int, ...]
-    columns: list[Mapping[str, npt.NDArray[Any]]]
+    committed: CommittedRows
+    tail: list[Columns]
     losses: tuple[str, ...]
-    has_journal: bool
 
 
-def _joined(group: h5py.Group, layout: Group, rows: int, tail: Columns) -> LiveGroup:
-    """A group's rows in the file, and behind them those of the journal; LogError."""
-    for name, kind, shape in layout.columns:
-        dataset = group[name]
-        if dataset.dtype != np.dtype(kind) or dataset.shape[1:] != shape or len(dataset) < rows:
-            raise LogError(f"{group.name}/{name}: not as the preamble says")
-    return LiveGroup(group, {name: Column(group[name], rows, tail[name]) for name, _, _ in layout.columns})
+def _column(committed: CommittedRows, number: int, group: Group, name: str, tail: npt.NDArray[Any]) -> Column:
+    stored = partial(committed.read, number, name)
+    return Column(f"/{group.path}/{name}", tail, committed.rows[number], stored)
 
 
 def _table(names: tuple[str, ...], rows: list[Phase] | list[Event]) -> dict[str, npt.NDArray[Any]]:
@@ -103,30 +113,43 @@ class Rebuilt(h5py.File):  # type: ignore[misc]  # h5py ships no types
     has_journal = True
 
 
-def open_interrupted(path: Path, *, thorough: bool = False) -> LiveView | Rebuilt | None:
-    """The view of an unfinished log at `path`, None if it is none; LogError.
+def open_interrupted(path: Path, *, thorough: bool = False, journal_fd: int | None = None) -> LiveView | Rebuilt | None:
+    """The view of an unfinished log at `path`; None if it is finished, or none at all; LogError.
 
-    `thorough` looks at every commit, not only at the last: all of the file is read.
+    `thorough` checks every commit at once, as is done where the journal is missing. `journal_fd` is the journal, open,
+    where its name can't be relied upon: then the log is unfinished whatever the file says.
     """
-    journal, why = _journal(path)
-    file = _open(path)
+    file, kept = _open(path), False
+    journal: JournalReader | None = None
     try:
-        if file is not None and not _is_live(file):
-            file.close()
+        try:
+            is_live, known = (False, None) if file is None else (is_unfinished(file), stored_preamble(file))
+        except DAMAGE:
+            is_live, known = True, None
+        journal, why = _journal(path, journal_fd, known)
+        if file is not None and not is_live and journal_fd is None and (journal is None or _is_sound(path, file)):
             return None
-        view = None if file is None else _view(path, file, journal, why, thorough)
-        if view is None and journal is None:
-            raise LogError(f"{path}: was not finished, and is damaged; its journal is missing or damaged too")
-        return view or rebuilt(cast(JournalReader, journal))
-    finally:
-        if journal is not None:
+        if known is not None and journal is not None and journal.preamble.identity != known.identity:
             journal.close()
+            journal, why = None, "is another log's"
+        view = _view(path, file, known, journal, why, thorough) if file is not None and is_live else None
+        if view is None and journal is None:
+            raise LogError(f"{path}: was not finished, and is damaged; its journal {why}")
+        if view is not None:
+            kept = True
+            return view
+        return rebuilt(journal) if journal is not None else None
+    finally:
+        if not kept:
+            for opened in (file, journal):
+                if opened is not None:
+                    opened.close()
 
 
-def _journal(path: Path) -> tuple[JournalReader | None, str]:
-    """The journal of a log, None and why if it can't be had."""
+def _journal(path: Path, fd: int | None, known: Preamble | None) -> tuple[JournalReader | None, str]:
+    """The journal of a log, None and why if it can't be read."""
     try:
-        return JournalReader(path), ""
+        return JournalReader(path, fd=fd, known=known), ""
     except FileNotFoundError:
         return None, "is missing"
     except (OSError, LogError):
@@ -141,9 +164,32 @@ def _open(path: Path) -> h5py.File | None:
         return None
 
 
-def _is_live(file: h5py.File) -> bool:
-    """Whether a file was begun as one that grows."""
-    return PREAMBLE in file.attrs and isinstance(file.get(COMMITS, getlink=True), h5py.HardLink)
+def is_unfinished(file: h5py.File) -> bool:
+    """Whether a file was begun as one that grows, and never finished: finished ones have neither mark."""
+    return PREAMBLE in file.attrs or file.get(COMMITS, getlink=True) is not None
+
+
+def stored_preamble(file: h5py.File) -> Preamble | None:
+    """The preamble in an unfinished file; None if it is damaged, or not there."""
+    text = file.attrs.get(PREAMBLE)
+    if not isinstance(text, str):
+        return None
+    crc = zlib.crc32(text.encode())
+    if file.attrs.get(PREAMBLE_CRC, crc) != crc:  # logs of earlier versions have none
+        return None
+    try:
+        return Preamble.from_json(text)
+    except LogError:
+        return None
+
+
+def _is_sound(path: Path, file: h5py.File) -> bool:
+    """Whether a finished file can be read: else its journal, if it is still there, has all of it."""
+    try:
+        inspect(path, file)
+    except LogError:
+        return False
+    return True
 
 
 def may_be_unfinished(path: Path) -> bool:
@@ -154,75 +200,59 @@ def may_be_unfinished(path: Path) -> bool:
         return False
 
 
-def _view(path: Path, file: h5py.File, journal: JournalReader | None, why: str, thorough: bool) -> LiveView | None:
-    """The file as far as it is good, and the journal from there on (or `why` there is none); else None, and the file is
-    closed.
-    """
-    view = None
+def _view(
+    path: Path, file: h5py.File, known: Preamble | None, journal: JournalReader | None, why: str, thorough: bool
+) -> LiveView | None:
+    """The file as far as it is good, and the journal (or `why` there is none); None where the file is of no use."""
+    preamble = known if journal is None else journal.preamble
     try:
         with h5py.File(Unclosed(path), "r") as inspected:
             refuse_hostile(file, inspected, str(path))
-        tail = _tail(path, file, journal, why, thorough)
-        view = None if tail is None else LiveView(file, tail)
+        if preamble is not None:
+            return LiveView(file, journal, _content(path, file, preamble, journal, why, thorough))
     except LogError:
         if journal is None:
             raise
     except DAMAGE:
         pass
-    finally:
-        if view is None:
-            file.close()
-    return view
+    return None
 
 
-def _tail(path: Path, file: h5py.File, journal: JournalReader | None, why: str, thorough: bool) -> _Tail | None:
-    """How far the file is good, and what is in the journal behind that; None where the journal alone is better."""
-    preamble = Preamble.from_json(str(file.attrs[PREAMBLE]))
-    if journal is not None and journal.preamble != preamble:
-        journal, why = None, "is another log's"
+def _content(
+    path: Path, file: h5py.File, preamble: Preamble, journal: JournalReader | None, why: str, thorough: bool
+) -> _Content:
     groups = groups_of(preamble.sensors)
+    for group in groups:
+        for name, kind, shape in group.columns:
+            dataset = file[group.path][name]
+            if dataset.dtype != np.dtype(kind) or dataset.shape[1:] != shape:
+                raise LogError(f"/{group.path}/{name}: not as the preamble says")
     commits = read_commits(file[COMMITS][:], preamble.identity, groups)
-    good = _good(file, groups, commits, thorough)
-    if good < len(file[COMMITS]) and journal is not None and (thorough or good == 0):
-        return None
-    rows = commits[good - 1].rows if good else (0,) * len(groups)
+    committed = CommittedRows(file, groups, commits, journal)
+    losses = committed.check() if thorough or journal is None else []
     parts: list[list[Columns]] = [[] for _ in groups]
-    losses = [f"its journal {journal_of(path).name} {why}: rows since the last commit are not here"]
-    if journal is not None:
-        for record in journal.records(commits[good - 1].mark if good else None, _newest_ns(file, groups, rows)):
+    if journal is None:
+        losses.append(f"its journal {journal_of(path).name} {why}: rows since the last commit are not here")
+    else:
+        mark = commits[-1].mark if commits else None
+        for record in journal.records(mark, _newest_ns(groups, committed)):
             parts[record.group].append(groups[record.group].decode(record.payload, record.rows))
-        losses = journal.damage
-    joined: list[Columns] = [group.joined(some) for group, some in zip(groups, parts, strict=True)]
-    return _Tail(preamble, rows, joined, tuple(losses), journal is not None)
+        losses += journal.damage
+    tail: list[Columns] = [group.joined(some) for group, some in zip(groups, parts, strict=True)]
+    return _Content(preamble, committed, tail, tuple(losses))
 
 
-def _newest_ns(file: h5py.File, groups: tuple[Group, ...], rows: tuple[int, ...]) -> dict[int, int]:
-    """The last times of sensors that have that many rows, by number."""
-    counted = zip(groups, rows, strict=True)
-    times = ((number, group.path, count) for number, (group, count) in enumerate(counted) if count)
-    return {number: int(file[path]["time"][count - 1]) for number, path, count in times if path.startswith("sensors/")}
-
-
-def _good(file: h5py.File, groups: tuple[Group, ...], commits: list[Commit], thorough: bool) -> int:
-    """How many commits can be relied upon: up to the last whose rows are as written, or, if thorough, those before the
-    first whose rows aren't.
-    """
-    if thorough:
-        bad = (index for index in range(len(commits)) if not _fits(file, groups, commits, index))
-        return next(bad, len(commits))
-    good = len(commits)
-    while good and not _fits(file, groups, commits, good - 1):
-        good -= 1
-    return good
-
-
-def _fits(file: h5py.File, groups: tuple[Group, ...], commits: list[Commit], index: int) -> bool:
-    """Whether the rows of a commit are those that were written."""
-    before = commits[index - 1].rows if index else (0,) * len(groups)
-    try:
-        return stored_crc(file, groups, before, commits[index]) == commits[index].crc
-    except DAMAGE:
-        return False
+def _newest_ns(groups: tuple[Group, ...], committed: CommittedRows) -> Mapping[int, int]:
+    """The last times of sensors that have rows, by number."""
+    counted = enumerate(zip(groups, committed.rows, strict=True))
+    sensors = ((number, rows) for number, (group, rows) in counted if rows and group.path.startswith(_SENSORS))
+    newest = {}
+    for number, rows in sensors:
+        try:
+            newest[number] = int(committed.read(number, "time", rows - 1, rows)[0])
+        except OSError:  # damaged in both: what is behind is checked against nothing
+            continue
+    return newest
 
 
 def rebuilt(journal: JournalReader) -> Rebuilt:

@@ -1,18 +1,19 @@
-"""The journal beside a log that is being written: every block of rows as it came, appended and never changed.
+"""The journal beside a log that is being written: blocks of rows in the order of their arrival, appended and never
+changed.
 
 ::
 
-    "imuarray journal 1\\n"  length u32  preamble (JSON)  crc32 u32
+    "imuarray journal 2\\n"  length u32  preamble (JSON)  crc32 u32                         twice
     group u16  tag u16  rows u32  crc32 u32  rows of the group (imuarray.log.layout)      again and again
 
 All little-endian. Each block's CRC goes on from the one before it (the first from the preamble's), so that what a crash
 or a power cut leaves behind the last good block is not believed. Behind damage in the middle blocks are good again from
-where the chain goes on in blocks of this log: the tag comes from its identity (0 in journals of earlier versions).
+where the chain goes on in blocks of this log: the tag comes from its identity. Journals of earlier versions
+("imuarray journal 1") have their preamble once, and the oldest bear the tag 0; they are read as well.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 import time
@@ -27,26 +28,17 @@ import numpy.typing as npt
 from imuarray.errors import LogBusyError, LogError
 from imuarray.log.layout import Group, groups_of
 from imuarray.log.preamble import Preamble
-from imuarray.log.salvage import CRC, HEAD, never_written, next_good
+from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Salvage
 
 if sys.platform != "win32":  # logs are read there, not recorded
     import fcntl
 
-MAGIC = b"imuarray journal 1\n"
+MAGIC = b"imuarray journal 2\n"
+MAGIC_1 = b"imuarray journal 1\n"
 LONGEST_PREAMBLE = 1 << 24
-LONGEST_BLOCK = 1 << 28
-
-_SEARCHED = 1 << 26
-"""Bytes behind a bad block in which a good one is looked for, and bytes that may be checked for that in all."""
-
-_LEAST_CHECK = 512
-"""What each check counts for."""
 
 _TRIES, _PAUSE_S = 20, 0.005
 """How often the lock is asked for while others only look, and how long after each time."""
-
-_UNSYNCED_NS = 5_000_000_000
-"""What may wait for the disk at most, generously: behind a hole that a power cut left there is no more than that."""
 
 
 class Mark(NamedTuple):
@@ -129,18 +121,26 @@ class JournalLock:
             if not _locked_alone(self.fd):
                 os.close(self.fd)
                 raise LogBusyError(path)
-            with contextlib.suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(self.fd), self.path.stat()):
-                    return
+            if self.is_named:
+                return
             os.close(self.fd)  # it was removed between opening and locking: somebody finished that log
+
+    @property
+    def is_named(self) -> bool:
+        """Whether the journal still has its name: another process may have removed or replaced it."""
+        try:
+            return os.path.samestat(os.fstat(self.fd), self.path.stat())
+        except FileNotFoundError:
+            return False
 
     def remove(self) -> None:
         """The log is complete without it."""
-        self.path.unlink(missing_ok=True)
+        if self.is_named:
+            self.path.unlink(missing_ok=True)
 
     def put_aside(self) -> None:
         """The log is finished, but not all of the journal could be read: it is kept as `RUN.h5.journal.damaged`."""
-        with contextlib.suppress(FileNotFoundError):
+        if self.is_named:
             self.path.replace(self.path.with_name(f"{self.path.name}.damaged"))
 
     def close(self) -> None:
@@ -155,15 +155,14 @@ class JournalWriter:
 
     def __init__(self, fd: int, preamble: Preamble) -> None:
         """Begin the journal anew."""
-        text = preamble.to_json().encode("ascii")
-        head = MAGIC + CRC.pack(len(text)) + text
+        head = _head(preamble)
         crc = zlib.crc32(head)
         self._fd = fd
         self._tag = tag_of(preamble.identity)
         os.ftruncate(fd, 0)
         os.lseek(fd, 0, os.SEEK_SET)
         self.mark = Mark(0, 0)
-        self._write(head + CRC.pack(crc), crc)
+        self._write((head + CRC.pack(crc)) * 2, crc)
 
     def append(self, blocks: Sequence[tuple[int, int, bytes]]) -> None:
         """Add blocks (group, rows, bytes); if OSError comes, none of them is there."""
@@ -191,43 +190,51 @@ class JournalWriter:
 
 
 class JournalReader:
-    """An open journal; a context manager. `preamble` and `groups` as they were when it was begun."""
+    """An open journal; a context manager. `preamble` and `groups` are those with which it was begun."""
 
-    def __init__(self, path: Path) -> None:
-        """Open the journal of the log at `path`; FileNotFoundError, LogError."""
+    def __init__(self, path: Path, *, fd: int | None = None, known: Preamble | None = None) -> None:
+        """Open the journal of the log at `path`, or read the open one `fd`; FileNotFoundError, LogError.
+
+        `known` is the log's preamble where it is known from elsewhere: it stands in for a damaged one.
+        """
         self.path = journal_of(path)
-        if self.path.exists() and not self.path.is_file():  # to open a pipe would wait for its other end
+        if fd is None and self.path.exists() and not self.path.is_file():  # to open a pipe would wait for its other end
             raise LogError(f"{self.path}: is no file")
-        self._file: BinaryIO = self.path.open("rb")
+        self._file: BinaryIO = self.path.open("rb") if fd is None else os.fdopen(os.dup(fd), "rb")
         try:
-            self.preamble, self.start = self._begin()
+            self.preamble, self.start, version = self._begin(known)
         except BaseException:
             self._file.close()
             raise
         self.groups: tuple[Group, ...] = groups_of(self.preamble.sensors)
         self.damage: list[str] = []
-        """What `records` had to leave out although good blocks follow it."""
-        self._tag = tag_of(self.preamble.identity)
-        self._left_to_check = _SEARCHED
+        """What `records` had to leave out."""
+        own = tag_of(self.preamble.identity)
+        self._tags = (own,) if version == 2 else (own, 0)
 
-    def _begin(self) -> tuple[Preamble, Mark]:
-        head = self._file.read(len(MAGIC) + CRC.size)
-        if head[: len(MAGIC)] != MAGIC or len(head) < len(MAGIC) + CRC.size:
+    def _begin(self, known: Preamble | None) -> tuple[Preamble, Mark, int]:
+        """The preamble, the place of the first block, and the version of the format."""
+        fd = self._file.fileno()
+        copy = _copy_at(fd, 0)
+        if copy is None:
+            second = os.pread(fd, 2 * LONGEST_PREAMBLE, 0).find(MAGIC, len(MAGIC))
+            copy = None if second < 0 else _copy_at(fd, second)
+        if copy is not None:
+            return Preamble.from_json(copy.text), copy.blocks, copy.version
+        start = os.pread(fd, len(MAGIC) + CRC.size, 0)
+        if known is not None and len(start) == len(MAGIC) + CRC.size:
+            head, version = _head(known), 1 if start.startswith(MAGIC_1) else 2
+            return known, Mark(version * (len(head) + CRC.size), zlib.crc32(head)), version
+        if start[: len(MAGIC)] not in (MAGIC, MAGIC_1) or len(start) < len(MAGIC) + CRC.size:
             raise LogError(f"{self.path}: no journal of a log, or one that was never begun")
-        (length,) = CRC.unpack(head[len(MAGIC) :])
-        if length > min(LONGEST_PREAMBLE, self._left()):
-            raise LogError(f"{self.path}: the journal's beginning is damaged")
-        text = self._file.read(length)
-        crc = zlib.crc32(head + text)
-        if self._file.read(CRC.size) != CRC.pack(crc):
-            raise LogError(f"{self.path}: the journal's beginning is damaged")
-        return Preamble.from_json(text), Mark(self._file.tell(), crc)
+        raise LogError(f"{self.path}: the journal's beginning is damaged")
 
     def records(self, start: Mark | None = None, newest_ns: Mapping[int, int] | None = None) -> Iterator[Record]:
-        """The blocks from `start` on (None: all) up to the last good one. What is bad before that is left out and told
-        in `damage`; behind it times go on from those before it, and from `newest_ns` by group.
+        """The blocks from `start` on (None: all) up to the last good one. Blocks that can't be read are left out, and
+        `damage` says so; behind them times go on from those before, and from `newest_ns` by group.
         """
         mark, newest = start or self.start, dict(newest_ns or {})
+        salvage = Salvage(self._file.fileno(), [group.row_bytes for group in self.groups], self._tags)
         while True:
             for record in self._chained(mark):
                 times = self._times(record)
@@ -239,44 +246,62 @@ class JournalReader:
                     newest[record.group] = int(times[-1])
                 mark = record.after
                 yield record
-            resumed = self._behind(mark, max(newest.values(), default=0))
+            resumed = self._behind(mark, salvage)
             if resumed is None:
                 return
-            if resumed != mark:
-                self.damage.append(
-                    f"journal: bytes {mark.position} to {resumed.position - 1} are damaged, rows are lost"
-                )
-            mark = resumed
+            mark, restored = resumed
+            if restored is not None:
+                yield restored
+
+    def between(self, start: Mark | None, end: Mark) -> list[Record]:
+        """The blocks between two places (None: from the beginning); LogError unless all of them are good."""
+        mark, records = start or self.start, []
+        for record in self._chained(mark):
+            if record.after.position > end.position:
+                break
+            mark = record.after
+            records.append(record)
+        if mark != end:
+            raise LogError(f"{self.path}: bytes {mark.position} to {end.position - 1} are damaged")
+        return records
 
     def _times(self, record: Record) -> npt.NDArray[np.int64]:
         """The times of a sensor's block, none of another's."""
         rows = record.rows if self.groups[record.group].path.startswith("sensors/") else 0
         return np.frombuffer(record.payload, "<i8", rows)
 
-    def _behind(self, end: Mark, newest_ns: int) -> Mark | None:
-        """Where good blocks go on behind a bad one at `end`; None if it is what a crash leaves at the end."""
-        if os.fstat(self._file.fileno()).st_size <= end.position:
+    def _behind(self, end: Mark, salvage: Salvage) -> tuple[Mark, Record | None] | None:
+        """Where blocks go on behind a bad one at `end`, and that block if it could be restored; None at the end of the
+        journal. What is lost is noted in `damage`.
+        """
+        size = os.fstat(self._file.fileno()).st_size
+        if size <= end.position:
             return None
-        if self._is_good(end):  # it was being written a moment ago
-            return end
-        self._file.seek(end.position)
-        data = self._file.read(min(_SEARCHED, max(0, self._left())))
-        sizes = tuple(group.row_bytes for group in self.groups)
-        found = next_good(data, end, sizes, self._tag, lambda *place: self._is_good(Mark(*place)))
-        resumed = None if found is None else Mark(*found)
-        if resumed is not None and never_written(data[: resumed.position - end.position], end.position):
-            late = (self._times(record) for record in self._chained(resumed))
-            if not any(len(times) and times[-1] > newest_ns + _UNSYNCED_NS for times in late):
-                return None
-        return resumed
+        if salvage.is_good(*end):  # it was being written a moment ago
+            return end, None
+        resumed = salvage.resume(*end)
+        if resumed is not None:
+            mark = Mark(resumed.position, resumed.chain)
+            if resumed.block is None:
+                self._note(end.position, mark.position, salvage)
+            return mark, None if resumed.block is None else Record(*resumed.block, mark)
+        last = salvage.last(*end)
+        if last is not None:
+            mark = Mark(size, last.chain)
+            return mark, Record(*last.block, mark)
+        if salvage.is_torn(end.position):
+            return None
+        if salvage.is_good(*end):
+            return end, None
+        self._note(end.position, size, salvage)
+        return None
 
-    def _is_good(self, mark: Mark) -> bool:
-        """Whether a good block stands there."""
-        if self._left_to_check <= 0:
-            return False
-        record = next(self._chained(mark), None)
-        self._left_to_check -= _LEAST_CHECK + (len(record.payload) if record else 0)
-        return record is not None
+    def _note(self, start: int, end: int, salvage: Salvage) -> None:
+        """Note that rows are lost between two positions."""
+        hole = salvage.has_hole(start, end)
+        cause = "were not on the disk at a power cut, or are damaged" if hole else "are damaged"
+        rest = "; not all of the journal could be searched for more" if salvage.is_spent else ""
+        self.damage.append(f"journal: bytes {start} to {end - 1} {cause}, rows are lost{rest}")
 
     def _chained(self, start: Mark) -> Iterator[Record]:
         """The blocks from `start` on up to the first that is not good."""
@@ -284,10 +309,10 @@ class JournalReader:
         self._file.seek(position)
         while len(head := self._file.read(HEAD.size + CRC.size)) == HEAD.size + CRC.size:
             group, tag, rows = HEAD.unpack_from(head)
-            if tag not in (0, self._tag) or not rows or group >= len(self.groups):
+            if tag not in self._tags or not rows or group >= len(self.groups):
                 return
             wanted = rows * self.groups[group].row_bytes
-            if wanted > min(LONGEST_BLOCK, self._left()):
+            if wanted > min(LONGEST_BLOCK, self._rest()):
                 return
             payload = self._file.read(wanted)
             chain = zlib.crc32(payload, zlib.crc32(head[: HEAD.size], chain))
@@ -297,7 +322,7 @@ class JournalReader:
             yield Record(group, rows, payload, Mark(position, chain))
             self._file.seek(position)
 
-    def _left(self) -> int:
+    def _rest(self) -> int:
         """Bytes from here to the end, now: the log may be growing."""
         return os.fstat(self._file.fileno()).st_size - self._file.tell()
 
@@ -310,3 +335,35 @@ class JournalReader:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _head(preamble: Preamble) -> bytes:
+    """The beginning of a journal, but for its check sum."""
+    text = preamble.to_json().encode("ascii")
+    return MAGIC + CRC.pack(len(text)) + text
+
+
+class _Copy(NamedTuple):
+    """A good copy of the preamble: its text, the place of the first block, and the version of the format."""
+
+    text: bytes
+    blocks: Mark
+    version: int
+
+
+def _copy_at(fd: int, at: int) -> _Copy | None:
+    """The copy of the preamble at byte `at` of a journal; None if there is no good one."""
+    start = os.pread(fd, len(MAGIC) + CRC.size, at)
+    magic = start[: len(MAGIC)]
+    if magic not in (MAGIC, MAGIC_1) or len(start) < len(MAGIC) + CRC.size:
+        return None
+    (length,) = CRC.unpack_from(start, len(MAGIC))
+    if length > LONGEST_PREAMBLE:
+        return None
+    text = os.pread(fd, length, at + len(start))
+    crc = zlib.crc32(start + text)
+    end = at + len(start) + length + CRC.size
+    if os.pread(fd, CRC.size, end - CRC.size) != CRC.pack(crc):
+        return None
+    version = 2 if magic == MAGIC else 1
+    return _Copy(text, Mark(2 * end if version == 2 and at == 0 else end, crc), version)

@@ -13,6 +13,7 @@ import os
 import queue
 import threading
 import time
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -21,14 +22,13 @@ import h5py
 
 from imuarray.errors import DiskFullError, ImuArrayError, LogError
 from imuarray.log import groups as hdf5
-from imuarray.log.commits import COMMITS, Commit, block_crc, row_of, width
+from imuarray.log.commits import COMMITS, block_crc, row_of, width
 from imuarray.log.format import CACHE_BYTES
 from imuarray.log.journal import JournalLock, JournalWriter, Mark
 from imuarray.log.layout import BESIDE, CHUNK, Columns, groups_of
-from imuarray.log.preamble import Preamble
+from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
 from imuarray.log.room import FULL, Allowance, Reserve, free_bytes, sync_folder, unwritable
 
-PREAMBLE = "preamble"
 QUEUE_BLOCKS = 1024
 """Blocks that may wait for a slow disk; then `put` waits too."""
 
@@ -63,8 +63,9 @@ class LiveFile:
             raise
 
     def _create(self, preamble: Preamble, chunk: int) -> None:
-        hdf5.begin(self.file, preamble)
-        self.file.attrs[PREAMBLE] = preamble.to_json()
+        self.file.attrs.update(hdf5.log_attributes(preamble))
+        text = preamble.to_json()
+        self.file.attrs.update({PREAMBLE: text, PREAMBLE_CRC: zlib.crc32(text.encode())})
         for header in preamble.sensors:
             hdf5.create_sensor(self.file, header, preamble.epoch, chunk, hdf5.PLAIN)
         for name in BESIDE:
@@ -84,7 +85,7 @@ class LiveFile:
         table = self.file[COMMITS]
         self._room.ask(_COMMIT_ROWS * 8 * table.shape[1] if len(table) % _COMMIT_ROWS == 0 else 0)
         table.resize(len(table) + 1, axis=0)
-        table[-1] = row_of(Commit(mark, block_crc(self._groups, added), tuple(self._rows)), self._identity)
+        table[-1] = row_of(mark, block_crc(self._groups, added), self._rows, self._identity)
         table.flush()
 
     def _add(self, number: int, rows: Columns) -> None:
@@ -175,6 +176,10 @@ class Live:
         done.wait()
         if self.error is not None:
             raise self.error
+
+    def drain(self) -> None:
+        """Wait until everything that was put is on the disk, of a log that another thread closes."""
+        self._thread.join()
 
     def close(self) -> None:
         """Write what waits and close the file; the journal stays, and locked (`lock`). Errors are left in `error`."""

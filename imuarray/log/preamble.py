@@ -15,6 +15,11 @@ from imuarray.log.format import SensorHeader
 from imuarray.printable import printable
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
+PREAMBLE = "preamble"
+"""The attribute of an unfinished HDF5 file that holds it; a finished one has none."""
+PREAMBLE_CRC = "preamble_crc32"
+"""The check sum of that text (UTF-8), which HDF5 does not guard."""
+
 _NO_TEXTS = frozenset({"sensors", "frame_rate_hz"})
 _TUPLES = ("position_mm", "columns", "compensated")
 _RESERVED = frozenset({"time", "counts", "status", "temperature_counts", "axis"})

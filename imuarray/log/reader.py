@@ -7,6 +7,7 @@ length.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from os import PathLike
@@ -17,14 +18,15 @@ from weakref import WeakValueDictionary
 
 import h5py
 
-from imuarray.errors import LogError
+from imuarray.errors import LogError, LogWarning
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase
 from imuarray.log.guard import DAMAGE, open_file, positive, read_texts
 from imuarray.log.inspection import inspect
-from imuarray.log.interrupted import LiveView, Rebuilt, may_be_unfinished, open_interrupted
+from imuarray.log.interrupted import LiveView, Rebuilt, is_unfinished, may_be_unfinished, open_interrupted
 from imuarray.log.journal import is_running
 from imuarray.log.preamble import Preamble
 from imuarray.log.sensor_log import SensorLog
+from imuarray.log.texts import changed_parts
 from imuarray.log.tracks import ClockTrack, Track, clocks_of, track_of
 
 
@@ -35,13 +37,13 @@ class Log:
     that came to it so is open there any more. A log that came so is shared; whoever closes it closes it for all.
     """
 
-    def __init__(self, path: str | PathLike[str], *, thorough: bool = False) -> None:
+    def __init__(self, path: str | PathLike[str], *, thorough: bool = False, journal_fd: int | None = None) -> None:
         """Open and check `path`; LogError says what is missing or wrong with it. `thorough` reads all of a log that was
-        not finished, and checks every block of it.
+        not finished, and checks every block of it; `journal_fd` is the open journal of one that its writer finishes.
         """
         self.path = Path(path)
         try:
-            self._file = _open(self.path, thorough)
+            self._file = _open(self.path, thorough, journal_fd)
         except DAMAGE as error:
             raise LogError(f"{path}: damaged or malformed: {' '.join(str(error).split())}") from None
         except LogError as error:  # what is wrong with its parts does not say whose they are
@@ -54,6 +56,7 @@ class Log:
             self.sensors: Mapping[str, SensorLog] = {
                 name: SensorLog(group, f"{path}, sensor {name}", self, _shared) for name, group in groups
             }
+            self._changed = changed_parts(self._file) if isinstance(self._file, h5py.File) else []
         except BaseException as error:
             self._file.close()
             if isinstance(error, DAMAGE):
@@ -91,13 +94,22 @@ class Log:
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What of an unfinished log's acknowledged rows can't be had any more, a line each."""
-        return self._file.losses if isinstance(self._file, LiveView | Rebuilt) else ()
+        """What of an unfinished log's acknowledged rows can't be read any more, and which parts of a finished one are
+        not as they were written, a line each. A damaged row of a finished log is a LogError when it is read.
+        """
+        if isinstance(self._file, LiveView | Rebuilt):
+            return self._file.losses
+        return tuple(f"its {part} are not as they were written: damaged, or changed since" for part in self._changed)
 
     @property
     def has_journal(self) -> bool:
         """Whether an unfinished log has the journal that belongs to it; True for one that is finished."""
         return not isinstance(self._file, LiveView) or self._file.has_journal
+
+    @property
+    def damaged_commits(self) -> int:
+        """Of an unfinished log: how many commits of its HDF5 file were found damaged, and come from the journal."""
+        return self._file.damaged_commits if isinstance(self._file, LiveView) else 0
 
     @property
     def is_rebuilt(self) -> bool:
@@ -209,32 +221,47 @@ class Log:
         self.close()
 
 
-def _open(path: Path, thorough: bool) -> h5py.File | LiveView:
+def _open(path: Path, thorough: bool, journal_fd: int | None) -> h5py.File | LiveView:
     """The file, or what is to be seen of a log that is being written or was never finished."""
-    unfinished = open_interrupted(path, thorough=thorough) if may_be_unfinished(path) else None
-    if unfinished is not None:
-        return unfinished
+    if journal_fd is not None or may_be_unfinished(path):
+        unfinished = open_interrupted(path, thorough=thorough, journal_fd=journal_fd)
+        if unfinished is not None:
+            return unfinished
     file = open_file(path)
     try:
-        inspect(path, file)
+        if not is_unfinished(file):
+            inspect(path, file)
+            return file
     except BaseException:
         file.close()
         raise
-    return file
+    file.close()
+    return _open_unfinished(path, thorough)
+
+
+def _open_unfinished(path: Path, thorough: bool) -> LiveView | Rebuilt:
+    """A log that was closed in good order and never finished, and whose journal is gone."""
+    unfinished = open_interrupted(path, thorough=thorough)
+    if unfinished is None:  # it was finished a moment ago
+        raise LogError(f"{path}: changed while it was opened; open it again")
+    return unfinished
 
 
 def open_log(path: str | PathLike[str]) -> Log:
     """Open a log for reading; LogError, one line, if it is missing, truncated, foreign, malformed or hostile.
 
     One that is being written, or whose writing was cut short, is read as far as its rows were acknowledged when it was
-    opened (`Log.state`); nothing on the disk is changed.
+    opened (`Log.state`); nothing on the disk is changed. A LogWarning says what is damaged or lost (`Log.losses`).
 
     >>> with open_log("run.h5") as log:
     ...     gyro = log["Gyro1"]
     ...     gyro.counts[:100].shape, str(gyro.counts[:100].dtype), gyro.unit
     ((100, 3), 'int16', 'dps')
     """
-    return Log(path)
+    log = Log(path)
+    for loss in log.losses:
+        warnings.warn(f"{path}: {loss}", LogWarning, stacklevel=2)
+    return log
 
 
 _SHARED: WeakValueDictionary[Path, Log] = WeakValueDictionary()

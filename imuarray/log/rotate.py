@@ -243,9 +243,13 @@ class RotatingWriter:
             return {name: sum(part[name] for part in parts) for name in self._finished}
 
     def flush(self) -> None:
-        """Write everything that waits."""
+        """Write everything that waits, in parts that are being finished too."""
         for part in self._open.values():
             part.flush()
+        with self._counting:
+            finishing = [part for part in self._parts if part not in self._open.values()]
+        for part in finishing:
+            part.drain()
 
     def keep(self) -> None:
         """From now on the log is worth having, whatever happens."""

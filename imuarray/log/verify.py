@@ -12,6 +12,7 @@ from imuarray.errors import LogError
 from imuarray.log.guard import DAMAGE
 from imuarray.log.reader import Log
 from imuarray.log.sensor_log import SensorLog
+from imuarray.printable import counted
 
 _ROWS = 1 << 16
 
@@ -109,5 +110,7 @@ def _remarks(log: Log) -> Iterator[str]:
     if log.state == "interrupted":
         there = "" if log.losses else "; all that was acknowledged is there"
         yield f"it was not finished{there}: imuarray recover {log.path} finishes it"
+    if log.damaged_commits:
+        yield f"{counted(log.damaged_commits, 'commit')} of its HDF5 file damaged: those rows are read from its journal"
     if log.is_rebuilt:
         yield f"its HDF5 file is {'damaged' if log.path.exists() else 'gone'}: all of it is had from its journal"

@@ -156,6 +156,11 @@ class LogWriter:
         else:
             self._live.flush()
 
+    def drain(self) -> None:
+        """Wait until everything is on the disk, of a log that another thread is leaving."""
+        if self._live is not None:
+            self._live.drain()
+
     def keep(self) -> None:
         """From now on the log is worth having, whatever happens: it appears under its name, with a journal beside it.
 

@@ -13,11 +13,12 @@ import h5py
 
 from imuarray.errors import LogError
 from imuarray.log.commits import COMMITS, Commit, read_commits
+from imuarray.log.groups import sensor_attributes
 from imuarray.log.guard import DAMAGE
 from imuarray.log.inspection import refuse_hostile
+from imuarray.log.interrupted import stored_preamble
 from imuarray.log.journal import JournalReader, is_running, journal_of
 from imuarray.log.layout import NOTES, Group
-from imuarray.log.live import PREAMBLE
 from imuarray.log.preamble import Preamble
 from imuarray.log.unclosed import Unclosed
 from imuarray.monitor.backlog import Backlog
@@ -54,7 +55,7 @@ class Growing:
         file = _opened(self.path, preamble)
         try:
             self.attributes: dict[str, Attributes] = {
-                header.name: dict(file[_SENSORS + header.name].attrs) for header in preamble.sensors
+                header.name: sensor_attributes(header) for header in preamble.sensors
             }
             commits = read_commits(file[COMMITS][:], preamble.identity, groups)
             commit = _before(file, groups, commits, seen.span_ns)
@@ -118,7 +119,8 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
     try:
         with h5py.File(Unclosed(path), "r") as inspected:
             refuse_hostile(file, inspected, str(path))
-        if Preamble.from_json(str(file.attrs[PREAMBLE])) != preamble:
+        known = stored_preamble(file)
+        if known is not None and known.identity != preamble.identity:
             raise LogError(f"{path}: its journal is another log's")
         return file
     except BaseException as error:

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.log import Log, SensorLog
@@ -16,26 +15,6 @@ from imuarray.log.column import Column, LiveGroup
 from imuarray.monitor.window import Rows
 
 Attributes = Mapping[str, Any]
-
-
-class _Stored:
-    """The part of a column that stands in a file, where there is none."""
-
-    chunks = None
-
-    def __init__(self, name: str, rows: npt.NDArray[Any]) -> None:
-        self.name, self.attrs = name, cast(Attributes, {})
-        self._rows = rows[:0]
-
-    def __getitem__(self, key: Any) -> npt.NDArray[Any]:
-        return np.asarray(self._rows[key])
-
-
-class _Group:
-    """A group's name and attributes."""
-
-    def __init__(self, name: str, attributes: Attributes) -> None:
-        self.name, self.attrs = name, attributes
 
 
 class _File:
@@ -72,9 +51,8 @@ class HeldLog(Log):
 
 def _held(name: str, attributes: Attributes, rows: Rows) -> LiveGroup:
     """A sensor's group."""
-    columns = {column: np.ascontiguousarray(values) for column, values in rows.items()}
-    group = cast(h5py.Group, _Group(f"/sensors/{name}", attributes))
-    return LiveGroup(group, {key: Column(_Stored(key, values), 0, values) for key, values in columns.items()})
+    columns = {key: Column(key, np.ascontiguousarray(values)) for key, values in rows.items()}
+    return LiveGroup(f"/sensors/{name}", attributes, columns)
 
 
 def _not_sent(path: Path) -> Log:

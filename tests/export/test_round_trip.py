@@ -36,7 +36,7 @@ def everything(path: Path) -> dict[str, Any]:
 
     with h5py.File(path) as file:
         file.visititems(look)
-        found["/"] = dict(file.attrs)
+        found["/"] = {name: np.asarray(value).tolist() for name, value in file.attrs.items()}
     return found
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import imuarray.log.salvage as salvage
 from imuarray.errors import LogError
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.journal import JournalLock, JournalReader, JournalWriter, Mark, journal_of
@@ -49,11 +50,11 @@ BLOCKS = [(0, 1, ROW.pack(5, 1, -2, 3, 4, 5)), (5, 3, b"abc"), (0, 2, ROW.pack(6
 def test_the_bytes_are_as_described(tmp_path: Path) -> None:
     content = written(tmp_path / "r.h5", BLOCKS[:1])
     text = PREAMBLE.to_json().encode()
-    head = b"imuarray journal 1\n" + struct.pack("<I", len(text)) + text
+    head = b"imuarray journal 2\n" + struct.pack("<I", len(text)) + text
     first = zlib.crc32(head)
     block = struct.pack("<HHI", 0, zlib.crc32(b"abc") & 0xFFFF, 1)
     chain = zlib.crc32(block + BLOCKS[0][2], first)
-    assert content == head + struct.pack("<I", first) + block + struct.pack("<I", chain) + BLOCKS[0][2]
+    assert content == (head + struct.pack("<I", first)) * 2 + block + struct.pack("<I", chain) + BLOCKS[0][2]
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -75,7 +76,7 @@ def test_cut_anywhere_it_holds_the_blocks_before(tmp_path: Path) -> None:
         ends = [record.after.position for record in journal.records()]
     for length in [*range(0, begin, 29), *range(begin - 3, len(content))]:
         journal_of(tmp_path / "r.h5").write_bytes(content[:length])
-        if length < begin:
+        if length < begin // 2:  # the preamble stands there twice
             with pytest.raises(LogError):
                 read(tmp_path / "r.h5")
         else:
@@ -95,13 +96,29 @@ def test_with_a_wrong_byte_it_holds_blocks_that_were_written(
     content = bytearray(whole)
     content[where % len(content)] ^= bits
     journal_of(tmp_path / "r.h5").write_bytes(content)
-    try:
-        found = read(tmp_path / "r.h5")
-    except LogError:
-        return
-    rest = iter(BLOCKS)
-    assert all(block in rest for block in found)
-    assert len(found) < len(BLOCKS)
+    with JournalReader(tmp_path / "r.h5") as journal:
+        blocks = [(record.group, record.rows, record.payload) for record in journal.records()]
+        rest = iter(BLOCKS)
+        assert all(block in rest for block in blocks)
+        assert blocks == BLOCKS or journal.damage
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(where=st.integers(0, 10**6), bits=st.integers(1, 255), known=st.booleans())
+def test_a_wrong_byte_in_the_preamble_costs_nothing(
+    tmp_path: Path, whole: bytes, where: int, bits: int, known: bool
+) -> None:
+    """It stands there twice; where both copies are damaged, that of the HDF5 file stands in for them."""
+    size = len(b"imuarray journal 2\n") + 4 + len(PREAMBLE.to_json()) + 4
+    content = bytearray(whole)
+    content[where % (2 * size)] ^= bits
+    if known:
+        content[(where + size) % (2 * size)] ^= bits
+    journal_of(tmp_path / "r.h5").write_bytes(content)
+    with JournalReader(tmp_path / "r.h5", known=PREAMBLE if known else None) as journal:
+        assert journal.preamble == PREAMBLE
+        assert [(record.group, record.rows, record.payload) for record in journal.records()] == BLOCKS
+        assert journal.damage == []
 
 
 ROWS = [(0, 1, ROW.pack(number, number, -2, 3, 4, 5)) for number in range(1, 401)]
@@ -109,30 +126,53 @@ SIZE = 12 + ROW.size
 """Of one of these blocks."""
 
 
-def untagged(content: bytes, begin: int) -> bytes:
-    """The journal of `ROWS` as an earlier version wrote it."""
-    (chain,), made = struct.unpack_from("<I", content, begin - 4), content[:begin]
+def of_version_1(tag: int) -> bytes:
+    """The journal of `ROWS` as earlier versions wrote it: one copy of the preamble, and this tag."""
+    text = PREAMBLE.to_json().encode()
+    head = b"imuarray journal 1\n" + struct.pack("<I", len(text)) + text
+    chain = zlib.crc32(head)
+    content = head + struct.pack("<I", chain)
     for group, rows, payload in ROWS:
-        head = struct.pack("<HHI", group, 0, rows)
+        head = struct.pack("<HHI", group, tag, rows)
         chain = zlib.crc32(head + payload, chain)
-        made += head + struct.pack("<I", chain) + payload
-    return made
+        content += head + struct.pack("<I", chain) + payload
+    return content
 
 
-@pytest.mark.parametrize("tagged", [True, False])
+TAG = zlib.crc32(b"abc") & 0xFFFF
+
+
+@pytest.mark.parametrize("version", ["2", "1", "1, without tags"])
 @pytest.mark.parametrize("byte", [0, 2, 4, 5, 8, 12, SIZE - 1])
-def test_behind_a_flipped_bit_blocks_are_good_again(tmp_path: Path, byte: int, tagged: bool) -> None:
-    content = bytearray(written(tmp_path / "r.h5", ROWS))
-    begin = len(content) - len(ROWS) * SIZE
-    content = content if tagged else bytearray(untagged(bytes(content), begin))
+def test_a_flipped_bit_costs_the_payload_that_it_hit_and_no_more(tmp_path: Path, byte: int, version: str) -> None:
+    """Bytes 0 to 11 are the head, which can be worked out again."""
+    content = written(tmp_path / "r.h5", ROWS) if version == "2" else of_version_1(TAG if version == "1" else 0)
+    spoilt, begin = bytearray(content), len(content) - len(ROWS) * SIZE
     at = next(number for number in range(100, 400) if 0 < (begin + number * SIZE) % 512 < 400)
-    content[begin + at * SIZE + byte] ^= 1
+    spoilt[begin + at * SIZE + byte] ^= 1
+    journal_of(tmp_path / "r.h5").write_bytes(spoilt)
+    with JournalReader(tmp_path / "r.h5") as journal:
+        blocks = [(record.group, record.rows, record.payload) for record in journal.records()]
+        start = begin + at * SIZE
+        if byte < 12 and version != "1, without tags":
+            assert (blocks, journal.damage) == (ROWS, [])
+        else:
+            assert [block for block in ROWS if block not in blocks] in ([ROWS[at]], [])
+            lost = f"journal: bytes {start} to {start + SIZE - 1} are damaged, rows are lost"
+            assert journal.damage == ([] if len(blocks) == len(ROWS) else [lost])
+            assert byte < 12 or len(blocks) == len(ROWS) - 1
+
+
+@pytest.mark.parametrize("byte", [0, 2, 4, 5, 12, SIZE - 1])
+def test_a_flipped_bit_in_the_last_block_is_told(tmp_path: Path, byte: int) -> None:
+    content = bytearray(written(tmp_path / "r.h5", ROWS))
+    content[len(content) - SIZE + byte] ^= 1
     journal_of(tmp_path / "r.h5").write_bytes(content)
     with JournalReader(tmp_path / "r.h5") as journal:
-        found = [(record.group, record.rows, record.payload) for record in journal.records()]
-        assert found == ROWS[:at] + ROWS[at + 1 :]
-        start = begin + at * SIZE
-        assert journal.damage == [f"journal: bytes {start} to {start + SIZE - 1} are damaged, rows are lost"]
+        count = len(list(journal.records()))
+        start = len(content) - SIZE
+        lost = f"journal: bytes {start} to {start + SIZE - 1} are damaged, rows are lost"
+        assert (count, journal.damage) == ((400, []) if byte < 8 else (399, [lost]))
 
 
 def test_behind_a_bad_sector_blocks_are_good_again(tmp_path: Path) -> None:
@@ -146,22 +186,77 @@ def test_behind_a_bad_sector_blocks_are_good_again(tmp_path: Path) -> None:
     assert len(ROWS) - 512 // SIZE - 3 <= len(found) < len(ROWS)
 
 
-@pytest.mark.parametrize("left", [SIZE - 1, SIZE, 5])
-def test_a_torn_end_is_no_damage(tmp_path: Path, left: int) -> None:
-    content = bytearray(written(tmp_path / "r.h5", ROWS))
-    journal_of(tmp_path / "r.h5").write_bytes(content[: -SIZE + left - 3] + b"abc")
+@pytest.mark.parametrize("length", [SIZE - 1, 12, 11, 5, 1])
+@pytest.mark.parametrize("zeros", [0, 1, 5000, 100_000])
+def test_a_torn_end_is_no_damage(tmp_path: Path, length: int, zeros: int) -> None:
+    """A kill leaves the first bytes of a block; a power cut zeros from the end of a page on."""
+    begin = len(written(tmp_path / "o.h5", []))
+    content = written(tmp_path / "r.h5", ROWS)[: length - SIZE]
+    if zeros:
+        content = content[: len(content) // 4096 * 4096]
+    journal_of(tmp_path / "r.h5").write_bytes(content + bytes(zeros))
     with JournalReader(tmp_path / "r.h5") as journal:
-        assert len(list(journal.records())) == len(ROWS) - 1
+        assert len(list(journal.records())) == (len(content) - begin) // SIZE
         assert journal.damage == []
 
 
-def test_a_page_that_a_power_cut_kept_from_the_disk_is_the_end(tmp_path: Path) -> None:
+@pytest.mark.parametrize("garbage", [b"abc", b"\xff" * 5000, bytes(5000) + b"x", b"\x55" * 12])
+def test_bytes_behind_the_last_block_that_are_no_block_are_told(tmp_path: Path, garbage: bytes) -> None:
+    content = written(tmp_path / "r.h5", ROWS)
+    journal_of(tmp_path / "r.h5").write_bytes(content + garbage)
+    with JournalReader(tmp_path / "r.h5") as journal:
+        assert len(list(journal.records())) == len(ROWS)
+        assert bool(journal.damage) == (len(garbage) >= 12)  # fewer may be the begin of a head
+
+
+def test_blocks_behind_a_page_of_zeros_are_kept(tmp_path: Path) -> None:
+    """A power cut may have kept that page from the disk, or a payload of zeros was hit: the rows behind are good."""
     content = bytearray(written(tmp_path / "r.h5", ROWS))
     content[4096:8192] = bytes(4096)
     journal_of(tmp_path / "r.h5").write_bytes(content)
     with JournalReader(tmp_path / "r.h5") as journal:
-        assert len(list(journal.records())) == (4096 - journal.start.position) // SIZE
-        assert journal.damage == []
+        blocks = [(record.group, record.rows, record.payload) for record in journal.records()]
+        begin = len(content) - len(ROWS) * SIZE
+        before, behind = (4096 - begin) // SIZE, -(-(8192 - begin) // SIZE)
+        assert blocks[:before] == ROWS[:before]
+        assert blocks[before:] in (ROWS[behind:], ROWS[behind + 1 :], ROWS[behind + 2 :])
+        assert "were not on the disk at a power cut, or are damaged, rows are lost" in journal.damage[0]
+
+
+def test_a_flipped_bit_in_a_payload_of_zeros_hides_no_rows_behind_it(tmp_path: Path) -> None:
+    zeros = (0, 600, b"".join(ROW.pack(0, 0, 0, 0, 0, 0) for _ in range(600)))
+    times = np.arange(500, 1100, dtype="<i8").tobytes()
+    zeros = (0, 600, times + zeros[2][len(times) :])
+    content = bytearray(written(tmp_path / "r.h5", [*ROWS, zeros, (0, 1, ROW.pack(2000, 1, 2, 3, 4, 5))]))
+    content[len(content) - SIZE - 50] ^= 8
+    journal_of(tmp_path / "r.h5").write_bytes(content)
+    with JournalReader(tmp_path / "r.h5") as journal:
+        assert [record.rows for record in journal.records()] == [1] * 401
+        assert len(journal.damage) == 1
+
+
+@pytest.mark.parametrize(
+    "tail",
+    [
+        bytes(1 << 24),
+        b"\xff" * (1 << 24),
+        struct.pack("<HHII", 0, TAG, 1, 5) * 1_400_000,
+        TAG.to_bytes(2, "little") * (1 << 23),
+    ],
+)
+def test_the_search_behind_damage_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tail: bytes) -> None:
+    """Whatever stands behind a journal: so many blocks are checked at the most, and no byte is searched twice."""
+    checks: list[int] = []
+    is_good = salvage.Salvage.is_good
+    monkeypatch.setattr(
+        salvage.Salvage, "is_good", lambda self, at, chain: (checks.append(at), is_good(self, at, chain))[1]
+    )
+    content = written(tmp_path / "r.h5", ROWS)
+    journal_of(tmp_path / "r.h5").write_bytes(content + b"\1" + tail)
+    with JournalReader(tmp_path / "r.h5") as journal:
+        assert len(list(journal.records())) == len(ROWS)
+        assert bool(journal.damage) or not any(tail)
+    assert len(checks) <= (1 << 26) // 4096 * 3  # a head is checked against three check sums at the most
 
 
 def test_stale_sectors_of_another_log_are_not_believed(tmp_path: Path) -> None:

@@ -126,6 +126,7 @@ def attribute(name: str, key: str, value: Any) -> Spoil:
     return spoil
 
 
+@pytest.mark.filterwarnings("ignore::imuarray.errors.LogWarning")  # the texts are not those that were written
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
@@ -291,6 +292,7 @@ def test_hostile(small: Path, spoil: Spoil, said: str) -> None:
     assert re.search(said, message), message
 
 
+@pytest.mark.filterwarnings("ignore::imuarray.errors.LogWarning")  # the tables are not those that were written
 def test_extra_things_do_no_harm(small: Path) -> None:
     def spoil(file: h5py.File) -> None:
         file["sensors/Acc"].attrs["colour"] = "red"

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 import imuarray.log.writer as writing
 from imuarray.log import Block, LogWriter, Stimulus, open_log
@@ -30,7 +31,11 @@ EVENT_EVERY = 50
 
 def block(sensor: int, first: int, count: int) -> Block:
     """Rows `first` ... of a sensor; no two rows are alike, and none is zero."""
-    row = np.arange(first, first + count)
+    return block_of(sensor, np.arange(first, first + count))
+
+
+def block_of(sensor: int, row: npt.NDArray[np.int64]) -> Block:
+    """The rows of a sensor with these numbers (n,)."""
     counts = (row[:, None] * 7919 + np.array([1, 12_345, 30_011]) + sensor * 97) % 65_521 - 32_760
     temperature = (row % 251 - 125).astype(np.int16) if SENSORS[sensor].has_temperature else None
     return Block((row + 1) * PERIOD_NS + sensor, counts.astype(np.int16), (row % 64).astype(np.uint16), temperature)
@@ -38,9 +43,13 @@ def block(sensor: int, first: int, count: int) -> Block:
 
 def stimulus(first: int, count: int) -> Stimulus:
     """Rows of `/truth`."""
-    row = np.arange(first, first + count, dtype=float)
-    triad = row[:, None] + [1, 2, 3]
-    return Stimulus((np.arange(first, first + count) + 1) * PERIOD_NS, triad, -triad, row + 0.5)
+    return stimulus_of(np.arange(first, first + count))
+
+
+def stimulus_of(row: npt.NDArray[np.int64]) -> Stimulus:
+    """The rows of `/truth` with these numbers (n,)."""
+    triad = row[:, None] + np.array([1.0, 2.0, 3.0])
+    return Stimulus((row + 1) * PERIOD_NS, triad, -triad, row + 0.5)
 
 
 def record(
@@ -75,30 +84,44 @@ def record(
 
 
 def wrong(path: Path) -> tuple[int, list[str]]:
-    """How many whole frames the log holds, and what in it is not as it was written. LogError if it can't be read."""
-    problems = []
+    """How many whole frames the log begins with, and what in it is not as it was written: rows are known by their
+    times; where some are missing before others, the log must say so. LogError if it can't be read.
+    """
+    problems, lengths = [], []
     with open_log(path) as log:
         for sensor, header in enumerate(SENSORS):
             rows = log[header.name]
-            expected = block(sensor, 0, len(rows))
+            number = (np.asarray(rows.time[:]) - sensor) // PERIOD_NS - 1
+            lengths.append(_leading(number))
+            expected = block_of(sensor, number)
             for name in ("time", "counts", "status", "temperature_counts"):
                 column, good = getattr(rows, name), getattr(expected, name)
                 if good is not None and not np.array_equal(np.asarray(column[:]), good):
                     problems.append(f"{header.name}.{name}")
+            has_gap = lengths[-1] < len(number)
+            if has_gap and not log.losses:
+                problems.append(f"{header.name}: rows are missing, and the log does not say so")
         truth = log.truth
-        length = 0 if truth is None else len(truth.time)
         if truth is not None:
-            for name, good in stimulus(0, length)._asdict().items():
+            number = np.asarray(truth.time[:]) // PERIOD_NS - 1
+            for name, good in stimulus_of(number)._asdict().items():
                 if not np.array_equal(np.asarray(getattr(truth, name)[:]), good):
                     problems.append(f"truth.{name}")
-        frames = min(length, *(len(sensor) for sensor in log.sensors.values()))
-        noted = [event for event in log.events if event.kind != "recovered"]
-        events = [
-            Event(first, "Acc", "note", f"event {first}") for first in range(0, len(noted) * EVENT_EVERY, EVENT_EVERY)
-        ]
-        if noted != events or frames > len(events) * EVENT_EVERY:
+            lengths.append(_leading(number))
+        frames = min(lengths) if truth is not None else 0
+        noted = [event.time_ns for event in log.events if event.kind not in ("damaged", "recovered")]
+        written = [Event(first, "Acc", "note", f"event {first}") for first in noted]
+        if [event for event in log.events if event.kind == "note"] != written or sorted(set(noted)) != noted:
+            problems.append("events")
+        if any(first % EVENT_EVERY for first in noted) or not set(range(0, frames, EVENT_EVERY)) <= set(noted):
             problems.append("events")
     return frames, problems
+
+
+def _leading(number: npt.NDArray[np.int64]) -> int:
+    """How many of these increasing row numbers (n,) are 0, 1, 2 ... without a gap."""
+    gaps = np.flatnonzero(number != np.arange(len(number)))
+    return int(gaps[0]) if len(gaps) else len(number)
 
 
 def counter(path: Path) -> Callable[[int], int]:

@@ -1,0 +1,74 @@
+"""Check sums of what HDF5 does not guard in a finished log: texts, and the tables of phases and events.
+
+HDF5 guards its own structures, and `fletcher32` the chunks of columns. Texts of varying length stand in heaps without a
+check sum, and short tables in plain stretches of the file. So a finished log says what the check sums of these were
+when it was written. Attributes that other programs add are not counted.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from imuarray.log.guard import DAMAGE, read_texts
+
+CHECK_SUMS = "text_crc32"
+"""The root attribute: a CRC-32 for each of `PARTS`."""
+
+_LOG = ("format", "epoch", "source", "config", "software", "Conventions", "NX_class")
+_SENSOR = ("chip", "quantity", "unit", "axes", "columns", "NX_class")
+_TABLES: Mapping[str, Sequence[str]] = {
+    "phases": ("start", "end", "name", "up"),
+    "events": ("time", "sensor", "kind", "message"),
+}
+PARTS = ("attributes", *_TABLES)
+
+
+def check_sums(file: Any) -> list[int]:
+    """CRC-32 of the attributes, the phases and the events of an open HDF5 file; what h5py raises on damage."""
+    crcs = [0, *(_crc(_column(file[table][name]) for name in names) for table, names in _TABLES.items())]
+    attributes = [_attributes(file.attrs, _LOG)]
+    for name in sorted(file["sensors"]):
+        group = file["sensors"][name]
+        attributes += [name.encode(), _attributes(group.attrs, _SENSOR), _column(group["axis"])]
+    crcs[0] = _crc(iter(attributes))
+    return crcs
+
+
+def changed_parts(file: Any) -> list[str]:
+    """Those of `PARTS` that are not as they were written; none in a log that has no check sums."""
+    written = file.attrs.get(CHECK_SUMS)
+    if not isinstance(written, np.ndarray) or written.shape != (len(PARTS),):
+        return []
+    try:
+        return [part for part, crc, was in zip(PARTS, check_sums(file), written.tolist(), strict=True) if crc != was]
+    except DAMAGE:
+        return ["attributes, phases or events"]
+
+
+def _crc(parts: Iterator[bytes]) -> int:
+    crc = 0
+    for part in parts:
+        crc = zlib.crc32(part + b"\0", crc)
+    return crc
+
+
+def _attributes(attributes: Mapping[str, Any], names: Sequence[str]) -> bytes:
+    """The values of attributes by these names, as far as they are there."""
+    return b"\0".join(
+        b"\1".join([name.encode(), *map(_bytes, np.ravel(attributes[name]))]) for name in names if name in attributes
+    )
+
+
+def _column(column: Any) -> bytes:
+    """All of a column of numbers or texts."""
+    if column.dtype.kind != "O":
+        return np.ascontiguousarray(column[:]).tobytes()
+    return b"\1".join(map(_bytes, read_texts(column)))
+
+
+def _bytes(value: Any) -> bytes:
+    return value if isinstance(value, bytes) else str(value).encode("utf-8", "surrogateescape")
