@@ -45,6 +45,9 @@ FLAGS: Mapping[str, int] = {
     "suspect": SUSPECT,
 }
 
+MOST_SENSORS = 512
+"""Of a log: an array of a hundred six-axis chips has two hundred."""
+
 SOURCES = ("i2c", "serial", "emulated", "simulated", "imported", "replay")
 
 LONG_NAME: Mapping[str, str] = {

@@ -16,14 +16,14 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from imuarray.errors import LogError
-from imuarray.log.format import FORMAT, PLOTS
+from imuarray.log.format import FORMAT, MOST_SENSORS, PLOTS
 from imuarray.log.guard import DAMAGE, read_texts
 from imuarray.log.heaps import Inspected
 from imuarray.printable import printable
 
 MAX_DEPTH = 4
 MAX_OBJECTS = 4096
-"""Groups and datasets of a file; an array of a hundred sensors has about seven hundred."""
+"""Groups and datasets of a file: `MOST_SENSORS` of six each, their plots, and what stands beside them."""
 MAX_ATTRIBUTES = 256
 MAX_ATTRIBUTE_BYTES = 1 << 22
 """Of all attributes of a group or dataset together."""
@@ -81,11 +81,13 @@ def _walk(root: _Place, where: str) -> Iterator[_Place]:
     level = [root]
     for depth in range(MAX_DEPTH + 2):
         below: list[_Place] = []
-        for group in level:
-            if not isinstance(group.item, h5g.GroupID):
-                continue
-            if len(seen) + group.item.get_num_objs() > MAX_OBJECTS:
-                raise LogError(f"{where}: {group.name or '/'}: more than {MAX_OBJECTS} groups and datasets")
+        groups = [place for place in level if isinstance(place.item, h5g.GroupID)]
+        counts = {group.path: group.item.get_num_objs() for group in groups}  # before any of them is opened
+        if len(seen) + sum(counts.values()) > MAX_OBJECTS:
+            raise LogError(f"{where}: more than {MAX_OBJECTS} groups and datasets")
+        if counts.get(b"/sensors", 0) > MOST_SENSORS:
+            raise LogError(f"{where}: {counts[b'/sensors']} sensors; at most {MOST_SENSORS}")
+        for group in groups:
             for found in _linked(group, where):
                 if depth > MAX_DEPTH:
                     raise LogError(f"{where}: groups nested deeper than {MAX_DEPTH}")

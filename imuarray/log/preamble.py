@@ -11,7 +11,7 @@ from typing import Any
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.format import SensorHeader
+from imuarray.log.format import MOST_SENSORS, SensorHeader
 from imuarray.printable import printable
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
@@ -27,7 +27,6 @@ _OWN_ATTRIBUTES = frozenset({"orientation", "NX_class", "signal"})
 _NO_NAMES = frozenset({".", ".."})
 _LONGEST_TEXT = 255
 _MOST_COLUMNS = 32
-_MOST_SENSORS = 512
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,8 @@ class Preamble:
         try:
             values = json.loads(text)
             listed = values.pop("sensors")
-            if not isinstance(listed, list) or len(listed) > _MOST_SENSORS:
-                raise TypeError(f"sensors are a list of at most {_MOST_SENSORS}")
+            if not isinstance(listed, list) or len(listed) > MOST_SENSORS:
+                raise TypeError(f"sensors are a list of at most {MOST_SENSORS}")
             sensors = tuple(_header(one) for one in listed)
             if len({header.name for header in sensors}) < len(sensors):
                 raise TypeError("sensors have names of their own")

@@ -86,6 +86,11 @@ def crowd(file: h5py.File) -> None:
         file.create_group(f"crowd/{number}")
 
 
+def many_sensors(file: h5py.File) -> None:
+    for number in range(612):
+        file["sensors"].create_group(f"S{number}")
+
+
 def alias(file: h5py.File) -> None:
     file["sensors/Acc/more"] = file[COUNTS]
 
@@ -156,6 +161,7 @@ KINDS: Mapping[str, tuple[Spoil, str]] = MappingProxyType(
         "deep nesting": (nested, "nested deeper than"),
         "groups in circles": (circles, "reached twice"),
         "a crowd of groups": (crowd, "more than 4096 groups and datasets"),
+        "many sensors": (many_sensors, "615 sensors; at most 512"),
         "the same twice": (alias, "reached twice"),
         "named type": (lambda file: file.__setitem__("type", np.dtype("f8")), "neither group nor dataset"),
         "object references": (references, "sensors/Acc/who: neither numbers nor text"),

@@ -17,7 +17,7 @@ import pytest
 
 from imuarray.cli import main
 from imuarray.errors import LogError
-from imuarray.log import open_log
+from imuarray.log import LogWriter, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.log.journal import JournalReader, is_running, journal_of
 from imuarray.log.layout import groups_of
@@ -212,3 +212,11 @@ def test_nothing_is_unpickled() -> None:
         if PICKLES.search(line)
     ]
     assert found == []
+
+
+def test_a_log_of_too_many_sensors_is_not_written(tmp_path: Path) -> None:
+    """What could not be read again is refused at once."""
+    headers = [SensorHeader(f"S{number}", "x", "angular_rate", "dps", 250.0, 114.3) for number in range(513)]
+    with pytest.raises(LogError, match="513 sensors; a log has at most 512"):
+        LogWriter(tmp_path / "r.h5", headers, source="simulated", epoch="2026-01-01T00:00:00Z")
+    assert list(tmp_path.iterdir()) == []
