@@ -13,7 +13,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from imuarray.errors import OutputError, OutputExistsError
+from imuarray.errors import OutputError, OutputExistsError, errno_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,7 +40,9 @@ def whole_file(path: str | PathLike[str], *, force: bool = False) -> Iterator[Pa
             shutil.copymode(target, draft)
         _sync(draft)
         draft.replace(target)
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and not errno_of(error):  # HDF5 may tell a failed write by one
+            raise
         raise OutputError(path, error) from None
     finally:
         with suppress(OSError):

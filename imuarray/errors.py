@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from os import PathLike
 
 NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})
@@ -34,6 +35,23 @@ NOT_ACKNOWLEDGED = frozenset({errno.ENXIO, errno.EREMOTEIO})
 
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """What a write says when there is no room: the disk, the user's quota, the longest file that is allowed."""
+
+
+_HDF5_ERRNO = re.compile(r"errno = (\d+)")
+
+
+def errno_of(error: Exception) -> int:
+    """The errno of what the system said, 0 if none is known; HDF5 tells it in the middle of a paragraph."""
+    if isinstance(error, OSError) and error.errno:
+        return error.errno
+    told = _HDF5_ERRNO.search(str(error))
+    return int(told[1]) if told else 0
+
+
+def reason_of(error: Exception) -> str:
+    """What the system said, in one line."""
+    number = errno_of(error)
+    return os.strerror(number) if number else " ".join(str(error).split())
 
 
 class ImuArrayError(Exception):
@@ -80,7 +98,7 @@ class DiskFullError(LogError):
         kept: str = "nothing was recorded; make room or choose another disk",
     ) -> None:
         """`kept` says what there is all the same."""
-        self.why = why
+        self.path, self.why, self.kept = path, why, kept
         super().__init__(f"{path}: {why}; {kept}")
 
 
@@ -114,10 +132,9 @@ class OutputExistsError(ImuArrayError):
 class OutputError(ImuArrayError):
     """An output that can't be written, for what the system said; nothing is left of it."""
 
-    def __init__(self, path: str | PathLike[str], error: OSError) -> None:
-        why = os.strerror(error.errno) if error.errno else error  # HDF5's own words are a paragraph
-        super().__init__(f"{path}: can't be written: {why}")
-        self.exit_code = 3 if error.errno in NO_ROOM else 2
+    def __init__(self, path: str | PathLike[str], error: Exception) -> None:
+        super().__init__(f"{path}: can't be written: {reason_of(error)}")
+        self.exit_code = 3 if errno_of(error) in NO_ROOM else 2
 
 
 class MissingExtraError(ImuArrayError):

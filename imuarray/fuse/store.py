@@ -32,7 +32,7 @@ from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import ENTRIES, FusedBlock
 from imuarray.fuse.stored_events import StoredEvents
 from imuarray.log.format import FUSED
-from imuarray.log.room import free_bytes
+from imuarray.log.room import free_bytes, longest_file
 
 _SLACK_BYTES = 1 << 18
 """What HDF5 holds back or adds: a chunk of each column, and where they are."""
@@ -139,6 +139,9 @@ class LiveFused:
 def _ask_for_room(path: Path, block: FusedBlock) -> None:
     """OSError where there is no room for a block, before HDF5 runs into it: that it does not survive."""
     wanted = _SLACK_BYTES + sum(rows.nbytes for rows in _columns(block).values())
+    limit = longest_file()
+    if limit is not None and path.stat().st_size + wanted > limit:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
     if free_bytes(path) < wanted:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -167,7 +170,9 @@ class _Fused:
         self._group = file.create_group("fused")
         self.events = StoredEvents(file, about["epoch"])
         self._epoch = about["epoch"]
-        self._filters: dict[str, Any] = {"compression": "gzip", "shuffle": True} if compressed else {}
+        self._filters: dict[str, Any] = (
+            {"compression": "gzip", "shuffle": True, "fletcher32": True} if compressed else {}
+        )
 
     def append(self, block: FusedBlock) -> None:
         """More rows of every column. OSError."""

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import h5py
 import numpy as np
 
+from imuarray.errors import LogError
 from imuarray.log import groups
 from imuarray.log.format import CACHE_BYTES, Event, Phase
 from imuarray.log.layout import BESIDE, CHUNK, NOTES, Columns, Group, Notes, groups_of
 from imuarray.log.preamble import Preamble
-from imuarray.log.room import Allowance, unwritable
+from imuarray.log.room import Allowance, write_errors
 from imuarray.log.texts import CHECK_SUMS, check_sums
+
+if sys.platform != "win32":
+    import fcntl
 
 _EMPTY_BYTES = 1 << 14
 """What HDF5 takes for a group and its columns, generously."""
@@ -23,6 +29,41 @@ _EMPTY_BYTES = 1 << 14
 _TEXT_BYTES = 64
 _SETTLED_BYTES = 1 << 24
 _RENAMED = {"start_ns": "start", "end_ns": "end", "time_ns": "time"}
+
+
+def sweep(path: Path) -> None:
+    """Remove what processes that were killed left of the log at `path` under temporary names."""
+    for part in path.parent.glob(f".{glob.escape(path.name)}.*.part"):
+        owner = part.name.removeprefix(f".{path.name}.").split(".")[0]
+        if owner.isdigit() and not _is_alive(int(owner)) and not _is_locked(part):
+            part.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _is_locked(path: Path) -> bool:
+    """Whether HDF5 has the file open somewhere, perhaps on another machine: it locks what it writes."""
+    if sys.platform == "win32":
+        return False
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    finally:
+        os.close(fd)
+    return False
 
 
 class Draft:
@@ -43,24 +84,24 @@ class Draft:
         self._rows = [0] * len(self.groups)
         self._unwritten = [0] * len(self.groups)
         self._asked = 0
+        self._durable = durable
+        sweep(path)
         try:
-            self.part.unlink(missing_ok=True)
-            self.file = h5py.File(self.part, "w", libver=groups.LIBVER, rdcc_nbytes=CACHE_BYTES)
-            self._room = Allowance(self.part, path, allocate=durable)
-        except OSError as error:
+            with write_errors(path):
+                self.part.unlink(missing_ok=True)
+                self.file = h5py.File(self.part, "w", libver=groups.LIBVER, rdcc_nbytes=CACHE_BYTES)
+                self._room = Allowance(self.part, path, allocate=durable)
+        except LogError:
             with contextlib.suppress(OSError):  # a full disk takes the name, and then not the first bytes
                 self.part.unlink(missing_ok=True)
-            raise unwritable(path, error) from None
-        self._durable = durable
+            raise
         try:
-            self._room.ask(len(self.groups) * _EMPTY_BYTES + len(preamble.config) * 4)
-            self.file.attrs.update(groups.log_attributes(preamble))
-            self.file.create_group("sensors")
-            for header in preamble.sensors:
-                groups.create_sensor(self.file, header, preamble.epoch, chunk, groups.COMPRESSED)
-        except OSError as error:
-            self.discard()
-            raise unwritable(path, error) from None
+            with write_errors(path):
+                self._room.ask(len(self.groups) * _EMPTY_BYTES + len(preamble.config) * 4)
+                self.file.attrs.update(groups.log_attributes(preamble))
+                self.file.create_group("sensors")
+                for header in preamble.sensors:
+                    groups.create_sensor(self.file, header, preamble.epoch, chunk, groups.COMPRESSED)
         except BaseException:
             self.discard()
             raise
@@ -78,9 +119,11 @@ class Draft:
 
     def _write(self, number: int, count: int) -> None:
         """Write the first `count` waiting rows of a group."""
-        group = self.groups[number]
-        if count == 0:
-            return
+        if count:
+            with write_errors(self.path):
+                self._write_rows(self.groups[number], number, count)
+
+    def _write_rows(self, group: Group, number: int, count: int) -> None:
         if group.path in BESIDE and group.path not in self.file:
             self._room.ask(_EMPTY_BYTES)
             groups.create_beside(self.file, group.path, self._epoch, self._chunk, groups.COMPRESSED)
@@ -104,7 +147,8 @@ class Draft:
         """Write everything that waits for its chunk to fill."""
         for number, count in enumerate(self._unwritten):
             self._write(number, count)
-        self.file.flush()
+        with write_errors(self.path):
+            self.file.flush()
 
     def stretches(self, number: int) -> Sequence[Columns]:
         """The rows of a group so far, read back."""
@@ -118,7 +162,16 @@ class Draft:
         """Write all there is and close; `part` is then a whole log, and if it is `durable` it is on the disk."""
         self.flush()
         texts = sum(len(event.sensor + event.kind + event.message) * 4 + _TEXT_BYTES for event in self.notes.events)
-        self._room.ask(texts + sum(len(phase.name) * 4 + _TEXT_BYTES for phase in self.notes.phases) + 4 * _EMPTY_BYTES)
+        texts += sum(len(phase.name) * 4 + _TEXT_BYTES for phase in self.notes.phases)
+        self._room.ask(texts + 4 * _EMPTY_BYTES)
+        with write_errors(self.path):
+            self._close()
+        if self._durable:
+            self._room.sync()
+        self._room.close()
+
+    def _close(self) -> None:
+        """Write what stands beside the columns, and close the file."""
         for group in self.groups:
             if group.path in self.file:
                 groups.attach_scales(self.file[group.path])
@@ -130,9 +183,6 @@ class Draft:
         self.file.attrs[CHECK_SUMS] = np.array(check_sums(self.file), np.uint32)
         self.file.close()
         self._room.trim()
-        if self._durable:
-            self._room.sync()
-        self._room.close()
 
     def publish(self, path: Path) -> None:
         """A closed draft takes its name: from now on it is the log at `path`."""

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imuarray.errors import DiskFullError, LogError
-from imuarray.log.draft import Draft
+from imuarray.log.draft import Draft, sweep
 from imuarray.log.format import Event
 from imuarray.log.journal import JournalLock, journal_of
 from imuarray.log.layout import BESIDE, NOTES, Group, Notes, groups_of
@@ -176,18 +176,5 @@ def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> None:
     elif lock is not None:
         lock.remove()
     reserve_of(path).unlink(missing_ok=True)
-    for part in path.parent.glob(f".{path.name.replace('[', '[[]')}.*.part"):
-        owner = part.name.removeprefix(f".{path.name}.").split(".")[0]
-        if owner.isdigit() and not _is_alive(int(owner)):
-            part.unlink(missing_ok=True)
+    sweep(path)
     sync_folder(path)
-
-
-def _is_alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True

@@ -23,16 +23,19 @@ import h5py
 from imuarray.errors import DiskFullError, ImuArrayError, LogError
 from imuarray.log import groups as hdf5
 from imuarray.log.commits import COMMITS, block_crc, row_of, width
-from imuarray.log.format import CACHE_BYTES
+from imuarray.log.format import CACHE_BYTES, Event
 from imuarray.log.journal import JournalLock, JournalWriter, Mark
-from imuarray.log.layout import BESIDE, CHUNK, Columns, groups_of
+from imuarray.log.layout import BESIDE, CHUNK, Columns, groups_of, note_columns
 from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
-from imuarray.log.room import FULL, Allowance, Reserve, free_bytes, sync_folder, unwritable
+from imuarray.log.room import FULL, Allowance, Reserve, free_bytes, sync_folder, unwritable, write_errors
 
 QUEUE_BLOCKS = 1024
 """Blocks that may wait for a slow disk; then `put` waits too."""
 
-_KEPT = "everything acknowledged until then is in the log"
+KEPT = "everything acknowledged until then is in the log"
+_JOURNAL_LOST = (
+    "the journal was removed or replaced while the log was written: from now on every sync commits to the file"
+)
 _AT_ONCE = 256
 _COMMIT_ROWS = 64
 _EMPTY_BYTES = 1 << 14
@@ -129,11 +132,9 @@ class Live:
         self._waiting: list[list[Columns]] = [[] for _ in self.groups]
         self._unwritten = [0] * len(self.groups)
         self._synced_s = time.monotonic()
-        self._dirty = False
-        try:
+        self._dirty, self._newest_ns, self._is_journal_lost = False, 0, False
+        with write_errors(path):
             self._open(preamble, force)
-        except OSError as error:
-            raise unwritable(path, error) from None
         self._queue: queue.Queue[_Item | threading.Event | None] = queue.Queue(QUEUE_BLOCKS)
         self._thread = threading.Thread(target=self._run, name=f"log {path.name}", daemon=True)
         self._thread.start()
@@ -143,23 +144,28 @@ class Live:
             raise DiskFullError(self.path, f"less than {self._watermark >> 20} MiB are free")
         self.lock = JournalLock(self.path, create=True)
         try:
-            if os.fstat(self.lock.fd).st_size and not force:
+            is_empty = not os.fstat(self.lock.fd).st_size
+            if not is_empty and not force:
                 raise LogError(f"{self.lock.path}: is left over from another log; move it away, or say --force")
-            self._begin(preamble)
+            self._begin(preamble, is_empty)
         except BaseException:
             self.lock.close()
             raise
 
-    def _begin(self, preamble: Preamble) -> None:
-        """Journal, reserve, file: all of them or none."""
-        self._reserve = Reserve(self.path)
+    def _begin(self, preamble: Preamble, is_empty: bool) -> None:
+        """Journal, reserve, file: all of them or none. `is_empty`: the journal is that of no other log."""
+        reserve = None
         try:
+            self._reserve = reserve = Reserve(self.path)
+            is_empty = True  # from here on
             self._journal = JournalWriter(self.lock.fd, preamble)
             self._journal.sync()
             self._file = LiveFile(self.path, preamble, self._chunk)
         except BaseException:
-            self._reserve.release()
-            self.lock.remove()
+            if reserve is not None:
+                reserve.release()
+            if is_empty:
+                self.lock.remove()
             raise
 
     def put(self, number: int, columns: Columns) -> None:
@@ -196,7 +202,7 @@ class Live:
             if self.error is None:
                 try:
                     self._work(items, sync=bool(flushed) or not more, last=not more)
-                except OSError as error:
+                except (OSError, RuntimeError) as error:  # HDF5 uses both
                     self._stop(unwritable(self.path, error))
                 except ImuArrayError as error:
                     self._stop(error)
@@ -230,12 +236,27 @@ class Live:
         if self._dirty and (commit or sync or time.monotonic() - self._synced_s >= self._sync_s):
             self._journal.sync()
             self._dirty, self._synced_s = False, time.monotonic()
+            commit = commit or self._has_lost_journal()
         if commit:
             self._file.commit(self._waiting, self._journal.mark)
             self._waiting = [[] for _ in self.groups]
             self._unwritten = [0] * len(self.groups)
         if items and free_bytes(self.path) < self._watermark:
             raise DiskFullError(self.path, f"the log was ended: less than {self._watermark >> 20} MiB are free")
+
+    def _has_lost_journal(self) -> bool:
+        """Whether the journal can't be found under its name any more, so that a crash would leave the HDF5 file alone:
+        then each sync commits. An event says so once.
+        """
+        if self.lock.is_named:
+            return False
+        if not self._is_journal_lost:
+            self._is_journal_lost = True
+            number = len(self.groups) - 1
+            payload = self.groups[number].encode(note_columns(Event(self._newest_ns, "", "damaged", _JOURNAL_LOST)))
+            self._append([_Item(number, len(payload), payload)])
+            self._journal.sync()
+        return True
 
     def _append(self, items: Sequence[_Item]) -> None:
         """Into the journal; if the disk is full, once more with what the reserve gives back."""
@@ -253,12 +274,15 @@ class Live:
     def _acknowledge(self, items: Sequence[_Item]) -> None:
         self._dirty = True
         for item in items:
+            columns = self.groups[item.number].decode(item.payload, item.rows)
             self.acknowledged[item.number] += item.rows
-            self._waiting[item.number].append(self.groups[item.number].decode(item.payload, item.rows))
+            self._waiting[item.number].append(columns)
             self._unwritten[item.number] += item.rows
+            if "time" in columns:
+                self._newest_ns = max(self._newest_ns, int(columns["time"][-1]))
 
     def _stop(self, error: ImuArrayError) -> None:
         """Nothing more is written; what was, is on the disk as far as the disk can."""
-        self.error = DiskFullError(self.path, error.why, _KEPT) if isinstance(error, DiskFullError) else error
+        self.error = DiskFullError(self.path, error.why, KEPT) if isinstance(error, DiskFullError) else error
         with contextlib.suppress(OSError):
             self._journal.sync()

@@ -10,11 +10,21 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from imuarray.errors import NO_ROOM, DiskFullError, LogError
+from imuarray.errors import NO_ROOM, DiskFullError, LogError, errno_of, reason_of
+
+if sys.platform != "win32":
+    import resource
 
 FULL = NO_ROOM
+
+_NO_ROOM: Mapping[int, str] = {
+    errno.EDQUOT: "no room left: the quota of the user is used up",
+    errno.EFBIG: "no room left: the limit on the length of a file is reached",
+}
 
 WATERMARK = 64 << 20
 """A log that is being recorded ends when less than this many bytes are free."""
@@ -33,11 +43,31 @@ def free_bytes(path: Path) -> int:
     return room.f_bavail * room.f_frsize
 
 
-def unwritable(path: Path, error: OSError, *kept: str) -> LogError:
-    """The error of `path` for what the system said: DiskFullError where there is no room (and `kept` what there is)."""
-    if error.errno in FULL:
-        return DiskFullError(path, "no room left on the disk", *kept)
-    return LogError(f"{path}: can't be written: {os.strerror(error.errno) if error.errno else error}")
+def unwritable(path: Path, error: Exception, *kept: str) -> LogError:
+    """The error of `path` for what the system or HDF5 said: DiskFullError where there is no room (and `kept` what there
+    is).
+    """
+    number = errno_of(error)
+    if number in FULL:
+        return DiskFullError(path, _NO_ROOM.get(number, "no room left on the disk"), *kept)
+    return LogError(f"{path}: can't be written: {reason_of(error)}")
+
+
+@contextlib.contextmanager
+def write_errors(path: Path, *kept: str) -> Iterator[None]:
+    """What the system or HDF5 says of a failed write inside becomes the error of `path` (`unwritable`)."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:  # HDF5 uses both
+        raise unwritable(path, error, *kept) from None
+
+
+def longest_file() -> int | None:
+    """The limit on the length of a file that this process may write, in bytes (RLIMIT_FSIZE); None if there is none."""
+    if sys.platform == "win32":
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return None if limit == resource.RLIM_INFINITY else limit
 
 
 def _allocate(fd: int, start: int, length: int) -> None:
@@ -71,8 +101,11 @@ class Allowance:
                 if error.errno not in _NOT_SUPPORTED:
                     raise unwritable(self._name, error) from None
                 self._allocates = False
+        limit = longest_file()
+        if limit is not None and self._used > limit:
+            raise unwritable(self._name, OSError(errno.EFBIG, ""))
         if not self._allocates and free_bytes(self._path) < wanted - self._allocated + RESERVE:
-            raise DiskFullError(self._name, "no room left on the disk")
+            raise unwritable(self._name, OSError(errno.ENOSPC, ""))
         self._allocated = wanted
 
     def sync(self) -> None:

@@ -20,10 +20,11 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.errors import ImuArrayError
+from imuarray.errors import DiskFullError, ImuArrayError
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 from imuarray.log.journal import journal_of
 from imuarray.log.layout import Begun, Notes
+from imuarray.log.live import KEPT
 from imuarray.log.room import WATERMARK
 from imuarray.log.writer import SYNC_S, Block, LogWriter, Stimulus
 
@@ -226,7 +227,7 @@ class RotatingWriter:
         try:
             part.__exit__(None, None, None)
         except ImuArrayError as error:
-            self._error = error
+            self._error = self._error or error
         with self._counting:  # its rows are counted, and nothing else of it is kept
             self._finished = {name: rows + part.acknowledged[name] for name, rows in self._finished.items()}
             self._parts.remove(part)
@@ -263,22 +264,35 @@ class RotatingWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        failed: BaseException | None = None
+        failure: BaseException | None = None
         for ahead in self._ahead.values():
             self._beginning.submit(_abandon, ahead)
         for number, part in sorted(self._open.items()):
-            try:
-                if kind is None or self._keep:
+            if kind is None or self._keep:
+                try:
                     self._name_phases(number, part)
+                except ImuArrayError as raised:
+                    failure = failure or raised
+            try:
                 part.__exit__(kind, error, trace)
-            except ImuArrayError as failure:
-                failed = failed or failure
+            except ImuArrayError as raised:
+                failure = failure or raised
         self._beginning.shutdown()
         for thread in self._finishing:
             thread.join()
-        failed = failed or self._error
-        if failed is not None and failed is not error:
-            raise failed
+        failure = self._named(failure or self._error or error)
+        if failure is not None and failure is not error:
+            raise failure
+
+    def _named(self, failure: BaseException | None) -> BaseException | None:
+        """The failure; where the disk was full, it names the parts that could not be finished."""
+        unfinished = [path for path in self.paths if journal_of(path).exists()]
+        if not isinstance(failure, DiskFullError) or not unfinished:
+            return failure
+        names = ", ".join(path.name for path in unfinished)
+        return DiskFullError(
+            failure.path, failure.why, f"{KEPT}; not finished: {names}: make room, then imuarray recover"
+        )
 
 
 def _abandon(ahead: Future[LogWriter]) -> None:

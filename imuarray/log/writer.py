@@ -22,10 +22,10 @@ from imuarray import __version__
 from imuarray.errors import DiskFullError, ImuArrayError, LogBusyError, LogError, OutputExistsError
 from imuarray.log.draft import Draft
 from imuarray.log.finish import finish
-from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
+from imuarray.log.format import MOST_SENSORS, ClockRow, Event, Phase, SensorHeader
 from imuarray.log.journal import is_running
 from imuarray.log.layout import CHUNK, CLOCKS, STIMULI, Begun, Columns, note_columns
-from imuarray.log.live import Live
+from imuarray.log.live import KEPT, Live
 from imuarray.log.preamble import Preamble
 from imuarray.log.room import WATERMARK
 
@@ -84,6 +84,8 @@ class LogWriter:
         self.epoch = epoch
         if self.path.is_dir():
             raise LogError(f"{path}: is a folder; a log is a file")
+        if len(sensors) > MOST_SENSORS:
+            raise LogError(f"{path}: {len(sensors)} sensors; a log has at most {MOST_SENSORS}")
         if is_running(self.path):
             raise LogBusyError(path)
         if self.path.exists() and not force:
@@ -225,15 +227,19 @@ class LogWriter:
         """The live log becomes a finished one, if there is room; else it stays as it is, and readable. What went wrong
         in the thread is raised unless it was already.
         """
+        kept = KEPT
         try:
             live.close()
             if live.error is None or isinstance(live.error, DiskFullError):
                 finish(self.path, live.lock)
-        except ImuArrayError as failure:
+        except ImuArrayError:
             if live.error is None:
                 raise
-            del failure
+            kept = f"{KEPT}, which is not finished: make room, then imuarray recover {self.path}"
         finally:
             live.lock.close()
-        if live.error is not None and error is not live.error:
-            raise live.error
+        failure = live.error
+        if isinstance(failure, DiskFullError) and kept != failure.kept:
+            failure = DiskFullError(self.path, failure.why, kept)
+        if failure is not None and error is not failure:
+            raise failure

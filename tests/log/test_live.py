@@ -18,10 +18,12 @@ import pytest
 import imuarray.log.journal as journal
 import imuarray.log.live as live
 import imuarray.log.writer as writing
-from imuarray.errors import LogBusyError, LogError, OutputExistsError
-from imuarray.log import Block, LogWriter, Stimulus, open_log
+from imuarray.cli import main
+from imuarray.errors import DiskFullError, LogBusyError, LogError, LogWarning, OutputExistsError
+from imuarray.log import Block, Log, LogWriter, Stimulus, open_log, room
 from imuarray.log.format import Event, Phase
 from imuarray.log.journal import JournalLock, is_running, journal_of
+from imuarray.log.unclosed import says_unclosed
 
 Writer = Callable[..., LogWriter]
 
@@ -316,3 +318,138 @@ def test_what_the_thread_can_not_write_is_raised_and_the_rest_kept(
     with open_log(path) as seen:
         assert seen.state == "interrupted"
         assert len(seen["Gyro"]) == 10
+
+
+@pytest.mark.parametrize("loss", ["removed", "replaced"])
+def test_a_journal_that_goes_while_a_log_is_written_costs_nothing(tmp_path: Path, writer: Writer, loss: str) -> None:
+    path = tmp_path / "run.h5"
+    with writer(path) as log:
+        log.keep()
+        log.append("Gyro", gyro(0, 10))
+        log.flush()
+        if loss == "removed":
+            journal_of(path).unlink()
+        else:
+            (tmp_path / "other").write_text("precious")
+            (tmp_path / "other").replace(journal_of(path))
+        log.append("Gyro", gyro(10, 10))
+        log.flush()
+        with (
+            pytest.warns(LogWarning, match=r"its journal run\.h5\.journal is (missing|damaged)"),
+            open_log(path) as seen,
+        ):
+            assert seen.state != "finished"
+            assert len(seen["Gyro"]) == 20  # every sync commits now: a crash would cost a second at the most
+        log.append("Gyro", gyro(20, 10))
+    with open_log(path) as seen:
+        assert seen.state == "finished"
+        np.testing.assert_array_equal(seen["Gyro"].counts[:], gyro(0, 30).counts)
+        assert [(event.kind, event.message[:23]) for event in seen.events] == [("damaged", "the journal was removed")]
+    assert journal_of(path).exists() == (loss == "replaced")  # what is not ours stays
+
+
+@pytest.mark.parametrize("loss", ["removed", "emptied", "overwritten", "finished by another process"])
+def test_a_file_that_goes_while_a_log_is_written_costs_nothing(
+    tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch, loss: str
+) -> None:
+    monkeypatch.setattr(writing, "CHUNK", 16)
+    path = tmp_path / "run.h5"
+    with writer(path) as log:
+        log.keep()
+        for first in range(0, 100, 10):
+            log.append("Gyro", gyro(first, 10))
+            log.event(Event(first, "Gyro", "note", str(first)))
+            log.flush()
+            if first == 50 and loss == "removed":
+                path.unlink()
+            elif first == 50 and loss == "emptied":
+                os.truncate(path, 0)
+            elif first == 50 and loss == "overwritten":
+                path.write_bytes(b"\x55" * path.stat().st_size)
+            elif first == 50:
+                (tmp_path / "finished.h5").write_bytes(finished_bytes(tmp_path / "a", writer))
+                (tmp_path / "finished.h5").replace(path)
+    with open_log(path) as seen:
+        assert (seen.state, seen.losses) == ("finished", ())
+        np.testing.assert_array_equal(seen["Gyro"].counts[:], gyro(0, 100).counts)
+        assert [event.message for event in seen.events] == [str(first) for first in range(0, 100, 10)]
+    assert not journal_of(path).exists()
+
+
+def finished_bytes(folder: Path, writer: Writer) -> bytes:
+    folder.mkdir()
+    with writer(folder / "run.h5") as log:
+        log.append("Gyro", gyro(0, 5))
+    return (folder / "run.h5").read_bytes()
+
+
+def test_a_log_that_could_not_be_finished_never_passes_as_finished(
+    tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """HDF5 closed its file in good order, and cleared its flags; the journal is lost, as by a copy without it."""
+    path = tmp_path / "run.h5"
+
+    def full(path: Path, lock: object) -> None:
+        raise DiskFullError(path, "no room left on the disk")
+
+    monkeypatch.setattr(writing, "finish", full)
+    with pytest.raises(DiskFullError), writer(path) as log:
+        log.keep()
+        log.append("Gyro", gyro(0, 10))
+        log.event(Event(7, "Gyro", "note", "early"))
+        log.phase(Phase(5, 9005, "static"))
+        log.flush()
+    assert not says_unclosed(path)
+    for has_journal in (True, False):
+        if not has_journal:
+            journal_of(path).unlink()
+        with Log(path) as seen:
+            assert seen.state == "interrupted"
+            assert (len(seen["Gyro"]), len(seen.events), len(seen.phases)) == (10, 1, 1)
+        capsys.readouterr()
+        assert main(["verify", str(path)]) == (0 if has_journal else 2)
+        assert "interrupted, 10 rows" in capsys.readouterr().out
+    assert main(["recover", str(path)]) == 2
+    assert "say --force to finish it without them" in capsys.readouterr().err
+    assert main(["recover", str(path), "--force"]) == 0
+
+
+def test_what_a_killed_process_left_under_a_temporary_name_goes(tmp_path: Path, writer: Writer) -> None:
+    """Not what a process that lives has, nor what HDF5 has locked on another machine."""
+    gone, other = 2**22 + 1, os.getppid()
+    for name in (f".run.h5.{gone}.part", f".run.h5.{gone}.live.part", f".run.h5.{other}.part", f".old.h5.{gone}.part"):
+        (tmp_path / name).write_bytes(b"")
+    locked = os.open(tmp_path / f".run.h5.{gone + 1}.part", os.O_RDWR | os.O_CREAT)
+    fcntl.flock(locked, fcntl.LOCK_EX)
+    with writer(tmp_path / "run.h5"):
+        pass
+    os.close(locked)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "run.h5",
+        f".run.h5.{other}.part",
+        f".run.h5.{gone + 1}.part",
+        f".old.h5.{gone}.part",
+    }
+
+
+HDF5_TEXT = """Can't write data (file write failed: time = Mon Nov 23 12:38:50 2026
+, filename = 't/.run.h5.part', file descriptor = 3, errno = {}, error message = 'x', total write size = 437)"""
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "said"),
+    [
+        (28, DiskFullError, "no room left on the disk; nothing was recorded; make room or choose another disk"),
+        (27, DiskFullError, "no room left: the limit on the length of a file is reached; nothing was recorded"),
+        (122, DiskFullError, "no room left: the quota of the user is used up; nothing was recorded"),
+        (5, LogError, "can't be written: Input/output error"),
+    ],
+)
+@pytest.mark.parametrize("raised", [OSError, RuntimeError])
+def test_hdf5s_paragraphs_become_one_line(
+    number: int, kind: type[LogError], said: str, raised: type[Exception]
+) -> None:
+    error = room.unwritable(Path("run.h5"), raised(HDF5_TEXT.format(number)))
+    assert type(error) is kind
+    assert str(error).startswith(f"run.h5: {said}")
+    assert len(str(error).splitlines()) == 1

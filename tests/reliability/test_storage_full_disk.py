@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from imuarray.cli import main
 from imuarray.errors import DiskFullError
-from imuarray.log import LogWriter, open_log, room
+from imuarray.log import LogWriter, RotatingWriter, open_log, room
+from imuarray.log.journal import journal_of
 from tests.reliability import storage_rows as rows
 
 ROOT = Path(__file__).parents[2]
@@ -112,6 +114,97 @@ def test_files_may_not_be_longer(tmp_path: Path) -> None:
     folder.mkdir()
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({2 * MIB}, {2 * MIB}))"
     check(logged(folder, limit, watermark=0), folder)
+
+
+@pytest.mark.parametrize("limit", [0, 3000, 30_000, 300_000, 1_100_000])
+def test_a_short_limit_on_files_is_one_line(tmp_path: Path, limit: int) -> None:
+    """Wherever it is met: in the draft, the reserve, the journal, the file."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    program = f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
+    program += "from imuarray.cli import main; sys.exit(main(sys.argv[1:]))"
+    words = ["log", "martin2013", "--bus", "emulated:", "--seconds", "30", "-o", str(folder / "run.h5")]
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 3
+    assert len([line for line in done.stderr.splitlines() if "no hardware" not in line]) == 1
+    assert "no room left: the limit on the length of a file is reached" in done.stderr
+    if "nothing was recorded" in done.stderr:
+        assert list(folder.iterdir()) == []
+    else:
+        assert main(["verify", str(folder / "run.h5")]) == 0
+
+
+@pytest.fixture
+def few_files(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """A disk in memory that takes so many files and folders, its root among them."""
+    place = tmp_path / "disk"
+    place.mkdir()
+
+    def mount(inodes: int) -> Path:
+        options = f"size=200m,nr_inodes={inodes}"
+        mounted = subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", options, "tmpfs", place], capture_output=True, check=False
+        )
+        if mounted.returncode != 0:
+            pytest.skip("a small disk can't be mounted here: needs root")
+        return place
+
+    yield mount
+    subprocess.run(["umount", "-l", place], check=False)
+
+
+@pytest.mark.parametrize("inodes", [2, 3, 4])
+def test_a_disk_that_takes_no_more_files_keeps_nothing(few_files: Callable[[int], Path], inodes: int) -> None:
+    folder = few_files(inodes)
+    done = logged(folder, watermark=0)
+    assert done.returncode == 3
+    assert "nothing was recorded" in done.stderr
+    assert list(folder.iterdir()) == []
+
+
+def test_a_rotated_log_on_a_full_disk_names_what_is_not_finished(
+    small_disk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both parts can be read and recovered; no reserve stays."""
+    filler = None
+    with (
+        pytest.raises(DiskFullError) as failed,
+        RotatingWriter(
+            small_disk / "run.h5", rows.SENSORS, every_s=300.0, source="simulated", epoch=rows.EPOCH, watermark=0
+        ) as log,
+    ):
+        log.keep()
+        for first in range(0, 1_000_000, 1000):
+            log.append("Acc", rows.block(0, first, 1000))
+            log.append("Gyro", rows.block(1, first, 1000))
+            if first == 29_000 and filler is None:  # shortly before the first part ends
+                log.flush()
+                filler = small_disk / "filler"
+                fill(filler)
+    unfinished = [path for path in log.paths if journal_of(path).exists()]
+    assert unfinished
+    assert all(path.name in str(failed.value) for path in unfinished)
+    assert "make room, then imuarray recover" in str(failed.value)
+    assert [path.name for path in small_disk.iterdir() if path.name.startswith(".")] == []
+    total = 0
+    for path in log.paths:
+        assert main(["verify", str(path)]) == 0
+        assert main(["recover", str(path), "-o", str(tmp_path / path.name)]) == 0
+        with open_log(tmp_path / path.name) as part:
+            total += len(part["Acc"])
+    assert total >= log.acknowledged["Acc"] >= 29_000
+    capsys.readouterr()
+
+
+def fill(path: Path) -> None:
+    """Take all the room that there is."""
+    with path.open("wb", buffering=0) as file:
+        for size in (1 << 20, 4096, 1):
+            with contextlib.suppress(OSError):
+                while True:
+                    file.write(bytes(size))
 
 
 def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
