@@ -111,24 +111,29 @@ class CommittedRows:
         self._segments = [Segment(number, *rows) for number, rows in enumerate(pairwise([zero, *ends]))]
         self._is_good: dict[int, bool] = {}
         self._replacements: OrderedDict[int, list[Columns]] = OrderedDict()
+        self._remains: dict[int, list[Columns]] = {}
         self._count()
 
     def _count(self) -> None:
         """Where the segments begin and end, of each group."""
-        lengths = [[end - start for start, end in zip(part.start, part.end, strict=True)] for part in self._segments]
-        table = np.cumsum(np.array([[0] * len(self._groups), *lengths], np.int64), axis=0)
-        self._edges = [column.tolist() for column in table.T]
+        table = np.cumsum([[0] * len(self._groups), *map(self._lengths, self._segments)], axis=0)
+        self._edges: list[list[int]] = table.T.tolist()
         self.rows = tuple(edges[-1] for edges in self._edges)
 
+    def _lengths(self, segment: Segment) -> list[int]:
+        """Rows of each group in a segment, as far as they can be read."""
+        if segment.number in self._remains:
+            return [len(next(iter(columns.values()))) for columns in self._remains[segment.number]]
+        return [end - start for start, end in zip(segment.start, segment.end, strict=True)]
+
     def check(self) -> list[str]:
-        """Check every commit; rows that are damaged here and in no journal are left out from now on, and said."""
-        lost, kept = np.zeros(len(self._groups), np.int64), []
+        """Check every commit. Rows that are damaged both here and in the journal are left out from now on, and said."""
+        lost = np.zeros(len(self._groups), np.int64)
         for segment in self._segments:
-            if self._fits(segment) or self._replaced(segment) is not None:
-                kept.append(segment)
-            else:
-                lost += np.subtract(segment.end, segment.start)
-        self._segments = kept
+            if not self._fits(segment) and self._replaced(segment) is None:
+                lost += self._lengths(segment)
+                self._remains[segment.number] = self._salvaged(segment)
+                lost -= self._lengths(segment)
         self._count()
         counts = [
             f"{counted(rows, 'byte' if group.path == NOTES else 'row')} of {group.path}"
@@ -136,6 +141,21 @@ class CommittedRows:
             if rows
         ]
         return [f"damaged, and in no journal: {', '.join(counts)}"] if counts else []
+
+    def _salvaged(self, segment: Segment) -> list[Columns]:
+        """What the journal has of a commit that is damaged in both places, by group."""
+        parts: list[list[Columns]] = [[] for _ in self._groups]
+        begin, end = self._marks(segment)
+        for record in self._journal.records(begin) if self._journal is not None else ():
+            if record.after.position > end.position:
+                break
+            parts[record.group].append(self._groups[record.group].decode(record.payload, record.rows))
+        return [group.joined(some) for group, some in zip(self._groups, parts, strict=True)]
+
+    def _marks(self, segment: Segment) -> tuple[Mark | None, Mark]:
+        """Where the journal has the rows of a commit."""
+        begin = self._commits[segment.number - 1].mark if segment.number else None
+        return begin, self._commits[segment.number].mark
 
     @property
     def damaged(self) -> int:
@@ -192,20 +212,23 @@ class CommittedRows:
         return block_crc(self._groups, stretches)
 
     def _replaced(self, segment: Segment) -> list[Columns] | None:
-        """The rows of a commit from the journal, by group; None if the journal does not have them all."""
+        """The rows of a commit from the journal, by group; None if the journal does not have them all, and `check` has
+        not made do with what it has.
+        """
+        if segment.number in self._remains:
+            return self._remains[segment.number]
         if self._journal is None:
             return None
         if segment.number not in self._replacements:
-            begin = self._commits[segment.number - 1].mark if segment.number else None
             parts: list[list[Columns]] = [[] for _ in self._groups]
             try:
-                for record in self._journal.between(begin, self._commits[segment.number].mark):
+                for record in self._journal.between(*self._marks(segment)):
                     parts[record.group].append(self._groups[record.group].decode(record.payload, record.rows))
             except (LogError, OSError):
                 return None
             rows: list[Columns] = [group.joined(some) for group, some in zip(self._groups, parts, strict=True)]
             lengths = [len(next(iter(columns.values()))) for columns in rows]
-            if lengths != [end - start for start, end in zip(segment.start, segment.end, strict=True)]:
+            if lengths != self._lengths(segment):
                 return None
             self._replacements[segment.number] = rows
             if len(self._replacements) > _KEPT_REPLACEMENTS:
