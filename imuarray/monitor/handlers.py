@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Awaitable
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,9 +23,13 @@ _BOKEH = "bokeh.min.js"
 
 
 class _Guarded(RequestHandler):
-    """GET alone, for whom the page is."""
+    """GET and HEAD, for whom the page is. A subclass has `get`; of its answer to HEAD, Tornado sends the headers."""
 
     SUPPORTED_METHODS = ("GET", "HEAD")
+
+    def head(self, *names: str) -> Awaitable[None] | None:
+        answer: Awaitable[None] | None = self.get(*names)
+        return answer
 
     def initialize(self, looks: Looks, token: str, parts: Traversable) -> None:
         self.looks, self.token, self.parts = looks, token, parts

@@ -47,14 +47,15 @@ class Looks:
         self._thread = ThreadPoolExecutor(1, "look")
         self._lock = asyncio.Lock()
         self._snapshot: Snapshot | None = None
-        self._text = b""
+        self._text = b"{}"
+        self._is_closed = False
         self._looked_s = self.asked_s = float("-inf")
 
     async def text(self) -> bytes:
-        """The last look as JSON, or a new one if that is old."""
+        """The last look as JSON, or a new one if that is old and there are more looks."""
         self.asked_s = time.monotonic()
         async with self._lock:
-            if time.monotonic() - self._looked_s > 0.8 * self.every_s:
+            if not self._is_closed and time.monotonic() - self._looked_s > 0.8 * self.every_s:
                 self._looked_s = time.monotonic()
                 await asyncio.get_running_loop().run_in_executor(self._thread, self._look)
         return self._text
@@ -74,10 +75,13 @@ class Looks:
         }
         kinds |= {Kind("trace", _XYZ, unit) for _, unit in READABLE_SI.values()}
         make = partial(figures, sorted(kinds), theme if theme in THEMES else "light", SPAN_S)
+        if self._is_closed:
+            return make()
         return await asyncio.get_running_loop().run_in_executor(self._thread, make)
 
     def close(self) -> None:
-        """No more looks."""
+        """No more looks: who still asks gets the last one."""
+        self._is_closed = True
         self._thread.shutdown()
         self._watch.close()
 

@@ -14,7 +14,8 @@ from itertools import count, takewhile
 from pathlib import Path
 
 from imuarray.calibrate import Calibration
-from imuarray.errors import ImuArrayError
+from imuarray.errors import ImuArrayError, reason_of
+from imuarray.log.guard import DAMAGE
 from imuarray.log.journal import JournalReader, is_running
 from imuarray.log.rotate import part_of
 from imuarray.monitor.compose import snapshot_of
@@ -55,13 +56,17 @@ class Watch:
         start_s = self._stopwatch()
         try:
             self._look(now_s)
-        except (ImuArrayError, OSError) as error:
+            if self._source is not None:
+                quiet_s = now_s - self._fresh_s
+                snapshot = snapshot_of(self._source, self._calibration, self._remark, quiet_s, self._result)
+                return replace(snapshot, took_s=self._stopwatch() - start_s)
+        except ImuArrayError as error:
+            self._remark = str(error)
             self.close()
-            self._remark = str(error) if isinstance(error, ImuArrayError) else f"{self.path}: {error.strerror}"
-        if self._source is None:
-            return Snapshot(self.path, WAITING, self._remark)
-        snapshot = snapshot_of(self._source, self._calibration, self._remark, now_s - self._fresh_s, self._result)
-        return replace(snapshot, took_s=self._stopwatch() - start_s)
+        except DAMAGE as error:  # the file changes while it is read: it is looked at anew
+            self._remark = f"{self.path}: {reason_of(error)}"
+            self.close()
+        return Snapshot(self.path, WAITING, self._remark)
 
     def _look(self, now_s: float) -> None:
         """Open what is there, read what is new, go on to the next part."""

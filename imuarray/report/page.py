@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from imuarray.atomic import write_text
 from imuarray.errors import MissingExtraError
+from imuarray.printable import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -63,7 +64,12 @@ def write_page(
     except ImportError:
         raise MissingExtraError("jinja2", "report") from None
     template = files("imuarray.report").joinpath("page.html").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown)
     environment.tests["table"] = lambda part: isinstance(part, Table)
     page = environment.from_string(template).render(title=title, summary=summary, sections=sections)
     write_text(path, page, force=force)
+
+
+def _shown(value: object) -> object:
+    """Texts without control characters, spelled out: they may come from a file that somebody else wrote."""
+    return "\n".join(map(printable, value.split("\n"))) if type(value) is str else value

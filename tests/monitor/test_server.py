@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import signal
@@ -18,7 +19,8 @@ from typing import NamedTuple
 import pytest
 
 from imuarray.monitor.guard import HEADERS, is_own, new_token, refusal
-from imuarray.monitor.server import address_of
+from imuarray.monitor.server import Looks, address_of
+from imuarray.monitor.watch import Watch
 
 ROOT = Path(__file__).parents[2]
 
@@ -133,6 +135,8 @@ def test_the_page_on_this_machine(logger, log_path: Path) -> None:  # type: igno
         assert asked(address, "snapshot.json", Host="evil.example").status == 403
         assert asked(address, "snapshot.json", Origin="http://evil.example").status == 403
         assert asked(address, "snapshot.json", method="POST").status == 405
+        heads = [asked(address, part, method="HEAD") for part in ("", "page.css", "snapshot.json", "figures.json")]
+        assert [(head.status, head.text) for head in heads] == [(200, "")] * 4
         assert asked(address, "../pyproject.toml").status == 404
         assert asked(address, "page.html").status == 404
         process.send_signal(signal.SIGINT)
@@ -153,3 +157,19 @@ def test_another_address_wants_the_token(logger, log_path: Path) -> None:  # typ
         page = asked(f"{address}?token={found[2]}")
         assert page.status == 200 and f"page.js?token={found[2]}" in page.text
         assert asked(f"{address}?token={found[2]}", "snapshot.json").status == 200
+
+
+def test_who_asks_after_the_last_look_gets_it_again(logger, log_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """The server ends while a page still asks: no error."""
+    logger.go_on(1.0)
+
+    async def ask() -> tuple[bytes, bytes, int]:
+        looks = Looks(Watch(log_path), every_s=0.0)
+        before = await looks.text()
+        looks.close()
+        return before, await looks.text(), len(await looks.figures("light"))
+
+    before, after, figures = asyncio.run(ask())
+    assert json.loads(before)["sensors"][0]["rows"] == 100
+    assert after == before
+    assert figures > 0

@@ -522,3 +522,25 @@ def test_a_sensor_without_rows_is_shown_as_such(logger: Logger, log_path: Path) 
     assert np.isnan(silent.mean).all()
     assert seen.fused is not None
     assert sensor(seen, "Baro").rows == 0
+
+
+@pytest.mark.parametrize(
+    "error", [OSError("gone"), RuntimeError("Unable to read"), KeyError("commits"), ValueError("x")]
+)
+def test_a_file_that_changes_while_it_is_looked_at_is_looked_at_anew(
+    logger: Logger, log_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """As when a log is finished just now: the page says so, and goes on at the next look."""
+    logger.go_on(1.0)
+    with Watch(log_path) as watch:
+        assert len(watch.refresh(0.0).sensors) == 4
+        with monkeypatch.context() as patch:
+
+            def fail(self: object) -> int:
+                raise error
+
+            patch.setattr("imuarray.monitor.growing.Growing.read", fail)
+            spoilt = watch.refresh(1.0)
+        assert (spoilt.state, spoilt.sensors) == ("waiting", ())
+        assert spoilt.remark.startswith(str(log_path))
+        assert len(watch.refresh(2.0).sensors) == 4

@@ -159,3 +159,12 @@ def test_sections_of_one_title_have_anchors_of_their_own(tmp_path: Path) -> None
     write_page(tmp_path / "report.html", "t", [], [Section("Noise", ""), Section("Noise", "")])
     ids = [heading["id"] for heading in Page((tmp_path / "report.html").read_text()).attributes("h2")]
     assert len(set(ids)) == 2
+
+
+def test_what_steers_a_terminal_is_spelled_out(tmp_path: Path) -> None:
+    """Texts of a log may be anybody's; lines stay lines."""
+    table = Table(("\x1b[1m",), (("\x9b31m",),), "\u202eb")
+    write_page(tmp_path / "report.html", "a\x1b[2J", ["one\ntwo\r"], [Section("\x07", "\x00", [table])])
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.replace("\n", "").isprintable()
+    assert all(text in page for text in (r"a\x1b[2J", r"\x9b31m", r"\u202eb", r"\x07", r"\x00", "one\ntwo\\r"))
