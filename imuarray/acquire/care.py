@@ -38,6 +38,8 @@ class _Patient:
         self.lost = troubles.of(self.name, "lost")
         self.stale = troubles.of(self.name, "stale")
         self.overrun = troubles.of(self.name, "overrun")
+        self.frozen = troubles.of(self.name, "frozen")
+        self.unwell: Trouble | None = None
         self.freshness = Freshness(pending.station.sensor)
         self.last_row_ns: int | None = None
         self.rows = 0
@@ -45,6 +47,11 @@ class _Patient:
     def tell(self, at_ns: int, kind: str, message: str) -> None:
         """Something happened to it."""
         self._troubles.of(self.name, kind).happened(at_ns, message)
+
+    def falls_ill(self, at_ns: int, kind: str, message: str) -> None:
+        """It is not well until it was set up again."""
+        self.unwell = self._troubles.of(self.name, kind)
+        self.unwell.begin(at_ns, message)
 
 
 class Care:
@@ -116,6 +123,9 @@ class Care:
         pending.silent_since_ns = None
         patient.last_row_ns = now_ns
         patient.lost.over(now_ns)
+        if patient.unwell is not None:
+            patient.unwell.over(now_ns, told=True)  # by what follows
+            patient.unwell = None
         if recovery.intact:
             patient.tell(now_ns, "back", f"answers again, configured as it was, after {took_s:.2f} s")
         else:
@@ -129,7 +139,7 @@ class Care:
 
     def not_as_it_was(self, pending: Pending, at_ns: int, kind: str, message: str) -> None:
         """The watch found that a chip is not configured as it was, or not ours; its rows are flagged already."""
-        self._patients[id(pending)].tell(at_ns, kind, message)
+        self._patients[id(pending)].falls_ill(at_ns, kind, message)
         pending.recovery = Recovery(pending.station, at_ns, look=False)
 
     # Now and then ---------------------------------------------------------------------------------------------------
@@ -152,10 +162,12 @@ class Care:
             began_ns = pending.times_ns[row]
             pending.thaw()
             pending.distrust(row)
-            patient.tell(now_ns, "frozen", f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
+            patient.frozen.begin(now_ns, f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
         elif pending.queue is not None and now_ns - patient.last_row_ns > IDLE_NS:
-            patient.tell(now_ns, "frozen", f"nothing in its queue for {IDLE_NS * 1e-9:.0f} s")
+            patient.frozen.begin(now_ns, f"nothing in its queue for {IDLE_NS * 1e-9:.0f} s")
         else:
+            if patient.frozen.lasts and pending.moves:
+                patient.frozen.over(now_ns, told=True)  # by the event that it was set up again
             return
         pending.recovery = Recovery(pending.station, now_ns, look=False)
 

@@ -191,6 +191,11 @@ class Pending:
                 self.suspect.append((self._still, self._still + 1))
                 self._still += 1
 
+    @property
+    def moves(self) -> bool:
+        """Whether there is a reading since it was set up, other than the one with which it stood still."""
+        return not self._watch_still and len(self.times_ns) > self._since_set_up
+
     def _reading(self, row: int) -> bytes:
         start, part = row * self.driver.burst, self.driver.reading
         return bytes(self.bursts[start + part.start : start + part.stop])

@@ -34,7 +34,7 @@ class Segment:
         here, everywhere = [item.station for item in items], [item.station for item in everybody]
         self.channel = channel_of(here, everywhere, frames_of(rate_hz))
         doubtful = [id(station) for station in self.channel.twins] if self.channel else []
-        self._misrouted = troubles.of("", "channel", self.key)
+        self._misrouted = troubles.of("", "channel")
         self._hang = troubles.of("", "bus", id(adapter))
         self._removal = troubles.of("", "adapter", id(adapter))
         self._lose = lose
