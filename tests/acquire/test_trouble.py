@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import defaultdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,8 @@ MOST = 28
 
 
 def is_end(message: str) -> bool:
-    return (
-        re.search(r"(^|, )in all \d+ .* in [0-9.]+ s$|(again|ended|well), after [0-9.]+ s$|until", message) is not None
-    )
+    counted = r"(^|, )in all \d+ .* in [0-9.]+ s$"
+    return re.search(rf"{counted}|(again|ended|well), after [0-9.]+ s$|until", message) is not None
 
 
 class Heard:
@@ -106,7 +106,7 @@ def test_whatever_happens_events_are_few_and_their_counts_add_up(
     times = [at_ns for at_ns, _ in heard.events]
     assert all(sum(start <= at_ns < start + HOUR for at_ns in times) <= MOST + 1 for start in times)
     ends = [is_end(message) for _, message in heard.events]
-    assert not any(before and after for before, after in zip(ends, ends[1:], strict=False))
+    assert not any(before and after for before, after in pairwise(ends))
     # An episode's count is in its end, or, where it happened once, in its only event.
     counted = 0
     for index, (_, message) in enumerate(heard.events):
@@ -162,7 +162,7 @@ def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seco
         times = [event.time_ns for event in events]
         assert max(sum(start <= at_ns < start + HOUR for at_ns in times) for start in times) <= MOST, events
         ends = [is_end(event.message) for event in events]
-        assert not any(before and after for before, after in zip(ends, ends[1:], strict=False)), events
+        assert not any(before and after for before, after in pairwise(ends)), events
     assert len(log.events) <= 100
     if kind in SHOWN_BY and every_s is None:
         first, *_, last = groups[SHOWN_BY[kind]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,13 @@ from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import linux
 from imuarray.bus.identity import adapters, is_alone, ports, search
 from imuarray.bus.linux import LinuxBus
+from imuarray.bus.serial_port import UsualPort
+from imuarray.bus.transcript import RecordingBus
 from imuarray.cli import main
 from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED
 from tests.bus.machine import Machine
+from tests.bus.serial_bench import Bench as SerialBench
 
 SECOND = 1_000_000_000
 TRUNK = """[array]
@@ -321,3 +325,78 @@ def test_a_log_in_which_nobody_answers_any_more_says_so(
     assert "adapter: the emulated adapter is unplugged (errno 19)" in said
     assert ("no sensor answered any more when the recording ended" in said) == bool(expected)
     assert ("adapter: the adapter is there again" in said) == (not expected)
+
+
+class TestSerialPort:
+    def plug(self, folder: Path, name: str, port: str, product: str = "0043") -> None:
+        interface = folder / "devices/usb1" / port / f"{port}:1.0"
+        (interface / "tty" / name).mkdir(parents=True)
+        (interface.parent / "idVendor").write_text("2341\n")
+        (interface.parent / "idProduct").write_text(f"{product}\n")
+        (folder / "class").mkdir(exist_ok=True)
+        (folder / "class" / name).symlink_to(interface / "tty" / name)
+        (interface / "tty" / name / "device").symlink_to(interface)
+
+    def unplug(self, folder: Path, name: str, port: str) -> None:
+        (folder / "class" / name).unlink()
+        shutil.rmtree(folder / "devices/usb1" / port)
+
+    def test_it_is_the_device_that_is_opened_again_and_not_the_number(self, tmp_path: Path) -> None:
+        opened: list[str] = []
+
+        def open_port(path: str, baud: int) -> Any:
+            opened.append(path)
+
+        self.plug(tmp_path, "ttyACM0", "1-1")
+        port = UsualPort("/dev/ttyACM0", 115_200, devices=tmp_path / "class", open_port=open_port)
+        port()
+        port()
+        self.unplug(tmp_path, "ttyACM0", "1-1")
+        with pytest.raises(FileNotFoundError, match=r"USB 2341:0043 at port 1-1, interface 1\.0 was removed"):
+            port()
+        self.plug(tmp_path, "ttyACM0", "1-2", "0042")  # somebody else takes the number
+        with pytest.raises(FileNotFoundError):
+            port()
+        self.plug(tmp_path, "ttyACM1", "1-1")
+        port()
+        assert opened == ["/dev/ttyACM0", "/dev/ttyACM0", "/dev/ttyACM1"]
+
+    def test_without_sysfs_it_is_the_path(self, tmp_path: Path) -> None:
+        opened: list[str] = []
+        port = UsualPort("/dev/ttyS0", 9600, devices=tmp_path, open_port=lambda path, baud: opened.append(path))  # type: ignore[func-returns-value,arg-type,return-value]
+        port()
+        port()
+        assert opened == ["/dev/ttyS0", "/dev/ttyS0"]
+
+
+def test_a_microcontroller_that_is_asked_for_each_transaction_is_found_again(tmp_path: Path) -> None:
+    """With a transcript, or queues, it does not stream. Unplugged for 5 s; its chips lose their supply."""
+    array = parse_array(TRUNK)
+    it = SerialBench(array)
+    begun: list[int] = []
+
+    def stopped() -> bool:
+        begun.append(it.now_ns())
+        since_s = (begun[-1] - begun[0]) / SECOND
+        if 3 < since_s < 8 and not it.unplugged:
+            it.unplug()
+        if since_s > 8 and it.unplugged:
+            it.unplugged = False
+            for chip in it.emulated.chips.values():
+                chip.power_on(it.now_ns())
+        return False
+
+    told: list[Any] = []
+    with RecordingBus(it.bus(), tmp_path / "t.jsonl") as bus:
+        done = record(array, bus, tmp_path / "r.h5", rate_hz=20, seconds=15, stopped=stopped, tell=told.append)
+    assert done.silent == []
+    adapter = [event for event in told if event.kind == "adapter"]
+    assert len(adapter) == 2
+    assert 3 * SECOND < adapter[0].time_ns < 5 * SECOND
+    assert 8 * SECOND < adapter[1].time_ns < 11 * SECOND
+    with open_log(tmp_path / "r.h5") as log:
+        for name in "AB":
+            time, status = np.asarray(log[name].time) / SECOND, np.asarray(log[name].status)
+            (back,) = np.flatnonzero(status & RECONFIGURED)
+            assert 8.0 < time[back] < 12.0
+            assert time[-1] > 14.9
