@@ -17,6 +17,7 @@ import numpy as np
 from imuarray.acquire.adapter import Adapter
 from imuarray.acquire.care import Care
 from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.intake import Intake
 from imuarray.acquire.pending import Pending
 from imuarray.acquire.segments import Segment
 from imuarray.acquire.start_up import Judge, StartUp
@@ -60,9 +61,9 @@ class Poll:
         self.rate_hz = rate_hz
         self.epoch_ns = epoch_ns
         self.progress = progress
-        self.observe = observe
         self.tell = tell
         self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
+        self.intake = Intake(log, epoch_ns, observe, self._note, self.summary.lost)
         self.pending = {id(station): Pending(station, rate_hz) for station in stations}
         items = list(self.pending.values())
         forth = self._segments(stations)
@@ -234,7 +235,9 @@ class Poll:
 
     def event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
         """Note that something happened to a sensor, or to the array."""
-        event = Event(at_ns - self.epoch_ns, sensor, kind, text)
+        self._note(Event(at_ns - self.epoch_ns, sensor, kind, text))
+
+    def _note(self, event: Event) -> None:
         self.log.event(event)
         self.tell(event)
 
@@ -245,6 +248,7 @@ class Poll:
         for trouble in self.troubles:
             trouble.close()
         self.write(last=True)
+        self.intake.close()
 
     def write(self, *, last: bool = False) -> None:
         """Decode and write what waits and is trusted."""
@@ -252,11 +256,11 @@ class Poll:
         for pending in self.pending.values():
             count = len(pending.times_ns) if last else self.care.trusted_rows(pending, now_ns)
             if count > 0:
-                block = pending.take(count, self.epoch_ns)
-                self.log.append(pending.station.sensor.name, block)
-                self.observe(pending.station.sensor.name, block)
+                block = self.intake.write(pending, count, now_ns)
                 self.watch.taken(pending, count)
-                self.care.written(pending, block, self.epoch_ns)
+                if len(block.time):
+                    self.care.written(pending, block, self.epoch_ns)
+        self.intake.settle(now_ns)
         if self.truth_rows:
             self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))
             self.truth_rows = []

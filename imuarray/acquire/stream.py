@@ -8,10 +8,12 @@ readings; so it is when the microcontroller falls silent or its port disappears.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 
 from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.intake import Intake
 from imuarray.acquire.pending import Pending
 from imuarray.acquire.start_up import Judge, StartUp
 from imuarray.acquire.stations import Station
@@ -28,11 +30,13 @@ from imuarray.errors import BusUrlError
 from imuarray.log.format import Event
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block
+from imuarray.printable import counted
 
 WRITE_NS = 1_000_000_000
 """Between two writes."""
 SILENCE_NS = 2_000_000_000
-"""A microcontroller that has sent nothing for so long was reset, or is gone."""
+SILENT_PERIODS = 2.5
+"""A microcontroller that has sent nothing for so long, and for so many times its own pauses, was reset or is gone."""
 QUIET_S = 0.5
 """Nothing for so long before the end, and two frames more, is no pause between two frames."""
 PAUSE_NS = 3_000_000_000
@@ -66,8 +70,9 @@ class Streaming:
         if not isinstance(bus, SerialBus):
             raise TypeError(f"{type(bus).__name__} can't stream")
         self._bus, self._log, self._epoch_ns, self._rate_hz = bus, log, epoch_ns, rate_hz
-        self._progress, self._observe, self._tell = progress, observe, tell
+        self._progress, self._tell = progress, tell
         self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
+        self._intake = Intake(log, epoch_ns, observe, self._note_event, self.summary.lost)
         self._plan = plan(stations, rate_hz)
         self._rows = [
             Rows(Pending(station, rate_hz), places) for station, places in zip(stations, self._plan.visits, strict=True)
@@ -77,6 +82,9 @@ class Streaming:
         self._health = Health(self._rows, self._plan.watched, start_up, self._note)
         self._troubles = {id(rows): Trouble("lost", "readings lost", self._teller(rows)) for rows in self._rows}
         self._link = Trouble("link", "attempts", self._event_of(""))
+        self._refused = Trouble("refused", "frames refused", self._event_of(""))
+        self._refused_before = Counter(bus.refused)
+        self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
         read = clocks_beside(bus.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
         self._clocks = Clocks(read, epoch_ns, log.clocks, self._event_of(""))
         self._frames: int | None = None  # how many are wanted
@@ -89,7 +97,7 @@ class Streaming:
         """Record for `seconds` of frames, or until `stopped()`."""
         clock = self._bus.clock
         self._frames = None if seconds is None else max(1, round(seconds * self._rate_hz))
-        end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + SILENCE_NS
+        end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + self._silence_ns
         self._start()
         if isinstance(self._log, RotatingWriter):
             self._log.starts(self._heard_ns - self._epoch_ns)
@@ -114,9 +122,9 @@ class Streaming:
         try:
             if not self._bus.streaming:
                 raise LinkError("it does not answer")
-            self._take(self._bus.receive())
+            self._take(self._receive())
             now_ns = self._bus.clock.now_ns()
-            if now_ns - self._heard_ns > SILENCE_NS:
+            if now_ns - self._heard_ns > self._silence_ns:
                 self._find_link("it sends nothing")
             elif self._health.ill and now_ns - self._tried_ns > PAUSE_NS:
                 self._set_up_again()
@@ -127,6 +135,23 @@ class Streaming:
             self._clocks.tick(now_ns)
             self._health.tick(now_ns)
             self._write()
+
+    def _longest_pause_s(self) -> float:
+        """Between two frames in which the microcontroller sends something."""
+        return min(asked.every for asked in self._plan.lists) / self._rate_hz
+
+    def _receive(self) -> Mapping[int, Samples]:
+        """What the microcontroller sent of the running stream; frames that were refused are told."""
+        samples = self._bus.receive()
+        refused = Counter(self._bus.refused) - self._refused_before
+        count = refused.total()
+        if count:
+            self._refused_before += refused
+            self.summary.refused += count
+            why = ", ".join(f"{number} {reason}" for reason, number in refused.most_common())
+            text = f"{counted(count, 'frame')} of the link refused: {why}"
+            self._refused.happened(self._bus.clock.now_ns(), text, count)
+        return samples
 
     def _take(self, came: Mapping[int, Samples]) -> None:
         """Put what came where it belongs; frames after the last that is wanted are left out."""
@@ -153,7 +178,7 @@ class Streaming:
     def _set_up_again(self) -> None:
         """Stop, set up who is ill, and go on."""
         self._bus.stop()
-        self._take(self._bus.receive())
+        self._take(self._receive())
         self._repair()
 
     def _find_link(self, why: str) -> None:
@@ -200,11 +225,12 @@ class Streaming:
         lost = not self._bus.streaming
         try:
             self._bus.stop()
-            self._take(self._bus.receive())
+            self._take(self._receive())
         except OSError as error:
             self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {error.strerror or error}")
             lost = True
         self._link.close()
+        self._refused.close()
         self._count_silence(lost)
         self._forget_channels()
         self._health.finish(self._bus.clock.now_ns())
@@ -212,6 +238,7 @@ class Streaming:
             self._count_lost(rows, rows.missing(self._newest))
             self._troubles[id(rows)].close()
         self._write(last=True)
+        self._intake.close()
 
     def _count_silence(self, lost: bool) -> None:
         """Frames that should have come since something was last heard are lost too, if the link is (`lost`, or so long
@@ -232,12 +259,11 @@ class Streaming:
         for rows in self._rows:
             count = len(rows.pending.times_ns) if last else self._health.trusted_rows(rows)
             if count:
-                block = rows.pending.take(count, self._epoch_ns)
-                self._log.append(rows.pending.station.sensor.name, block)
-                self._observe(rows.pending.station.sensor.name, block)
+                self._intake.write(rows.pending, count, self._written_ns)
                 self._health.written(rows, count)
             self._troubles[id(rows)].settle(self._written_ns)
-        self._link.settle(self._written_ns)
+        for trouble in (self._link, self._refused, self._intake):
+            trouble.settle(self._written_ns)
         self._progress(self.summary.frames)
 
     def _note(self, rows: Rows, kind: str, text: str) -> None:
@@ -248,11 +274,13 @@ class Streaming:
 
     def _event_of(self, sensor: str) -> Callable[[int, str, str], None]:
         def happened(at_ns: int, kind: str, text: str) -> None:
-            event = Event(at_ns - self._epoch_ns, sensor, kind, text)
-            self._log.event(event)
-            self._tell(event)
+            self._note_event(Event(at_ns - self._epoch_ns, sensor, kind, text))
 
         return happened
+
+    def _note_event(self, event: Event) -> None:
+        self._log.event(event)
+        self._tell(event)
 
 
 def _until(samples: Samples, number: int) -> Samples:

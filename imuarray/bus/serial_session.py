@@ -1,20 +1,26 @@
 """One conversation with a microcontroller: commands and their answers, and whatever else comes in between.
 
 What is read is sorted as it arrives: answers wait for whoever asked, data for whoever collects it, with the counter's
-time widened. Every arrival tells something about the microcontroller's clock.
+time widened by the host's clock. A frame that this boot of the microcontroller can't have sent by now is refused, and
+so is data that the running stream does not contain (`serial_admission`). Every frame that is taken tells something
+about the microcontroller's clock.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.bus import serial_link as link
-from imuarray.bus.serial_clock import ClockFit, Widened
-from imuarray.bus.serial_link import Capacity, Frame, LinkError
+from imuarray.bus.serial_admission import ANOTHER_TIME, MEANINGLESS, UNASKED, Admission, Arrival
+from imuarray.bus.serial_clock import MAX_DRIFT, ClockFit, nearest
+from imuarray.bus.serial_link import Capacity, Frame, LinkError, PollList
 from imuarray.bus.serial_port import Port, port_errors
 from imuarray.clock import Clock, sleep_for
 
@@ -27,24 +33,41 @@ PINGS = 8
 PING_S = 0.04
 """Between them: a third of a second tells how fast the microcontroller's clock runs, to a part in ten thousand."""
 DRAIN_READS = 64
+EARLY_NS = 50_000_000
+"""How much quicker a delivery may be than the quickest of the last seconds: adapters collect bytes for 16 ms, and a
+busy host is late by as much again. What seems to arrive earlier than that was sent by another boot."""
+
+
+class Data(NamedTuple):
+    """Data of the running stream, in its order: frames, their widened numbers (n,), and when each was sent (n,), in
+    microseconds of the widened counter.
+    """
+
+    frames: list[Frame]
+    numbers: npt.NDArray[np.int64]
+    sent_us: npt.NDArray[np.int64]
+
+
+class _Answer(NamedTuple):
+    frame: Frame
+    sent_us: int
+    arrived_ns: int
 
 
 class Session:
     """With whoever is on the port that `open_port` opens; LinkError if that is nobody who speaks the link.
 
     `clock` is the host's, `fit` leads to it from the microcontroller's; `skipped` counts bytes that belonged to no
-    frame, `started_us` is when the last START was answered.
+    frame, `refused` frames that were not taken, by reason.
     """
 
     def __init__(self, open_port: Callable[[], Port], clock: Clock, patience_s: float) -> None:
         self.clock = clock
         self.fit = ClockFit()
         self.skipped = 0
+        self.refused: Counter[str] = Counter()
         self._open_port = open_port
         self._sequence = 0
-        self._answers: list[Frame] = []
-        self._data: list[Frame] = []
-        self._data_us: list[npt.NDArray[np.int64]] = []
         self.port = open_port()
         try:
             self.capacity = self._greet(patience_s)
@@ -61,57 +84,92 @@ class Session:
         self.capacity = self._greet(patience_s)
 
     def _greet(self, patience_s: float) -> Capacity:
-        """HELLO until somebody answers, then a few times more to see how long an answer takes."""
+        """HELLO until somebody answers, then a few times more to see how long an answer takes. A left-over answer to
+        an earlier program does not fit to the answers that follow; then all begins anew.
+        """
         self._deframer = link.Deframer()
-        self._forget()
         until_ns = self.clock.now_ns() + round(patience_s * 1e9)
         while True:
+            self._forget()
             try:
-                self.ask(link.HELLO)
+                capacity = link.capacity_of(self.ask(link.HELLO).payload)
+                if capacity.version == link.VERSION:
+                    self._measure_trip()
                 break
             except LinkError:
                 if self.clock.now_ns() >= until_ns:
                     raise
                 sleep_for(self.clock, PING_S)
+        if capacity.version != link.VERSION:
+            raise LinkError(f"the microcontroller speaks version {capacity.version} of the link, not {link.VERSION}")
+        return capacity
+
+    def _measure_trip(self) -> None:
+        """Take half of the quickest way there and back for the quickest way back."""
         self._forget()
         trips_ns = []
         for _ in range(PINGS):
             sleep_for(self.clock, PING_S)
             begun_ns = self.clock.now_ns()
-            answer = self.ask(link.HELLO)
+            self.ask(link.HELLO)
             trips_ns.append(self.clock.now_ns() - begun_ns)
         self.fit.latency_ns = min(trips_ns) // 2
-        capacity = link.capacity_of(answer.payload)
-        if capacity.version != link.VERSION:
-            raise LinkError(f"the microcontroller speaks version {capacity.version} of the link, not {link.VERSION}")
-        return capacity
 
     def _forget(self) -> None:
-        """What came before belongs to another session, perhaps to another life of the microcontroller."""
-        self._times = Widened(link.TIMES_US)
-        self._heard_ns = self.clock.now_ns()
-        self.started_us = 0
-        self._answers.clear()
-        self._data.clear()
-        self._data_us.clear()
+        """What came before belongs to another session, perhaps to another boot of the microcontroller."""
+        self._answers: list[_Answer] = []
+        self._arrivals: list[Arrival] = []
+        self._tight: list[tuple[int, int]] = []
+        """How many data frames had arrived, and when, for each piece that was read as it arrived."""
+        self._admission: Admission | None = None
         self.fit.restart()
+
+    def start(self, lists: Sequence[PollList], period_us: int) -> bytes:
+        """START: what is sent from its answer on is the data of these lists. The payload of the answer; LinkError."""
+        answer = self._ask(link.START, link.start_payload(period_us))
+        self._arrivals = [arrival for arrival in self._arrivals if arrival.sent_us >= answer.sent_us]
+        self._tight = []
+        self._admission = Admission(lists, period_us, answer.sent_us, self.refused)
+        return answer.frame.payload
 
     def ask(self, kind: int, payload: bytes = b"") -> Frame:
         """One command and its answer; the same again when none comes; LinkError."""
+        return self._ask(kind, payload).frame
+
+    def _ask(self, kind: int, payload: bytes) -> _Answer:
         self._sequence = (self._sequence + 1) % link.SEQUENCES
         command = link.framed(kind, self._sequence, payload)
+        self.refused[UNASKED] += len(self._answers)
         self._answers.clear()
+        asked_ns = self.clock.now_ns()
         for _ in range(TRIES):
             with port_errors():
                 self.port.write(command)
             until_ns = self.clock.now_ns() + round(ANSWER_S * 1e9)
             while self.clock.now_ns() < until_ns:
                 self.read()
-                for answer in self._answers:
-                    if answer.kind == kind | link.ANSWER and answer.sequence == self._sequence:
-                        return answer
+                answer = self._answer_to(kind, asked_ns)
+                if answer is not None:
+                    return answer
             self._take(self._deframer.feed(b"", final=True), self.clock.now_ns(), tight=False)
         raise LinkError("the microcontroller does not answer")
+
+    def _answer_to(self, kind: int, asked_ns: int) -> _Answer | None:
+        """The answer to the last command, which was asked at `asked_ns`. An earlier command of the same number may
+        have been answered by the same kind of frame: that one was sent before.
+        """
+        since_us = self._latest_us(asked_ns)
+        answers, self._answers = self._answers, []
+        for index, answer in enumerate(answers):
+            if answer.frame.kind != kind | link.ANSWER or answer.frame.sequence != self._sequence:
+                self.refused[UNASKED] += 1
+            elif since_us is not None and answer.sent_us < since_us - self._early_us(asked_ns):
+                self.refused[ANOTHER_TIME] += 1
+            else:
+                self._answers = answers[index + 1 :]
+                self.fit.add(answer.sent_us * 1000, answer.arrived_ns)
+                return answer
+        return None
 
     def drain(self) -> int:
         """Read what waits, since when is not known; how many bytes there were."""
@@ -134,37 +192,63 @@ class Session:
         self._take(frames, self.clock.now_ns(), tight=True)
         return len(frames)
 
-    def collect(self) -> tuple[list[Frame], npt.NDArray[np.int64]]:
-        """The data that has come, and when it was sent, in microseconds of the widened counter."""
-        frames = self._data.copy()
-        sent_us = np.concatenate(self._data_us) if frames else np.empty(0, np.int64)
-        self._data.clear()
-        self._data_us.clear()
-        self._answers.clear()  # nobody asked
-        return frames, sent_us
+    def collect(self) -> Data:
+        """The data of the running stream that has come since the last call."""
+        arrivals, tight = self._arrivals, self._tight
+        self._arrivals, self._tight = [], []
+        self.refused[UNASKED] += len(self._answers)
+        self._answers.clear()
+        admitted = self._admission.admit(arrivals) if self._admission is not None else []
+        self._learn(sorted(index for _, index in admitted), arrivals, tight)
+        return Data(
+            [arrivals[index].frame for _, index in admitted],
+            np.array([number for number, _ in admitted], np.int64),
+            np.array([arrivals[index].sent_us for _, index in admitted], np.int64),
+        )
+
+    def _learn(self, admitted: Sequence[int], arrivals: Sequence[Arrival], tight: Sequence[tuple[int, int]]) -> None:
+        """Tell the fit when the newest admitted frame of each piece that was read as it arrived was sent."""
+        newest_us, start = -1, 0
+        for end, arrived_ns in tight:
+            piece = admitted[bisect_left(admitted, start) : bisect_left(admitted, end)]
+            sent_us = max((arrivals[index].sent_us for index in piece), default=-1)
+            if sent_us > newest_us:
+                newest_us = sent_us
+                self.fit.add(sent_us * 1000, arrived_ns)
+            start = end
+
+    def _latest_us(self, arrived_ns: int) -> int | None:
+        """The count of the microcontroller at which a frame that arrives at `arrived_ns` is sent at the latest, if its
+        delivery is as quick as the quickest of the last seconds; None while nothing is known of the counter.
+        """
+        latest_ns = self.fit.latest_sent_ns(arrived_ns)
+        return None if latest_ns is None else latest_ns // 1000
+
+    def _early_us(self, at_ns: int) -> int:
+        """How much later than `_latest_us` a frame may have been sent: the counter's drift is known only so well."""
+        return (EARLY_NS + round(MAX_DRIFT * max(at_ns - self.fit.newest_arrival_ns, 0))) // 1000
 
     def _take(self, frames: Sequence[Frame], arrived_ns: int, *, tight: bool) -> None:
         """Sort out frames that have arrived by now; `tight`: and not much earlier."""
         self.skipped = self._deframer.skipped
         if not frames:
             return
-        times = np.fromiter((frame.time_us for frame in frames), np.int64, len(frames))
-        sent_us = self._times.widen(times, (arrived_ns - self._heard_ns) / 1000)
-        self._heard_ns = arrived_ns
-        if tight:
-            self.fit.add(int(sent_us[-1]) * 1000, arrived_ns)
-        data = [frame.kind == link.DATA for frame in frames]
-        if all(data):
-            self._data += frames
-            self._data_us.append(sent_us)
-            return
-        for index, frame in enumerate(frames):
-            if frame.kind == link.START | link.ANSWER:  # whatever came before it is older
-                self._data.clear()
-                self._data_us.clear()
-                self.started_us = int(sent_us[index])
-            if frame.kind == link.DATA:
-                self._data.append(frame)
-                self._data_us.append(sent_us[index : index + 1])
+        before = len(self._arrivals)
+        latest_us = self._latest_us(arrived_ns)
+        for frame in frames:
+            is_answer = frame.kind & link.ANSWER != 0 and frame.kind != link.DATA
+            if latest_us is None:
+                if is_answer:
+                    self._answers.append(_Answer(frame, frame.time_us, arrived_ns))
+                continue  # data from before the first answer is of an earlier program
+            sent_us = nearest(frame.time_us, link.TIMES_US, latest_us)
+            if sent_us > latest_us + self._early_us(arrived_ns):
+                self.refused[ANOTHER_TIME] += 1
+            elif is_answer:
+                self._answers.append(_Answer(frame, sent_us, arrived_ns))
+            elif frame.kind == link.DATA:
+                self._arrivals.append(Arrival(frame, sent_us))
             else:
-                self._answers.append(frame)
+                self.refused[MEANINGLESS] += 1
+        if tight and len(self._arrivals) > before:
+            self._tight.append((len(self._arrivals), arrived_ns))
