@@ -10,11 +10,11 @@ microcontroller: a driver or a hub sends a buffer twice, a buffer survives a res
 * List. In frame k the lists with ``k mod every == offset`` are sent, with a known length.
 * Order. Number and list increase from frame to frame. Frames that arrive together are put in order first.
 
-A frame of an earlier boot is admitted if all of this agrees: that stream's START was answered at the same count of the
-microcontroller to `EARLY_US` or up to one period after it, and the replayed frame stands for one that is due now. So
-is a frame exactly one turn of the counter (71.6 minutes) old, where the frame numbers make whole turns in that time too
-(a period of 65536 us divided by a whole number). Nothing on the link tells such a frame from the true one, which is
-refused if it arrives second.
+A frame of an earlier boot is admitted if all of this agrees: its stream's START was answered at the same count of the
+microcontroller as this one's, from `EARLY_US` before to one period (at least 10 ms, `serial_session.EARLY_NS`) after
+it, and the frame stands for one that is due now. So is a frame exactly one turn of the counter (71.6 minutes) old where
+the frame numbers make whole turns in that time too (a period of 65536 us divided by a whole number). Nothing on the
+link tells such a frame from the true one, which is refused if it arrives second.
 """
 
 from __future__ import annotations

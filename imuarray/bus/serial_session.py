@@ -33,9 +33,11 @@ PINGS = 8
 PING_S = 0.04
 """Between them: a third of a second tells how fast the microcontroller's clock runs, to a part in ten thousand."""
 DRAIN_READS = 64
-EARLY_NS = 50_000_000
-"""How much quicker a delivery may be than the quickest of the last seconds: adapters collect bytes for 16 ms, and a
-busy host is late by as much again. What seems to arrive earlier than that was sent by another boot."""
+EARLY_NS = 10_000_000
+"""How much quicker a delivery may be than the quickest of the last seconds, which an adapter that collects bytes for
+16 ms has delivered in less than one. What seems to arrive earlier than that was sent by another boot."""
+LEARNT_NS = 1_000_000
+"""By how much one piece of data may shift what is known of the microcontroller's clock: a false frame shifts no more."""
 
 
 class Data(NamedTuple):
@@ -214,7 +216,9 @@ class Session:
             sent_us = max((arrivals[index].sent_us for index in piece), default=-1)
             if sent_us > newest_us:
                 newest_us = sent_us
-                self.fit.add(sent_us * 1000, arrived_ns)
+                latest_ns = self.fit.latest_sent_ns(arrived_ns)
+                if latest_ns is not None:
+                    self.fit.add(min(sent_us * 1000, latest_ns + LEARNT_NS), arrived_ns)
             start = end
 
     def _latest_us(self, arrived_ns: int) -> int | None:
