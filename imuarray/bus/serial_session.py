@@ -37,7 +37,10 @@ EARLY_NS = 10_000_000
 """How much quicker a delivery may be than the quickest of the last seconds, which an adapter that collects bytes for
 16 ms has delivered in less than one. What seems to arrive earlier than that was sent by another boot."""
 LEARNT_NS = 1_000_000
-"""By how much one piece of data may shift what is known of the microcontroller's clock: a false frame shifts no more."""
+"""By how much one piece of data may shift the fit of the microcontroller's clock: a false frame shifts it no more."""
+
+_ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
+"""Time for a greeting that begins anew, once somebody has answered at all."""
 
 
 class Data(NamedTuple):
@@ -91,10 +94,12 @@ class Session:
         """
         self._deframer = link.Deframer()
         until_ns = self.clock.now_ns() + round(patience_s * 1e9)
+        answered = False
         while True:
             self._forget()
             try:
                 capacity = link.capacity_of(self.ask(link.HELLO).payload)
+                until_ns, answered = until_ns if answered else max(until_ns, self.clock.now_ns() + _ANEW_NS), True
                 if capacity.version == link.VERSION:
                     self._measure_trip()
                 break
