@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.acquire.adapter import HUNG
-from imuarray.acquire.pending import Pending
+from imuarray.acquire.pending import HELD_S, Pending
 from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.start_up import StartUp
 from imuarray.acquire.trouble import QUIET_NS, Trouble
@@ -24,8 +24,6 @@ AWAY_NS = 250_000_000
 costs everybody time, and is left alone after two frames."""
 IDLE_NS = 1_000_000_000
 """A queue that gives nothing for so long has stopped."""
-HELD_S = 10.0
-"""Rows that nobody could vouch for in this time are written as suspect."""
 _OFTEN = 1.15
 """A chip this much faster than its polls has something new every time."""
 
@@ -146,7 +144,7 @@ class Care:
         pending.flag_what_is_frozen_still()
         row = pending.frozen_since()
         if row is not None:
-            began_ns = pending.times_ns[row]
+            began_ns = pending.still_since_ns(row)
             pending.thaw()
             pending.distrust(row)
             patient.tell(now_ns, "frozen", f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
@@ -193,7 +191,7 @@ class Care:
         if pending.recovery is not None and now_ns - pending.recovery.since_ns > HELD_S * 1e9:
             self._watch.give_up(pending)
             return rows
-        held = pending.frozen_rows + pending.frozen_rows // 4
+        held = pending.held_rows
         if rows - self._watch.trusted_rows(pending) > max(HELD_S * pending.row_rate_hz, held):
             self._watch.give_up(pending)
         return min(self._watch.trusted_rows(pending), rows - held)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.stations import Station
 from imuarray.array import SensorConfig
-from imuarray.drivers import FifoDriver
+from imuarray.drivers import FifoDriver, OnDemandDriver
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 from imuarray.log.writer import Block
 
@@ -30,8 +30,9 @@ _FROZEN_BANDWIDTHS = 30.0
 """A reading that stands still for so many readings, seconds and correlation times is no chance: at half a code of noise
 rms on a single axis, three in four readings repeat the code before."""
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
-_VISITS = 3
-"""One reading on demand takes: temperature asked for, pressure asked for, both there."""
+HELD_S = 10.0
+"""No row waits longer. One that nobody could vouch for in this time is written as suspect; where a sensor is read so
+seldom that it takes longer to tell a frozen reading from chance, rows from before that are written."""
 
 
 @dataclass
@@ -65,17 +66,48 @@ class Pending:
         self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
         sensor = self.station.sensor
         self._on_demand = sensor.spec.on_demand
-        self._pace_ns = 1e9 * max(1 / sensor.chip_rate_hz, _VISITS / self.rate_hz)
+        self._pace_ns = 1e9 * max(1 / sensor.chip_rate_hz, self._frames_of_a_reading() / self.rate_hz)
         self._awaited_ns: int | None = None
         self._overdue = 0
+        self._lasting_ns = self.driver.lasting_ns if isinstance(self.driver, OnDemandDriver) else 0
         own_pace = self.queue is not None or sensor.spec.on_demand
         self.always_due = own_pace or sensor.chip_rate_hz >= self.rate_hz
         self.row_rate_hz = sensor.chip_rate_hz if own_pace else min(self.rate_hz, sensor.chip_rate_hz)
+        if self._on_demand:
+            self.row_rate_hz = 1e9 / self._pace_ns
         self._frozen_rows = max(_FROZEN_READINGS, math.ceil(_frozen_s(sensor) * self.row_rate_hz))
         self.frozen_rows = self._frozen_rows
         self.frozen_reading: bytes | None = None
         self._since_set_up = self._still = 0
         self._watch_still = False
+        self._written_reading = b""
+        self._written_run = self._written_since_ns = 0
+        """The last reading that was written, how often it had come in a row since the chip was set up, since when."""
+
+    def _frames_of_a_reading(self) -> int:
+        """In how many frames a chip that converts on demand is visited for one reading. A result that would be too old
+        by the next frame is fetched between the frames (`conversion_before`).
+        """
+        if not isinstance(self.driver, OnDemandDriver):
+            return 1
+        frames, begun_ns = 1, 0.0
+        for conversion_ns in self.driver.conversions_ns:
+            begun_ns += conversion_ns
+            if 1e9 / self.rate_hz - begun_ns <= self.driver.lasting_ns:
+                frames, begun_ns = frames + 1, 0.0
+        return frames
+
+    def conversion_before(self, due_ns: int) -> int | None:
+        """When the conversion is over whose result would be too old in the frame at `due_ns`; None if there is none."""
+        ready_ns = self.driver.ready_ns if isinstance(self.driver, OnDemandDriver) else None
+        if ready_ns is None or self.recovery is not None or due_ns - ready_ns <= self._lasting_ns:
+            return None
+        return ready_ns
+
+    @property
+    def held_rows(self) -> int:
+        """How many of the newest rows wait until it is known whether the reading still changes."""
+        return min(self.frozen_rows * 5 // 4, math.ceil(HELD_S * self.row_rate_hz))
 
     def due(self, now_ns: int) -> bool:
         """False for a chip so slow that the next frame is soon enough for its next sample; none is missed for it."""
@@ -143,20 +175,30 @@ class Pending:
         """The chip was set up: its next reading says so, and may be what its last one was."""
         self.set_up_again = True
         self._since_set_up = self._still = len(self.times_ns)
+        self._written_run = 0
         self._watch_still = self.frozen_reading is not None
 
     def frozen_since(self) -> int | None:
-        """The row from which on the reading has not changed, if that is no longer chance; None otherwise."""
-        rows, enough = len(self.times_ns), self.frozen_rows
-        if rows - self._since_set_up < enough:
+        """The row from which on the reading has not changed, if that is no longer chance; None otherwise. Rows that
+        were written before count, and can't be told any more.
+        """
+        rows, enough, oldest = len(self.times_ns), self.frozen_rows, self._since_set_up
+        if rows == oldest or rows - oldest + self._written_run < enough:
             return None
         reading = self._reading(rows - 1)
-        if self._reading(rows - 1 - enough // 2) != reading or self._reading(rows - enough) != reading:
-            return None
+        for steps in (enough // 2, enough - 1):  # most often one of these differs
+            if steps < rows - oldest and self._reading(rows - 1 - steps) != reading:
+                return None
         first = rows - 1
-        while first > self._since_set_up and self._reading(first - 1) == reading:
+        while first > oldest and self._reading(first - 1) == reading:
             first -= 1
-        return first if rows - first >= enough else None
+        before = self._written_run if first == 0 and self._written_reading == reading else 0
+        return first if rows - first + before >= enough else None
+
+    def still_since_ns(self, row: int) -> int:
+        """When the reading that has not changed from `row` on came for the first time."""
+        goes_on = row == 0 and self._written_run and self._written_reading == self._reading(0)
+        return self._written_since_ns if goes_on else self.times_ns[row]
 
     def thaw(self) -> None:
         """It was found frozen. If a set-up did not change that, it is given longer before the next: it may be quiet."""
@@ -205,8 +247,23 @@ class Pending:
         if not self.driver.tells_fresh:
             status |= self._repeated(decoded.counts)
         times = np.array(self.times_ns[:count], np.int64) - epoch_ns
+        self._count_run(count)
         self._forget(count)
         return Block(times, decoded.counts, status, decoded.temperature_counts, decoded.compensated)
+
+    def _count_run(self, count: int) -> None:
+        """How often the last of the oldest `count` rows, which are being written, repeats its reading."""
+        oldest = min(self._since_set_up, count)
+        if oldest == count:
+            return
+        reading, first = self._reading(count - 1), count - 1
+        while first > oldest and self._reading(first - 1) == reading:
+            first -= 1
+        goes_on = first == 0 and reading == self._written_reading
+        if not goes_on:
+            self._written_run, self._written_since_ns = 0, self.times_ns[first]
+        self._written_run += count - first
+        self._written_reading = reading
 
     def _forget(self, count: int) -> None:
         del self.times_ns[:count], self.bursts[: count * self.driver.burst]

@@ -26,7 +26,9 @@ from imuarray.acquire.summary import Summary
 from imuarray.acquire.trouble import Trouble
 from imuarray.acquire.watch import Watch
 from imuarray.bus.protocol import OpenBus
+from imuarray.drivers import OnDemandDriver
 from imuarray.log.format import Event
+from imuarray.log.pace import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, Stimulus
 from imuarray.printable import counted
@@ -68,6 +70,9 @@ class Poll:
         items = list(self.pending.values())
         forth = self._segments(stations)
         self.orders = forth, forth[::-1]
+        self.on_demand = [
+            (segment, item) for segment in forth for item in segment.items if isinstance(item.driver, OnDemandDriver)
+        ]
         start_ns = self.clock.now_ns()
         self.start_up = StartUp(items, judge, start_ns) if judge else None
         self.watch = Watch(
@@ -79,8 +84,9 @@ class Poll:
         self.care = Care(items, self.watch, self.start_up, self.event, self.summary.lost)
         read = clocks_beside(self.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
         self.clocks = Clocks(read, epoch_ns, log.clocks, self._teller(""))
-        self.missed = Trouble("late", "frames missed", self._teller(""))
+        self.missed = Trouble("late", "frames missed", self._teller(""), exact=True)
         self.troubles = (self.missed, *(segment.trouble for segment in forth))
+        self.part = 0
         self.tick_frames = max(1, round(TICK_S * rate_hz))
         self.batch_frames = min(BATCH, max(1, round(BATCH_S * rate_hz)))
         self.truth: Callable[[int], Any] | None = getattr(bus, "truth", None)
@@ -113,7 +119,7 @@ class Poll:
         period_ns = round(1e9 / self.rate_hz)
         self.log.keep()
         due_ns = self.clock.now_ns()  # files take time, which no frame has missed
-        end_ns = None if seconds is None else due_ns + round(seconds * 1e9)
+        end_ns = None if seconds is None else due_ns + frames_in(seconds, self.rate_hz) * period_ns
         if isinstance(self.log, RotatingWriter):
             self.log.starts(due_ns - self.epoch_ns)
         for pending in self.pending.values():
@@ -139,15 +145,33 @@ class Poll:
         if frames:
             self.summary.missed += frames
             text = f"{counted(frames, 'frame')} missed: the one before ended too late"
-            self.missed.happened(self.clock.now_ns(), text, frames)
+            now_ns = self.clock.now_ns()
+            if isinstance(self.log, RotatingWriter):  # each part tells what was missed in it
+                part = self.log.part_at(now_ns - self.epoch_ns)
+                if part != self.part:
+                    self.missed.close()
+                self.part = part
+            self.missed.happened(now_ns, text, frames)
             for pending in self.pending.values():
                 pending.missing |= pending.queue is None and not pending.station.sensor.spec.on_demand
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
-        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop."""
+        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop, and to fetch the
+        results of conversions that would be too old by then.
+        """
+        tried: set[tuple[int, int]] = set()
         while (now_ns := self.clock.now_ns()) < due_ns:
-            self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS))
+            visits = [
+                (ready_ns, place, segment, pending)
+                for place, (segment, pending) in enumerate(self.on_demand)
+                if (ready_ns := pending.conversion_before(due_ns)) is not None and (place, ready_ns) not in tried
+            ]
+            ready_ns, place, segment, pending = min(visits, default=(due_ns, 0, None, None))
+            self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS, ready_ns))
+            if segment is not None and pending is not None and self.clock.now_ns() >= ready_ns:
+                tried.add((place, ready_ns))
+                self.group(segment, pending)
             if self.clock.now_ns() < due_ns and stopped():
                 return
 
@@ -169,15 +193,16 @@ class Poll:
         if frames % self.batch_frames == 0:
             self.write()
 
-    def group(self, segment: Segment) -> bool:
-        """Read one segment's sensors one after the other; whether it was the right segment, so that checks make sense.
+    def group(self, segment: Segment, only: Pending | None = None) -> bool:
+        """Read one segment's sensors, or one of them, one after the other; whether it was the right segment, so that
+        checks make sense.
 
         The end of one reading is the start of the next: each is known to lie between two readings of the clock.
         """
         adapter = segment.adapter
         now_ns = segment.begin()
         for pending in segment.items:
-            if not (pending.always_due or pending.due(now_ns)):
+            if only not in (None, pending) or not (pending.always_due or pending.due(now_ns)):
                 continue
             if now_ns < adapter.silent_until_ns:
                 self.care.lost(pending, now_ns, None)

@@ -28,6 +28,7 @@ from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import LinkError
 from imuarray.errors import BusUrlError
 from imuarray.log.format import Event
+from imuarray.log.pace import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block
 from imuarray.printable import counted
@@ -96,7 +97,7 @@ class Streaming:
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Record for `seconds` of frames, or until `stopped()`."""
         clock = self._bus.clock
-        self._frames = None if seconds is None else max(1, round(seconds * self._rate_hz))
+        self._frames = None if seconds is None else frames_in(seconds, self._rate_hz)
         end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + self._silence_ns
         self._start()
         if isinstance(self._log, RotatingWriter):
