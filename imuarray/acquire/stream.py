@@ -39,7 +39,7 @@ SILENCE_NS = 2_000_000_000
 SILENT_PERIODS = 2.5
 """A microcontroller that has sent nothing for so long, and for so many times its own pauses, was reset or is gone."""
 QUIET_S = 0.5
-"""Nothing for so long before the end, and two frames more, is no pause between two frames."""
+"""Nothing for so long before the end, and two of the microcontroller's own pauses more, is no such pause."""
 PAUSE_NS = 3_000_000_000
 """Between two attempts to set chips up again, or to find the microcontroller."""
 
@@ -85,35 +85,44 @@ class Streaming:
         self._link = Trouble("link", "attempts", self._event_of(""))
         self._refused = Trouble("refused", "frames refused", self._event_of(""))
         self._refused_before = Counter(bus.refused)
+        self._period_rate_hz = rate_hz * self._plan.split
         self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
         read = clocks_beside(bus.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
         self._clocks = Clocks(read, epoch_ns, log.clocks, self._event_of(""))
-        self._frames: int | None = None  # how many are wanted
-        self._begun = 0  # frames before the stream was last started
-        self._newest = -1  # number of the newest frame since
+        self._periods: int | None = None  # how many are wanted; `split` of them are a frame
+        self._begun = 0  # periods before the stream was last started
+        self._newest = -1  # number of the newest period since
         self._heard_ns = self._written_ns = now_ns
         self._tried_ns = now_ns - PAUSE_NS
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Record for `seconds` of frames, or until `stopped()`."""
         clock = self._bus.clock
-        self._frames = None if seconds is None else frames_in(seconds, self._rate_hz)
+        self._periods = None if seconds is None else frames_in(seconds, self._rate_hz) * self._plan.split
         end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + self._silence_ns
         self._start()
         if isinstance(self._log, RotatingWriter):
             self._log.starts(self._heard_ns - self._epoch_ns)
         self._log.keep()
         try:
-            while (self._frames is None or self._begun + self._newest + 1 < self._frames) and not stopped():
+            while not self._complete() and not stopped():
                 if end_ns is not None and clock.now_ns() > end_ns:
                     break
                 self._step()
         finally:
             self._finish()
 
+    def _complete(self) -> bool:
+        """Whether the last visit of the last frame that is wanted has come."""
+        if self._periods is None:
+            return False
+        split = self._plan.split
+        last = max(place.offset for places in self._plan.visits for place in places)
+        return self._begun + self._newest >= self._periods - split + min(last, split - 1)
+
     def _start(self) -> None:
         try:
-            self._bus.start(self._plan.lists, round(1e6 / self._rate_hz))
+            self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
         except OSError as error:
             raise BusUrlError(f"serial: the stream can't be started: {error.strerror or error}") from error
         self._heard_ns = self._bus.clock.now_ns()
@@ -139,7 +148,10 @@ class Streaming:
 
     def _longest_pause_s(self) -> float:
         """Between two frames in which the microcontroller sends something."""
-        return min(asked.every for asked in self._plan.lists) / self._rate_hz
+        return min(asked.every for asked in self._plan.lists) / self._period_rate_hz
+
+    def _count_frames(self) -> None:
+        self.summary.frames = -(-(self._begun + self._newest + 1) // self._plan.split)
 
     def _receive(self) -> Mapping[int, Samples]:
         """What the microcontroller sent of the running stream; frames that were refused are told."""
@@ -160,11 +172,11 @@ class Streaming:
             return
         self._heard_ns = self._bus.clock.now_ns()
         self._newest = max(self._newest, *(int(samples.numbers[-1]) for samples in came.values()))
-        if self._frames is not None:
-            left = self._frames - self._begun
+        if self._periods is not None:
+            left = self._periods - self._begun
             self._newest = min(self._newest, left - 1)
             came = {number: _until(samples, left) for number, samples in came.items()}
-        self.summary.frames = self._begun + self._newest + 1
+        self._count_frames()
         for rows in self._rows:
             missing, why = rows.take(came, self._bus.fit.rate)
             if missing or rows.missing(self._newest) > 1:
@@ -203,9 +215,9 @@ class Streaming:
             rows.pending.missing = True
             rows.restart()
         self._newest = -1
-        self._bus.start(self._plan.lists, round(1e6 / self._rate_hz))
+        self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
         now_ns = self._bus.clock.now_ns()
-        left_out = max(0, round((now_ns - self._heard_ns) * 1e-9 * self._rate_hz))
+        left_out = max(0, round((now_ns - self._heard_ns) * 1e-9 * self._period_rate_hz))
         for rows in self._rows:
             self._count_lost(rows, left_out // rows.places[-1].every)
         self._begun += left_out
@@ -246,13 +258,13 @@ class Streaming:
         silent that it must be).
         """
         silent_s = (self._bus.clock.now_ns() - self._heard_ns) * 1e-9
-        if not lost and silent_s <= QUIET_S + 2 / self._rate_hz:
+        if not lost and silent_s <= QUIET_S + 2 * self._longest_pause_s():
             return
-        silent = round(silent_s * self._rate_hz)
-        if self._frames is not None:
-            silent = min(silent, self._frames - self._begun - self._newest - 1)
+        silent = round(silent_s * self._period_rate_hz)
+        if self._periods is not None:
+            silent = min(silent, self._periods - self._begun - self._newest - 1)
         self._newest += max(silent, 0)
-        self.summary.frames = self._begun + self._newest + 1
+        self._count_frames()
 
     def _write(self, *, last: bool = False) -> None:
         """Decode and write what is trusted."""

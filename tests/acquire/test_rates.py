@@ -17,6 +17,8 @@ from imuarray.bus import open_bus
 from imuarray.drivers import OnDemandDriver
 from imuarray.log import open_log
 from imuarray.log.writer import Block, LogWriter
+from tests.acquire.test_stream import stream
+from tests.bus.serial_bench import Bench
 
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 MS = 1_000_000
@@ -189,3 +191,51 @@ def test_a_conversion_from_before_a_stop_of_the_program_is_not_taken() -> None:
                 break
         bus.clock.sleep_until(bus.clock.now_ns() + 60_000 * MS)
         assert station.driver.fetch() == b""
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+def test_every_chip_behind_a_microcontroller(tmp_path: Path, rate_hz: float) -> None:
+    array = load_array(SHIPPED)
+    bench = Bench(array)
+    frames = max(30, round(4 * rate_hz))
+    summary, start_ns = stream(bench, array, tmp_path / "r.h5", rate_hz=rate_hz, seconds=frames / rate_hz)
+    assert summary.frames == frames
+    assert set(summary.lost.values()) == {0}
+    with open_log(tmp_path / "r.h5") as log:
+        assert not [event for event in log.events if event.kind != "stale"]
+        rows = {name: len(sensor) for name, sensor in log.sensors.items()}
+        times = {name: sensor.time[:] + start_ns for name, sensor in log.sensors.items()}
+    magnetic = {rows.pop("HMC1"), rows.pop("HMC2")}
+    pressure = rows.pop("BMP180")
+    assert set(rows.values()) == {frames}
+    assert magnetic == {frames} if rate_hz < 15 else {round(frames / 3)}
+    # Three periods of at most 0.1 s make a reading, four readings a second and one a frame are enough.
+    assert pressure >= (frames - 1) / rate_hz / max(1 / rate_hz, 0.35) - 1
+    np.testing.assert_allclose(np.diff(times["BMA1"]), 1e9 / rate_hz, rtol=1e-3)
+    ages_ns, begun_ns = [], 0
+    for tap in bench.taps:
+        if tap.address == 0x77 and tap.write == b"\xf4\xf4":
+            begun_ns = tap.at_ns
+        if tap.address == 0x77 and tap.write == b"\xf4" and len(tap.answer or b"") == 5:
+            ages_ns.append(tap.at_ns - begun_ns)
+    assert len(ages_ns) >= pressure
+    assert min(ages_ns) >= 25.5 * MS  # BMP-44
+    assert max(ages_ns) <= 130 * MS
+
+
+def test_a_microcontroller_that_sends_seldom_is_not_lost(an_array: Callable[..., Any], tmp_path: Path) -> None:
+    """One frame in ten seconds is no silence, and one that is reset then is still found."""
+    array = an_array(A=0)
+    bench = Bench(array)
+
+    def reset() -> None:
+        bench.firmware.__init__(bench, bench.clock)  # type: ignore[misc]
+
+    summary, _ = stream(bench, array, tmp_path / "r.h5", rate_hz=0.1, seconds=300, at={150.0: reset})
+    with open_log(tmp_path / "r.h5") as log:
+        events = [(event.kind, event.message) for event in log.events if event.sensor == ""]
+        rows = len(log["A"])
+    assert events == [("link", "the microcontroller is lost: it sends nothing")]
+    assert summary.frames == 30
+    assert rows + summary.lost["A"] == pytest.approx(30, abs=1)
+    assert summary.lost["A"] <= 4
