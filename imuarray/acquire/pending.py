@@ -66,10 +66,10 @@ class Pending:
         self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
         sensor = self.station.sensor
         self._on_demand = sensor.spec.on_demand
+        self._converter = self.driver if isinstance(self.driver, OnDemandDriver) else None
         self._pace_ns = 1e9 * max(1 / sensor.chip_rate_hz, self._frames_of_a_reading() / self.rate_hz)
         self._awaited_ns: int | None = None
         self._overdue = 0
-        self._lasting_ns = self.driver.lasting_ns if isinstance(self.driver, OnDemandDriver) else 0
         own_pace = self.queue is not None or sensor.spec.on_demand
         self.always_due = own_pace or sensor.chip_rate_hz >= self.rate_hz
         self.row_rate_hz = sensor.chip_rate_hz if own_pace else min(self.rate_hz, sensor.chip_rate_hz)
@@ -88,21 +88,21 @@ class Pending:
         """In how many frames a chip that converts on demand is visited for one reading. A result that would be too old
         by the next frame is fetched between the frames (`conversion_before`).
         """
-        if not isinstance(self.driver, OnDemandDriver):
+        if self._converter is None:
             return 1
         frames, begun_ns = 1, 0.0
-        for conversion_ns in self.driver.conversions_ns:
+        for conversion_ns in self._converter.conversions_ns:
             begun_ns += conversion_ns
-            if 1e9 / self.rate_hz - begun_ns <= self.driver.lasting_ns:
+            if 1e9 / self.rate_hz - begun_ns <= self._converter.lasting_ns:
                 frames, begun_ns = frames + 1, 0.0
         return frames
 
     def conversion_before(self, due_ns: int) -> int | None:
         """When the conversion is over whose result would be too old in the frame at `due_ns`; None if there is none."""
-        ready_ns = self.driver.ready_ns if isinstance(self.driver, OnDemandDriver) else None
-        if ready_ns is None or self.recovery is not None or due_ns - ready_ns <= self._lasting_ns:
+        if self._converter is None or self.recovery is not None:
             return None
-        return ready_ns
+        ready_ns = self._converter.ready_ns
+        return None if ready_ns is None or due_ns - ready_ns <= self._converter.lasting_ns else ready_ns
 
     @property
     def held_rows(self) -> int:

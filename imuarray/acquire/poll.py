@@ -26,7 +26,6 @@ from imuarray.acquire.summary import Summary
 from imuarray.acquire.trouble import Trouble
 from imuarray.acquire.watch import Watch
 from imuarray.bus.protocol import OpenBus
-from imuarray.drivers import OnDemandDriver
 from imuarray.log.format import Event
 from imuarray.log.pace import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
@@ -39,6 +38,9 @@ BATCH_S = 1.0
 TICK_S = 0.2
 """Between two looks at what is too slow to be looked at every frame."""
 _NAP_NS = 200_000_000
+_FAR_NS = 100_000_000
+"""A set-up that has begun does not wait for a frame that is further away; nor can a conversion's result get too old
+in less (`imuarray.drivers.OnDemandDriver`)."""
 
 
 class Poll:
@@ -70,9 +72,7 @@ class Poll:
         items = list(self.pending.values())
         forth = self._segments(stations)
         self.orders = forth, forth[::-1]
-        self.on_demand = [
-            (segment, item) for segment in forth for item in segment.items if isinstance(item.driver, OnDemandDriver)
-        ]
+        self.places = [(segment, item) for segment in forth for item in segment.items]
         start_ns = self.clock.now_ns()
         self.start_up = StartUp(items, judge, start_ns) if judge else None
         self.watch = Watch(
@@ -157,23 +157,40 @@ class Poll:
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
-        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop, and to fetch the
-        results of conversions that would be too old by then.
+        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop, and to do what can't
+        wait for a frame that is far away (`_soonest`).
         """
         tried: set[tuple[int, int]] = set()
         while (now_ns := self.clock.now_ns()) < due_ns:
-            visits = [
-                (ready_ns, place, segment, pending)
-                for place, (segment, pending) in enumerate(self.on_demand)
-                if (ready_ns := pending.conversion_before(due_ns)) is not None and (place, ready_ns) not in tried
-            ]
-            ready_ns, place, segment, pending = min(visits, default=(due_ns, 0, None, None))
-            self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS, ready_ns))
-            if segment is not None and pending is not None and self.clock.now_ns() >= ready_ns:
-                tried.add((place, ready_ns))
-                self.group(segment, pending)
-            if self.clock.now_ns() < due_ns and stopped():
+            at_ns, place = self._soonest(due_ns, tried)
+            self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS, at_ns))
+            now_ns = self.clock.now_ns()
+            if at_ns <= now_ns < due_ns:
+                tried.add((place, at_ns))
+                segment, pending = self.places[place]
+                if pending.recovery is None:
+                    self.group(segment, pending)
+                else:
+                    pending.recovery.go_on(now_ns)
+            if now_ns < due_ns and stopped():
                 return
+
+    def _soonest(self, due_ns: int, tried: set[tuple[int, int]]) -> tuple[int, int]:
+        """When a sensor is to be visited before the frame at `due_ns`, and its place; `due_ns` if none is.
+
+        The result of a conversion would be too old by then, and a chip that is being set up would be away for many
+        frames: a set-up has up to ten pieces.
+        """
+        visits: list[tuple[int, int]] = []
+        if self.rate_hz * _FAR_NS >= 1e9:
+            return due_ns, 0
+        for place, (_, pending) in enumerate(self.places):
+            at_ns = pending.conversion_before(due_ns)
+            if pending.recovery is not None and (goes_on_ns := pending.recovery.goes_on_ns) is not None:
+                at_ns = goes_on_ns if due_ns - goes_on_ns > _FAR_NS else None
+            if at_ns is not None and (place, at_ns) not in tried:
+                visits.append((at_ns, place))
+        return min(visits, default=(due_ns, 0))
 
     def frame(self) -> None:
         """Read every sensor that is due once, and check whose turn it is while its segment is selected."""

@@ -239,3 +239,28 @@ def test_a_microcontroller_that_sends_seldom_is_not_lost(an_array: Callable[...,
     assert summary.frames == 30
     assert rows + summary.lost["A"] == pytest.approx(30, abs=1)
     assert summary.lost["A"] <= 4
+
+
+@pytest.mark.parametrize("rate_hz", [0.1, 1.0, 5.0])
+def test_a_chip_that_is_set_up_again_is_not_away_for_many_frames(
+    an_array: Callable[..., Any], tapped: Callable[..., Any], tmp_path: Path, rate_hz: float
+) -> None:
+    """One that lost its settings: a frame to see it twice, one to begin, and the next reading is good."""
+    array = an_array(A=0, G=0)
+    bus = tapped(array, "world=shaking&still_s=0.1&motion_s=900")
+    begun: list[int] = []
+
+    def stopped() -> bool:
+        begun.append(bus.clock.now_ns())
+        if sum(at >= begun[0] + 40e9 / rate_hz for at in begun) == 1:
+            bus.bus.transfer(0x70, b"\x04")
+            bus.bus.transfer(0x68, b"\x20\x07")  # the data rate of its reset state (L3G-20)
+        return False
+
+    summary = record(array, bus, tmp_path / "r.h5", rate_hz=rate_hz, seconds=100 / rate_hz, stopped=stopped)
+    with open_log(tmp_path / "r.h5") as log:
+        status = np.asarray(log["G"].status[:])
+    assert summary.lost["A"] == 0
+    assert 1 <= summary.lost["G"] <= 3
+    (again,) = np.flatnonzero(status & 16)
+    assert not (status[again:] & 32).any()
