@@ -259,7 +259,7 @@ class Pending:
         reading, first = self._reading(count - 1), count - 1
         while first > oldest and self._reading(first - 1) == reading:
             first -= 1
-        goes_on = first == 0 and reading == self._written_reading
+        goes_on = first == 0 and self._written_run > 0 and reading == self._written_reading
         if not goes_on:
             self._written_run, self._written_since_ns = 0, self.times_ns[first]
         self._written_run += count - first

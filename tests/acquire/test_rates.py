@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import pytest
 
 from imuarray.acquire.pending import HELD_S
 from imuarray.acquire.record import record
+from imuarray.acquire.start_up import Verdict
 from imuarray.acquire.stations import connect
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
@@ -264,3 +265,25 @@ def test_a_chip_that_is_set_up_again_is_not_away_for_many_frames(
     assert 1 <= summary.lost["G"] <= 3
     (again,) = np.flatnonzero(status & 16)
     assert not (status[again:] & 32).any()
+
+
+@pytest.mark.parametrize(("rate_hz", "judged"), [(0.2, False), (0.8, False), (1.0, True), (50.0, True)])
+def test_a_start_is_judged_by_ten_readings_or_not_at_all(
+    an_array: Callable[..., Any], tmp_path: Path, rate_hz: float, judged: bool
+) -> None:
+    """What comes in the first ten seconds; two readings are as far from the mean as another state is."""
+    array = an_array(A=0, G=0)
+    heard: list[int] = []
+
+    def judge(readings: Mapping[str, Any]) -> dict[str, Verdict]:
+        heard.extend(len(counts) for counts in readings.values())
+        return {name: Verdict(True, "came up wrong") for name in readings}
+
+    with open_bus("emulated:", array) as bus:
+        record(array, bus, tmp_path / "r.h5", rate_hz=rate_hz, seconds=30, judge=judge)
+    with open_log(tmp_path / "r.h5") as log:
+        told = {event.message for event in log.events if event.kind == "start_up"}
+        suspect = bool((np.asarray(log["G"].status[:]) & 32).any())
+    assert suspect is bool(heard) is judged
+    assert all(count >= 10 for count in heard)
+    assert judged or all(message.endswith(" readings of at least 10") for message in told)
