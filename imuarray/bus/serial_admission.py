@@ -23,6 +23,9 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from imuarray.bus import serial_link as link
 from imuarray.bus.serial_link import Frame, PollList
 
@@ -40,18 +43,16 @@ MEANINGLESS = "of no kind and no list that was asked for"
 UNASKED = "an answer to no question"
 
 
-class Arrival(NamedTuple):
-    """A data frame that arrived, and when it was sent, in microseconds of the widened counter."""
-
-    frame: Frame
-    sent_us: int
+Numbers = npt.NDArray[np.int64]
 
 
 class Admitted(NamedTuple):
-    """A data frame of the running stream: its widened `number`, and its `place` among the arrivals."""
+    """Data frames of the running stream in its order: their widened `numbers` (n,) and their `places` (n,) among those
+    that arrived.
+    """
 
-    number: int
-    place: int
+    numbers: Numbers
+    places: Numbers
 
 
 class Admission:
@@ -62,48 +63,70 @@ class Admission:
 
     def __init__(self, lists: Sequence[PollList], period_us: int, started_us: int, refused: Counter[str]) -> None:
         self.refused = refused
-        self._lists = dict(enumerate(lists))
         self._period_us = period_us
-        self._newest = (-1, -1)
-        """Number and list of the newest admitted frame."""
+        self._size, self._every, self._offset = np.full((3, 256), -1, np.int64)
+        for name, asked in enumerate(lists):
+            self._size[name], self._every[name], self._offset[name] = asked.size, asked.every, asked.offset
+        self._newest = -1
+        """Of the newest admitted frame: number and list as one number."""
         self._newest_us = started_us
         self._grid_us = self._earlier_grid_us = started_us
         """When frame 0 would have been sent, from the earliest frame of the current and of the previous `MEMORY_US`."""
         self._grid_since_us = started_us
+        self._usual_us = started_us
+        """When frame 0 would have been sent, from the newest frame."""
 
-    def admit(self, arrivals: Sequence[Arrival]) -> list[Admitted]:
-        """The arrivals that belong to the stream, in the order of their numbers; the others are counted in `refused`.
+    def admit(self, frames: Sequence[Frame], sent_us: Numbers) -> Admitted:
+        """The frames that belong to the stream, of those that were sent at `sent_us` (n,) of the widened counter; the
+        others are counted in `refused`.
 
         Admitted numbers with their lists strictly increase, their times do not decrease, over all calls.
         """
-        candidates: list[tuple[int, int, int, int]] = []
-        for index, (frame, sent_us) in enumerate(arrivals):
-            asked = self._lists.get(frame.payload[0]) if frame.payload else None
-            if asked is None or asked.size != len(frame.payload):
-                self.refused[MEANINGLESS] += 1
-                continue
-            number = self._number(frame.sequence, sent_us)
-            if number < 0 or number % asked.every != asked.offset:
-                self.refused[OUT_OF_ORDER] += 1
-                continue
-            candidates.append((number, frame.payload[0], sent_us, index))
-        admitted = []
-        for number, name, sent_us, index in sorted(candidates):
-            if (number, name) <= self._newest or sent_us < self._newest_us:
-                self.refused[OUT_OF_ORDER] += 1
-                continue
-            self._newest, self._newest_us = (number, name), sent_us
-            self._remember(sent_us - number * self._period_us, sent_us)
-            admitted.append(Admitted(number, index))
-        return admitted
+        names = np.fromiter((frame.payload[0] if frame.payload else 0 for frame in frames), np.int64, len(frames))
+        sizes = np.fromiter((len(frame.payload) for frame in frames), np.int64, len(frames))
+        sequences = np.fromiter((frame.sequence for frame in frames), np.int64, len(frames))
+        numbers = self._numbers(sequences, sent_us)
+        known = self._size[names] == sizes
+        due = known & (numbers >= 0)
+        due &= np.where(due, numbers % np.abs(self._every[names]) == self._offset[names], False)
+        if not due.all():
+            self.refused[MEANINGLESS] += int(np.count_nonzero(~known))
+            self.refused[OUT_OF_ORDER] += int(np.count_nonzero(known & ~due))
+        places = np.flatnonzero(due)
+        order = numbers[places] << 8 | names[places]
+        unusual_us = np.abs(sent_us[places] - numbers[places] * self._period_us - self._usual_us)
+        ranks = np.lexsort((unusual_us, order))  # of two frames of one number the one that is as late as usual
+        places = self._increasing(order[ranks], sent_us[places[ranks]], places[ranks])
+        if len(places):
+            self._usual_us = int(sent_us[places[-1]] - numbers[places[-1]] * self._period_us)
+            self._remember(sent_us[places] - numbers[places] * self._period_us, int(sent_us[places[-1]]))
+        return Admitted(numbers[places], places)
 
-    def _number(self, sequence: int, sent_us: int) -> int:
-        """The largest frame number that can have been begun by `sent_us` and is sent as `sequence`."""
-        early_us = EARLY_US + round(PERIOD_ERROR * max(sent_us - self._newest_us, 0))
+    def _numbers(self, sequences: Numbers, sent_us: Numbers) -> Numbers:
+        """(n,) the largest frame numbers that can have been begun by `sent_us` and are sent as `sequences`."""
+        early_us = EARLY_US + (PERIOD_ERROR * np.maximum(sent_us - self._newest_us, 0)).astype(np.int64)
         begun = (sent_us - min(self._grid_us, self._earlier_grid_us) + early_us) // self._period_us
-        return begun - (begun - sequence) % link.SEQUENCES
+        numbers: Numbers = begun - (begun - sequences) % link.SEQUENCES
+        return numbers
 
-    def _remember(self, grid_us: int, sent_us: int) -> None:
+    def _increasing(self, order: Numbers, sent_us: Numbers, places: Numbers) -> Numbers:
+        """The `places` (n,), sorted by `order` (n,), of frames that follow each other and the newest of before."""
+        follows = (np.diff(order, prepend=self._newest) > 0) & (np.diff(sent_us, prepend=self._newest_us) >= 0)
+        if not follows.all():  # one that does not may stand before others that do
+            newest, newest_us = self._newest, self._newest_us
+            for row, (at, at_us) in enumerate(zip(order.tolist(), sent_us.tolist(), strict=True)):
+                follows[row] = at > newest and at_us >= newest_us
+                if follows[row]:
+                    newest, newest_us = at, at_us
+            self.refused[OUT_OF_ORDER] += int(np.count_nonzero(~follows))
+        kept = np.flatnonzero(follows)
+        if len(kept):
+            self._newest, self._newest_us = int(order[kept[-1]]), int(sent_us[kept[-1]])
+        return places[kept]
+
+    def _remember(self, grid_us: Numbers, sent_us: int) -> None:
+        """Where the grid lies by frames of which the newest was sent at `sent_us`."""
+        earliest_us = int(grid_us.min())
         if sent_us - self._grid_since_us > MEMORY_US:
-            self._earlier_grid_us, self._grid_us, self._grid_since_us = self._grid_us, grid_us, sent_us
-        self._grid_us = min(self._grid_us, grid_us)
+            self._earlier_grid_us, self._grid_us, self._grid_since_us = self._grid_us, earliest_us, sent_us
+        self._grid_us = min(self._grid_us, earliest_us)

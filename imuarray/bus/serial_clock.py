@@ -35,12 +35,13 @@ RECENT_BLOCKS = 64
 """The quickest delivery of these says what the microcontroller's counter shows now."""
 
 
-def nearest(value: int, modulus: int, expected: int) -> int:
-    """The number that a counter of `modulus` (even) steps shows as `value`, the nearest to `expected`, of two equally
-    near ones the lower.
+def nearest(values: Times, modulus: int, expected: int) -> Times:
+    """The numbers (n,) that a counter of `modulus` (even) steps shows as `values` (n,), the nearest to `expected`; of
+    two equally near ones the lower.
     """
     half = modulus // 2
-    return expected - half + (value - expected + half) % modulus
+    numbers: Times = expected - half + (values - expected + half) % modulus
+    return numbers
 
 
 class ClockFit:

@@ -8,18 +8,16 @@ about the microcontroller's clock.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.bus import serial_link as link
-from imuarray.bus.serial_admission import ANOTHER_TIME, MEANINGLESS, UNASKED, Admission, Arrival
-from imuarray.bus.serial_clock import MAX_DRIFT, ClockFit, nearest
+from imuarray.bus.serial_admission import ANOTHER_TIME, MEANINGLESS, UNASKED, Admission
+from imuarray.bus.serial_clock import MAX_DRIFT, ClockFit, Times, nearest
 from imuarray.bus.serial_link import Capacity, Frame, LinkError, PollList
 from imuarray.bus.serial_port import Port, port_errors
 from imuarray.clock import Clock, sleep_for
@@ -42,6 +40,8 @@ LEARNT_NS = 1_000_000
 _ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
 """Time for a greeting that begins anew, once somebody has answered at all."""
 
+_NONE: Times = np.empty(0, np.int64)
+
 
 class Data(NamedTuple):
     """Data of the running stream, in its order: frames, their widened numbers (n,), and when each was sent (n,), in
@@ -49,14 +49,31 @@ class Data(NamedTuple):
     """
 
     frames: list[Frame]
-    numbers: npt.NDArray[np.int64]
-    sent_us: npt.NDArray[np.int64]
+    numbers: Times
+    sent_us: Times
 
 
 class _Answer(NamedTuple):
     frame: Frame
     sent_us: int
     arrived_ns: int
+
+
+class _Piece(NamedTuple):
+    """Data frames that were read together, and when they were sent (n,): by `arrived_ns` they had arrived, and not much
+    earlier if it is `tight`.
+    """
+
+    frames: Sequence[Frame]
+    sent_us: Times
+    arrived_ns: int
+    tight: bool
+
+    def since(self, sent_us: int) -> _Piece:
+        """Those that were sent from `sent_us` on, whose arrival says nothing of the way here."""
+        places = np.flatnonzero(self.sent_us >= sent_us)
+        frames = [self.frames[place] for place in places.tolist()]
+        return _Piece(frames, self.sent_us[places], self.arrived_ns, False)
 
 
 class Session:
@@ -125,17 +142,17 @@ class Session:
     def _forget(self) -> None:
         """What came before belongs to another session, perhaps to another boot of the microcontroller."""
         self._answers: list[_Answer] = []
-        self._arrivals: list[Arrival] = []
-        self._tight: list[tuple[int, int]] = []
-        """How many data frames had arrived, and when, for each piece that was read as it arrived."""
+        self._pieces: list[_Piece] = []
+        self._newest: tuple[int, int] | None = None
+        """When the newest frame of the running stream was sent (us) and had arrived (ns)."""
         self._admission: Admission | None = None
         self.fit.restart()
 
     def start(self, lists: Sequence[PollList], period_us: int) -> bytes:
         """START: what is sent from its answer on is the data of these lists. The payload of the answer; LinkError."""
         answer = self._ask(link.START, link.start_payload(period_us))
-        self._arrivals = [arrival for arrival in self._arrivals if arrival.sent_us >= answer.sent_us]
-        self._tight = []
+        self._pieces = [piece.since(answer.sent_us) for piece in self._pieces]
+        self._newest = None
         self._admission = Admission(lists, period_us, answer.sent_us, self.refused)
         return answer.frame.payload
 
@@ -201,30 +218,33 @@ class Session:
 
     def collect(self) -> Data:
         """The data of the running stream that has come since the last call."""
-        arrivals, tight = self._arrivals, self._tight
-        self._arrivals, self._tight = [], []
+        pieces, self._pieces = [piece for piece in self._pieces if piece.frames], []
         self.refused[UNASKED] += len(self._answers)
         self._answers.clear()
-        admitted = self._admission.admit(arrivals) if self._admission is not None else []
-        self._learn(sorted(index for _, index in admitted), arrivals, tight)
-        return Data(
-            [arrivals[index].frame for _, index in admitted],
-            np.array([number for number, _ in admitted], np.int64),
-            np.array([arrivals[index].sent_us for _, index in admitted], np.int64),
-        )
+        if self._admission is None or not pieces:
+            return Data([], _NONE, _NONE)
+        frames = [frame for piece in pieces for frame in piece.frames]
+        sent_us = np.concatenate([piece.sent_us for piece in pieces])
+        numbers, places = self._admission.admit(frames, sent_us)
+        self._learn(np.sort(places), sent_us, pieces)
+        return Data([frames[place] for place in places.tolist()], numbers, sent_us[places])
 
-    def _learn(self, admitted: Sequence[int], arrivals: Sequence[Arrival], tight: Sequence[tuple[int, int]]) -> None:
+    def _learn(self, admitted: Times, sent_us: Times, pieces: Sequence[_Piece]) -> None:
         """Tell the fit when the newest admitted frame of each piece that was read as it arrived was sent."""
-        newest_us, start = -1, 0
-        for end, arrived_ns in tight:
-            piece = admitted[bisect_left(admitted, start) : bisect_left(admitted, end)]
-            sent_us = max((arrivals[index].sent_us for index in piece), default=-1)
-            if sent_us > newest_us:
-                newest_us = sent_us
-                latest_ns = self.fit.latest_sent_ns(arrived_ns)
-                if latest_ns is not None:
-                    self.fit.add(min(sent_us * 1000, latest_ns + LEARNT_NS), arrived_ns)
+        start = 0
+        for piece in pieces:
+            end = start + len(piece.frames)
+            first, last = np.searchsorted(admitted, (start, end))
             start = end
+            if first == last:
+                continue
+            newest_us = int(sent_us[admitted[first:last]].max())
+            if self._newest is not None and newest_us <= self._newest[0]:
+                continue
+            self._newest = newest_us, piece.arrived_ns
+            latest_ns = self.fit.latest_sent_ns(piece.arrived_ns)
+            if piece.tight and latest_ns is not None:
+                self.fit.add(min(newest_us * 1000, latest_ns + LEARNT_NS), piece.arrived_ns)
 
     def _latest_us(self, arrived_ns: int) -> int | None:
         """The count of the microcontroller at which a frame that arrives at `arrived_ns` is sent at the latest, if its
@@ -237,27 +257,41 @@ class Session:
         """How much later than `_latest_us` a frame may have been sent: the counter's drift is known only so well."""
         return (EARLY_NS + round(MAX_DRIFT * max(at_ns - self.fit.newest_arrival_ns, 0))) // 1000
 
+    def _bound_us(self, latest_us: int, arrived_ns: int) -> int:
+        """No frame of this boot that has arrived by `arrived_ns` was sent later. While the host is behind nothing is
+        learnt of the quickest way here: then it is no quicker than for the newest frame.
+        """
+        bound_us = latest_us + self._early_us(arrived_ns)
+        if self._newest is None:
+            return bound_us
+        return max(bound_us, self._newest[0] + round((1 + MAX_DRIFT) * (arrived_ns - self._newest[1])) // 1000)
+
     def _take(self, frames: Sequence[Frame], arrived_ns: int, *, tight: bool) -> None:
         """Sort out frames that have arrived by now; `tight`: and not much earlier."""
         self.skipped = self._deframer.skipped
         if not frames:
             return
-        before = len(self._arrivals)
         latest_us = self._latest_us(arrived_ns)
-        for frame in frames:
-            is_answer = frame.kind & link.ANSWER != 0 and frame.kind != link.DATA
-            if latest_us is None:
-                if is_answer:
-                    self._answers.append(_Answer(frame, frame.time_us, arrived_ns))
-                continue  # data from before the first answer is of an earlier program
-            sent_us = nearest(frame.time_us, link.TIMES_US, latest_us)
-            if sent_us > latest_us + self._early_us(arrived_ns):
-                self.refused[ANOTHER_TIME] += 1
-            elif is_answer:
-                self._answers.append(_Answer(frame, sent_us, arrived_ns))
-            elif frame.kind == link.DATA:
-                self._arrivals.append(Arrival(frame, sent_us))
-            else:
-                self.refused[MEANINGLESS] += 1
-        if tight and len(self._arrivals) > before:
-            self._tight.append((len(self._arrivals), arrived_ns))
+        if latest_us is None:  # data from before the first answer is of an earlier program
+            answers = [frame for frame in frames if _is_answer(frame)]
+            self._answers += [_Answer(frame, frame.time_us, arrived_ns) for frame in answers]
+            return
+        times = np.fromiter((frame.time_us for frame in frames), np.int64, len(frames))
+        sent_us = nearest(times, link.TIMES_US, latest_us)
+        data = np.fromiter((frame.kind == link.DATA for frame in frames), np.bool_, len(frames))
+        sent = sent_us <= self._bound_us(latest_us, arrived_ns)
+        if not (data & sent).all():
+            self.refused[ANOTHER_TIME] += int(np.count_nonzero(~sent))
+            for place in np.flatnonzero(sent & ~data).tolist():
+                if _is_answer(frames[place]):
+                    self._answers.append(_Answer(frames[place], int(sent_us[place]), arrived_ns))
+                else:
+                    self.refused[MEANINGLESS] += 1
+            places = np.flatnonzero(sent & data)
+            frames, sent_us = [frames[place] for place in places.tolist()], sent_us[places]
+        if frames:
+            self._pieces.append(_Piece(frames, sent_us, arrived_ns, tight))
+
+
+def _is_answer(frame: Frame) -> bool:
+    return frame.kind & link.ANSWER != 0 and frame.kind != link.DATA

@@ -17,15 +17,14 @@ S = 1_000_000_000
 @given(st.integers(0, 2**40), st.integers(-(2**31), 2**31 - 1), st.sampled_from([1 << 16, 1 << 32]))
 def test_a_counter_is_widened_to_the_turn_that_is_expected(true: int, off: int, modulus: int) -> None:
     expected = true - off % (modulus // 2) if off > 0 else true + (-off) % (modulus // 2)
-    assert nearest(true % modulus, modulus, expected) == true
+    assert nearest(np.array([true % modulus]), modulus, expected).tolist() == [true]
 
 
 def test_turns_of_counters() -> None:
-    assert nearest(1, 1 << 16, 65_535) == 65_537
-    assert nearest(65_535, 1 << 16, 65_537) == 65_535
-    assert nearest(5, 1 << 32, 0) == 5
-    assert nearest((1 << 32) - 5, 1 << 32, 0) == -5
-    assert [nearest(value, 4, 10) for value in range(4)] == [8, 9, 10, 11]
+    assert nearest(np.array([1, 65_534]), 1 << 16, 65_535).tolist() == [65_537, 65_534]
+    assert nearest(np.array([65_535]), 1 << 16, 65_537).tolist() == [65_535]
+    assert nearest(np.array([5, (1 << 32) - 5]), 1 << 32, 0).tolist() == [5, -5]
+    assert nearest(np.arange(4), 4, 10).tolist() == [8, 9, 10, 11]
 
 
 def test_the_latest_time_at_which_a_frame_can_have_been_sent() -> None:
