@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from imuarray.acquire.adapter import HUNG
 from imuarray.acquire.freshness import Freshness
-from imuarray.acquire.pending import Pending
+from imuarray.acquire.pending import HELD_S, Pending
 from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.start_up import StartUp
 from imuarray.acquire.trouble import QUIET_NS, Trouble, Troubles
@@ -25,8 +25,6 @@ AWAY_NS = 250_000_000
 costs everybody time, and is left alone after two frames."""
 IDLE_NS = 1_000_000_000
 """A queue that gives nothing for so long has stopped."""
-HELD_S = 10.0
-"""Rows that nobody could vouch for in this time are written as suspect."""
 
 
 class _Patient:
@@ -159,7 +157,7 @@ class Care:
         pending.flag_what_is_frozen_still()
         row = pending.frozen_since()
         if row is not None:
-            began_ns = pending.times_ns[row]
+            began_ns = pending.still_since_ns(row)
             pending.thaw()
             pending.distrust(row)
             patient.frozen.begin(now_ns, f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
@@ -205,7 +203,7 @@ class Care:
         if pending.recovery is not None and now_ns - pending.recovery.since_ns > HELD_S * 1e9:
             self._watch.give_up(pending)
             return rows
-        held = pending.frozen_rows + pending.frozen_rows // 4
+        held = pending.held_rows
         if rows - self._watch.trusted_rows(pending) > max(HELD_S * pending.row_rate_hz, held):
             self._watch.give_up(pending)
         return min(self._watch.trusted_rows(pending), rows - held)

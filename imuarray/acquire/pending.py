@@ -18,7 +18,7 @@ import numpy.typing as npt
 from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.stations import Station
 from imuarray.array import SensorConfig
-from imuarray.drivers import FifoDriver
+from imuarray.drivers import FifoDriver, OnDemandDriver
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 from imuarray.log.writer import Block
 
@@ -38,6 +38,9 @@ _SILENT_READINGS = 3.0
 """A sensor without a reading for so many seconds, and as long as so many readings take, gives none any more."""
 _VISITS = 3
 """One reading on demand takes: temperature asked for, pressure asked for, both there."""
+HELD_S = 10.0
+"""No row waits longer. One that nobody could vouch for in this time is written as suspect; where a sensor is read so
+seldom that it takes longer to tell a frozen reading from chance, rows from before that are written."""
 
 
 @dataclass
@@ -73,12 +76,15 @@ class Pending:
         self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
         sensor = self.station.sensor
         self._on_demand = sensor.spec.on_demand
-        self._pace_ns = 1e9 * max(1 / sensor.chip_rate_hz, _VISITS / self.rate_hz)
+        self._converter = self.driver if isinstance(self.driver, OnDemandDriver) else None
+        self._pace_ns = 1e9 * max(1 / sensor.chip_rate_hz, self._frames_of_a_reading() / self.rate_hz)
         self._awaited_ns: int | None = None
         self._overdue = 0
         own_pace = self.queue is not None or sensor.spec.on_demand
         self.always_due = own_pace or sensor.chip_rate_hz >= self.rate_hz
         self.row_rate_hz = sensor.chip_rate_hz if own_pace else min(self.rate_hz, sensor.chip_rate_hz)
+        if self._on_demand:
+            self.row_rate_hz = 1e9 / self._pace_ns
         self._frozen_s = _frozen_s(sensor)
         self._frozen_rows = max(_FROZEN_READINGS, math.ceil(self._frozen_s * self.row_rate_hz))
         self.frozen_rows = self._frozen_rows
@@ -87,6 +93,34 @@ class Pending:
         self._watch_still = False
         self.doubtful_rows = np.zeros(0, bool)
         self.newest_ns: int | None = None
+        self._written_reading = b""
+        self._written_run = self._written_since_ns = 0
+        """The last reading that was written, how often it had come in a row since the chip was set up, since when."""
+
+    def _frames_of_a_reading(self) -> int:
+        """In how many frames a chip that converts on demand is visited for one reading. A result that would be too old
+        by the next frame is fetched between the frames (`conversion_before`).
+        """
+        if self._converter is None:
+            return 1
+        frames, begun_ns = 1, 0.0
+        for conversion_ns in self._converter.conversions_ns:
+            begun_ns += conversion_ns
+            if 1e9 / self.rate_hz - begun_ns <= self._converter.lasting_ns:
+                frames, begun_ns = frames + 1, 0.0
+        return frames
+
+    def conversion_before(self, due_ns: int) -> int | None:
+        """When the conversion is over whose result would be too old in the frame at `due_ns`; None if there is none."""
+        if self._converter is None or self.recovery is not None:
+            return None
+        ready_ns = self._converter.ready_ns
+        return None if ready_ns is None or due_ns - ready_ns <= self._converter.lasting_ns else ready_ns
+
+    @property
+    def held_rows(self) -> int:
+        """How many of the newest rows wait until it is known whether the reading still changes."""
+        return min(self.frozen_rows * 5 // 4, math.ceil(HELD_S * self.row_rate_hz))
 
     def due(self, now_ns: int) -> bool:
         """False for a chip so slow that the next frame is soon enough for its next sample; none is missed for it."""
@@ -162,21 +196,32 @@ class Pending:
         """The chip was set up: its next reading says so, and may be what its last one was."""
         self.set_up_again = True
         self._since_set_up = self._still = len(self.times_ns)
+        self._written_run = 0
         self._watch_still = self.frozen_reading is not None
 
     def frozen_since(self) -> int | None:
-        """The row from which on the reading has not changed, if that is no longer chance; None otherwise."""
-        rows, enough = len(self.times_ns), self.frozen_rows
-        if rows - self._since_set_up < enough:
+        """The row from which on the reading has not changed, if that is no longer chance; None otherwise. Rows that
+        were written before count, and can't be told any more.
+        """
+        rows, enough, oldest = len(self.times_ns), self.frozen_rows, self._since_set_up
+        if rows == oldest or rows - oldest + self._written_run < enough:
             return None
         reading = self._reading(rows - 1)
-        if self._reading(rows - 1 - enough // 2) != reading or self._reading(rows - enough) != reading:
-            return None
+        for steps in (enough // 2, enough - 1):  # most often one of these differs
+            if steps < rows - oldest and self._reading(rows - 1 - steps) != reading:
+                return None
         first = rows - 1
-        while first > self._since_set_up and self._reading(first - 1) == reading:
+        while first > oldest and self._reading(first - 1) == reading:
             first -= 1
-        lasted_ns = self.times_ns[-1] - self.times_ns[first]
-        return first if rows - first >= enough and lasted_ns >= _FROZEN_SHARE * self._frozen_s * 1e9 else None
+        before = self._written_run if first == 0 and self._written_reading == reading else 0
+        lasted_ns = self.times_ns[-1] - self.still_since_ns(first)
+        enough_s = lasted_ns >= _FROZEN_SHARE * self._frozen_s * 1e9
+        return first if rows - first + before >= enough and enough_s else None
+
+    def still_since_ns(self, row: int) -> int:
+        """When the reading that has not changed from `row` on came for the first time."""
+        goes_on = row == 0 and self._written_run and self._written_reading == self._reading(0)
+        return self._written_since_ns if goes_on else self.times_ns[row]
 
     def thaw(self) -> None:
         """It was found frozen. If a set-up did not change that, it is given longer before the next: it may be quiet."""
@@ -234,8 +279,23 @@ class Pending:
         self.newest_ns = self.times_ns[count - 1]
         self.doubtful_rows = np.zeros(count, bool)
         self.doubtful_rows[[row for row in self.doubtful if row < count]] = True
+        self._count_run(count)
         self._forget(count)
         return Block(times, decoded.counts, status, decoded.temperature_counts, decoded.compensated)
+
+    def _count_run(self, count: int) -> None:
+        """How often the last of the oldest `count` rows, which are being written, repeats its reading."""
+        oldest = min(self._since_set_up, count)
+        if oldest == count:
+            return
+        reading, first = self._reading(count - 1), count - 1
+        while first > oldest and self._reading(first - 1) == reading:
+            first -= 1
+        goes_on = first == 0 and self._written_run > 0 and reading == self._written_reading
+        if not goes_on:
+            self._written_run, self._written_since_ns = 0, self.times_ns[first]
+        self._written_run += count - first
+        self._written_reading = reading
 
     def _forget(self, count: int) -> None:
         del self.times_ns[:count], self.bursts[: count * self.driver.burst]

@@ -17,6 +17,7 @@ import numpy as np
 from imuarray.acquire.adapter import REMOVED, Adapter
 from imuarray.acquire.care import Care
 from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.intake import Intake
 from imuarray.acquire.pending import Pending
 from imuarray.acquire.segments import Segment
 from imuarray.acquire.start_up import Judge, StartUp
@@ -26,6 +27,7 @@ from imuarray.acquire.trouble import Troubles
 from imuarray.acquire.watch import Watch
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event
+from imuarray.log.pace import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, Stimulus
 from imuarray.printable import counted
@@ -36,6 +38,9 @@ BATCH_S = 1.0
 TICK_S = 0.2
 """Between two looks at what is too slow to be looked at every frame."""
 _NAP_NS = 200_000_000
+_FAR_NS = 100_000_000
+"""A set-up that has begun does not wait for a frame that is further away; nor can a conversion's result get too old
+in less (`imuarray.drivers.OnDemandDriver`)."""
 
 
 class Poll:
@@ -60,14 +65,15 @@ class Poll:
         self.rate_hz = rate_hz
         self.epoch_ns = epoch_ns
         self.progress = progress
-        self.observe = observe
         self.tell = tell
         self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
         self.pending = {id(station): Pending(station, rate_hz) for station in stations}
         items = list(self.pending.values())
         self.troubles = Troubles(self.event)
+        self.intake = Intake(log, epoch_ns, observe, self.troubles, self.summary.lost)
         forth = self._segments(stations)
         self.orders = forth, forth[::-1]
+        self.places = [(segment, item) for segment in forth for item in segment.items]
         start_ns = self.clock.now_ns()
         self.start_up = StartUp(items, judge, start_ns) if judge else None
         self.watch = Watch(
@@ -80,6 +86,7 @@ class Poll:
         read = clocks_beside(self.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
         self.clocks = Clocks(read, epoch_ns, log.clocks, self.note)
         self.missed = self.troubles.of("", "late")
+        self.part = 0
         self.tick_frames = max(1, round(TICK_S * rate_hz))
         self.batch_frames = min(BATCH, max(1, round(BATCH_S * rate_hz)))
         self.truth: Callable[[int], Any] | None = getattr(bus, "truth", None)
@@ -117,7 +124,7 @@ class Poll:
         period_ns = round(1e9 / self.rate_hz)
         self.log.keep()
         due_ns = self.clock.now_ns()  # files take time, which no frame has missed
-        end_ns = None if seconds is None else due_ns + round(seconds * 1e9)
+        end_ns = None if seconds is None else due_ns + frames_in(seconds, self.rate_hz) * period_ns
         if isinstance(self.log, RotatingWriter):
             self.log.starts(due_ns - self.epoch_ns)
         for pending in self.pending.values():
@@ -143,17 +150,54 @@ class Poll:
         if frames:
             self.summary.missed += frames
             text = f"{counted(frames, 'frame')} missed: the one before ended too late"
-            self.missed.happened(self.clock.now_ns(), text, frames)
+            now_ns = self.clock.now_ns()
+            if isinstance(self.log, RotatingWriter):  # each part tells what was missed in it
+                part = self.log.part_at(now_ns - self.epoch_ns)
+                if part != self.part:
+                    self.missed.close(now_ns)
+                self.part = part
+            self.missed.happened(now_ns, text, frames)
             for pending in self.pending.values():
                 pending.missing |= pending.queue is None and not pending.station.sensor.spec.on_demand
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
-        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop."""
+        """Sleep until the next frame, waking now and then to hear whether somebody wants to stop, and to do what can't
+        wait for a frame that is far away (`_soonest`).
+        """
+        tried: set[tuple[int, int]] = set()
         while (now_ns := self.clock.now_ns()) < due_ns:
-            self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS))
-            if self.clock.now_ns() < due_ns and stopped():
+            at_ns, place = self._soonest(due_ns, tried)
+            self.clock.sleep_until(min(due_ns, now_ns + _NAP_NS, at_ns))
+            now_ns = self.clock.now_ns()
+            if at_ns <= now_ns < due_ns:
+                tried.add((place, at_ns))
+                segment, pending = self.places[place]
+                if pending.recovery is None:
+                    self.group(segment, pending)
+                else:
+                    pending.recovery.go_on(now_ns)
+            if now_ns < due_ns and stopped():
                 return
+
+    def _soonest(self, due_ns: int, tried: set[tuple[int, int]]) -> tuple[int, int]:
+        """When a sensor is to be visited before the frame at `due_ns`, and its place; `due_ns` if none is.
+
+        The result of a conversion would be too old by then, and a chip that is being set up would be away for many
+        frames: a set-up has up to ten pieces.
+        """
+        visits: list[tuple[int, int]] = []
+        if self.rate_hz * _FAR_NS >= 1e9:
+            return due_ns, 0
+        for place, (segment, pending) in enumerate(self.places):
+            if segment.adapter.removed:
+                continue
+            at_ns = pending.conversion_before(due_ns)
+            if pending.recovery is not None and (goes_on_ns := pending.recovery.goes_on_ns) is not None:
+                at_ns = goes_on_ns if due_ns - goes_on_ns > _FAR_NS else None
+            if at_ns is not None and (place, at_ns) not in tried:
+                visits.append((at_ns, place))
+        return min(visits, default=(due_ns, 0))
 
     def frame(self) -> None:
         """Read every sensor that is due once, and check whose turn it is while its segment is selected."""
@@ -173,15 +217,16 @@ class Poll:
         if frames % self.batch_frames == 0:
             self.write()
 
-    def group(self, segment: Segment) -> bool:
-        """Read one segment's sensors one after the other; whether it was the right segment, so that checks make sense.
+    def group(self, segment: Segment, only: Pending | None = None) -> bool:
+        """Read one segment's sensors, or one of them, one after the other; whether it was the right segment, so that
+        checks make sense.
 
         The end of one reading is the start of the next: each is known to lie between two readings of the clock.
         """
         adapter = segment.adapter
         now_ns = segment.begin()
         for pending in segment.items:
-            if not (pending.always_due or pending.due(now_ns)):
+            if only not in (None, pending) or not (pending.always_due or pending.due(now_ns)):
                 continue
             if now_ns < adapter.silent_until_ns or (adapter.removed and not segment.has_returned(pending)):
                 self.care.lost(pending, now_ns, None)
@@ -265,11 +310,10 @@ class Poll:
         for pending in self.pending.values():
             count = len(pending.times_ns) if last else self.care.trusted_rows(pending, now_ns)
             if count > 0:
-                block = pending.take(count, self.epoch_ns)
-                self.log.append(pending.station.sensor.name, block)
-                self.observe(pending.station.sensor.name, block)
+                block = self.intake.write(pending, count, now_ns)
                 self.watch.taken(pending, count)
-                self.care.written(pending, block, self.epoch_ns)
+                if len(block.time):
+                    self.care.written(pending, block, self.epoch_ns)
         if self.truth_rows:
             self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))
             self.truth_rows = []

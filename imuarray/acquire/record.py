@@ -17,6 +17,7 @@ from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.headers import header_of
+from imuarray.log.pace import duration_s
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, LogWriter
 
@@ -91,9 +92,10 @@ def record(
         end_ns = bus.clock.now_ns() - start_ns
         for part in _until(named, end_ns):
             log.phase(part)
-    recording.summary.seconds = end_ns * 1e-9
-    recording.summary.logs = list(log.paths)
-    return recording.summary
+    summary = recording.summary
+    summary.seconds = duration_s(summary.frames, summary.missed, rate_hz)
+    summary.logs = list(log.paths)
+    return summary
 
 
 def _writer(

@@ -37,6 +37,11 @@ class Recovery:
         """Whether the sensor is to be left alone for the moment."""
         return now_ns < self._next_ns
 
+    @property
+    def goes_on_ns(self) -> int | None:
+        """When the next piece of a set-up that has begun can follow; None if none has."""
+        return None if self._way is None or self.done else self._next_ns
+
     def go_on(self, now_ns: int) -> None:
         """One piece. What fails is kept in `failure`, and everything begins anew after a pause."""
         self._way = self._way or self._steps()

@@ -14,6 +14,8 @@ import numpy.typing as npt
 from imuarray.acquire.pending import Pending
 
 SECONDS = 10.0
+FEWEST_READINGS = 10
+"""The mean of fewer is too uncertain to be judged: noise would pass for another state."""
 ATTEMPTS = 3
 """How often a sensor that came up wrong is set up again before nothing of it is trusted."""
 
@@ -57,8 +59,10 @@ class StartUp:
             and (last or item.recovery is None)
         ]
         heard = {item.station.sensor.name: item.counts() for item in ripe if item.times_ns}
-        readings = {name: counts for name, counts in heard.items() if len(counts)}
-        said = self._judge(readings) if readings else {}
+        readings = {name: counts for name, counts in heard.items() if len(counts) >= FEWEST_READINGS}
+        said = dict(self._judge(readings)) if readings else {}
+        for name in heard.keys() - readings.keys():
+            said[name] = Verdict(False, f"not judged: {len(heard[name])} readings of at least {FEWEST_READINGS}")
         found = [(item, said.get(item.station.sensor.name, Verdict(False))) for item in ripe]
         for item, verdict in found:
             del self._since_ns[id(item)]

@@ -8,10 +8,12 @@ readings; so it is when the microcontroller falls silent or its port disappears.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 
 from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.intake import Intake
 from imuarray.acquire.pending import Pending
 from imuarray.acquire.start_up import Judge, StartUp
 from imuarray.acquire.stations import Station
@@ -26,15 +28,18 @@ from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import LinkError
 from imuarray.errors import BusUrlError
 from imuarray.log.format import Event
+from imuarray.log.pace import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block
+from imuarray.printable import counted
 
 WRITE_NS = 1_000_000_000
 """Between two writes."""
 SILENCE_NS = 2_000_000_000
-"""A microcontroller that has sent nothing for so long was reset, or is gone."""
+SILENT_PERIODS = 2.5
+"""A microcontroller that has sent nothing for so long, and for so many times its own pauses, was reset or is gone."""
 QUIET_S = 0.5
-"""Nothing for so long before the end, and two frames more, is no pause between two frames."""
+"""Nothing for so long before the end, and two of the microcontroller's own pauses more, is no such pause."""
 PAUSE_NS = 3_000_000_000
 """Between two attempts to set chips up again, or to find the microcontroller."""
 
@@ -66,8 +71,10 @@ class Streaming:
         if not isinstance(bus, SerialBus):
             raise TypeError(f"{type(bus).__name__} can't stream")
         self._bus, self._log, self._epoch_ns, self._rate_hz = bus, log, epoch_ns, rate_hz
-        self._progress, self._observe, self._tell = progress, observe, tell
+        self._progress, self._tell = progress, tell
         self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
+        self._troubles = Troubles(self._event)
+        self._intake = Intake(log, epoch_ns, observe, self._troubles, self.summary.lost)
         self._plan = plan(stations, rate_hz)
         self._rows = [
             Rows(Pending(station, rate_hz), places) for station, places in zip(stations, self._plan.visits, strict=True)
@@ -75,36 +82,47 @@ class Streaming:
         now_ns = bus.clock.now_ns()
         start_up = StartUp([rows.pending for rows in self._rows], judge, now_ns) if judge else None
         self._health = Health(self._rows, self._plan.watched, start_up, self._note)
-        self._troubles = Troubles(self._event)
         self._link = self._troubles.of("", "link")
+        self._refused = self._troubles.of("", "refused")
+        self._refused_before = Counter(bus.refused)
+        self._period_rate_hz = rate_hz * self._plan.split
+        self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
         read = clocks_beside(bus.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
         self._clocks = Clocks(read, epoch_ns, log.clocks, self._note_of_all)
-        self._frames: int | None = None  # how many are wanted
-        self._begun = 0  # frames before the stream was last started
-        self._newest = -1  # number of the newest frame since
+        self._periods: int | None = None  # how many are wanted; `split` of them are a frame
+        self._begun = 0  # periods before the stream was last started
+        self._newest = -1  # number of the newest period since
         self._heard_ns = self._written_ns = now_ns
         self._tried_ns = now_ns - PAUSE_NS
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Record for `seconds` of frames, or until `stopped()`."""
         clock = self._bus.clock
-        self._frames = None if seconds is None else max(1, round(seconds * self._rate_hz))
-        end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + SILENCE_NS
+        self._periods = None if seconds is None else frames_in(seconds, self._rate_hz) * self._plan.split
+        end_ns = None if seconds is None else clock.now_ns() + round(seconds * 1e9) + self._silence_ns
         self._start()
         if isinstance(self._log, RotatingWriter):
             self._log.starts(self._heard_ns - self._epoch_ns)
         self._log.keep()
         try:
-            while (self._frames is None or self._begun + self._newest + 1 < self._frames) and not stopped():
+            while not self._complete() and not stopped():
                 if end_ns is not None and clock.now_ns() > end_ns:
                     break
                 self._step()
         finally:
             self._finish()
 
+    def _complete(self) -> bool:
+        """Whether the last visit of the last frame that is wanted has come."""
+        if self._periods is None:
+            return False
+        split = self._plan.split
+        last = max(place.offset for places in self._plan.visits for place in places)
+        return self._begun + self._newest >= self._periods - split + min(last, split - 1)
+
     def _start(self) -> None:
         try:
-            self._bus.start(self._plan.lists, round(1e6 / self._rate_hz))
+            self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
         except OSError as error:
             raise BusUrlError(f"serial: the stream can't be started: {error.strerror or error}") from error
         self._heard_ns = self._bus.clock.now_ns()
@@ -114,9 +132,9 @@ class Streaming:
         try:
             if not self._bus.streaming:
                 raise LinkError("it does not answer")
-            self._take(self._bus.receive())
+            self._take(self._receive())
             now_ns = self._bus.clock.now_ns()
-            if now_ns - self._heard_ns > SILENCE_NS:
+            if now_ns - self._heard_ns > self._silence_ns:
                 self._find_link("it sends nothing")
             elif self._health.ill and now_ns - self._tried_ns > PAUSE_NS:
                 self._set_up_again()
@@ -128,17 +146,37 @@ class Streaming:
             self._health.tick(now_ns)
             self._write()
 
+    def _longest_pause_s(self) -> float:
+        """Between two frames in which the microcontroller sends something."""
+        return min(asked.every for asked in self._plan.lists) / self._period_rate_hz
+
+    def _count_frames(self) -> None:
+        self.summary.frames = -(-(self._begun + self._newest + 1) // self._plan.split)
+
+    def _receive(self) -> Mapping[int, Samples]:
+        """What the microcontroller sent of the running stream; frames that were refused are told."""
+        samples = self._bus.receive()
+        refused = Counter(self._bus.refused) - self._refused_before
+        count = refused.total()
+        if count:
+            self._refused_before += refused
+            self.summary.refused += count
+            why = ", ".join(f"{number} {reason}" for reason, number in refused.most_common())
+            text = f"{counted(count, 'frame')} of the link refused: {why}"
+            self._refused.happened(self._bus.clock.now_ns(), text, count)
+        return samples
+
     def _take(self, came: Mapping[int, Samples]) -> None:
         """Put what came where it belongs; frames after the last that is wanted are left out."""
         if not came:
             return
         self._heard_ns = self._bus.clock.now_ns()
         self._newest = max(self._newest, *(int(samples.numbers[-1]) for samples in came.values()))
-        if self._frames is not None:
-            left = self._frames - self._begun
+        if self._periods is not None:
+            left = self._periods - self._begun
             self._newest = min(self._newest, left - 1)
             came = {number: _until(samples, left) for number, samples in came.items()}
-        self.summary.frames = self._begun + self._newest + 1
+        self._count_frames()
         for rows in self._rows:
             missing, why = rows.take(came, self._bus.fit.rate)
             if missing or rows.missing(self._newest) > 1:
@@ -154,7 +192,7 @@ class Streaming:
     def _set_up_again(self) -> None:
         """Stop, set up who is ill, and go on."""
         self._bus.stop()
-        self._take(self._bus.receive())
+        self._take(self._receive())
         self._repair()
 
     def _find_link(self, why: str) -> None:
@@ -178,9 +216,9 @@ class Streaming:
             rows.pending.missing = True
             rows.restart()
         self._newest = -1
-        self._bus.start(self._plan.lists, round(1e6 / self._rate_hz))
+        self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
         now_ns = self._bus.clock.now_ns()
-        left_out = max(0, round((now_ns - self._heard_ns) * 1e-9 * self._rate_hz))
+        left_out = max(0, round((now_ns - self._heard_ns) * 1e-9 * self._period_rate_hz))
         for rows in self._rows:
             self._count_lost(rows, left_out // rows.places[-1].every)
         self._begun += left_out
@@ -201,7 +239,7 @@ class Streaming:
         lost = not self._bus.streaming
         try:
             self._bus.stop()
-            self._take(self._bus.receive())
+            self._take(self._receive())
         except OSError as error:
             self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {error.strerror or error}")
             lost = True
@@ -220,13 +258,13 @@ class Streaming:
         silent that it must be).
         """
         silent_s = (self._bus.clock.now_ns() - self._heard_ns) * 1e-9
-        if not lost and silent_s <= QUIET_S + 2 / self._rate_hz:
+        if not lost and silent_s <= QUIET_S + 2 * self._longest_pause_s():
             return
-        silent = round(silent_s * self._rate_hz)
-        if self._frames is not None:
-            silent = min(silent, self._frames - self._begun - self._newest - 1)
+        silent = round(silent_s * self._period_rate_hz)
+        if self._periods is not None:
+            silent = min(silent, self._periods - self._begun - self._newest - 1)
         self._newest += max(silent, 0)
-        self.summary.frames = self._begun + self._newest + 1
+        self._count_frames()
 
     def _write(self, *, last: bool = False) -> None:
         """Decode and write what is trusted."""
@@ -234,9 +272,7 @@ class Streaming:
         for rows in self._rows:
             count = len(rows.pending.times_ns) if last else self._health.trusted_rows(rows)
             if count:
-                block = rows.pending.take(count, self._epoch_ns)
-                self._log.append(rows.pending.station.sensor.name, block)
-                self._observe(rows.pending.station.sensor.name, block)
+                self._intake.write(rows.pending, count, self._written_ns)
                 self._health.written(rows, count)
         self._troubles.settle(self._written_ns)
         self._progress(self.summary.frames)

@@ -10,7 +10,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from imuarray.acquire.care import HELD_S
+from imuarray.acquire.pending import HELD_S
 from imuarray.acquire.start_up import StartUp
 from imuarray.acquire.stream_plan import WatchPlace
 from imuarray.acquire.stream_rows import Rows, readings_at
@@ -75,7 +75,7 @@ class Health:
         for rows in self._rows:
             row = rows.pending.frozen_since()
             if row is not None and id(rows) not in self.ill:
-                lasted_s = (rows.pending.times_ns[-1] - rows.pending.times_ns[row]) * 1e-9
+                lasted_s = (rows.pending.times_ns[-1] - rows.pending.still_since_ns(row)) * 1e-9
                 rows.pending.thaw()
                 rows.pending.distrust(row)
                 self.ill[id(rows)] = rows
@@ -124,7 +124,7 @@ class Health:
         if self._start_up is not None and self._start_up.holds(rows.pending):
             return 0
         pending = rows.pending
-        waiting, held = len(pending.times_ns), pending.frozen_rows * 5 // 4
+        waiting, held = len(pending.times_ns), pending.held_rows
         if id(rows) in self.ill:  # flagged already
             return waiting
         vouched = self._vouched(rows)

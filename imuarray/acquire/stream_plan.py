@@ -3,6 +3,10 @@
 Sensors that are read in the same frames share a list; a chip slower than the frames is read as often as it has
 something new. Every list selects the channels that it needs by itself: a lost switch spoils one list. Registers
 are read back in turn, each twice in `SWEEP_S`, so that two wrong reads in a row are no more than a second apart.
+
+A chip that converts when it is asked to is visited several times for one reading. Where frames are so seldom that a
+result would be old by the next one, the microcontroller is given shorter periods, several to a frame (`Plan.split`):
+the other sensors are read in the first of them.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from dataclasses import dataclass
 from imuarray.acquire.stations import Station
 from imuarray.bus.mux import MuxChannel
 from imuarray.bus.serial_link import PollList, Request
+from imuarray.drivers import OnDemandDriver
 from imuarray.drivers.unattended import Visit, visits_of
 from imuarray.facts import pca9544a
 from imuarray.facts.registers import Setting
@@ -55,8 +60,12 @@ class WatchPlace:
 
 @dataclass(frozen=True)
 class Plan:
-    """Lists for the microcontroller, and where to look: the visits of each station, in order, and the registers."""
+    """Lists for the microcontroller, and where to look: the visits of each station, in order, and the registers.
 
+    `split` periods of the microcontroller are one frame; its frame numbers count periods.
+    """
+
+    split: int
     lists: tuple[PollList, ...]
     visits: tuple[tuple[Place, ...], ...]
     watched: tuple[WatchPlace, ...]
@@ -109,25 +118,27 @@ class _Lists:
 
 def plan(stations: Sequence[Station], rate_hz: float) -> Plan:
     """The plan for reading `stations` in `rate_hz` frames a second; ValueError for one whose queue is drained."""
+    split = _split(stations, rate_hz)
+    period_rate_hz = rate_hz * split
     lists = _Lists()
     places: dict[int, tuple[Place, ...]] = {}
     segments = list(dict.fromkeys(station.segment for station in stations))
     ordered = sorted(stations, key=lambda station: segments.index(station.segment))
     for station in ordered:
         visits = visits_of(station.sensor)
-        offsets, every = _rhythm(station, visits, rate_hz)
+        offsets, every = _rhythm(station, visits, rate_hz, split)
         places[id(station)] = tuple(
             lists.visit(station, visit, every, offset) for visit, offset in zip(visits, offsets, strict=True)
         )
     wanted = [(station, setting) for station in ordered for setting in station.driver.watched]
-    sweep = max(1, math.floor(SWEEP_S / 2 * rate_hz))
+    sweep = max(1, math.floor(SWEEP_S / 2 * period_rate_hz))
     watched = tuple(
         WatchPlace(
             station, setting, lists.visit(station, _read_back(station, setting), sweep, index * sweep // len(wanted))
         )
         for index, (station, setting) in enumerate(wanted)
     )
-    return Plan(lists.finished(), tuple(places[id(station)] for station in stations), watched)
+    return Plan(split, lists.finished(), tuple(places[id(station)] for station in stations), watched)
 
 
 def _read_back(station: Station, setting: Setting) -> Visit:
@@ -135,12 +146,20 @@ def _read_back(station: Station, setting: Setting) -> Visit:
     return Visit((Request(address, bytes([setting.register.address]), 1),))
 
 
-def _rhythm(station: Station, visits: Sequence[Visit], rate_hz: float) -> tuple[list[int], int]:
-    """In which frame after the first each visit is, and after how many frames it all begins anew."""
-    frame_ns = 1e9 / rate_hz
-    waits = [math.ceil((visit.wait_ns + _SLACK_NS) / frame_ns) if visit.wait_ns else 0 for visit in visits]
+def _split(stations: Sequence[Station], rate_hz: float) -> int:
+    """Into how many periods a frame is split: one if no result of a conversion is too old a frame later."""
+    drivers = [station.driver for station in stations if isinstance(station.driver, OnDemandDriver)]
+    return max((math.ceil(1e9 / rate_hz / driver.lasting_ns - 1e-6) for driver in drivers), default=1)
+
+
+def _rhythm(station: Station, visits: Sequence[Visit], rate_hz: float, split: int) -> tuple[list[int], int]:
+    """In which period after the first each visit is, and after how many periods it all begins anew; `split` of them
+    are a frame.
+    """
+    period_ns = 1e9 / (rate_hz * split)
+    waits = [math.ceil((visit.wait_ns + _SLACK_NS) / period_ns) if visit.wait_ns else 0 for visit in visits]
     offsets = [sum(waits[: index + 1]) for index in range(len(waits))]
     chip_rate_hz = station.sensor.chip_rate_hz
     if len(visits) > 1:
-        return offsets, max(offsets[-1] + 1, math.ceil(rate_hz / chip_rate_hz))
-    return offsets, max(1, math.floor(rate_hz / (_SLACK * chip_rate_hz)))
+        return offsets, max(offsets[-1] + 1, math.ceil(rate_hz * split / chip_rate_hz), split)
+    return offsets, split * max(1, math.floor(rate_hz / (_SLACK * chip_rate_hz)))

@@ -30,6 +30,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
         "late": "frames missed",
         "channel": "visits",
         "link": "attempts",
+        "refused": "refused",
     }
 )
 """What is counted, by kind; "times" for the others."""

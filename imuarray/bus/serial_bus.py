@@ -20,10 +20,10 @@ import numpy.typing as npt
 
 from imuarray.bus import serial_link as link
 from imuarray.bus.protocol import Bus
-from imuarray.bus.serial_clock import ClockFit, Widened
-from imuarray.bus.serial_link import Capacity, Frame, LinkError, PollList
+from imuarray.bus.serial_clock import ClockFit
+from imuarray.bus.serial_link import Capacity, LinkError, PollList
 from imuarray.bus.serial_port import Port, UsualPort, port_of
-from imuarray.bus.serial_session import PATIENCE_S, Session
+from imuarray.bus.serial_session import PATIENCE_S, Data, Session
 from imuarray.clock import Clock, MonotonicClock, sleep_for
 from imuarray.errors import BusUrlError
 
@@ -59,9 +59,6 @@ class SerialBus:
     ) -> None:
         self.clock: Clock = MonotonicClock() if clock is None else clock
         self._session = Session(open_port, self.clock, patience_s)
-        self._numbers = Widened(link.SEQUENCES, 0)
-        self._numbered_us = 0
-        self._sizes: dict[int, int] = {}
         self._period_us = 0
         self._behind = False
         self._lost = False
@@ -81,6 +78,11 @@ class SerialBus:
     def skipped(self) -> int:
         """Bytes that came and belonged to no frame."""
         return self._session.skipped
+
+    @property
+    def refused(self) -> Mapping[str, int]:
+        """Frames with a good checksum that were not taken, by reason: old, repeated, out of order, of another boot."""
+        return self._session.refused
 
     @property
     def streaming(self) -> bool:
@@ -128,9 +130,7 @@ class SerialBus:
             )
         for number, asked in enumerate(lists):
             self._do(link.LIST, link.list_payload(number, asked), f"list {number}")
-        self._sizes = {number: asked.size for number, asked in enumerate(lists)}
-        self._do(link.START, link.start_payload(period_us), "start")
-        self._numbers, self._numbered_us = Widened(link.SEQUENCES, 0), self._session.started_us
+        link.outcome_of(self._session.start(lists, period_us), 0, "start")
         self._period_us = period_us
 
     def stop(self) -> None:
@@ -150,8 +150,8 @@ class SerialBus:
             until_ns = self.clock.now_ns() + round(NAP_S * 1e9)
             while not self._behind and self._session.read() == 0 and self.clock.now_ns() < until_ns:
                 pass
-        frames, sent_us = self._session.collect()
-        return self._by_list(frames, sent_us) if frames else {}
+        data = self._session.collect()
+        return self._by_list(data) if data.frames else {}
 
     def reconnect(self, patience_s: float = PATIENCE_S) -> None:
         """Open the port anew and begin from the beginning, after it was unplugged or its microcontroller was reset: the
@@ -164,22 +164,18 @@ class SerialBus:
     def _do(self, kind: int, payload: bytes, what: str) -> None:
         link.outcome_of(self._session.ask(kind, payload).payload, 0, what)
 
-    def _by_list(self, frames: Sequence[Frame], sent_us: npt.NDArray[np.int64]) -> dict[int, Samples]:
-        """Frames as matrices, one a list; what no list of ours can have sent is left out."""
-        elapsed = (int(sent_us[0]) - self._numbered_us) / self._period_us if self._period_us else 0.0
-        numbers = self._numbers.widen(np.fromiter((frame.sequence for frame in frames), np.int64, len(frames)), elapsed)
-        self._numbered_us = int(sent_us[-1])
-        sent_ns = self.fit.host_ns(sent_us * 1000)
+    def _by_list(self, data: Data) -> dict[int, Samples]:
+        """Frames as matrices, one a list."""
+        sent_ns = self.fit.host_ns(data.sent_us * 1000)
         rows: dict[int, list[int]] = defaultdict(list)
-        for row, (_, _, _, payload) in enumerate(frames):
-            if payload and self._sizes.get(payload[0]) == len(payload):
-                rows[payload[0]].append(row)
-        found = {}
+        for row, frame in enumerate(data.frames):
+            rows[frame.payload[0]].append(row)
+        samples = {}
         for number, where in sorted(rows.items()):
-            together = b"".join([frames[row].payload for row in where])
+            together = b"".join([data.frames[row].payload for row in where])
             matrix = np.frombuffer(together, np.uint8).reshape(len(where), -1)
-            found[number] = Samples(numbers[where], sent_ns[where], matrix[:, 1:])
-        return found
+            samples[number] = Samples(data.numbers[where], sent_ns[where], matrix[:, 1:])
+        return samples
 
     def __enter__(self) -> Self:
         return self

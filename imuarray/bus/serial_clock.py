@@ -1,18 +1,19 @@
 """From the microcontroller's counters to the host's clock.
 
-Counters on the link are 16 and 32 bits wide and start over; `Widened` goes on counting. A frame can arrive late but
-never early, so that of all straight lines through (sent, arrived) the right one lies under every point, and close to
-the earliest: the edge of the lower convex hull that spans the middle of the data, which is the line under all points
-with the least sum of distances to them (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network
-delay measurements", INFOCOM 1999; Zhang, Liu and Xia, INFOCOM 2002, for the hull). Late deliveries, however many and
-however late, don't move it.
+Counters on the link are 16 and 32 bits wide and start over; `nearest` says which turn is meant.
+
+A frame can arrive late but never early, so that of all straight lines through (sent, arrived) the right one lies under
+every point, and close to the earliest: the edge of the lower convex hull that spans the middle of the data, which is
+the line under all points with the least sum of distances to them (Moon, Skelly and Towsley, "Estimation and removal of
+clock skew from network delay measurements", INFOCOM 1999; Zhang, Liu and Xia, INFOCOM 2002, for the hull). Late
+deliveries, however many and however late, don't move it.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -30,29 +31,17 @@ MIN_SPAN_NS = 200_000_000
 REFIT_NS = 1_000_000_000
 SLEW_NS = 2_000_000_000
 """A better fit is approached over so long, instead of jumped to."""
+RECENT_BLOCKS = 64
+"""The quickest delivery of these says what the microcontroller's counter shows now."""
 
 
-class Widened:
-    """A counter of `modulus` steps that starts over, as a number that doesn't: `last` is the newest."""
-
-    def __init__(self, modulus: int, last: int | None = None) -> None:
-        self.modulus = modulus
-        self.last = last
-
-    def widen(self, values: npt.NDArray[Any], elapsed: float = 0.0) -> Times:
-        """The values (n,), never decreasing, widened. `elapsed` is about how far the first is from `last` by another
-        clock, right to half a modulus: without it a silence of a whole turn would go unseen.
-        """
-        wide = np.asarray(values, np.int64)
-        if len(wide) == 0:
-            return wide
-        before = int(wide[0]) if self.last is None else self.last
-        steps = np.diff(wide, prepend=before) % self.modulus
-        turns = round((elapsed - int(steps[0])) / self.modulus)
-        steps[0] += max(turns, 0) * self.modulus
-        wide = before + np.cumsum(steps)
-        self.last = int(wide[-1])
-        return wide
+def nearest(values: Times, modulus: int, expected: int) -> Times:
+    """The numbers (n,) that a counter of `modulus` (even) steps shows as `values` (n,), the nearest to `expected`; of
+    two equally near ones the lower.
+    """
+    half = modulus // 2
+    numbers: Times = expected - half + (values - expected + half) % modulus
+    return numbers
 
 
 class ClockFit:
@@ -85,6 +74,23 @@ class ClockFit:
             self._arrived_ns.append(arrived_ns)
         elif arrived_ns - self._arrived_ns[-1] < self.rate * (sent_ns - self._sent_ns[-1]):
             self._sent_ns[-1], self._arrived_ns[-1] = sent_ns, arrived_ns
+
+    @property
+    def newest_arrival_ns(self) -> int:
+        """When the newest thing that was added had arrived; ValueError before anything was added."""
+        if not self._arrived_ns:
+            raise ValueError("a clock fit without data")
+        return self._arrived_ns[-1]
+
+    def latest_sent_ns(self, arrived_ns: int) -> int | None:
+        """The microcontroller's time at which a frame that arrives here at `arrived_ns` was sent, if it came as quickly
+        as the quickest of late; None before anything was added.
+        """
+        recent = zip(reversed(self._sent_ns), reversed(self._arrived_ns), strict=True)
+        return max(
+            (sent + round((arrived_ns - arrived) / self.rate) for sent, arrived in islice(recent, RECENT_BLOCKS)),
+            default=None,
+        )
 
     def host_ns(self, sent_ns: Times) -> Times:
         """Our time of each of the times (n,) of the microcontroller; ValueError before anything was added."""

@@ -36,6 +36,8 @@ acknowledges is tried a second time. STOP forgets all lists. What comes in betwe
 `age` is how many microseconds before `time` the request's START was on the wire; FFFF in its place means that nobody
 acknowledged, FFFE that the clock was held too long, and the bytes are 0. A microcontroller that comes late leaves
 frames out, and one whose line is full leaves out what it would have sent; their numbers are missing.
+
+A host refuses DATA that can't be of the running stream; `imuarray.bus.serial_admission` says how it tells.
 """
 
 from __future__ import annotations

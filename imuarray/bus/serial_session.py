@@ -1,20 +1,24 @@
 """One conversation with a microcontroller: commands and their answers, and whatever else comes in between.
 
 What is read is sorted as it arrives: answers wait for whoever asked, data for whoever collects it, with the counter's
-time widened. Every arrival tells something about the microcontroller's clock.
+time widened by the host's clock. A frame that this boot of the microcontroller can't have sent by now is refused, and
+so is data that the running stream does not contain (`serial_admission`). Every frame that is taken tells something
+about the microcontroller's clock.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.bus import serial_link as link
-from imuarray.bus.serial_clock import ClockFit, Widened
-from imuarray.bus.serial_link import Capacity, Frame, LinkError
+from imuarray.bus.serial_admission import ANOTHER_TIME, MEANINGLESS, UNASKED, Admission
+from imuarray.bus.serial_clock import MAX_DRIFT, ClockFit, Times, nearest
+from imuarray.bus.serial_link import Capacity, Frame, LinkError, PollList
 from imuarray.bus.serial_port import Port, port_errors
 from imuarray.clock import Clock, sleep_for
 
@@ -27,24 +31,65 @@ PINGS = 8
 PING_S = 0.04
 """Between them: a third of a second tells how fast the microcontroller's clock runs, to a part in ten thousand."""
 DRAIN_READS = 64
+EARLY_NS = 10_000_000
+"""How much quicker a delivery may be than the quickest of the last seconds, which an adapter that collects bytes for
+16 ms has delivered in less than one. What seems to arrive earlier than that was sent by another boot."""
+LEARNT_NS = 1_000_000
+"""By how much one piece of data may shift the fit of the microcontroller's clock: a false frame shifts it no more."""
+
+_ANEW_NS = 2 * round(TRIES * ANSWER_S * 1e9)
+"""Time for a greeting that begins anew, once somebody has answered at all."""
+
+_NONE: Times = np.empty(0, np.int64)
+
+
+class Data(NamedTuple):
+    """Data of the running stream, in its order: frames, their widened numbers (n,), and when each was sent (n,), in
+    microseconds of the widened counter.
+    """
+
+    frames: list[Frame]
+    numbers: Times
+    sent_us: Times
+
+
+class _Answer(NamedTuple):
+    frame: Frame
+    sent_us: int
+    arrived_ns: int
+
+
+class _Piece(NamedTuple):
+    """Data frames that were read together, and when they were sent (n,): by `arrived_ns` they had arrived, and not much
+    earlier if it is `tight`.
+    """
+
+    frames: Sequence[Frame]
+    sent_us: Times
+    arrived_ns: int
+    tight: bool
+
+    def since(self, sent_us: int) -> _Piece:
+        """Those that were sent from `sent_us` on, whose arrival says nothing of the way here."""
+        places = np.flatnonzero(self.sent_us >= sent_us)
+        frames = [self.frames[place] for place in places.tolist()]
+        return _Piece(frames, self.sent_us[places], self.arrived_ns, False)
 
 
 class Session:
     """With whoever is on the port that `open_port` opens; LinkError if that is nobody who speaks the link.
 
     `clock` is the host's, `fit` leads to it from the microcontroller's; `skipped` counts bytes that belonged to no
-    frame, `started_us` is when the last START was answered.
+    frame, `refused` frames that were not taken, by reason.
     """
 
     def __init__(self, open_port: Callable[[], Port], clock: Clock, patience_s: float) -> None:
         self.clock = clock
         self.fit = ClockFit()
         self.skipped = 0
+        self.refused: Counter[str] = Counter()
         self._open_port = open_port
         self._sequence = 0
-        self._answers: list[Frame] = []
-        self._data: list[Frame] = []
-        self._data_us: list[npt.NDArray[np.int64]] = []
         self.port = open_port()
         try:
             self.capacity = self._greet(patience_s)
@@ -61,57 +106,94 @@ class Session:
         self.capacity = self._greet(patience_s)
 
     def _greet(self, patience_s: float) -> Capacity:
-        """HELLO until somebody answers, then a few times more to see how long an answer takes."""
+        """HELLO until somebody answers, then a few times more to see how long an answer takes. A left-over answer to
+        an earlier program does not fit to the answers that follow; then all begins anew.
+        """
         self._deframer = link.Deframer()
-        self._forget()
         until_ns = self.clock.now_ns() + round(patience_s * 1e9)
+        answered = False
         while True:
+            self._forget()
             try:
-                self.ask(link.HELLO)
+                capacity = link.capacity_of(self.ask(link.HELLO).payload)
+                until_ns, answered = until_ns if answered else max(until_ns, self.clock.now_ns() + _ANEW_NS), True
+                if capacity.version == link.VERSION:
+                    self._measure_trip()
                 break
             except LinkError:
                 if self.clock.now_ns() >= until_ns:
                     raise
                 sleep_for(self.clock, PING_S)
+        if capacity.version != link.VERSION:
+            raise LinkError(f"the microcontroller speaks version {capacity.version} of the link, not {link.VERSION}")
+        return capacity
+
+    def _measure_trip(self) -> None:
+        """Take half of the quickest way there and back for the quickest way back."""
         self._forget()
         trips_ns = []
         for _ in range(PINGS):
             sleep_for(self.clock, PING_S)
             begun_ns = self.clock.now_ns()
-            answer = self.ask(link.HELLO)
+            self.ask(link.HELLO)
             trips_ns.append(self.clock.now_ns() - begun_ns)
         self.fit.latency_ns = min(trips_ns) // 2
-        capacity = link.capacity_of(answer.payload)
-        if capacity.version != link.VERSION:
-            raise LinkError(f"the microcontroller speaks version {capacity.version} of the link, not {link.VERSION}")
-        return capacity
 
     def _forget(self) -> None:
-        """What came before belongs to another session, perhaps to another life of the microcontroller."""
-        self._times = Widened(link.TIMES_US)
-        self._heard_ns = self.clock.now_ns()
-        self.started_us = 0
-        self._answers.clear()
-        self._data.clear()
-        self._data_us.clear()
+        """What came before belongs to another session, perhaps to another boot of the microcontroller."""
+        self._answers: list[_Answer] = []
+        self._pieces: list[_Piece] = []
+        self._newest: tuple[int, int] | None = None
+        """When the newest frame of the running stream was sent (us) and had arrived (ns)."""
+        self._admission: Admission | None = None
         self.fit.restart()
+
+    def start(self, lists: Sequence[PollList], period_us: int) -> bytes:
+        """START: what is sent from its answer on is the data of these lists. The payload of the answer; LinkError."""
+        answer = self._ask(link.START, link.start_payload(period_us))
+        self._pieces = [piece.since(answer.sent_us) for piece in self._pieces]
+        self._newest = None
+        self._admission = Admission(lists, period_us, answer.sent_us, self.refused)
+        return answer.frame.payload
 
     def ask(self, kind: int, payload: bytes = b"") -> Frame:
         """One command and its answer; the same again when none comes; LinkError."""
+        return self._ask(kind, payload).frame
+
+    def _ask(self, kind: int, payload: bytes) -> _Answer:
         self._sequence = (self._sequence + 1) % link.SEQUENCES
         command = link.framed(kind, self._sequence, payload)
+        self.refused[UNASKED] += len(self._answers)
         self._answers.clear()
+        asked_ns = self.clock.now_ns()
         for _ in range(TRIES):
             with port_errors():
                 self.port.write(command)
             until_ns = self.clock.now_ns() + round(ANSWER_S * 1e9)
             while self.clock.now_ns() < until_ns:
                 self.read()
-                for answer in self._answers:
-                    if answer.kind == kind | link.ANSWER and answer.sequence == self._sequence:
-                        return answer
+                answer = self._answer_to(kind, asked_ns)
+                if answer is not None:
+                    return answer
             self._take(self._deframer.feed(b"", final=True), self.clock.now_ns(), tight=False)
         raise LinkError("the microcontroller does not answer")
+
+    def _answer_to(self, kind: int, asked_ns: int) -> _Answer | None:
+        """The answer to the last command, which was asked at `asked_ns`. An earlier command of the same number may
+        have been answered by the same kind of frame: that one was sent before.
+        """
+        since_us = self._latest_us(asked_ns)
+        answers, self._answers = self._answers, []
+        for index, answer in enumerate(answers):
+            if answer.frame.kind != kind | link.ANSWER or answer.frame.sequence != self._sequence:
+                self.refused[UNASKED] += 1
+            elif since_us is not None and answer.sent_us < since_us - self._early_us(asked_ns):
+                self.refused[ANOTHER_TIME] += 1
+            else:
+                self._answers = answers[index + 1 :]
+                self.fit.add(answer.sent_us * 1000, answer.arrived_ns)
+                return answer
+        return None
 
     def drain(self) -> int:
         """Read what waits, since when is not known; how many bytes there were."""
@@ -134,37 +216,82 @@ class Session:
         self._take(frames, self.clock.now_ns(), tight=True)
         return len(frames)
 
-    def collect(self) -> tuple[list[Frame], npt.NDArray[np.int64]]:
-        """The data that has come, and when it was sent, in microseconds of the widened counter."""
-        frames = self._data.copy()
-        sent_us = np.concatenate(self._data_us) if frames else np.empty(0, np.int64)
-        self._data.clear()
-        self._data_us.clear()
-        self._answers.clear()  # nobody asked
-        return frames, sent_us
+    def collect(self) -> Data:
+        """The data of the running stream that has come since the last call."""
+        pieces, self._pieces = [piece for piece in self._pieces if piece.frames], []
+        self.refused[UNASKED] += len(self._answers)
+        self._answers.clear()
+        if self._admission is None or not pieces:
+            return Data([], _NONE, _NONE)
+        frames = [frame for piece in pieces for frame in piece.frames]
+        sent_us = np.concatenate([piece.sent_us for piece in pieces])
+        numbers, places = self._admission.admit(frames, sent_us)
+        self._learn(np.sort(places), sent_us, pieces)
+        return Data([frames[place] for place in places.tolist()], numbers, sent_us[places])
+
+    def _learn(self, admitted: Times, sent_us: Times, pieces: Sequence[_Piece]) -> None:
+        """Tell the fit when the newest admitted frame of each piece that was read as it arrived was sent."""
+        start = 0
+        for piece in pieces:
+            end = start + len(piece.frames)
+            first, last = np.searchsorted(admitted, (start, end))
+            start = end
+            if first == last:
+                continue
+            newest_us = int(sent_us[admitted[first:last]].max())
+            if self._newest is not None and newest_us <= self._newest[0]:
+                continue
+            self._newest = newest_us, piece.arrived_ns
+            latest_ns = self.fit.latest_sent_ns(piece.arrived_ns)
+            if piece.tight and latest_ns is not None:
+                self.fit.add(min(newest_us * 1000, latest_ns + LEARNT_NS), piece.arrived_ns)
+
+    def _latest_us(self, arrived_ns: int) -> int | None:
+        """The count of the microcontroller at which a frame that arrives at `arrived_ns` is sent at the latest, if its
+        delivery is as quick as the quickest of the last seconds; None while nothing is known of the counter.
+        """
+        latest_ns = self.fit.latest_sent_ns(arrived_ns)
+        return None if latest_ns is None else latest_ns // 1000
+
+    def _early_us(self, at_ns: int) -> int:
+        """How much later than `_latest_us` a frame may have been sent: the counter's drift is known only so well."""
+        return (EARLY_NS + round(MAX_DRIFT * max(at_ns - self.fit.newest_arrival_ns, 0))) // 1000
+
+    def _bound_us(self, latest_us: int, arrived_ns: int) -> int:
+        """No frame of this boot that has arrived by `arrived_ns` was sent later. While the host is behind nothing is
+        learnt of the quickest way here: then it is no quicker than for the newest frame.
+        """
+        bound_us = latest_us + self._early_us(arrived_ns)
+        if self._newest is None:
+            return bound_us
+        return max(bound_us, self._newest[0] + round((1 + MAX_DRIFT) * (arrived_ns - self._newest[1])) // 1000)
 
     def _take(self, frames: Sequence[Frame], arrived_ns: int, *, tight: bool) -> None:
         """Sort out frames that have arrived by now; `tight`: and not much earlier."""
         self.skipped = self._deframer.skipped
         if not frames:
             return
-        times = np.fromiter((frame.time_us for frame in frames), np.int64, len(frames))
-        sent_us = self._times.widen(times, (arrived_ns - self._heard_ns) / 1000)
-        self._heard_ns = arrived_ns
-        if tight:
-            self.fit.add(int(sent_us[-1]) * 1000, arrived_ns)
-        data = [frame.kind == link.DATA for frame in frames]
-        if all(data):
-            self._data += frames
-            self._data_us.append(sent_us)
+        latest_us = self._latest_us(arrived_ns)
+        if latest_us is None:  # data from before the first answer is of an earlier program
+            answers = [frame for frame in frames if _is_answer(frame)]
+            self._answers += [_Answer(frame, frame.time_us, arrived_ns) for frame in answers]
             return
-        for index, frame in enumerate(frames):
-            if frame.kind == link.START | link.ANSWER:  # whatever came before it is older
-                self._data.clear()
-                self._data_us.clear()
-                self.started_us = int(sent_us[index])
-            if frame.kind == link.DATA:
-                self._data.append(frame)
-                self._data_us.append(sent_us[index : index + 1])
-            else:
-                self._answers.append(frame)
+        times = np.fromiter((frame.time_us for frame in frames), np.int64, len(frames))
+        sent_us = nearest(times, link.TIMES_US, latest_us)
+        data = np.fromiter((frame.kind == link.DATA for frame in frames), np.bool_, len(frames))
+        sent = sent_us <= self._bound_us(latest_us, arrived_ns)
+        if not (data & sent).all():
+            self.refused[ANOTHER_TIME] += int(np.count_nonzero(~sent))
+            for place in np.flatnonzero(sent & ~data).tolist():
+                if _is_answer(frames[place]):
+                    self._answers.append(_Answer(frames[place], int(sent_us[place]), arrived_ns))
+                else:
+                    self.refused[MEANINGLESS] += 1
+            places = np.flatnonzero(sent & data)
+            frames, sent_us = [frames[place] for place in places.tolist()], sent_us[places]
+        if frames:
+            self._pieces.append(_Piece(frames, sent_us, arrived_ns, tight))
+
+
+def _is_answer(frame: Frame) -> bool:
+    return frame.kind & link.ANSWER != 0 and frame.kind != link.DATA

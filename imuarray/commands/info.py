@@ -35,8 +35,9 @@ def command(run: Path, as_json: bool) -> None:
 
 def describe(log: Log) -> dict[str, Any]:
     """The log as one JSON-ready object."""
-    from imuarray.log.pace import missed_frames
+    from imuarray.log.pace import pace_of
 
+    pace = pace_of(log)
     return {
         "log": str(log.path),
         "state": log.state,
@@ -46,7 +47,8 @@ def describe(log: Log) -> dict[str, Any]:
         **_span(log),
         "software": log.software,
         "frame_rate_hz": log.frame_rate_hz or None,
-        "missed": missed_frames(log),
+        "seconds": pace.seconds,
+        "missed": pace.missed,
         "sensors": [_sensor(sensor) for sensor in log.sensors.values()],
         "phases": [
             {"name": phase.name, "up": phase.up, "start_s": phase.start_ns * 1e-9, "end_s": phase.end_ns * 1e-9}
@@ -105,7 +107,7 @@ def _print(summary: dict[str, Any]) -> None:
     emulated = " (no hardware)" if summary["source"] == "emulated" else ""
     _say(f"{summary['log']}: {summary['source']}{emulated}, from {summary['epoch']}, written by {summary['software']}")
     if summary["begins"]:
-        _say(f"  rows from {summary['begins']} to {summary['ends']}")
+        _say(f"  rows from {summary['begins']} to {summary['ends']}, {summary['seconds']:.1f} s")
     if summary["state"] != "finished":
         hint = f"; imuarray recover {summary['log']} finishes it" if summary["state"] == "interrupted" else ""
         shown = "what could be read" if summary["losses"] else "all that was acknowledged"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from imuarray.acquire import Summary
     from imuarray.commands.log_fusion import LiveFusion
 
-_CARRIES = ("bus", "channel", "link", "adapter")
+_CARRIES = ("bus", "channel", "link", "adapter", "refused")
 """Kinds of events of no one sensor that cost readings."""
 _NAMED = 3
 
@@ -32,6 +32,7 @@ def tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion
                 "late": summary.late,
                 "missed": summary.missed,
                 "uncertain": summary.uncertain,
+                "refused": summary.refused,
                 "lost": lost,
                 "silent": summary.silent,
                 "seconds": summary.seconds,
@@ -52,6 +53,8 @@ def tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion
         click.echo(f"  {missed} missed: the array can't be read so fast, or this machine was busy")
     if summary.uncertain:
         click.echo(f"  {counted(summary.uncertain, 'reading')} whose time is uncertain by a millisecond or more")
+    if summary.refused:
+        click.echo(f"  {counted(summary.refused, 'frame')} of the link refused: old, repeated, out of order or unasked")
     for name, count in lost.items():
         first, *further = _told_in(summary.logs, name)
         more = f", {', '.join(path.name for path in further[:_NAMED])}" if further else ""

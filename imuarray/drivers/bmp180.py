@@ -8,6 +8,7 @@ its words mean in degrees and pascals is in `imuarray.barometer`.
 from __future__ import annotations
 
 import errno
+from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
@@ -29,7 +30,10 @@ _PRESSURE = 0xF4  # eight samples, the quietest: BMP-44
 _OVERSAMPLING = 3
 _TEMPERATURE_NS = 4_500_000  # longest conversions: BMP-40, BMP-44
 _PRESSURE_NS = 25_500_000
-_GIVE_UP_NS = 100_000_000  # a result that is older than that is not waited for, nor taken for a new one
+_LASTING_NS = 100_000_000
+"""A result that is older is not waited for, nor taken for a new one, unless every call comes so late."""
+_CALLS = 3
+"""Where so many calls in a row came late, calls are that seldom, and nothing was interrupted."""
 _UNSIGNED = ("AC4", "AC5", "AC6")  # BMP-23 ... BMP-25
 
 
@@ -39,6 +43,8 @@ class Bmp180:
     burst: ClassVar[int] = 5
     reading: ClassVar[slice] = slice(0, 5)
     tells_fresh: ClassVar[bool] = True
+    conversions_ns: ClassVar[tuple[int, ...]] = (_TEMPERATURE_NS, _PRESSURE_NS)
+    lasting_ns: ClassVar[int] = _LASTING_NS
 
     def __init__(self, bus: Bus, sensor: SensorConfig, clock: Clock) -> None:
         self.registers = registers_for(sensor, bus)
@@ -50,6 +56,13 @@ class Bmp180:
         self._done_ns = 0
         self._converting = 0
         self._temperature = b""
+        self._called_ns: int | None = None
+        self._intervals_ns: deque[int] = deque(maxlen=_CALLS)
+
+    @property
+    def ready_ns(self) -> int | None:
+        """When the conversion that was started is over; None if there is none."""
+        return self._done_ns if self._converting else None
 
     def identify(self) -> None:
         """The identity register holds 0x55 (BMP-11)."""
@@ -84,7 +97,7 @@ class Bmp180:
             sleep_for(self.clock, 0.005)
             burst, tries = self.fetch(), tries + 1
             longest_ns = max(longest_ns, self.clock.now_ns() - asked_ns)
-        if not burst and longest_ns > _GIVE_UP_NS // 2:
+        if not burst and longest_ns > _LASTING_NS // 2:
             slow = f"the bus takes {longest_ns * 1e-6:.0f} ms a question"
             return SelfTest(None, f"no self-test in the chip; {slow}, too long for a conversion to be waited for")
         if not burst:
@@ -100,7 +113,7 @@ class Bmp180:
         A call that fails with OSError changes nothing and can be repeated; EIO if a conversion is overdue (BMP-46).
         """
         now_ns = self.clock.now_ns()
-        if now_ns > self._done_ns + _GIVE_UP_NS:
+        if now_ns > self._done_ns + self._lasting_ns(now_ns):
             self._converting = 0
         if self._converting == 0:
             if now_ns >= self._due_ns:
@@ -117,6 +130,14 @@ class Bmp180:
         pressure = self._result(3)
         self._converting = 0
         return self._temperature + pressure
+
+    def _lasting_ns(self, now_ns: int) -> int:
+        """How old a result may be in this call: where calls are seldom, as old as that makes it."""
+        seldom_ns = min(self._intervals_ns) if len(self._intervals_ns) == _CALLS else 0
+        if self._called_ns is not None:
+            self._intervals_ns.append(now_ns - self._called_ns)
+        self._called_ns = now_ns
+        return max(_LASTING_NS, 2 * seldom_ns)
 
     def _start(self, command: int, done_ns: int) -> None:
         self.registers.poke(facts.CTRL_MEAS, command)

@@ -127,6 +127,22 @@ class FifoDriver(Protocol):
     queue: FifoClock
 
 
+@runtime_checkable
+class OnDemandDriver(Protocol):
+    """A driver whose chip converts when it is asked to: `fetch` looks for the result and starts what is next.
+
+    A reading consists of `conversions_ns`, in this order and at the longest. A result is taken `lasting_ns` after its
+    conversion at the latest, unless `fetch` is called more seldom than that.
+    """
+
+    conversions_ns: ClassVar[tuple[int, ...]]
+    lasting_ns: ClassVar[int]
+
+    @property
+    def ready_ns(self) -> int | None:
+        """When the conversion that was started is over at the latest; None if there is none."""
+
+
 def carry_out(clock: Clock, steps: Iterator[float]) -> None:
     """All steps of a set-up, with their waits."""
     for seconds in steps:

@@ -1,4 +1,8 @@
-"""Frames that a logger missed, told from the times of a log's rows.
+"""How long a recording is, and which of its frames the logger missed: what the logger says and what its log says.
+
+A recording lasts as long as its frames, those that were missed included: a period each. Making and finishing files
+belongs to no frame. The logger counts missed frames and tells them in events of the kind "late"; where a log's events
+are not complete (it was cut short, or is a part of a longer one) they are told from the times of its rows.
 
 A logger begins frames on a grid: frame k is due k periods behind the first one. A frame whose time has passed before
 the one before it has ended is missed; the grid stays. So the frames that are missing between two rows of a sensor that
@@ -8,11 +12,14 @@ is read once a frame are the periods between them less the rows: however many, a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.log.format import Event
 from imuarray.log.reader import Log
 from imuarray.log.sensor_log import SensorLog
 from imuarray.units import INERTIAL
@@ -23,6 +30,42 @@ _EARLY = 0.25
 """Of a period, by which a row may come too early for its frame: the first row may have taken a little longer."""
 _OWN_PACE = 1.25
 """A sensor that gives more rows than this a frame has a queue, which it fills at a pace of its own."""
+
+MISSED = re.compile(r"(in all )?(\d+) frames? missed")
+"""What an event of the kind "late" says: how many frames were missed when a delay began, or in the whole of it."""
+
+
+class Pace(NamedTuple):
+    """Missed frames (None: not known) and duration of a log in seconds."""
+
+    missed: int | None
+    seconds: float
+
+
+def frames_in(seconds: float, rate_hz: float) -> int:
+    """How many frames begin in `seconds`, at least one; a millionth of a frame is none."""
+    return max(1, math.ceil(seconds * rate_hz - 1e-6))
+
+
+def duration_s(frames: int, missed: int, rate_hz: float) -> float:
+    """How long a recording is that consists of so many frames at `rate_hz`."""
+    return (frames + missed) / rate_hz
+
+
+def missed_by_events(events: Iterable[Event]) -> int | None:
+    """Frames that events (in the order in which they were noted) tell to have been missed; None where a total is among
+    them whose beginning is not: it was told in the log before.
+    """
+    missed, first = 0, None
+    for event in events:
+        told = MISSED.match(event.message) if event.kind == "late" and not event.sensor else None
+        if told is None:
+            continue
+        if told[1] and first is None:
+            return None
+        missed += int(told[2]) - (first or 0 if told[1] else 0)
+        first = None if told[1] else int(told[2])
+    return missed
 
 
 def frame_period_ns(source: str, frame_rate_hz: float) -> int:
@@ -63,18 +106,46 @@ def missed_by_all(missing: Sequence[tuple[int, int]], frame_period_ns: int) -> i
     return min((count + (first_ns - begins_ns) // frame_period_ns for first_ns, count in missing), default=None)
 
 
-def missed_frames(log: Log) -> int | None:
-    """Frames missed between the first row and the last one of `log`; None where its rows do not say: it tells no frame
-    rate, or is of another clock.
+def pace_of(log: Log) -> Pace:
+    """Missed frames and duration of `log`.
+
+    Where the log lies on a known grid of frames the duration is that of its frames and missed frames, to one frame
+    where every sensor has lost readings. Elsewhere it is the time from its first row to its last one, and one period.
     """
     period_ns = frame_period_ns(log.source, log.frame_rate_hz)
     sensors = [sensor for sensor in log.sensors.values() if sensor.quantity in INERTIAL and len(sensor) > 1]
+    once = [sensor for sensor in sensors if is_read_once_a_frame(sensor.rate_hz, _rate_hz(sensor), period_ns)]
     missing = [
         (int(sensor.time[0]), missing_rows(int(sensor.time[0]), sensor.time[len(sensor) - 2 :], len(sensor), period_ns))
-        for sensor in sensors
-        if is_read_once_a_frame(sensor.rate_hz, _rate_hz(sensor), period_ns)
+        for sensor in once
     ]
-    return missed_by_all(missing, period_ns)
+    by_rows = missed_by_all(missing, period_ns)
+    by_events = missed_by_events(log.events)
+    if by_rows is None:
+        return Pace(by_events or None if period_ns else None, _span_s(log))
+    # Rows tell to one frame how many are missing between them, and nothing of what was missed behind the last one.
+    complete = log.state == "finished" and all(event.kind != "recovered" for event in log.events)
+    if by_events is None or (by_events == 0 and by_rows > 1):
+        missed = by_rows
+    else:
+        missed = by_events if complete else max(by_events, by_rows)
+    lost = (max(count - by_rows, 0) for _, count in missing)
+    frames = max(len(sensor) + (count if count > 1 else 0) for sensor, count in zip(once, lost, strict=True))
+    return Pace(missed, duration_s(frames, missed, log.frame_rate_hz))
+
+
+def missed_frames(log: Log) -> int | None:
+    """Frames that were missed in `log`; None where it does not say: it tells no frame rate, or is of another clock."""
+    return pace_of(log).missed
+
+
+def _span_s(log: Log) -> float:
+    """From the first row to the last one, and one frame."""
+    rows = [sensor for sensor in log.sensors.values() if len(sensor)]
+    if not rows:
+        return 0.0
+    first, last = min(int(sensor.time[0]) for sensor in rows), max(int(sensor.time[-1]) for sensor in rows)
+    return (last - first) * 1e-9 + (1 / log.frame_rate_hz if log.frame_rate_hz > 0 else 0.0)
 
 
 def _rate_hz(sensor: SensorLog) -> float:

@@ -120,8 +120,11 @@ class RotatingWriter:
         self._origin_ns = time_ns
         self._started(time_ns)
 
+    def part_at(self, time_ns: int) -> int:
+        """The number of the part in which this time lies, counted from 0."""
+        return self._number(time_ns)
+
     def _number(self, time_ns: int) -> int:
-        """Of the part in which this time lies."""
         return (time_ns - self._origin_ns) // self._every_ns
 
     def _span_ns(self, number: int) -> tuple[int, int]:

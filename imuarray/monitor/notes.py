@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -14,14 +13,13 @@ import numpy.typing as npt
 from imuarray.errors import LogError
 from imuarray.log.format import Event
 from imuarray.log.layout import Notes
+from imuarray.log.pace import MISSED
 
 KEPT = 50
 """Events that are kept to be shown."""
 
 HARMLESS = frozenset({"back", "reconfigured", "clock", "start_up", "recovered"})
 """Kinds of events that tell of no trouble, or of its end."""
-
-_MISSED = re.compile(r"(in all )?(\d+) frames? missed")
 
 _MOST_BYTES = 1 << 20
 """Of earlier notes that are read, the last ones: some ten thousand events."""
@@ -68,7 +66,7 @@ class Told:
         for event in events:
             self._kinds[event.kind] += 1
             self._last.append(event)
-            if event.kind == "late" and not event.sensor and (told := _MISSED.match(event.message)):
+            if event.kind == "late" and not event.sensor and (told := MISSED.match(event.message)):
                 frames = int(told[2])  # "in all" holds what was told when it began
                 self.missed += frames - (self._missed_first if told[1] else 0)
                 self._missed_first = 0 if told[1] else frames

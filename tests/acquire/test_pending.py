@@ -118,3 +118,37 @@ def test_a_frozen_chip_that_a_set_up_did_not_change_is_flagged_from_its_first_re
     ours.flag_what_is_frozen_still()
     status = ours.take(80, 0).status
     np.testing.assert_array_equal((status & SUSPECT) != 0, np.arange(80) < 70)
+
+
+STEP_NS = 5_000_000_000
+
+
+def test_a_reading_that_stands_still_is_found_across_rows_that_were_written() -> None:
+    """24 equal readings are too many to wait for at one in five seconds; the two newest rows wait."""
+    (station,) = route(ARRAY, open_bus("emulated:", ARRAY))
+    ours = Pending(station, 0.2)
+    assert ours.held_rows == 2  # ten seconds of them
+    for index in range(30):
+        ours.add(burst_of(index), index * STEP_NS)
+        if len(ours.times_ns) > 2:
+            ours.take(len(ours.times_ns) - 2, 0)
+    for index in range(30, 53):
+        assert ours.frozen_since() is None
+        ours.add(burst_of(77), index * STEP_NS)
+        ours.take(len(ours.times_ns) - 2, 0)
+    assert ours.frozen_since() is None
+    ours.add(burst_of(77), 53 * STEP_NS)
+    assert ours.frozen_since() == 0
+    assert ours.still_since_ns(0) == 30 * STEP_NS
+    ours.begin_anew()
+    for index in range(54, 77):
+        ours.add(burst_of(77), index * STEP_NS)
+        ours.take(len(ours.times_ns) - 2, 0)
+        assert ours.frozen_since() is None  # what was before the set-up does not count
+    ours.add(burst_of(77), 77 * STEP_NS)
+    assert ours.frozen_since() == 0
+    assert ours.still_since_ns(0) == 54 * STEP_NS
+
+
+def test_at_a_usual_rate_rows_wait_for_a_second_and_a_quarter() -> None:
+    assert pending().held_rows == 62  # of 50 a second: 50 readings that stand still are no chance

@@ -445,9 +445,11 @@ class TestPlan:
         assert max(per_frame) - min(per_frame) <= 1
 
     def test_conversions_have_their_time(self) -> None:
-        for rate_hz in (1.0, 30.0, 100.0, 200.0, 1000.0):
+        for rate_hz in (0.1, 1.0, 9.0, 30.0, 100.0, 200.0, 1000.0):
             found, _, array = self.the(rate_hz)
             start, temperature, pressure = found.visits[[sensor.name for sensor in array.sensors].index("BMP180")]
-            assert (temperature.offset - start.offset) / rate_hz > 4.5e-3  # BMP-40
-            assert (pressure.offset - temperature.offset) / rate_hz > 25.5e-3  # BMP-44
+            period_s = 1 / (rate_hz * found.split)
+            assert 4.5e-3 < (temperature.offset - start.offset) * period_s <= 0.1 + 4.5e-3  # BMP-40, and not old
+            assert 25.5e-3 < (pressure.offset - temperature.offset) * period_s <= 0.1 + 25.5e-3  # BMP-44
             assert pressure.offset < start.every
+            assert start.every * period_s <= max(1 / rate_hz, 1 / 4, 3 * period_s) + period_s

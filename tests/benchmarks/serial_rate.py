@@ -29,13 +29,14 @@ from imuarray.acquire.stations import connect
 from imuarray.acquire.stream_plan import plan
 from imuarray.array import load_array
 from imuarray.bus.serial_bus import SerialBus, open_serial
-from imuarray.bus.serial_link import DATA, SYNC, framed
+from imuarray.bus.serial_link import DATA, STOP, SYNC, TIMES_US, PollList, framed
 from imuarray.bus.serial_port import usual_port
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 OURS_S, PEER_S = 2.0, 2.0
 FRAMES = 1 << 16
-PERIOD_US = 5000
+PERIOD_US = 1 << 16
+"""Times and numbers of the frames begin anew together, so that the stream can be sent again and again."""
 FLOOD = "import os, sys\nwith open(sys.argv[2], 'rb') as file:\n    data = file.read()\nfd = int(sys.argv[1])\n"
 FLOOD += (
     "os.set_blocking(fd, True)\nat = 0\nwhile True:\n    at = (at + os.write(fd, data[at : at + 65536])) % len(data)\n"
@@ -68,11 +69,16 @@ def measured() -> tuple[float, float]:
     with SerialPort(Firmware(emulated, emulated.clock)) as port, tempfile.TemporaryDirectory() as folder:
         with answered(port), open_serial(port.path) as bus:
             asked = plan(connect(array, bus), 200.0).lists[:1]
-        stream = Path(folder) / "stream.bin"
-        stream.write_bytes(b"".join(frame_of(number, asked[0].size) for number in range(FRAMES)))
+        size = asked[0].size
+        asked = (PollList(1, 0, asked[0].requests),)
         with answered(port):
             bus = open_serial(port.path)
-            bus.start(asked, 3_600_000_000)
+            bus.start(asked, PERIOD_US)
+            started_us = bus._session._admission._newest_us  # type: ignore[union-attr]
+            bus._session.ask(STOP)  # the emulated one is silent from now on
+        stream = Path(folder) / "stream.bin"
+        stream.write_bytes(b"".join(frame_of(number, size, started_us) for number in range(FRAMES)))
+        begin(bus, len(frame_of(0, size)))
         with flooded(port, stream):
             ours = bulk(bus)
             bus._session.port.close()
@@ -80,11 +86,42 @@ def measured() -> tuple[float, float]:
     return ours, peer
 
 
-def frame_of(number: int, size: int) -> bytes:
+class Paced:
+    """The port, and a clock that goes on as its bytes are read: as if each frame had come when it was sent."""
+
+    def __init__(self, port: Any, frame_bytes: int, begun_ns: int) -> None:
+        self.port, self.frame_bytes, self.begun_ns, self.count = port, frame_bytes, begun_ns, 0
+
+    def now_ns(self) -> int:
+        return self.begun_ns + self.count * PERIOD_US * 1000 // self.frame_bytes
+
+    def sleep_until(self, at_ns: int) -> None:
+        """Bytes alone make time pass."""
+
+    @property
+    def in_waiting(self) -> int:
+        return int(self.port.in_waiting)
+
+    def read(self, size: int = 1, /) -> bytes:
+        data: bytes = self.port.read(size)
+        self.count += len(data)
+        return data
+
+    def close(self) -> None:
+        self.port.close()
+
+
+def begin(bus: SerialBus, frame_bytes: int) -> None:
+    """From now on time passes with what is read."""
+    paced: Any = Paced(bus._session.port, frame_bytes, bus.clock.now_ns())
+    bus._session.port = bus._session.clock = bus.clock = paced
+
+
+def frame_of(number: int, size: int, started_us: int = 0) -> bytes:
     """What the microcontroller sends in this frame; readings are noise without a sync in it."""
     draw = zlib.crc32(number.to_bytes(4, "little")).to_bytes(4, "little") * size
     payload = b"\0" + draw[: size - 1].replace(SYNC[:1], b"\0")
-    return framed(DATA, number, payload, number * PERIOD_US)
+    return framed(DATA, number, payload, (started_us + number * PERIOD_US) % TIMES_US)
 
 
 def bulk(bus: SerialBus) -> float:

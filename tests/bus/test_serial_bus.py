@@ -106,6 +106,45 @@ def test_a_late_answer_to_another_command_is_none() -> None:
         assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
 
 
+@pytest.mark.parametrize("counter_us", [5_000_000, (1 << 32) - 1_000_000])
+def test_answers_of_earlier_boots_are_none(counter_us: int) -> None:
+    """Commands are numbered from 1 in each session, so that an earlier boot has answered the same numbers."""
+    earlier = Bench(ARRAY, counter_us=counter_us)
+    kept: list[bytes] = []
+    earlier.delivered = lambda piece: kept.append(piece) or piece  # type: ignore[func-returns-value]
+    with earlier.bus() as bus:
+        for _ in range(40):
+            bus.transfer(DEVICE, b"\x1e", 1)  # 0: not what the other command reads
+    bench = Bench(ARRAY, counter_us=900_000_000)
+    with bench.bus() as bus:
+        draw = np.random.default_rng(2)
+        bench.delivered = lambda piece: b"".join(kept[at] for at in draw.permutation(len(kept))) + piece
+        assert [bus.transfer(DEVICE, b"\x00", 1) for _ in range(40)] == [b"\xe5"] * 40
+        bench.delivered = lambda piece: piece
+        bus.start([PollList(1, 0, (DEVID,))], 5000)
+        bench.sent += b"".join(kept)  # a START of the earlier boot among them would begin anew
+        numbers, _, payloads = received(bus, 0, 20)
+        assert numbers == list(range(len(numbers)))
+        assert set(payloads[:, 2].tolist()) == {0xE5}
+        assert sum(bus.refused.values()) == 41 * len(kept)
+
+
+def test_a_left_over_answer_to_hello_does_not_set_the_clock() -> None:
+    """It is of the first command's number, and arrives before the true one."""
+    bench = Bench(ARRAY, counter_us=900_000_000)
+    stale = iter([framed(0x01 | ANSWER, 2, b"\x01\x80\x00\x06", 77_000_000)])
+    count = 0
+
+    def delivered(piece: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        return next(stale, b"") + piece if count == 2 else piece  # the second HELLO is the first that sets the clock
+
+    bench.delivered = delivered
+    with bench.bus() as bus:
+        assert bus.transfer(DEVICE, b"\x00", 1) == b"\xe5"
+
+
 def test_silence() -> None:
     bench = Bench(ARRAY)
     with bench.bus() as bus:

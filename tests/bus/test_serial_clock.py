@@ -8,44 +8,36 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from imuarray.bus.serial_clock import SLEW_NS, ClockFit, Widened, line_under
+from imuarray.bus.serial_clock import SLEW_NS, ClockFit, line_under, nearest
 
 S = 1_000_000_000
 
 
 @settings(deadline=None)
-@given(
-    st.integers(0, 2**40),
-    st.lists(st.lists(st.integers(0, 60_000), min_size=1, max_size=20), max_size=8),
-)
-def test_a_counter_of_sixteen_bits_goes_on(first: int, steps: list[list[int]]) -> None:
-    counter, true, found, expected = Widened(1 << 16), first, [], []
-    for piece in steps:
-        values = []
-        for step in piece:
-            true += step
-            values.append(true)
-        expected += values
-        found += counter.widen(np.array(values) % (1 << 16)).tolist()
-    if found:
-        assert found == [value - expected[0] + expected[0] % (1 << 16) for value in expected]
+@given(st.integers(0, 2**40), st.integers(-(2**31), 2**31 - 1), st.sampled_from([1 << 16, 1 << 32]))
+def test_a_counter_is_widened_to_the_turn_that_is_expected(true: int, off: int, modulus: int) -> None:
+    expected = true - off % (modulus // 2) if off > 0 else true + (-off) % (modulus // 2)
+    assert nearest(np.array([true % modulus]), modulus, expected).tolist() == [true]
 
 
-@settings(deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 2**36), st.floats(-0.49, 0.49))
-def test_a_silence_of_many_turns_is_seen_with_another_clock(first: int, silence: int, off: float) -> None:
-    counter = Widened(1 << 32)
-    (start,) = counter.widen(np.array([first]))
-    elapsed = silence + off * 2**32
-    (after,) = counter.widen(np.array([(first + silence) % (1 << 32)]), elapsed)
-    assert after - start == silence
+def test_turns_of_counters() -> None:
+    assert nearest(np.array([1, 65_534]), 1 << 16, 65_535).tolist() == [65_537, 65_534]
+    assert nearest(np.array([65_535]), 1 << 16, 65_537).tolist() == [65_535]
+    assert nearest(np.array([5, (1 << 32) - 5]), 1 << 32, 0).tolist() == [5, -5]
+    assert nearest(np.arange(4), 4, 10).tolist() == [8, 9, 10, 11]
 
 
-def test_from_a_known_beginning() -> None:
-    counter = Widened(1 << 16, 0)
-    assert counter.widen(np.array([2, 65_535, 1])).tolist() == [2, 65_535, 65_537]
-    assert counter.widen(np.array([], np.int64)).tolist() == []
-    assert counter.last == 65_537
+def test_the_latest_time_at_which_a_frame_can_have_been_sent() -> None:
+    fit = ClockFit()
+    assert fit.latest_sent_ns(7) is None
+    fit.add(1_000 * S, 3 * S)  # delivered in no time
+    fit.add(1_001 * S, 4 * S + S // 2)  # half a second late
+    assert fit.newest_arrival_ns == 4 * S + S // 2
+    assert fit.latest_sent_ns(5 * S) == 1_002 * S
+    for second in range(2, 9):
+        fit.add((1_000 + second) * S, (3 + second) * S + second * 5_000_000)  # there it runs fast by half a percent
+    fit.host_ns(np.array([1_008 * S]))
+    assert fit.latest_sent_ns(round(20 * 1.005 * S) + 3 * S) == pytest.approx(1_020 * S, abs=S / 1000)
 
 
 def deliveries(

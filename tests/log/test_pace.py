@@ -13,9 +13,20 @@ from hypothesis import strategies as st
 from imuarray.acquire.record import record
 from imuarray.array import load_array
 from imuarray.bus import open_bus
+from imuarray.commands.info import describe
 from imuarray.log import Block, LogWriter, open_log
-from imuarray.log.format import SensorHeader
-from imuarray.log.pace import frame_period_ns, is_read_once_a_frame, missed_by_all, missed_frames, missing_rows
+from imuarray.log.format import Event, SensorHeader
+from imuarray.log.pace import (
+    duration_s,
+    frame_period_ns,
+    frames_in,
+    is_read_once_a_frame,
+    missed_by_all,
+    missed_by_events,
+    missed_frames,
+    missing_rows,
+    pace_of,
+)
 
 PERIOD_NS = 10_000_000
 ROOT = Path(__file__).parents[2]
@@ -85,7 +96,115 @@ def test_the_logger_says_the_same(tmp_path: Path, rate_hz: float) -> None:
         assert log.frame_rate_hz == rate_hz
         found = missed_frames(log)
     assert (summary.missed > 200) is (rate_hz > 400)
-    assert found is not None and abs(found - summary.missed) <= 1
+    assert found == summary.missed
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rate_hz", "frames"),
+    [(40, 50, 2000), (40, 9, 360), (200, 0.3, 60), (20, 0.1, 2), (0.001, 50, 1), (1.25, 1, 2), (2, 1 / 3, 1)],
+)
+def test_frames_of_a_recording(seconds: float, rate_hz: float, frames: int) -> None:
+    assert frames_in(seconds, rate_hz) == frames
+
+
+def late(message: str, sensor: str = "") -> Event:
+    return Event(0, sensor, "late", message)
+
+
+def test_what_events_tell_of_missed_frames() -> None:
+    first, more = late("3 frames missed: the one before ended too late"), late("1 frame missed: the one before ended")
+    assert missed_by_events([]) == 0
+    assert missed_by_events([first, more]) == 4
+    assert missed_by_events([first, late("in all 12 frames missed in 2.5 s"), more]) == 13
+    assert missed_by_events([late("9 frames missed", "A"), Event(0, "", "lost", "9 frames missed")]) == 0
+    assert missed_by_events([late("in all 12 frames missed in 2.5 s"), more]) is None  # begun in the log before
+
+
+BLOCKS = {
+    "none": ({}, 0),
+    "one": ({100: 1.225}, 60),
+    "short ones close together": ({100: 0.045, 105: 0.065, 110: 0.105}, 1 + 2 + 4),
+    "many": ({100 * count: 0.145 for count in range(1, 15)}, 14 * 6),
+    "in the last frame but one": ({1998: 1.225}, 1),
+    "until long after the end": ({1500: 60.0}, 499),
+    "in the first frame": ({0: 2.025}, 100),
+}
+"""Blocks in s by the grid place of the frame, and how many frames of 20 ms are missed: a block of n + 1 periods and a
+quarter costs n frames while a frame takes less than three quarters."""
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+@pytest.mark.parametrize("sensors", ["Gyro1", "BMA1,BMA2,ADXL1,Gyro1,Gyro2,BMP180", "ADXL1,HMC1"])
+def test_a_recorder_that_is_blocked(tmp_path: Path, name: str, sensors: str) -> None:
+    """Whatever it is that keeps the logger: the summary and the log tell the same missed frames and duration."""
+    array = load_array(ROOT / "configs" / "martin2013.toml").only(tuple(sensors.split(",")))
+    blocks, missed = BLOCKS[name]
+    left = dict(blocks)
+    begins: list[int] = []
+    with open_bus("emulated:", array) as bus:
+
+        def stopped() -> bool:
+            if not begins:
+                begins.append(bus.clock.now_ns())
+            place = (bus.clock.now_ns() - begins[0]) // 20_000_000
+            bus.clock.advance(round(left.pop(place, 0.0) * 1e9))
+            return False
+
+        summary = record(array, bus, tmp_path / "run.h5", rate_hz=50, seconds=40, stopped=stopped)
+    assert not left
+    assert (summary.frames, summary.missed, summary.seconds) == (2000 - missed, missed, 40.0)
+    with open_log(tmp_path / "run.h5") as log:
+        assert pace_of(log) == (missed, 40.0)
+        assert describe(log)["seconds"] == 40.0
+        assert describe(log)["missed"] == missed
+
+
+def test_files_are_made_in_no_time_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    array = load_array(ROOT / "configs" / "martin2013.toml").only(("Gyro1",))
+    with open_bus("emulated:", array) as bus:
+        keep = LogWriter.keep
+
+        def slow(writer: LogWriter) -> None:
+            bus.clock.advance(18_000_000_000)
+            keep(writer)
+
+        monkeypatch.setattr(LogWriter, "keep", slow)
+        summary = record(array, bus, tmp_path / "run.h5", rate_hz=50, seconds=4)
+    assert (summary.frames, summary.missed, summary.seconds) == (200, 0, 4.0)
+    with open_log(tmp_path / "run.h5") as log:
+        assert pace_of(log) == (0, 4.0)
+
+
+def test_parts_tell_what_was_missed_in_each(tmp_path: Path) -> None:
+    array = load_array(ROOT / "configs" / "martin2013.toml").only(("Gyro1", "BMA1"))
+    left = {225: 0.145, 234: 0.145, 252: 0.145, 261: 0.145, 700: 0.205}  # the second part begins with frame 250
+    begins: list[int] = []
+    with open_bus("emulated:", array) as bus:
+
+        def stopped() -> bool:
+            if not begins:
+                begins.append(bus.clock.now_ns())
+            place = (bus.clock.now_ns() - begins[0]) // 20_000_000
+            bus.clock.advance(round(left.pop(place, 0.0) * 1e9))
+            return False
+
+        summary = record(array, bus, tmp_path / "run.h5", rate_hz=50, seconds=20, rotate_s=5.0, stopped=stopped)
+    assert (summary.missed, summary.seconds) == (4 * 6 + 9, 20.0)
+    paces = []
+    for path in summary.logs:
+        with open_log(path) as log:
+            paces.append(pace_of(log))
+    assert paces == [(12, 5.0), (12, 5.0), (9, 5.0), (0, 5.0)]
+
+
+def test_a_log_of_another_clock_lasts_from_its_first_row_to_its_last(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with LogWriter(path, [ACC], source="serial", epoch="2026-01-01T00:00:00Z", frame_rate_hz=10.0) as writer:
+        times = np.array([0, 100_000_000, 900_000_000])
+        writer.append("Acc", Block(times, np.zeros((3, 3), np.int16), np.zeros(3, np.uint16)))
+    with open_log(path) as log:
+        assert pace_of(log) == (None, 1.0)
+    assert duration_s(113, 1887, 50.0) == 40.0
 
 
 @pytest.mark.parametrize("kept", [False, True])

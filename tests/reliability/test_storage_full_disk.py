@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -167,22 +167,38 @@ def test_a_disk_that_takes_no_more_files_keeps_nothing(few_files: Callable[[int]
 def test_a_rotated_log_on_a_full_disk_names_what_is_not_finished(
     small_disk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Both parts can be read and recovered; no reserve stays."""
-    filler = None
-    with (
-        pytest.raises(DiskFullError) as failed,
-        RotatingWriter(
-            small_disk / "run.h5", rows.SENSORS, every_s=300.0, source="simulated", epoch=rows.EPOCH, watermark=0
-        ) as log,
-    ):
-        log.keep()
-        for first in range(0, 1_000_000, 1000):
-            log.append("Acc", rows.block(0, first, 1000))
-            log.append("Gyro", rows.block(1, first, 1000))
-            if first == 29_000 and filler is None:  # shortly before the first part ends
-                log.flush()
-                filler = small_disk / "filler"
-                fill(filler)
+    """Every part can be read and recovered; no reserve stays. Whatever room there is, somebody else takes it."""
+    full = threading.Event()
+    ended = threading.Event()
+
+    def fill() -> None:
+        with (small_disk / "filler").open("wb", buffering=0) as file:
+            while not ended.is_set():
+                try:
+                    file.write(bytes(4096))
+                except OSError:
+                    full.set()
+                    ended.wait(0.0005)
+
+    filler = threading.Thread(target=fill)
+    try:
+        with (
+            pytest.raises(DiskFullError) as failed,
+            RotatingWriter(
+                small_disk / "run.h5", rows.SENSORS, every_s=300.0, source="simulated", epoch=rows.EPOCH, watermark=0
+            ) as log,
+        ):
+            log.keep()
+            for first in range(0, 1_000_000, 1000):
+                log.append("Acc", rows.block(0, first, 1000))
+                log.append("Gyro", rows.block(1, first, 1000))
+                if first == 29_000:  # the last rows of the first part
+                    log.flush()
+                    filler.start()
+                    full.wait()
+    finally:
+        ended.set()
+    filler.join()
     unfinished = [path for path in log.paths if journal_of(path).exists()]
     assert unfinished
     assert all(path.name in str(failed.value) for path in unfinished)
@@ -196,15 +212,6 @@ def test_a_rotated_log_on_a_full_disk_names_what_is_not_finished(
             total += len(part["Acc"])
     assert total >= log.acknowledged["Acc"] >= 29_000
     capsys.readouterr()
-
-
-def fill(path: Path) -> None:
-    """Take all the room that there is."""
-    with path.open("wb", buffering=0) as file:
-        for size in (1 << 20, 4096, 1):
-            with contextlib.suppress(OSError):
-                while True:
-                    file.write(bytes(size))
 
 
 def test_it_does_not_begin_below_the_watermark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

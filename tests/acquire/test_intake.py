@@ -1,0 +1,123 @@
+"""Rows enter a log in the order of their times, from every bus; one that can't is refused, told and counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.acquire.intake import AHEAD_NS, Intake, in_order, selected
+from imuarray.acquire.record import record
+from imuarray.acquire.trouble import Troubles
+from imuarray.array import parse_array
+from imuarray.bus import open_bus
+from imuarray.drivers.fifo_clock import FifoClock
+from imuarray.log import open_log
+from imuarray.log.format import Event
+from imuarray.log.writer import Block
+
+S = 1_000_000_000
+STALE, OVERRUN, LOST, RECONFIGURED = 1, 2, 8, 16
+
+
+@given(
+    times=st.lists(st.integers(-5, 40), max_size=30),
+    newest=st.one_of(st.none(), st.integers(-5, 40)),
+    latest=st.integers(0, 40),
+)
+def test_one_row_after_the_other(times: list[int], newest: int | None, latest: int) -> None:
+    kept, last = [], newest
+    for time in times:
+        kept.append(time <= latest and (last is None or time > last))
+        last = time if kept[-1] else last
+    assert in_order(np.array(times, np.int64), newest, latest).tolist() == kept
+
+
+def test_a_row_takes_over_what_the_refused_ones_before_it_said() -> None:
+    status = np.array([STALE, RECONFIGURED | STALE, 0, OVERRUN, 0], np.uint16)
+    block = Block(
+        np.arange(5), np.arange(15).reshape(5, 3), status, np.arange(5, dtype=np.int16), {"p": np.arange(5.0)}
+    )
+    kept = np.array([True, False, True, True, False])
+    rows, inherited = selected(block, kept, np.uint16(LOST))
+    assert rows.status.tolist() == [STALE | LOST, RECONFIGURED | LOST, OVERRUN]
+    assert rows.time.tolist() == [0, 2, 3]
+    assert rows.counts[:, 0].tolist() == [0, 6, 9]
+    assert rows.temperature_counts is not None
+    assert rows.temperature_counts.tolist() == [0, 2, 3]
+    assert rows.compensated["p"].tolist() == [0, 2, 3]
+    assert inherited == LOST
+    assert selected(block, np.ones(5, bool), np.uint16(0)) == (block, 0)
+
+
+class Waiting:
+    """Rows that wait, as `Pending` gives them."""
+
+    def __init__(self, *blocks: list[int]) -> None:
+        self.station: Any = SimpleNamespace(sensor=SimpleNamespace(name="A"))
+        self.blocks = [np.array(times, np.int64) for times in blocks]
+
+    def take(self, count: int, epoch_ns: int) -> Block:
+        times = self.blocks.pop(0)
+        self.doubtful_rows = np.zeros(len(times), bool)
+        return Block(times - epoch_ns, np.zeros((len(times), 3), np.int16), np.zeros(len(times), np.uint16))
+
+
+def test_a_row_ahead_of_the_clock_does_not_shut_out_those_behind_it() -> None:
+    stored: list[tuple[int, int]] = []
+    told: list[Event] = []
+    log: Any = SimpleNamespace(
+        append=lambda name, block: stored.extend(zip(block.time.tolist(), block.status.tolist(), strict=True))
+    )
+    lost = {"A": 0}
+    troubles = Troubles(lambda sensor, at_ns, kind, message: told.append(Event(at_ns - 100, sensor, kind, message)))
+    intake = Intake(log, 100, lambda name, block: None, troubles, lost)
+    waiting: Any = Waiting([110, 120, 120 + 4277 * S, 130], [125], [140, 150])
+    assert AHEAD_NS == S  # what a fitted clock may be off, and far less than an invented time
+    for now_ns in (140, 145, 150):
+        intake.write(waiting, 1, now_ns)
+    assert stored == [(10, 0), (20, 0), (30, LOST), (40, LOST), (50, 0)]
+    assert lost == {"A": 2}
+    assert [(event.time_ns, event.sensor, event.kind) for event in told] == [(40, "A", "refused")]
+    assert told[0].message == "1 reading refused: not later than the reading before, or ahead of the clock"
+
+
+@pytest.mark.parametrize("rotate_s", [None, 3.0])
+def test_a_queue_that_counts_time_twice_ends_no_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rotate_s: float | None
+) -> None:
+    true_times = FifoClock.times
+    calls = 0
+
+    def times(self: FifoClock, level: int, at_ns: int, overrun: bool = False) -> list[int]:
+        nonlocal calls
+        calls += 1
+        drained = true_times(self, level, at_ns, overrun)
+        if calls % 100 == 0:
+            self.drained = drained = [time - S for time in drained]
+        return drained
+
+    monkeypatch.setattr(FifoClock, "times", times)
+    array = parse_array(
+        '[array]\nname="a"\n'
+        '[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nrate_hz=100\nfifo=true\n'
+        '[[sensor]]\nname="G"\nchip="l3g4200d"\naddress=0x68\nrange=250\n'
+    )
+    with open_bus("emulated:", array) as bus:
+        summary = record(array, bus, tmp_path / "r.h5", rate_hz=50, seconds=8, rotate_s=rotate_s)
+    refused = []
+    rows = 0
+    for path in summary.logs:
+        with open_log(path) as log:
+            rows += len(log["A"])
+            assert (np.diff(log["A"].time[:]) > 0).all()
+            refused += [event for event in log.events if event.kind == "refused"]
+    assert {event.sensor for event in refused} == {"A"}
+    assert 4 <= summary.lost["A"] <= 12  # two samples a frame, four times
+    assert rows + summary.lost["A"] == pytest.approx(800, abs=4)
+    assert summary.lost["G"] == 0
