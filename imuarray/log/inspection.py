@@ -8,6 +8,7 @@ are looked at here; no number is read.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,56 +47,94 @@ _SCALES = frozenset({b"DIMENSION_LIST", b"REFERENCE_LIST"})
 """Attributes with which HDF5 notes what belongs to which dimension, references; nothing here ever follows them."""
 
 
-def inspect(path: Path, file: h5py.File) -> None:
-    """LogError if the open `file` was built to do harm; one of another kind, which nobody reads on, is let pass."""
+def inspect(path: Path, file: h5py.File) -> list[str]:
+    """LogError if the open `file` was built to do harm; one of another kind, which nobody reads on, is let pass.
+
+    Groups and datasets of a log that are damaged are never opened again; their paths come back.
+    """
+    damaged: list[str] = []
     try:
         with h5py.File(Inspected(path), "r") as inspected:
             _look_at_attributes(_Place(h5o.open(file.id, b"/"), b""), f"{path}: /")
             kind = inspected.attrs.get("format")
             if isinstance(kind, str | bytes) and kind in (FORMAT, FORMAT.encode()):
-                refuse_hostile(file, inspected, str(path))
+                refuse_hostile(file, inspected, str(path), damaged)
     except DAMAGE as error:
         raise LogError(f"{path}: damaged or malformed: {printable(' '.join(str(error).split()))}") from None
+    return damaged
 
 
-def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str) -> None:
+def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: list[str] | None = None) -> None:
     """LogError for anything that leads outside the file, is reached twice, or declares what the file can't hold.
 
-    `inspected` is the same file as it is `Inspected`: its texts are read, last, for that costs most.
+    `inspected` is the same file as it is `Inspected`: its texts are read, last, for that costs most. What HDF5 can't
+    make sense of is an error of its own, or, where `damaged` is given, is noted there by its path.
     """
     size = file.id.get_filesize()
     root = _Place(h5o.open(file.id, b"/"), b"")
-    found = list(_walk(root, where))
+    bad = _Damage(damaged)
+    places = list(_walk(root, where, bad))
     texts: list[_Text] = []
-    for place in found:
-        texts += _look_at(place, f"{where}: {place.name}", size)
-    for place in (root, *found):
-        texts += _look_at_attributes(place, f"{where}: {place.name or '/'}")
+    for place in places:
+        with bad.noted(place.path):
+            texts += _look_at(place, f"{where}: {place.name}", size)
+    for place in (root, *places):
+        with bad.noted(place.path):
+            texts += _look_at_attributes(place, f"{where}: {place.name or '/'}")
     for text in texts:
-        _read(inspected, text, where)
+        with bad.noted(text.path):
+            _read(inspected, text, where)
 
 
-def _walk(root: _Place, where: str) -> Iterator[_Place]:
+class _Damage:
+    """Notes the paths of what HDF5 can't make sense of, in a list; without one, and at the root, it stays an error."""
+
+    def __init__(self, paths: list[str] | None) -> None:
+        self._paths = paths
+
+    @contextmanager
+    def noted(self, path: bytes) -> Iterator[None]:
+        """What is damaged inside is the object at `path`."""
+        try:
+            yield
+        except DAMAGE:
+            if self._paths is None or path in (b"", b"/"):
+                raise
+            if _shown(path) not in self._paths:
+                self._paths.append(_shown(path))
+
+
+def _walk(root: _Place, where: str, bad: _Damage) -> Iterator[_Place]:
     """All groups and datasets, those near the root first; LogError for too many, too deep or one twice."""
     seen = {h5o.get_info(root.item).addr}
     level = [root]
     for depth in range(MAX_DEPTH + 2):
         below: list[_Place] = []
-        groups = [place for place in level if isinstance(place.item, h5g.GroupID)]
-        counts = {group.path: group.item.get_num_objs() for group in groups}  # before any of them is opened
+        counts: dict[_Place, int] = {}  # before any of them is opened
+        for place in level:
+            if isinstance(place.item, h5g.GroupID):
+                with bad.noted(place.path):
+                    counts[place] = place.item.get_num_objs()
         if len(seen) + sum(counts.values()) > MAX_OBJECTS:
             raise LogError(f"{where}: more than {MAX_OBJECTS} groups and datasets")
-        if counts.get(b"/sensors", 0) > MOST_SENSORS:
-            raise LogError(f"{where}: {counts[b'/sensors']} sensors; at most {MOST_SENSORS}")
-        for group in groups:
-            for found in _linked(group, where):
-                if depth > MAX_DEPTH:
-                    raise LogError(f"{where}: groups nested deeper than {MAX_DEPTH}")
-                address = h5o.get_info(found.item).addr
-                if address in seen:
-                    raise LogError(f"{where}: {found.name}: reached twice, by links in a circle or to the same place")
-                seen.add(address)
-                below.append(found)
+        for group, count in counts.items():
+            if group.path == b"/sensors" and count > MOST_SENSORS:
+                raise LogError(f"{where}: {count} sensors; at most {MOST_SENSORS}")
+            names: list[bytes] = []
+            with bad.noted(group.path):
+                names = _linked(group, where)
+            for name in names:
+                with bad.noted(group.path + b"/" + name):
+                    place = _Place(h5o.open(group.item, name), group.path + b"/" + name)
+                    if depth > MAX_DEPTH:
+                        raise LogError(f"{where}: groups nested deeper than {MAX_DEPTH}")
+                    address = h5o.get_info(place.item).addr
+                    if address in seen:
+                        raise LogError(
+                            f"{where}: {place.name}: reached twice, by links in a circle or to the same place"
+                        )
+                    seen.add(address)
+                    below.append(place)
         yield from below
         level = below
 
@@ -124,10 +163,11 @@ def _shown(name: bytes) -> str:
     return printable(name.decode(errors="backslashreplace"))
 
 
-def _linked(group: _Place, where: str) -> Iterator[_Place]:
-    """What is in a group; LogError for links that are no plain ones, and for names that are no words."""
+def _linked(group: _Place, where: str) -> list[bytes]:
+    """Names of what is in a group; LogError for links that are no plain ones, and for names that are no words."""
     links: list[tuple[bytes, int]] = []
     group.item.links.iterate(lambda name, info: links.append((name, info.type)), info=True)
+    names = []
     for name, kind in links:
         place = f"{group.name}/{_shown(name)[:MAX_NAME_BYTES]}"
         if _shown(name).encode() != name or len(name) > MAX_NAME_BYTES:
@@ -136,7 +176,8 @@ def _linked(group: _Place, where: str) -> Iterator[_Place]:
             continue
         if kind != h5l.TYPE_HARD:
             raise LogError(f"{where}: {place}: a link that leads elsewhere; a log holds its own data")
-        yield _Place(h5o.open(group.item, name), group.path + b"/" + name)
+        names.append(name)
+    return names
 
 
 def _is_plot(group: _Place, name: bytes) -> bool:

@@ -123,7 +123,8 @@ def open_interrupted(path: Path, *, thorough: bool = False, journal_fd: int | No
     journal: JournalReader | None = None
     try:
         try:
-            is_live, known = (False, None) if file is None else (is_unfinished(file), stored_preamble(file))
+            is_live = file is not None and is_unfinished(file)
+            known = stored_preamble(path) if is_live else None
         except DAMAGE:
             is_live, known = True, None
         journal, why = _journal(path, journal_fd, known)
@@ -169,13 +170,17 @@ def is_unfinished(file: h5py.File) -> bool:
     return PREAMBLE in file.attrs or file.get(COMMITS, getlink=True) is not None
 
 
-def stored_preamble(file: h5py.File) -> Preamble | None:
-    """The preamble in an unfinished file; None if it is damaged, or not there."""
-    text = file.attrs.get(PREAMBLE)
+def stored_preamble(path: Path) -> Preamble | None:
+    """The preamble in the unfinished file at `path`; None if it is damaged, or not there. What h5py raises on damage.
+
+    Its heap of texts is checked before HDF5 believes it (`imuarray.log.heaps`).
+    """
+    with h5py.File(Unclosed(path), "r") as inspected:
+        text = inspected.attrs.get(PREAMBLE)
+        stored_crc = inspected.attrs.get(PREAMBLE_CRC)
     if not isinstance(text, str):
         return None
-    crc = zlib.crc32(text.encode())
-    if file.attrs.get(PREAMBLE_CRC, crc) != crc:  # logs of earlier versions have none
+    if stored_crc is not None and stored_crc != zlib.crc32(text.encode()):  # logs of earlier versions have none
         return None
     try:
         return Preamble.from_json(text)
@@ -186,10 +191,9 @@ def stored_preamble(file: h5py.File) -> Preamble | None:
 def _is_sound(path: Path, file: h5py.File) -> bool:
     """Whether a finished file can be read: else its journal, if it is still there, has all of it."""
     try:
-        inspect(path, file)
+        return not inspect(path, file)
     except LogError:
         return False
-    return True
 
 
 def may_be_unfinished(path: Path) -> bool:

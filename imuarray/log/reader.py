@@ -43,7 +43,7 @@ class Log:
         """
         self.path = Path(path)
         try:
-            self._file = _open(self.path, thorough, journal_fd)
+            self._file, self._damaged = _open(self.path, thorough, journal_fd)
         except DAMAGE as error:
             raise LogError(f"{path}: damaged or malformed: {' '.join(str(error).split())}") from None
         except LogError as error:  # what is wrong with its parts does not say whose they are
@@ -52,11 +52,14 @@ class Log:
             raise LogError(f"{path}: {error}") from None
         try:
             self._check()
-            groups = list(self._file["sensors"].items())  # at once: a refusal midway would keep h5py's lock
+            names = [name for name in self._file["sensors"] if not self._is_damaged(f"/sensors/{name}")]
+            if not names:
+                raise LogError(f"{path}: every sensor in it is damaged")
             self.sensors: Mapping[str, SensorLog] = {
-                name: SensorLog(group, f"{path}, sensor {name}", self, _shared) for name, group in groups
+                name: SensorLog(self._file["sensors"][name], f"{path}, sensor {name}", self, _shared) for name in names
             }
-            self._changed = changed_parts(self._file) if isinstance(self._file, h5py.File) else []
+            is_plain = isinstance(self._file, h5py.File) and not self._damaged
+            self._changed = changed_parts(self._file) if is_plain else []
         except BaseException as error:
             self._file.close()
             if isinstance(error, DAMAGE):
@@ -99,6 +102,8 @@ class Log:
         """
         if isinstance(self._file, LiveView | Rebuilt):
             return self._file.losses
+        if self._damaged:
+            return tuple(f"{path} is damaged and left out" for path in self._damaged)
         return tuple(f"its {part} are not as they were written: damaged, or changed since" for part in self._changed)
 
     @property
@@ -143,6 +148,8 @@ class Log:
 
     def __getitem__(self, name: str) -> SensorLog:
         """One sensor by name; LogError names those that there are."""
+        if self._is_damaged(f"/sensors/{name}"):
+            raise LogError(f"{self.path}: sensor {name} is damaged; good are {', '.join(self.sensors)}")
         if name not in self.sensors:
             raise LogError(f"{self.path}: no sensor {name!r}; it has {', '.join(self.sensors)}")
         return self.sensors[name]
@@ -165,7 +172,7 @@ class Log:
 
     def _columns(self, name: str, columns: tuple[str, ...], numbers: int) -> list[list[Any]]:
         """Equally long columns: the first `numbers` of them whole numbers, the others text."""
-        group = self._file.get(name)
+        group = self._group(name)
         if group is None:
             return [[] for _ in columns]
         try:
@@ -180,6 +187,16 @@ class Log:
                 raise LogError(f"{self.path}: group {name}: column {columns[index]} holds no {kind}")
         return values
 
+    def _group(self, name: str) -> Any:
+        """A group of the file, None if it has none of that name; LogError if it is damaged."""
+        if self._is_damaged(f"/{name}"):
+            raise LogError(f"{self.path}: group {name} is damaged")
+        return self._file.get(name)
+
+    def _is_damaged(self, path: str) -> bool:
+        """Whether the object at this path, or one below it, is damaged."""
+        return any(bad == path or bad.startswith(f"{path}/") for bad in self._damaged)
+
     @property
     def truth(self) -> Track | None:
         """What the box really felt, in a simulated or emulated log."""
@@ -193,11 +210,11 @@ class Log:
     @property
     def clocks(self) -> ClockTrack | None:
         """What the machine's clocks said now and then."""
-        group = self._file.get("clocks")
+        group = self._group("clocks")
         return None if group is None else clocks_of(group, f"{self.path}: group clocks")
 
     def _track(self, name: str) -> Track | None:
-        group = self._file.get(name)
+        group = self._group(name)
         return None if group is None else track_of(group, f"{self.path}: group {name}")
 
     def __reduce__(self) -> tuple[Callable[[Path], Log], tuple[Path]]:
@@ -221,22 +238,23 @@ class Log:
         self.close()
 
 
-def _open(path: Path, thorough: bool, journal_fd: int | None) -> h5py.File | LiveView:
-    """The file, or what is to be seen of a log that is being written or was never finished."""
+def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File | LiveView, list[str]]:
+    """The file, or what is to be seen of a log that is being written or was never finished; and the paths of what is
+    damaged in a finished one.
+    """
     if journal_fd is not None or may_be_unfinished(path):
         unfinished = open_interrupted(path, thorough=thorough, journal_fd=journal_fd)
         if unfinished is not None:
-            return unfinished
+            return unfinished, []
     file = open_file(path)
     try:
         if not is_unfinished(file):
-            inspect(path, file)
-            return file
+            return file, inspect(path, file)
     except BaseException:
         file.close()
         raise
     file.close()
-    return _open_unfinished(path, thorough)
+    return _open_unfinished(path, thorough), []
 
 
 def _open_unfinished(path: Path, thorough: bool) -> LiveView | Rebuilt:

@@ -119,7 +119,7 @@ def _opened(path: Path, preamble: Preamble) -> h5py.File:
     try:
         with h5py.File(Unclosed(path), "r") as inspected:
             refuse_hostile(file, inspected, str(path))
-        known = stored_preamble(file)
+        known = stored_preamble(path)
         if known is not None and known.identity != preamble.identity:
             raise LogError(f"{path}: its journal is another log's")
         return file

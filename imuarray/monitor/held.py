@@ -43,7 +43,7 @@ class HeldLog(Log):
     def __init__(self, path: Path, sensors: Mapping[str, tuple[Attributes, Rows]]) -> None:
         self.path = path
         groups = {name: _held(name, attributes, rows) for name, (attributes, rows) in sensors.items()}
-        self._file = cast(h5py.File, _File(groups))
+        self._file, self._damaged = cast(h5py.File, _File(groups)), []
         self.sensors = {
             name: SensorLog(group, f"{path}, sensor {name}", self, _not_sent) for name, group in groups.items()
         }

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import imuarray.log.writer as writing
-from imuarray.log import Block, LogWriter, Stimulus, open_log
+from imuarray.log import Block, Log, LogWriter, Stimulus
 from imuarray.log.format import Event, SensorHeader
 
 SENSORS = (
@@ -88,7 +88,7 @@ def wrong(path: Path) -> tuple[int, list[str]]:
     times; where some are missing before others, the log must say so. LogError if it can't be read.
     """
     problems, lengths = [], []
-    with open_log(path) as log:
+    with Log(path) as log:
         for sensor, header in enumerate(SENSORS):
             rows = log[header.name]
             number = (np.asarray(rows.time[:]) - sensor) // PERIOD_NS - 1

@@ -107,9 +107,9 @@ def read(path: Path) -> Outcome:
     with Log(path) as log:
         is_told = bool(log.losses)
         for sensor, header in enumerate(HEADERS):
-            stored = log[header.name]
             rows = ROWS if sensor < 2 else ROWS // 10
             try:
+                stored = log[header.name]
                 row = np.asarray(stored.time[:]) // (PERIOD_NS * (10 if sensor == 2 else 1))
                 good = block(sensor, row)
                 columns = {"time": stored.time, "counts": stored.counts, "status": stored.status}
@@ -124,9 +124,11 @@ def read(path: Path) -> Outcome:
                 if len(row) and (row[0] < 0 or row[-1] >= rows):
                     wrong.append(f"{header.name}: rows that were never written")
                 missing += rows - len(row)
+                wrong += [
+                    f"{header.name}.{name}" for name in ATTRIBUTES if getattr(stored, name) != getattr(header, name)
+                ]
             except LogError:
                 is_told = True
-            wrong += [f"{header.name}.{name}" for name in ATTRIBUTES if getattr(stored, name) != getattr(header, name)]
         try:
             truth = log.truth
             missing += ROWS - (0 if truth is None else len(truth.time))
@@ -220,9 +222,12 @@ class TestFlips:
         assert kinds["refused"] <= 0.1 * count
 
     def test_in_a_finished_log(self, logs: Logs, tmp_path: Path, count: int) -> None:
-        """A damaged row is a LogError for who reads it, a text that is another is told."""
+        """A damaged row is a LogError for who reads it, a damaged sensor is left out, a text that is another is told;
+        refused only if the root of the file is hit. This log is short: half of it are structures of HDF5.
+        """
         kinds = flips(logs.finished, RUN, tmp_path, places(count, 5), 5)
         assert sum(kinds.values()) == count
+        assert kinds["refused"] <= 0.1 * count + 3 * (0.09 * count) ** 0.5
 
 
 @pytest.mark.parametrize("step", [97, pytest.param(7, marks=pytest.mark.slow)])
