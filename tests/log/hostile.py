@@ -161,7 +161,7 @@ KINDS: Mapping[str, tuple[Spoil, str]] = MappingProxyType(
         "deep nesting": (nested, "nested deeper than"),
         "groups in circles": (circles, "reached twice"),
         "a crowd of groups": (crowd, "more than 4096 groups and datasets"),
-        "many sensors": (many_sensors, "615 sensors; at most 512"),
+        "many sensors": (many_sensors, " sensors; at most 512"),
         "the same twice": (alias, "reached twice"),
         "named type": (lambda file: file.__setitem__("type", np.dtype("f8")), "neither group nor dataset"),
         "object references": (references, "sensors/Acc/who: neither numbers nor text"),
