@@ -14,11 +14,11 @@ import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.log.format import CACHE_BYTES, FORMAT
-from imuarray.log.heaps import LONGEST
 
-MAX_TEXT_BYTES = 1 << 26
-"""Of all texts in a column together."""
-_BLOCK_BYTES = 1 << 27
+MAX_TEXT_BYTES = 1 << 24
+"""Of all texts in a column together: the messages of a hundred thousand events."""
+_BLOCK_BYTES = 1 << 22
+"""Read at a time, as far as the texts before tell how long the next ones are."""
 _IMPORTED = (".csv", ".npz", ".txt", ".bin")
 """Names of foreign recordings end so."""
 
@@ -65,13 +65,14 @@ def read_texts(column: Any) -> list[Any]:
         return list(column[:].tolist())
     if column.ndim != 1:
         raise ValueError("texts are one column")
-    rows, values, size = int(column.shape[0]), [], 0
-    longest = min(LONGEST, max(1, column.file.id.get_filesize()))
-    step = max(1, min(4096, _BLOCK_BYTES // longest))
-    for start in range(0, rows, step):
-        block = column[start : start + step].tolist()
-        size += sum(len(value) for value in block)
+    values: list[Any] = []
+    rows, size, step = int(column.shape[0]), 0, 1
+    while len(values) < rows:
+        block = column[len(values) : len(values) + step].tolist()
+        longest = max(map(len, block))
+        size += sum(map(len, block))
         if size > MAX_TEXT_BYTES:
             raise ValueError(f"texts of more than {MAX_TEXT_BYTES} bytes")
         values += block
+        step = max(1, min(2 * step, 4096, _BLOCK_BYTES // max(1, longest)))
     return values

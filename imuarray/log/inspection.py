@@ -7,6 +7,7 @@ are looked at here; no number is read.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,11 +15,11 @@ from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
+from h5py import h5a, h5d, h5fd, h5g, h5i, h5l, h5o, h5s, h5t, h5z
 
 from imuarray.errors import LogError
 from imuarray.log.format import FORMAT, MOST_SENSORS, PLOTS
-from imuarray.log.guard import DAMAGE, read_texts
+from imuarray.log.guard import DAMAGE, MAX_TEXT_BYTES, read_texts
 from imuarray.log.heaps import Inspected
 from imuarray.printable import printable
 
@@ -254,7 +255,25 @@ def _look_at_dataset(found: _Place, place: str, file_bytes: int) -> list[_Text]:
     if declared > held:
         raise LogError(f"{place}: declares {declared} bytes, more than this file of {file_bytes} bytes can hold")
     varies = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str()
-    return [_Text(found.path, None)] if varies and declared else []
+    if not varies or not declared:
+        return []
+    if _text_bytes(item) > MAX_TEXT_BYTES:  # before any of them is read: they may all be the same long one
+        raise LogError(f"{place}: texts of more than {MAX_TEXT_BYTES} bytes")
+    return [_Text(found.path, None)]
+
+
+def _text_bytes(item: h5d.DatasetID) -> int:
+    """How long the texts of a column say they are, together; 0 where it does not stand in the file in one piece.
+
+    Each is a descriptor: length (32 bits), address of its heap, number in it (HDF5 file format, III.E and IV.A.2.d).
+    """
+    offset, width = item.get_offset(), item.get_type().get_size()
+    file = h5i.get_file_id(item)
+    if offset is None or width < 4 or file.get_access_plist().get_driver() != h5fd.SEC2:
+        return 0
+    data = os.pread(file.get_vfd_handle(), _product(item.shape) * width, offset)
+    lengths = np.frombuffer(data[: len(data) // width * width], np.uint8).reshape(-1, width)[:, :4]
+    return int(np.ascontiguousarray(lengths).view("<u4").sum(dtype=np.int64))
 
 
 def _read(inspected: h5py.File, text: _Text, where: str) -> None:

@@ -179,7 +179,7 @@ KINDS: Mapping[str, tuple[Spoil, str]] = MappingProxyType(
             "/: attribute extra: more than 256 texts",
         ),
         "many attributes": (many_attributes, "attributes; at most 256"),
-        "messages that are all one": (all_one_text, "events/message: texts of more than 67108864 bytes"),
+        "messages that are all one": (all_one_text, "events/message: texts of more than 16777216 bytes"),
         "a name that steers a terminal": (named(b"\x1b[2J"), r"/\x1b[2J: a name that is no word"),
         "a name that is no text": (named(b"\xff\xfe"), r"a name that is no word"),
         "a name without end": (named(b"x" * 5000), "a name that is no word"),
