@@ -47,8 +47,9 @@ CHIP_FAULTS = MappingProxyType(
 """Faults of one sensor: it does not acknowledge; is unplugged and plugged in again; falls back to its defaults; loses
 the bit that keeps a reading in one piece; gives the same reading again, as a new one or as an old one; comes up with
 another bias; a driver of the kernel takes its address; it holds the clock whenever it is addressed."""
-BUS_FAULTS = ("stuck_bus", "wrong_channel", "mux_reset", "stall")
-"""Faults of all: somebody holds a wire; the multiplexer takes no order; forgets the last; the program is not run."""
+BUS_FAULTS = ("stuck_bus", "wrong_channel", "mux_reset", "stall", "adapter_unplugged")
+"""Faults of all: somebody holds a wire; the multiplexer takes no order; forgets the last; the program is not run; the
+adapter is unplugged, from which the chips had their supply, and plugged in again."""
 FAULTS = (*CHIP_FAULTS, *BUS_FAULTS)
 MOMENTARY = ("reset", "torn", "mux_reset")
 TRIADS = ("frozen", "stale", "start_up")

@@ -47,10 +47,11 @@ class FaultyBoard(Board):
                 action = ChipFault(CHIP_FAULTS[fault.kind], fault.times, fault.until_set_up, fault.bias)
                 self.chip_faults.setdefault(fault.sensor, []).append(action)
         self._places: dict[tuple[int, str], list[ChipFault]] = {}
-        self._wires = FaultyWires(by_kind["stuck_bus"], by_kind["stall"], by_kind["mux_reset"], self._powered_on_ns)
+        stalls, resets, removals = by_kind["stall"], by_kind["mux_reset"], by_kind["adapter_unplugged"]
+        self._wires = FaultyWires(by_kind["stuck_bus"], stalls, resets, removals, self._powered_on_ns)
         held = any(fault.action == "hangs" for faults in self.chip_faults.values() for fault in faults)
-        self._interfering = held or any(by_kind[kind] for kind in ("stuck_bus", "stall", "mux_reset"))
-        self._switching = bool(self._orders or by_kind["mux_reset"])
+        self._interfering = held or any(by_kind[kind] for kind in BUS_FAULTS)
+        self._switching = bool(self._orders or by_kind["mux_reset"] or by_kind["adapter_unplugged"])
 
     def wire(self, clock: Clock, bit_rate_hz: int, nack_errno: int, host_ns: int) -> Wire:
         """The other board's, interfered with."""
@@ -88,6 +89,7 @@ class FaultyBoard(Board):
     def device(self, sensor: SensorLike, chip: Chip) -> Target:
         """The other board's, with its faults."""
         device = self._inner.device(sensor, chip)
+        self._wires.chips.append(chip)
         faults = self.chip_faults.get(sensor.name, [])
         owned = [fault for fault in faults if fault.action == "owned"]
         self._places.setdefault((sensor.address, sensor.bus or ""), []).extend(owned)

@@ -9,7 +9,7 @@ import errno
 import os
 from collections.abc import Mapping, Sequence
 
-from firmware_emulator.chip import Target
+from firmware_emulator.chip import Chip, Target
 from firmware_emulator.faulty_parts import FaultyDevice, Times
 from firmware_emulator.mux import NO_CHANNEL, Pca9544a
 from firmware_emulator.wire import Wire
@@ -58,13 +58,22 @@ class FaultyMux(Pca9544a):
 
 
 class FaultyWires:
-    """What goes wrong between transactions: held clocks, a stalled program, a multiplexer that is reset."""
+    """What goes wrong between transactions: held clocks, a stalled program, a multiplexer that is reset, an adapter
+    that is unplugged. `chips` lose their supply with the adapter.
+    """
 
     def __init__(
-        self, hangs: Sequence[Times], stalls: Sequence[Times], mux_resets: Sequence[Times], powered_on_ns: int
+        self,
+        hangs: Sequence[Times],
+        stalls: Sequence[Times],
+        mux_resets: Sequence[Times],
+        removals: Sequence[Times],
+        powered_on_ns: int,
     ) -> None:
-        self._hangs, self._stalls, self._mux_resets = hangs, stalls, mux_resets
+        self._hangs, self._stalls, self._mux_resets, self._removals = hangs, stalls, mux_resets, removals
         self._powered_on_ns = powered_on_ns
+        self.chips: list[Chip] = []
+        self._returned = [0] * len(removals)
         self._stalled = [0] * len(stalls)
         self._reset = [0] * len(mux_resets)
         self.mux: FaultyMux | None = None
@@ -73,6 +82,12 @@ class FaultyWires:
         """Before a transaction with these devices."""
         clock = wire.clock
         since_ns = clock.now_ns() - self._powered_on_ns
+        for index, times in enumerate(self._removals):
+            if times.ended(since_ns) > self._returned[index]:
+                self._returned[index] = times.ended(since_ns)
+                self._plug_in(wire, times.start_ns(self._returned[index]) + times.length_ns)
+        if any(times.during(since_ns) for times in self._removals):
+            raise OSError(errno.ENODEV, "the emulated adapter is unplugged")
         for index, times in enumerate(self._stalls):
             if times.begun(since_ns) > self._stalled[index]:
                 self._stalled[index] = times.begun(since_ns)
@@ -86,3 +101,11 @@ class FaultyWires:
         if held or any(times.during(since_ns) for times in self._hangs):
             clock.advance(TIME_OUT_NS)
             raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+
+    def _plug_in(self, wire: Wire, since_ns: int) -> None:
+        """Everything has its supply again, since then."""
+        for chip in self.chips:
+            chip.power_on(self._powered_on_ns + since_ns)
+        if self.mux is not None:
+            self.mux.reset()
+        wire.reroute()

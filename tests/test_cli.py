@@ -383,12 +383,13 @@ def test_events_reach_info(run: Run, here: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Wire, "transfer", flaky)
     code, out, err = run(*GOOD_LOG, "-o", "r.h5", "--seconds", "2")
     assert code == 0
-    (told,) = err
+    told, end = err
     assert re.fullmatch(r" +\d\.\d s  A lost: no reading: Remote I/O error \(errno 121\)", told)
+    assert re.fullmatch(r" +\d\.\d s  A lost: in all 5 readings lost in 0\.1 s", end)
     assert "  A: 5 readings lost (see events: imuarray info r.h5)" in out
     _, out, _ = run("info", "r.h5", "--json")
     told = json.loads(out)
-    assert [(event["sensor"], event["kind"]) for event in told["events"]] == [("A", "lost")]
+    assert [(event["sensor"], event["kind"]) for event in told["events"]] == [("A", "lost")] * 2
     assert told["sensors"][0]["rows"] == 95
     assert told["sensors"][0]["flags"] == {"lost_before": 1}
     assert "A lost: no reading: Remote I/O error (errno 121)" in run("info", "r.h5")[1]

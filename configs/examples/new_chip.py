@@ -78,7 +78,7 @@ class Lis3dh:
 
     def self_test(self) -> SelfTest:
         """Not written yet."""
-        return SelfTest(False, "this driver has no self-test")
+        return SelfTest(None, "this driver has no self-test")
 
     def fetch(self) -> bytes:
         """Status and the three axes, one instant."""

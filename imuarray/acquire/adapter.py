@@ -1,7 +1,8 @@
-"""An I2C adapter as the poll loop sees it: does it hang, and how long does a clock of it take.
+"""An I2C adapter as the poll loop sees it: does it hang, is it there, and how long does a clock of it take.
 
 A hung bus (somebody holds a wire low) costs a time-out a transaction. Two in a row, with nothing heard in between, are
-the bus and not a sensor; it is then asked ever less often until something answers.
+the bus and not a sensor; it is then asked ever less often until something answers. An adapter that was unplugged ends
+every transaction with ENODEV; it is looked for at a steady pace.
 """
 
 from __future__ import annotations
@@ -10,6 +11,10 @@ import errno
 
 HUNG = frozenset({errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY})
 """What Linux adapters say when the bus does not come free (LNX-43, LNX-44, LNX-47)."""
+REMOVED = frozenset({errno.ENODEV})
+"""What a bus says whose adapter was unplugged (`imuarray.bus.linux`)."""
+SEARCH_NS = 250_000_000
+"""Between two looks for an adapter that was removed."""
 FIRST_PAUSE_NS = 50_000_000
 LONGEST_PAUSE_NS = 400_000_000
 SLACK_NS = 1_000_000
@@ -17,14 +22,32 @@ SLACK_NS = 1_000_000
 
 
 class Adapter:
-    """One adapter. `silent_until_ns`: nothing is sent before; `hangs` while it does."""
+    """One adapter. `silent_until_ns`: nothing is sent before; `hangs` and `removed` while it is so."""
 
     def __init__(self) -> None:
         self.hangs = False
+        self.removed = False
         self.silent_until_ns = -(1 << 62)
         self.time_outs = 0
         self.clock_ns = 1e9
         self._pause_ns = FIRST_PAUSE_NS
+
+    @property
+    def down(self) -> bool:
+        """Whether nothing that is behind it can be asked."""
+        return self.hangs or self.removed
+
+    def was_removed(self, now_ns: int) -> bool:
+        """A transaction ended with one of `REMOVED`; whether that is when the adapter went."""
+        began = not self.removed
+        self.removed = True
+        self.silent_until_ns = now_ns + SEARCH_NS
+        return began
+
+    def returned(self) -> None:
+        """It is there again."""
+        self.removed = False
+        self.silent_until_ns = -(1 << 62)
 
     def timed_out(self, now_ns: int) -> bool:
         """A transaction ended with one of `HUNG`; whether that is when the bus began to hang."""

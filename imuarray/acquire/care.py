@@ -5,18 +5,19 @@ Rows about which there is doubt wait or are flagged; the sensor is looked for or
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.acquire.adapter import HUNG
+from imuarray.acquire.freshness import Freshness
 from imuarray.acquire.pending import Pending
 from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.start_up import StartUp
-from imuarray.acquire.trouble import QUIET_NS, Trouble
+from imuarray.acquire.trouble import QUIET_NS, Trouble, Troubles
 from imuarray.acquire.watch import Watch
-from imuarray.log.format import OVERRUN, STALE, SUSPECT
+from imuarray.log.format import OVERRUN
 from imuarray.log.writer import Block
 
 AWAY_NS = 250_000_000
@@ -26,48 +27,54 @@ IDLE_NS = 1_000_000_000
 """A queue that gives nothing for so long has stopped."""
 HELD_S = 10.0
 """Rows that nobody could vouch for in this time are written as suspect."""
-_OFTEN = 1.15
-"""A chip this much faster than its polls has something new every time."""
-
-Note = Callable[[str, int, str, str], None]
-"""(sensor, at_ns, kind, message)."""
 
 
 class _Patient:
     """What is told about one sensor, and when."""
 
-    def __init__(self, pending: Pending, note: Note) -> None:
-        name = pending.station.sensor.name
-
-        def tell(at_ns: int, kind: str, message: str) -> None:
-            note(name, at_ns, kind, message)
-
-        self.name = name
-        self.tell = tell
-        self.lost = Trouble("lost", "readings lost", tell)
-        self.stale = Trouble("stale", "readings", tell)
-        self.overrun = Trouble("overrun", "times", tell)
-        self.troubles = (self.lost, self.stale, self.overrun)
+    def __init__(self, pending: Pending, troubles: Troubles) -> None:
+        self.name = pending.station.sensor.name
+        self._troubles = troubles
+        self.lost = troubles.of(self.name, "lost")
+        self.stale = troubles.of(self.name, "stale")
+        self.overrun = troubles.of(self.name, "overrun")
+        self.frozen = troubles.of(self.name, "frozen")
+        self.unwell: Trouble | None = None
+        self.freshness = Freshness(pending.station.sensor)
         self.last_row_ns: int | None = None
         self.rows = 0
+
+    def tell(self, at_ns: int, kind: str, message: str) -> None:
+        """Something happened to it."""
+        self._troubles.of(self.name, kind).happened(at_ns, message)
+
+    def falls_ill(self, at_ns: int, kind: str, message: str) -> None:
+        """It is not well until it was set up again."""
+        self.unwell = self._troubles.of(self.name, kind)
+        self.unwell.begin(at_ns, message)
 
 
 class Care:
     """All sensors'. `lost` counts readings that never arrived, by sensor."""
 
     def __init__(
-        self, pending: Sequence[Pending], watch: Watch, start_up: StartUp | None, note: Note, lost: dict[str, int]
+        self,
+        pending: Sequence[Pending],
+        watch: Watch,
+        start_up: StartUp | None,
+        troubles: Troubles,
+        lost: dict[str, int],
     ) -> None:
         self._pending = pending
         self._watch = watch
         self._start_up = start_up
         self._lost = lost
-        self._patients = {id(item): _Patient(item, note) for item in pending}
+        self._patients = {id(item): _Patient(item, troubles) for item in pending}
 
     # In a frame -----------------------------------------------------------------------------------------------------
 
     def lost(self, pending: Pending, at_ns: int, error: OSError | None) -> None:
-        """A reading did not arrive; None: it was not even asked for, the bus hangs."""
+        """A reading did not arrive; None: it was not even asked for, the bus hangs or its adapter was removed."""
         patient = self._patients[id(pending)]
         count = self._count(pending, at_ns)
         if error is None:
@@ -77,6 +84,10 @@ class Care:
             pending.silent_since_ns = at_ns
         elif error.errno in HUNG or at_ns - pending.silent_since_ns >= AWAY_NS:
             pending.recovery = Recovery(pending.station, at_ns, look=True)
+
+    def set_up_later(self, pending: Pending, at_ns: int) -> None:
+        """Its adapter was removed: it may lose its supply, and is set up when the adapter is there again."""
+        pending.recovery = Recovery(pending.station, at_ns, look=False)
 
     def step(self, pending: Pending, now_ns: int) -> OSError | None:
         """In place of a reading: a piece of the way back. What the bus said, if it failed."""
@@ -111,7 +122,10 @@ class Care:
         pending.recovery = None
         pending.silent_since_ns = None
         patient.last_row_ns = now_ns
-        patient.lost.close()
+        patient.lost.over(now_ns)
+        if patient.unwell is not None:
+            patient.unwell.over(now_ns, told=True)  # by what follows
+            patient.unwell = None
         if recovery.intact:
             patient.tell(now_ns, "back", f"answers again, configured as it was, after {took_s:.2f} s")
         else:
@@ -125,7 +139,7 @@ class Care:
 
     def not_as_it_was(self, pending: Pending, at_ns: int, kind: str, message: str) -> None:
         """The watch found that a chip is not configured as it was, or not ours; its rows are flagged already."""
-        self._patients[id(pending)].tell(at_ns, kind, message)
+        self._patients[id(pending)].falls_ill(at_ns, kind, message)
         pending.recovery = Recovery(pending.station, at_ns, look=False)
 
     # Now and then ---------------------------------------------------------------------------------------------------
@@ -134,7 +148,6 @@ class Care:
         """Who stands still, who came up wrong, what is over."""
         for pending in self._pending:
             patient = self._patients[id(pending)]
-            patient.lost.settle(now_ns)
             if pending.recovery is None:
                 self._see_whether_it_moves(pending, patient, now_ns)
         if self._start_up is not None:
@@ -149,10 +162,12 @@ class Care:
             began_ns = pending.times_ns[row]
             pending.thaw()
             pending.distrust(row)
-            patient.tell(now_ns, "frozen", f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
+            patient.frozen.begin(now_ns, f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
         elif pending.queue is not None and now_ns - patient.last_row_ns > IDLE_NS:
-            patient.tell(now_ns, "frozen", f"nothing in its queue for {IDLE_NS * 1e-9:.0f} s")
+            patient.frozen.begin(now_ns, f"nothing in its queue for {IDLE_NS * 1e-9:.0f} s")
         else:
+            if patient.frozen.lasts and pending.moves:
+                patient.frozen.over(now_ns, told=True)  # by the event that it was set up again
             return
         pending.recovery = Recovery(pending.station, now_ns, look=False)
 
@@ -169,7 +184,7 @@ class Care:
                 pending.recovery = Recovery(pending.station, now_ns, look=False)
 
     def finish(self, now_ns: int) -> None:
-        """The log ends: judge what there is, and end every story."""
+        """The log ends: judge what there is."""
         for pending in self._pending:
             pending.flag_what_is_frozen_still()
             if pending.recovery is None and (row := pending.frozen_since()) is not None:
@@ -177,9 +192,6 @@ class Care:
                 self._patients[id(pending)].tell(now_ns, "frozen", "the same reading until the end")
         if self._start_up is not None:
             self._judge(self._start_up, now_ns, last=True)
-        for patient in self._patients.values():
-            for trouble in patient.troubles:
-                trouble.close()
 
     # Writing --------------------------------------------------------------------------------------------------------
 
@@ -202,14 +214,13 @@ class Care:
         """Tell of what only the decoded status shows."""
         patient = self._patients[id(pending)]
         patient.rows -= len(block.time)
-        if (block.status & (STALE | OVERRUN)).any():
+        if pending.queue is None and pending.driver.tells_fresh:
+            late = patient.freshness.overdue(block.time, block.status, pending.doubtful_rows)
+            if late.any():
+                _tell_at(block.time[late] + epoch_ns, patient.stale, "no new reading, though it must have one by then")
+        if (block.status & OVERRUN).any():
             overrun = block.time[(block.status & OVERRUN) != 0] + epoch_ns
             _tell_at(overrun, patient.overrun, "samples passed unread: the chip had nowhere to keep them")
-            if pending.queue is None and pending.station.sensor.chip_rate_hz >= _OFTEN * pending.rate_hz:
-                stale = block.time[block.status & (STALE | SUSPECT) == STALE] + epoch_ns
-                _tell_at(stale, patient.stale, "no new reading, though it should have one every time")
-        patient.overrun.settle(int(block.time[-1]) + epoch_ns)
-        patient.stale.settle(int(block.time[-1]) + epoch_ns)
 
 
 def _tell_at(times_ns: npt.NDArray[np.int64], trouble: Trouble, message: str) -> None:
@@ -217,5 +228,4 @@ def _tell_at(times_ns: npt.NDArray[np.int64], trouble: Trouble, message: str) ->
     for part in np.split(times_ns, np.flatnonzero(np.diff(times_ns) > QUIET_NS) + 1):
         if len(part):
             trouble.settle(int(part[0]))
-            trouble.happened(int(part[0]), message, len(part))
-            trouble.last_ns = int(part[-1])
+            trouble.happened(int(part[0]), message, len(part), int(part[-1]))

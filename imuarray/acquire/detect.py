@@ -1,10 +1,15 @@
-"""What answers on a bus, and is it what the configuration says; nothing is changed unless a self-test is asked for."""
+"""What answers on a bus, and is it what the configuration says; nothing is changed unless a self-test is asked for.
+
+An address that a driver of the kernel has answers as well: whose it is must be asked first.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+import errno
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from imuarray.acquire.stations import Station, route
 from imuarray.array import ArrayConfig
@@ -47,19 +52,77 @@ class Found:
     channel: int | None = None
     """Of the multiplexer (None: the trunk), with the address, of a chip that answered where nobody looked for it."""
     address: int | None = None
+    undetermined: bool = False
+    """The self-test could not say whether the chip is good."""
+    owner: str = ""
+    """Which driver of the kernel has the address, if one has; it was not asked then."""
+
+
+_VERDICTS: Mapping[bool | None, str] = MappingProxyType({True: "passed", False: "FAILED", None: "undetermined"})
+
+
+def owner_of(address: int, bus: OpenBus) -> str:
+    """Who has that address of the root bus, or a place behind it: a driver of the kernel; empty for nobody, and for a
+    bus that can't tell (LNX-12).
+    """
+    ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
+    try:
+        if ask is not None:
+            ask(address, None)
+    except SensorError as error:
+        return str(error)
+    except OSError as error:
+        if error.errno == errno.EBUSY:
+            return f"address {address:#04x} belongs to a driver of the kernel; unbind that driver"
+    return ""
 
 
 def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list[Found]:
-    """Ask for every sensor of `array` (and let it test itself), then look for chips that `array` does not name."""
-    found = [_ask_mux(array, bus)] if array.mux else []
-    found += [_ask(station, self_test) for station in route(array, bus)]
+    """Ask for every sensor of `array` (and let it test itself), then look for chips that `array` does not name.
+
+    Nothing is sent to an address that a driver of the kernel has, nor through a multiplexer that the kernel switches
+    (LNX-24).
+    """
+    mux = array.mux.address if array.mux else None
+    owner = "" if mux is None else owner_of(mux, bus)
+    found = [] if mux is None else [_ask_mux(mux, owner, bus)]
+    for station in route(array, bus):
+        if owner and station.sensor.channel is not None:
+            sensor, text = station.sensor, "not asked: the multiplexer before it belongs to the kernel"
+            found.append(Found(sensor.place, sensor.name, sensor.chip, text, False))
+        else:
+            found.append(_ask(station, self_test))
     taken = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
-    return found + _strangers(array.mux.address if array.mux else None, taken, bus)
+    owned = _owned(bus)
+    taken |= {(None, line.address) for line in owned if line.address is not None}
+    wanted = {mux, *(sensor.address for sensor in array.sensors)}  # of them it is said already
+    found += [line for line in owned if line.address not in wanted]
+    return found if owner else found + _strangers(mux, taken, bus)
+
+
+def _owned(bus: OpenBus) -> list[Found]:
+    """Addresses of chips that we know which a driver of the kernel has. That may be an array's, or a clock's on the
+    same bus: it is worth knowing, and not wrong.
+    """
+    known = sorted({*pca9544a.ADDRESSES, *(address for _, addresses, _ in _IDENTITIES for address in addresses)})
+    owners = {address: owner_of(address, bus) for address in known}
+    return [
+        Found(f"trunk address {address:#04x}", "", "", owner, True, address=address, owner=owner)
+        for address, owner in owners.items()
+        if owner
+    ]
 
 
 def _ask(station: Station, self_test: bool) -> Found:
-    """Is it the chip that the configuration says, and does it pass its self-test?"""
+    """Is it the chip that the configuration says, is it free, and does it pass its self-test?"""
     sensor = station.sensor
+    try:
+        station.claim()
+    except SensorError as error:
+        owner = str(error).partition(": ")[2]
+        return Found(sensor.place, sensor.name, sensor.chip, owner, False, owner=owner)
+    except OSError as error:
+        return Found(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
     try:
         station.driver.identify()
         result = station.driver.self_test() if self_test else SelfTest(True, "")
@@ -67,13 +130,16 @@ def _ask(station: Station, self_test: bool) -> Found:
         return Found(sensor.place, sensor.name, sensor.chip, str(error).partition(": ")[2], False)
     except OSError as error:
         return Found(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
-    verdict = f"self-test {'passed' if result.passed else 'FAILED'}: {result.text}" if self_test else ""
-    return Found(sensor.place, sensor.name, sensor.chip, sensor.chip, result.passed, verdict)
+    verdict = f"self-test {_VERDICTS[result.passed]}: {result.text}" if self_test else ""
+    unknown = result.passed is None
+    well = result.passed is not False
+    return Found(sensor.place, sensor.name, sensor.chip, sensor.chip, well, verdict, undetermined=unknown)
 
 
-def _ask_mux(array: ArrayConfig, bus: OpenBus) -> Found:
-    """Does the multiplexer answer?"""
-    address = array.mux.address if array.mux else 0
+def _ask_mux(address: int, owner: str, bus: OpenBus) -> Found:
+    """Does the multiplexer answer, and is it free?"""
+    if owner:
+        return Found(f"trunk address {address:#04x}", "mux", MUX, owner, False, owner=owner)
     try:
         control = bus.transfer(address, read=1)[0]
         return Found(f"trunk address {address:#04x}", "mux", MUX, f"{MUX}, control {control:#04x}", True)
@@ -82,15 +148,22 @@ def _ask_mux(array: ArrayConfig, bus: OpenBus) -> Found:
 
 
 def explore(bus: OpenBus) -> list[Found]:
-    """Every known chip that answers, behind the multiplexer if there is one: for a bus that no file describes yet."""
-    mux = _find_mux(bus)
-    found = [] if mux is None else [Found(f"trunk address {mux:#04x}", "", "", MUX, True, "", None, mux)]
-    return found + _strangers(mux, set(), bus)
+    """Every known chip that answers, behind the multiplexer if there is one: for a bus that no file describes yet.
+
+    An address that a driver of the kernel has is not asked; a line says whose it is.
+    """
+    owned = _owned(bus)
+    taken = {line.address for line in owned if line.address is not None}
+    mux = _find_mux(bus, taken)
+    found = [] if mux is None else [Found(f"trunk address {mux:#04x}", "", "", MUX, True, address=mux)]
+    return [*found, *owned, *_strangers(mux, {(None, address) for address in taken}, bus)]
 
 
-def _find_mux(bus: OpenBus) -> int | None:
+def _find_mux(bus: OpenBus, owned: Container[int]) -> int | None:
     """The address that answers as a multiplexer: some barometers have one of the eight addresses too (PCA-11)."""
     for address in pca9544a.ADDRESSES:
+        if address in owned:  # one that the kernel switches must not be written to: LNX-24
+            continue
         with contextlib.suppress(OSError):
             if not _answers(bus, address, bmp180.CHIP_ID) and _keeps_control(bus, address):
                 return address
@@ -136,7 +209,7 @@ def _look(segment: Bus, channel: int | None, known: set[int]) -> list[Found]:
     """Chips that answer on one segment at addresses that are not `known`."""
     where = "trunk" if channel is None else f"channel {channel}"
     return [
-        Found(f"{where} address {address:#04x}", "", "", chip, True, "", channel, address)
+        Found(f"{where} address {address:#04x}", "", "", chip, True, channel=channel, address=address)
         for chip, addresses, register in _IDENTITIES
         for address in addresses
         if address not in known and _answers(segment, address, register)

@@ -30,6 +30,12 @@ _FROZEN_BANDWIDTHS = 30.0
 """A reading that stands still for so many readings, seconds and correlation times is no chance: at half a code of noise
 rms on a single axis, three in four readings repeat the code before."""
 _FROZEN_LONGEST = 64 * _FROZEN_READINGS
+_FROZEN_SHARE = 0.9
+"""Of the seconds that so many readings should take: frames that follow each other faster than the chip measures repeat
+its reading."""
+_SILENT_S = 2.0
+_SILENT_READINGS = 3.0
+"""A sensor without a reading for so many seconds, and as long as so many readings take, gives none any more."""
 _VISITS = 3
 """One reading on demand takes: temperature asked for, pressure asked for, both there."""
 
@@ -46,6 +52,8 @@ class Pending:
     lost_before: list[int] = field(default_factory=list)
     overrun: list[int] = field(default_factory=list)
     reconfigured: list[int] = field(default_factory=list)
+    doubtful: list[int] = field(default_factory=list)
+    """Rows whose time is uncertain, or before which the chip may have been read unheard."""
     suspect: list[tuple[int, int | None]] = field(default_factory=list)
     """Stretches of rows [first, last) in which the configuration was wrong; last None: still is."""
     missing: bool = False
@@ -71,11 +79,14 @@ class Pending:
         own_pace = self.queue is not None or sensor.spec.on_demand
         self.always_due = own_pace or sensor.chip_rate_hz >= self.rate_hz
         self.row_rate_hz = sensor.chip_rate_hz if own_pace else min(self.rate_hz, sensor.chip_rate_hz)
-        self._frozen_rows = max(_FROZEN_READINGS, math.ceil(_frozen_s(sensor) * self.row_rate_hz))
+        self._frozen_s = _frozen_s(sensor)
+        self._frozen_rows = max(_FROZEN_READINGS, math.ceil(self._frozen_s * self.row_rate_hz))
         self.frozen_rows = self._frozen_rows
         self.frozen_reading: bytes | None = None
         self._since_set_up = self._still = 0
         self._watch_still = False
+        self.doubtful_rows = np.zeros(0, bool)
+        self.newest_ns: int | None = None
 
     def due(self, now_ns: int) -> bool:
         """False for a chip so slow that the next frame is soon enough for its next sample; none is missed for it."""
@@ -98,8 +109,15 @@ class Pending:
         before, self._overdue = self._overdue, max(math.floor((at_ns - self._awaited_ns) / self._pace_ns + 0.5), 0)
         return max(self._overdue - before, 0)
 
-    def add(self, burst: bytes, at_ns: int) -> None:
+    def silent(self, now_ns: int) -> bool:
+        """Whether no reading of the last seconds, or of the last few that were due, was taken by `take`."""
+        longest_ns = max(_SILENT_S, _SILENT_READINGS / self.row_rate_hz) * 1e9
+        return self.newest_ns is None or now_ns - self.newest_ns > longest_ns
+
+    def add(self, burst: bytes, at_ns: int, *, doubtful: bool = False) -> None:
         """One fetch: a reading taken at `at_ns`, or as many as a queue held."""
+        if doubtful:
+            self.doubtful.append(len(self.times_ns))
         if self.missing:
             self.lost_before.append(len(self.times_ns))
             self.missing = False
@@ -125,6 +143,7 @@ class Pending:
             del self.times_ns[row:], self.bursts[row * self.driver.burst :]
             self.lost_before = [index for index in self.lost_before if index < row]
             self.overrun = [index for index in self.overrun if index < row]
+            self.doubtful = [index for index in self.doubtful if index < row]
             self.reconfigured = [index for index in self.reconfigured if index < row]
             self.suspect = [(min(first, row), None if last is None else min(last, row)) for first, last in self.suspect]
             self._still = min(self._still, row)
@@ -156,7 +175,8 @@ class Pending:
         first = rows - 1
         while first > self._since_set_up and self._reading(first - 1) == reading:
             first -= 1
-        return first if rows - first >= enough else None
+        lasted_ns = self.times_ns[-1] - self.times_ns[first]
+        return first if rows - first >= enough and lasted_ns >= _FROZEN_SHARE * self._frozen_s * 1e9 else None
 
     def thaw(self) -> None:
         """It was found frozen. If a set-up did not change that, it is given longer before the next: it may be quiet."""
@@ -171,6 +191,11 @@ class Pending:
                 self.suspect.append((self._still, self._still + 1))
                 self._still += 1
 
+    @property
+    def moves(self) -> bool:
+        """Whether there is a reading since it was set up, other than the one with which it stood still."""
+        return not self._watch_still and len(self.times_ns) > self._since_set_up
+
     def _reading(self, row: int) -> bytes:
         start, part = row * self.driver.burst, self.driver.reading
         return bytes(self.bursts[start + part.start : start + part.stop])
@@ -184,7 +209,8 @@ class Pending:
         return np.frombuffer(bytes(self.bursts[: count * size]), np.uint8).reshape(count, size)
 
     def take(self, count: int, epoch_ns: int) -> Block:
-        """Decode the oldest `count` rows, and forget them.
+        """Decode the oldest `count` rows, at least one, and forget them; `doubtful_rows` (count,) tells which of them
+        were.
 
         A chip that is polled more slowly than it measures overruns by design; only where every sample was meant to be
         read, frame by frame or by its queue, is that worth a flag.
@@ -205,6 +231,9 @@ class Pending:
         if not self.driver.tells_fresh:
             status |= self._repeated(decoded.counts)
         times = np.array(self.times_ns[:count], np.int64) - epoch_ns
+        self.newest_ns = self.times_ns[count - 1]
+        self.doubtful_rows = np.zeros(count, bool)
+        self.doubtful_rows[[row for row in self.doubtful if row < count]] = True
         self._forget(count)
         return Block(times, decoded.counts, status, decoded.temperature_counts, decoded.compensated)
 
@@ -212,6 +241,7 @@ class Pending:
         del self.times_ns[:count], self.bursts[: count * self.driver.burst]
         self.lost_before = _later(self.lost_before, count)
         self.overrun = _later(self.overrun, count)
+        self.doubtful = _later(self.doubtful, count)
         self.reconfigured = _later(self.reconfigured, count)
         self._since_set_up = max(self._since_set_up - count, 0)
         self._still = max(self._still - count, 0)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.acquire.adapter import Adapter
+from imuarray.acquire.adapter import REMOVED, Adapter
 from imuarray.acquire.care import Care
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.pending import Pending
@@ -22,7 +22,7 @@ from imuarray.acquire.segments import Segment
 from imuarray.acquire.start_up import Judge, StartUp
 from imuarray.acquire.stations import Station, there_and_back
 from imuarray.acquire.summary import Summary
-from imuarray.acquire.trouble import Trouble
+from imuarray.acquire.trouble import Troubles
 from imuarray.acquire.watch import Watch
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event
@@ -65,6 +65,7 @@ class Poll:
         self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
         self.pending = {id(station): Pending(station, rate_hz) for station in stations}
         items = list(self.pending.values())
+        self.troubles = Troubles(self.event)
         forth = self._segments(stations)
         self.orders = forth, forth[::-1]
         start_ns = self.clock.now_ns()
@@ -75,11 +76,10 @@ class Poll:
             lambda pending, kind, text: self.care.not_as_it_was(pending, self.clock.now_ns(), kind, text),
             [witness for segment in forth if segment.channel for witness in segment.channel.witnesses],
         )
-        self.care = Care(items, self.watch, self.start_up, self.event, self.summary.lost)
+        self.care = Care(items, self.watch, self.start_up, self.troubles, self.summary.lost)
         read = clocks_beside(self.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
-        self.clocks = Clocks(read, epoch_ns, log.clocks, self._teller(""))
-        self.missed = Trouble("late", "frames missed", self._teller(""))
-        self.troubles = (self.missed, *(segment.trouble for segment in forth))
+        self.clocks = Clocks(read, epoch_ns, log.clocks, self.note)
+        self.missed = self.troubles.of("", "late")
         self.tick_frames = max(1, round(TICK_S * rate_hz))
         self.batch_frames = min(BATCH, max(1, round(BATCH_S * rate_hz)))
         self.truth: Callable[[int], Any] | None = getattr(bus, "truth", None)
@@ -97,13 +97,18 @@ class Poll:
                 Adapter() if isinstance(part[0].segment, str) else shared,
                 self.clock,
                 self.rate_hz,
-                self._teller(""),
+                self.troubles,
+                self.lose,
             )
             for part in there_and_back(stations)[0]
         ]
 
-    def _teller(self, sensor: str) -> Callable[[int, str, str], None]:
-        return lambda at_ns, kind, message: self.event(sensor, at_ns, kind, message)
+    def lose(self, adapter: Adapter, at_ns: int) -> None:
+        """An adapter was removed: what is behind it is set up when it is there again."""
+        for segment in self.orders[0]:
+            if segment.adapter is adapter:
+                for pending in segment.items:
+                    self.care.set_up_later(pending, at_ns)
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Frame after frame on a grid of their times: one that begins late is counted late, one whose time has passed
@@ -178,7 +183,7 @@ class Poll:
         for pending in segment.items:
             if not (pending.always_due or pending.due(now_ns)):
                 continue
-            if now_ns < adapter.silent_until_ns:
+            if now_ns < adapter.silent_until_ns or (adapter.removed and not segment.has_returned(pending)):
                 self.care.lost(pending, now_ns, None)
                 continue
             if pending.recovery is not None:
@@ -196,16 +201,20 @@ class Poll:
         Before anything is sent again it is asked which channel is connected: a silent address may be a wrong channel,
         and what was read before in this visit another chip's.
         """
+        again = False
         try:
             burst = pending.driver.fetch()
         except OSError as error:
             segment.failed(error)
+            if error.errno in REMOVED:  # told once for all of its sensors
+                self.care.lost(pending, now_ns, None)
+                return
             if error.errno == errno.ETIMEDOUT:  # to ask again would cost as much time again
                 self.care.lost(pending, now_ns, error)
                 return
             if segment.channel is not None:
                 segment.confirm(self.watch, self.summary.lost)
-            now_ns = self.clock.now_ns()
+            now_ns, again = self.clock.now_ns(), True
             try:
                 burst = pending.driver.fetch()
             except OSError as second:
@@ -222,15 +231,18 @@ class Poll:
         pending.silent_since_ns = None
         if pending.failed:
             self.care.arrived(pending, start_ns)
-        pending.add(burst, start_ns)
+        pending.add(burst, start_ns, doubtful=again or not certain)
 
     def tick(self) -> None:
         """What need not be looked at every frame."""
         now_ns = self.clock.now_ns()
         self.clocks.tick(now_ns)
         self.care.tick(now_ns)
-        for trouble in self.troubles:
-            trouble.settle(now_ns)
+        self.troubles.settle(now_ns)
+
+    def note(self, at_ns: int, kind: str, text: str) -> None:
+        """Something happened to the array as a whole."""
+        self.troubles.of("", kind).happened(at_ns, text)
 
     def event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
         """Note that something happened to a sensor, or to the array."""
@@ -239,12 +251,13 @@ class Poll:
         self.tell(event)
 
     def finish(self) -> None:
-        """Vouch for what was read, or flag it; write it; end the stories that events began."""
+        """Vouch for what was read, or flag it; write it; tell the end of what events began."""
         self.watch.finish()
         self.care.finish(self.clock.now_ns())
-        for trouble in self.troubles:
-            trouble.close()
         self.write(last=True)
+        now_ns = self.clock.now_ns()
+        self.troubles.close(now_ns)
+        self.summary.silent = [item.station.sensor.name for item in self.pending.values() if item.silent(now_ns)]
 
     def write(self, *, last: bool = False) -> None:
         """Decode and write what waits and is trusted."""

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 import tomli_w
 
 from imuarray.acquire.detect import MUX, Found
+from imuarray.array import SensorConfig
+from imuarray.bus.mux import Pca9544a
+from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.drivers import DRIVERS
 from imuarray.errors import SensorError
 from imuarray.printable import printable
 
@@ -20,14 +25,17 @@ _SETTINGS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
         "l3g4200d": ("Gyro", {"range": 500, "rate_hz": 400, "bandwidth_hz": 50}),
         "bmp180": ("BMP", {}),
         "hmc5883l": ("HMC", {"range": 1.3, "rate_hz": 15}),
+        "hmc5883": ("HMC", {"range": 1.2, "rate_hz": 15}),
     }
 )
 """By chip: how its sensors are called, and settings that a hand-held or driven box can live with."""
 
-_TOLD_BY_NAME = {"hmc5883 or hmc5883l": "hmc5883l"}
-"""Both say the same of themselves; nearly all that are sold are the later one."""
-_REMARKS = {"hmc5883l": "or hmc5883, with range = 1.2: they identify themselves alike; if --self-test fails, try that"}
-"""By chip: what stands beside it in the file."""
+_ALIKE: Mapping[str, tuple[str, ...]] = MappingProxyType({"hmc5883 or hmc5883l": ("hmc5883l", "hmc5883")})
+"""Chips that say the same of themselves, the more common one first; what tells them apart is their self-test."""
+_REMARKS = {
+    "hmc5883 or hmc5883l": "or hmc5883, with range = 1.2: they identify themselves alike; --self-test fails for one"
+}
+"""By what was found: what stands beside it in the file."""
 
 _HEAD = """\
 # What answered on {bus}. Settings can be changed: each chip's are named when one is refused.
@@ -37,9 +45,32 @@ _HEAD = """\
 """
 
 
+def tell_apart(found: Sequence[Found], bus: OpenBus) -> list[Found]:
+    """What was found, with chips that identify themselves alike named by which of their self-tests they pass; those
+    that pass none, or can't be asked often enough, stay as they are. Their settings are lost.
+    """
+    mux = next((line.address for line in found if line.found == MUX), None)
+    return [replace(line, found=_passing(line, mux, bus) or line.found) for line in found]
+
+
+def _passing(line: Found, mux: int | None, bus: OpenBus) -> str | None:
+    """The chip among those that are alike whose self-test this one passes."""
+    if line.address is None:
+        return None
+    segment: Bus = bus if line.channel is None or mux is None else Pca9544a(bus, mux).channel(line.channel)
+    for chip in _ALIKE.get(line.found, ()):
+        sensor = SensorConfig(name="Unknown", chip=chip, address=line.address, **_SETTINGS[chip][1])
+        try:
+            if DRIVERS[chip](segment, sensor, bus.clock).self_test().passed:
+                return chip
+        except (OSError, SensorError):
+            continue
+    return None
+
+
 def propose(found: Sequence[Found], bus: str, name: str = "array") -> str:
     """A configuration's text from what `explore` found on a bus; SensorError if there was no chip that we know."""
-    chips = [(_TOLD_BY_NAME.get(line.found, line.found), line) for line in found if line.found != MUX]
+    chips = [(_ALIKE.get(line.found, (line.found,))[0], line) for line in found if line.found != MUX and not line.owner]
     if not chips:
         advice = f"try `imuarray detect --bus {printable(bus)} --doctor`"
         raise SensorError(f"{bus}: no chip answered, nothing to write a configuration of; {advice}")
@@ -50,9 +81,9 @@ def propose(found: Sequence[Found], bus: str, name: str = "array") -> str:
     counts = Counter(chip for chip, _ in chips)
     numbers: Counter[str] = Counter()
     for chip, line in chips:
-        numbers[chip] += 1
         prefix, settings = _SETTINGS[chip]
-        number = str(numbers[chip]) if counts[chip] > 1 or chip != "bmp180" else "180"
+        numbers[prefix] += 1
+        number = str(numbers[prefix]) if counts[chip] > 1 or chip != "bmp180" else "180"
         text += _sensor(f"{prefix}{number}", chip, line, settings)
     return text
 
@@ -61,5 +92,5 @@ def _sensor(name: str, chip: str, line: Found, settings: Mapping[str, Any]) -> s
     """One [[sensor]] table."""
     place = "" if line.channel is None else f"channel = {line.channel}\n"
     own = "".join(f"{key} = {value}\n" for key, value in settings.items())
-    remark = f"  # {_REMARKS[chip]}" if chip in _REMARKS else ""
+    remark = f"  # {_REMARKS[line.found]}" if line.found in _REMARKS else ""
     return f'\n[[sensor]]\nname = "{name}"\nchip = "{chip}"{remark}\n{place}address = {line.address:#04x}\n{own}'

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from imuarray.acquire.adapter import HUNG, Adapter
+from imuarray.acquire.adapter import HUNG, REMOVED, Adapter
 from imuarray.acquire.channels import channel_of
 from imuarray.acquire.pending import Pending
-from imuarray.acquire.trouble import Tell, Trouble
+from imuarray.acquire.trouble import Troubles
 from imuarray.acquire.watch import Watch, frames_of
 from imuarray.bus.mux import MuxChannel
 from imuarray.clock import Clock
 
 
 class Segment:
-    """Sensors that are connected together, in their order. `tell` hears of what concerns all of them."""
+    """Sensors that are connected together, in their order. `troubles` hears of what concerns all of them, `lose` of
+    every sensor in it when the adapter was removed.
+    """
 
     def __init__(
         self,
@@ -23,7 +25,8 @@ class Segment:
         adapter: Adapter,
         clock: Clock,
         rate_hz: float,
-        tell: Tell,
+        troubles: Troubles,
+        lose: Callable[[Adapter, int], None],
     ) -> None:
         self.items = items
         self.key = items[0].station.segment
@@ -31,15 +34,18 @@ class Segment:
         here, everywhere = [item.station for item in items], [item.station for item in everybody]
         self.channel = channel_of(here, everywhere, frames_of(rate_hz))
         doubtful = [id(station) for station in self.channel.twins] if self.channel else []
-        self.trouble = Trouble("channel", "visits", tell)
+        self._misrouted = troubles.of("", "channel")
+        self._hang = troubles.of("", "bus", id(adapter))
+        self._removal = troubles.of("", "adapter", id(adapter))
+        self._lose = lose
         self._twins = [item for item in items if id(item.station) in doubtful]
         shared = {item.station.sensor.address for item in self._twins if item.queue is not None}
         self._queues = [item for item in everybody if item.queue is not None and item.station.sensor.address in shared]
         self._marks: list[int] = []
         self._clock = clock
-        self._tell = tell
         bus = items[0].driver.registers.bus
         self._select: Callable[[], None] | None = bus.select if isinstance(bus, MuxChannel) else None
+        self._root = bus.mux.bus if isinstance(bus, MuxChannel) else bus
 
     def begin(self) -> int:
         """Connect it before the first reading is timed, and the time then; if that fails the reading will fail too,
@@ -55,17 +61,49 @@ class Segment:
         return self._clock.now_ns()
 
     def failed(self, error: OSError) -> None:
-        """What an error says about the bus: that it hangs, or that it works."""
+        """What an error says about the bus: that it hangs, that its adapter was removed, or that it works."""
         now_ns = self._clock.now_ns()
-        if error.errno not in HUNG:
+        if error.errno in REMOVED:
+            if self.adapter.was_removed(now_ns):
+                self._removal.begin(now_ns, f"{error.strerror or error} (errno {error.errno})")
+                self._lose(self.adapter, now_ns)
+        elif error.errno not in HUNG:
             self.answered()
-        elif self.adapter.timed_out(now_ns):
-            self._tell(now_ns, "bus", f"hangs: {error.strerror or error} (errno {error.errno})")
+        else:
+            self._return(now_ns)
+            if self.adapter.timed_out(now_ns):
+                self._hang.begin(now_ns, f"hangs: {error.strerror or error} (errno {error.errno})")
 
     def answered(self) -> None:
         """The bus works, and did not before, maybe."""
+        now_ns = self._clock.now_ns()
+        self._return(now_ns)
         if self.adapter.answered():
-            self._tell(self._clock.now_ns(), "bus", "works again")
+            self._hang.over(now_ns, "works again")
+
+    def _return(self, now_ns: int) -> None:
+        """The adapter is there, and was not before, maybe."""
+        if not self.adapter.removed:
+            return
+        self.adapter.returned()
+        where = getattr(self._root, "where", None)
+        place = f" as {where}" if where else ""
+        self._removal.over(now_ns, f"the adapter is there again{place}, its sensors are set up again")
+        for item in self.items:
+            bus = item.driver.registers.bus
+            if isinstance(bus, MuxChannel):  # the multiplexer may have been without its supply
+                bus.mux.selected = None
+
+    def has_returned(self, pending: Pending) -> bool:
+        """Ask whether anybody is at the sensor's address: whatever comes back but `REMOVED`, the adapter is there."""
+        registers = pending.driver.registers
+        try:
+            registers.bus.transfer(registers.address)
+        except OSError as error:
+            self.failed(error)
+        else:
+            self.answered()
+        return not self.adapter.removed
 
     def confirm(self, watch: Watch, lost: dict[str, int]) -> bool:
         """Was it the right channel up to now? If not, what its twins said is thrown away, and counted in `lost`.
@@ -73,8 +111,8 @@ class Segment:
         Where a hung bus can't be asked nothing is believed either.
         """
         if self.channel is None:
-            return not self.adapter.hangs
-        right = not self.adapter.hangs and self.channel.right()
+            return not self.adapter.down
+        right = not self.adapter.down and self.channel.right()
         if right:
             if self.channel.seen:
                 watch.saw(self.channel.seen)
@@ -84,10 +122,10 @@ class Segment:
             return True
         for item, mark in zip(self._twins, self._marks, strict=True):
             lost[item.station.sensor.name] += item.cut(mark)
-        if not self.adapter.hangs:
+        if not self.adapter.down:
             names = ", ".join(item.station.sensor.name for item in self._twins)
             text = f"channel {self.key} was not connected: readings of {names} are thrown away"
-            self.trouble.happened(self._clock.now_ns(), text)
+            self._misrouted.happened(self._clock.now_ns(), text)
         for item in self._queues:  # drained in another's place: what was in them is lost
             item.missing = True
             if item.queue is not None:

@@ -19,7 +19,7 @@ from imuarray.acquire.stream_health import Health
 from imuarray.acquire.stream_plan import plan
 from imuarray.acquire.stream_rows import LINK, Rows
 from imuarray.acquire.summary import Summary
-from imuarray.acquire.trouble import Trouble
+from imuarray.acquire.trouble import Troubles
 from imuarray.bus.mux import MuxChannel
 from imuarray.bus.protocol import OpenBus
 from imuarray.bus.serial_bus import Samples, SerialBus
@@ -75,10 +75,10 @@ class Streaming:
         now_ns = bus.clock.now_ns()
         start_up = StartUp([rows.pending for rows in self._rows], judge, now_ns) if judge else None
         self._health = Health(self._rows, self._plan.watched, start_up, self._note)
-        self._troubles = {id(rows): Trouble("lost", "readings lost", self._teller(rows)) for rows in self._rows}
-        self._link = Trouble("link", "attempts", self._event_of(""))
+        self._troubles = Troubles(self._event)
+        self._link = self._troubles.of("", "link")
         read = clocks_beside(bus.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
-        self._clocks = Clocks(read, epoch_ns, log.clocks, self._event_of(""))
+        self._clocks = Clocks(read, epoch_ns, log.clocks, self._note_of_all)
         self._frames: int | None = None  # how many are wanted
         self._begun = 0  # frames before the stream was last started
         self._newest = -1  # number of the newest frame since
@@ -148,7 +148,8 @@ class Streaming:
     def _lost(self, rows: Rows, count: int, why: str) -> None:
         """Readings of one sensor are missing: `count` that are now known to be, or more and more."""
         self._count_lost(rows, count)
-        self._troubles[id(rows)].happened(self._bus.clock.now_ns(), f"no reading: {why}", count)
+        lost = self._troubles.of(rows.pending.station.sensor.name, "lost")
+        lost.happened(self._bus.clock.now_ns(), f"no reading: {why}", count)
 
     def _set_up_again(self) -> None:
         """Stop, set up who is ill, and go on."""
@@ -204,14 +205,15 @@ class Streaming:
         except OSError as error:
             self._link.happened(self._bus.clock.now_ns(), f"the microcontroller is lost: {error.strerror or error}")
             lost = True
-        self._link.close()
         self._count_silence(lost)
         self._forget_channels()
         self._health.finish(self._bus.clock.now_ns())
         for rows in self._rows:
             self._count_lost(rows, rows.missing(self._newest))
-            self._troubles[id(rows)].close()
         self._write(last=True)
+        now_ns = self._bus.clock.now_ns()
+        self._troubles.close(now_ns)
+        self.summary.silent = [rows.pending.station.sensor.name for rows in self._rows if rows.pending.silent(now_ns)]
 
     def _count_silence(self, lost: bool) -> None:
         """Frames that should have come since something was last heard are lost too, if the link is (`lost`, or so long
@@ -236,23 +238,22 @@ class Streaming:
                 self._log.append(rows.pending.station.sensor.name, block)
                 self._observe(rows.pending.station.sensor.name, block)
                 self._health.written(rows, count)
-            self._troubles[id(rows)].settle(self._written_ns)
-        self._link.settle(self._written_ns)
+        self._troubles.settle(self._written_ns)
         self._progress(self.summary.frames)
 
     def _note(self, rows: Rows, kind: str, text: str) -> None:
-        self._teller(rows)(self._bus.clock.now_ns(), kind, text)
+        """Something happened to a sensor."""
+        self._troubles.of(rows.pending.station.sensor.name, kind).happened(self._bus.clock.now_ns(), text)
 
-    def _teller(self, rows: Rows) -> Callable[[int, str, str], None]:
-        return self._event_of(rows.pending.station.sensor.name)
+    def _note_of_all(self, at_ns: int, kind: str, text: str) -> None:
+        """Something happened to the array as a whole."""
+        self._troubles.of("", kind).happened(at_ns, text)
 
-    def _event_of(self, sensor: str) -> Callable[[int, str, str], None]:
-        def happened(at_ns: int, kind: str, text: str) -> None:
-            event = Event(at_ns - self._epoch_ns, sensor, kind, text)
-            self._log.event(event)
-            self._tell(event)
-
-        return happened
+    def _event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
+        """Write an event down, and tell it."""
+        event = Event(at_ns - self._epoch_ns, sensor, kind, text)
+        self._log.event(event)
+        self._tell(event)
 
 
 def _until(samples: Samples, number: int) -> Samples:

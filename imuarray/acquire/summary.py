@@ -19,6 +19,8 @@ class Summary:
     """Readings whose time is uncertain by a millisecond or more: the machine did something else meanwhile."""
     lost: dict[str, int] = field(default_factory=dict)
     """Readings that never arrived, by sensor."""
+    silent: list[str] = field(default_factory=list)
+    """Sensors that gave no reading any more when the recording ended."""
     seconds: float = 0.0
     logs: list[Path] = field(default_factory=list)
     """The files, in the order of their time: one, unless it was cut into parts."""

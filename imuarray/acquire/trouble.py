@@ -1,43 +1,137 @@
-"""What goes wrong and on, told twice: when it begins, and when it is over if it lasted. A night of it fills no log."""
+"""Conditions that last, told twice: when they begin, and when they are over, with their count and duration.
+
+A fault that comes and goes is one condition as well: each time it comes back soon, it must stay away for longer before
+it is told to be over. So no fault, however persistent, fills a log with events: see `MOST_EVENTS_AN_HOUR`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
+from types import MappingProxyType
 
 QUIET_NS = 1_000_000_000
-"""What comes back within this is the same trouble."""
+"""What comes back within this is the same trouble. Doubled each time that it comes back later than that, but within
+`RELAPSE_NS`."""
+LONGEST_QUIET_NS = 900_000_000_000
+RELAPSE_NS = 3_600_000_000_000
+MOST_EVENTS_AN_HOUR = 28
+"""Of one kind of trouble of one sensor: with quiet times of 1, 2, ... 512 and then 900 seconds between its episodes no
+more than 14 of them begin in an hour."""
 
 Tell = Callable[[int, str, str], None]
 """(at_ns, kind, message)."""
+Note = Callable[[str, int, str, str], None]
+"""(sensor, at_ns, kind, message)."""
+
+UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "lost": "readings lost",
+        "stale": "readings",
+        "late": "frames missed",
+        "channel": "visits",
+        "link": "attempts",
+    }
+)
+"""What is counted, by kind; "times" for the others."""
 
 
 class Trouble:
-    """One kind of trouble of one sensor; `tell` hears of it."""
+    """One kind of trouble of one sensor; `tell` hears of it.
+
+    `happened` is for what happens now and then and is over when it stays away, `begin` and `over` for what lasts in
+    between. What happened once has no end of its own: the event says it all.
+    """
 
     def __init__(self, kind: str, unit: str, tell: Tell) -> None:
         self.kind = kind
         self.on = False
         self.count = 0
+        self.last_ns = 0
         self._unit = unit
         self._tell = tell
-        self._since_ns = self.last_ns = 0
+        self._since_ns = 0
+        self._quiet_ns = QUIET_NS
+        self._ended_ns: int | None = None
+        self._lasts = False
+        self._end = ""
+        self._told = False
 
-    def happened(self, at_ns: int, message: str, count: int = 1) -> None:
-        """It happened, for the first time or again."""
+    def happened(self, at_ns: int, message: str, count: int = 1, until_ns: int | None = None) -> None:
+        """It happened at `at_ns`, for the first time or again; `count` times until `until_ns`."""
         if not self.on:
-            self.on, self._since_ns = True, at_ns
+            self.on, self._since_ns, self.last_ns = True, at_ns, at_ns
+            relapse = self._ended_ns is not None and at_ns - self._ended_ns <= RELAPSE_NS
+            self._quiet_ns = min(2 * self._quiet_ns, LONGEST_QUIET_NS) if relapse else QUIET_NS
             self._tell(at_ns, self.kind, message)
         self.count += count
-        self.last_ns = at_ns
+        self.last_ns = max(self.last_ns, at_ns if until_ns is None else until_ns)
+        self._end, self._told = "", False
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it has begun and is not over."""
+        return self._lasts
+
+    def begin(self, at_ns: int, message: str) -> None:
+        """It is so from now on, until `over`."""
+        self.happened(at_ns, message)
+        self._lasts = True
+
+    def over(self, at_ns: int, message: str = "", *, told: bool = False) -> None:
+        """It is over now; told at once unless it comes and goes, and not at all if another event has `told` it."""
+        self._lasts, self._told = False, told
+        if self.on:
+            self.last_ns, self._end = max(self.last_ns, at_ns), message
+            if self._quiet_ns <= QUIET_NS:
+                self._close()
 
     def settle(self, now_ns: int) -> None:
-        """Tell that it is over if it has not happened for a while, and lasted longer than that."""
-        if self.on and now_ns - self.last_ns > QUIET_NS:
-            self.close()
+        """Tell that it is over if it has not happened for long enough."""
+        if self.on and not self._lasts and now_ns - self.last_ns > self._quiet_ns:
+            self._close()
 
-    def close(self) -> None:
-        """It is over, or the log is."""
+    def close(self, now_ns: int) -> None:
+        """The log ends."""
+        if self._lasts:
+            self._lasts, self.last_ns, self._end, self._told = False, now_ns, "still so when the log ended", False
+        if self.on:
+            self._close()
+
+    def _close(self) -> None:
         lasted_ns = self.last_ns - self._since_ns
-        if self.on and lasted_ns > QUIET_NS:
-            self._tell(self.last_ns, self.kind, f"in all {self.count} {self._unit} in {lasted_ns * 1e-9:.1f} s")
-        self.on, self.count = False, 0
+        if (self._end or lasted_ns > 0) and not (self._told and self.count == 1):
+            lasted = f"in {lasted_ns * 1e-9:.1f} s"
+            text = f"in all {self.count} {self._unit} {lasted}"
+            if self._end:
+                text = f"{self._end}, {text}" if self.count > 1 else f"{self._end}, {lasted.replace('in', 'after')}"
+            self._tell(self.last_ns, self.kind, text)
+        self.on, self.count, self._end = False, 0, ""
+        self._ended_ns = self.last_ns
+
+
+class Troubles:
+    """All troubles of a recording; `tell` hears of them."""
+
+    def __init__(self, tell: Note) -> None:
+        self._tell = tell
+        self._all: dict[tuple[str, str, Hashable], Trouble] = {}
+
+    def of(self, sensor: str, kind: str, which: Hashable = None) -> Trouble:
+        """The trouble of this kind of `sensor` ("": the array); of several of a kind `which`."""
+        key = sensor, kind, which
+        if key not in self._all:
+            self._all[key] = Trouble(kind, UNITS.get(kind, "times"), self._teller(sensor))
+        return self._all[key]
+
+    def _teller(self, sensor: str) -> Tell:
+        return lambda at_ns, kind, message: self._tell(sensor, at_ns, kind, message)
+
+    def settle(self, now_ns: int) -> None:
+        """See `Trouble.settle`."""
+        for trouble in self._all.values():
+            trouble.settle(now_ns)
+
+    def close(self, now_ns: int) -> None:
+        """See `Trouble.close`."""
+        for trouble in self._all.values():
+            trouble.close(now_ns)

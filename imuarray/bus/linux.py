@@ -7,6 +7,10 @@ the structures.
 
 I2C_RDWR asks neither whether a kernel driver owns an address (LNX-12) nor whether another program is on the bus:
 `claim` asks the one, a lock on the device keeps out the other. A bus belongs to one thread.
+
+An adapter that is unplugged while it is open is noticed by its entry in sysfs, after a transaction that failed. The
+descriptor is closed, without which the kernel could not finish the removal; every transaction then ends with ENODEV,
+and now and then looks for the adapter by what it is (`imuarray.bus.identity`). When it is there again the bus goes on.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from typing import Any, NamedTuple, Self
 from smbus2 import I2cFunc, SMBus, i2c_msg
 from smbus2.smbus2 import I2C_RDWR, I2C_SLAVE, i2c_rdwr_ioctl_data
 
+from imuarray.bus.identity import DEVICE_FILES, I2C_DEVICES, Entry, adapter_entry, adapters, is_alone, mark_of, search
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, MonotonicClock
 from imuarray.errors import BusUrlError, SensorError
@@ -37,8 +42,8 @@ KEPT = 256
 TIMEOUT_S = 0.03
 """The kernel's own is 1 s a transfer: a hung bus would stop the log for as long, sensor after sensor."""
 I2C_TIMEOUT = 0x0702  # in units of 10 ms (LNX-03); smbus2 does not name it
-DEVICES = Path("/sys/bus/i2c/devices")
-"""Where the kernel shows who drives what (LNX-21)."""
+SEARCH_NS = 200_000_000
+"""Between two looks for an adapter that was removed: each lists the adapters of the machine."""
 
 Request = tuple[int, bytes, int]
 """Address, bytes to write, count to read: the arguments of `transfer`."""
@@ -47,52 +52,125 @@ Request = tuple[int, bytes, int]
 class LinuxBus:
     """An I2C adapter of this machine, locked for this object alone; BusUrlError when it can't be had.
 
-    `timeout_s` is set on the adapter itself and stays there (LNX-03); `devices` is the kernel's list of devices.
+    `timeout_s` is set on the adapter itself and stays there (LNX-03). `devices` is the kernel's list of I2C devices in
+    sysfs, `device_files` the folder in which an adapter that was unplugged appears again. `where` is the device file
+    that is in use now; None while the adapter is removed.
     """
 
     source = "i2c"
 
-    def __init__(self, path: str, *, timeout_s: float = TIMEOUT_S, devices: Path | None = None) -> None:
+    def __init__(
+        self,
+        path: str,
+        *,
+        timeout_s: float = TIMEOUT_S,
+        devices: Path | None = None,
+        device_files: Path | None = None,
+        clock: Clock | None = None,
+    ) -> None:
         self.path = path
-        self.clock: Clock = MonotonicClock()
+        self.where: str | None = path
+        self.clock: Clock = MonotonicClock() if clock is None else clock
         self._timeout_s = timeout_s
-        self._devices = DEVICES if devices is None else devices
+        self._devices = I2C_DEVICES if devices is None else devices
+        self._device_files = DEVICE_FILES if device_files is None else device_files
         self._others: dict[str, LinuxBus] = {}
+        self._together = [self]  # with the channels, whose removal the kernel waits for as well
+        self._entry: Entry | None = None
+        self._alone = True
+        self._known: dict[str, int] = {}
+        self._search_ns = 0
         self._one = lru_cache(KEPT)(lambda address, write, read: _Block.of(((address, write, read),)))
         self._many = lru_cache(KEPT)(_Block.of)
         self._grouping = True
         self._adapter: Any = SMBus()
+        self._file = -1
         try:
-            self._open()
+            self._open(path)
         except OSError as error:
-            self._adapter.close()
             raise BusUrlError(
                 f"i2c:{path}: {error.strerror or error}; buses are /dev/i2c-* (enable I2C, join group i2c)"
             ) from error
-        except BusUrlError:
+
+    def _open(self, path: str) -> None:
+        """Open and lock `path`, and note what it is; what fails leaves nothing open."""
+        try:
+            self._adapter.open(path)
+            self._set_up()
+        except BaseException:
             self._adapter.close()
             raise
+        self.where, self._file = path, self._adapter.fd
+        name = Path(os.path.realpath(path)).name
+        entry = adapter_entry(self._devices, name)
+        if entry is not None:  # else there is no sysfs to watch
+            self._entry = entry
+            self._alone = is_alone(entry.identity, adapters(self._devices))
 
-    def _open(self) -> None:
-        self._adapter.open(self.path)
-        self._file: int = self._adapter.fd
+    def _set_up(self) -> None:
         if not self._adapter.funcs & I2cFunc.I2C:
             raise BusUrlError(f"i2c:{self.path}: this adapter speaks SMBus only, plain I2C messages are needed")
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self._adapter.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise BusUrlError(
                 f"i2c:{self.path}: another program has locked this bus; two on one bus would mix their transactions"
             ) from None
-        fcntl.ioctl(self._file, I2C_TIMEOUT, max(1, round(self._timeout_s * 100)))
+        fcntl.ioctl(self._adapter.fd, I2C_TIMEOUT, max(1, round(self._timeout_s * 100)))
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
         """See `Bus.transfer`; ValueError for more than a message can carry (the kernel's field is 16 bits wide:
-        LNX-33).
+        LNX-33). OSError with ENODEV while the adapter is removed.
         """
         block = self._one(address, write, read)
-        fcntl.ioctl(self._file, I2C_RDWR, block.structure)
+        if self._file < 0:
+            self._find_again()
+        try:
+            fcntl.ioctl(self._file, I2C_RDWR, block.structure)
+        except OSError:
+            self._notice_removal()
+            raise
         return block.answers[0].raw
+
+    def _notice_removal(self) -> None:
+        """Close every adapter of this bus that the kernel has removed; OSError with ENODEV if this one is removed.
+
+        All of them, because the kernel removes a root adapter only after the channels behind it are closed.
+        """
+        for bus in self._together:
+            bus._close_if_removed()
+        if self._file < 0:
+            raise self._removed()
+
+    def _close_if_removed(self) -> None:
+        entry = self._entry
+        if self._file < 0 or entry is None or mark_of(self._devices, entry.name) == entry.mark:
+            return
+        self._adapter.close()
+        self._file, self.where = -1, None
+        listed = adapters(self._devices)
+        self._known = {other.name: other.mark for other in listed.values()}
+        self._alone = self._alone and is_alone(entry.identity, listed)
+
+    def _removed(self) -> OSError:
+        what = f" ({self._entry.identity.text})" if self._entry else ""
+        return OSError(errno.ENODEV, f"the adapter {self.path}{what} was removed")
+
+    def _find_again(self) -> None:
+        """Open the adapter if it is there again, at most every `SEARCH_NS`; OSError with ENODEV otherwise."""
+        now_ns = self.clock.now_ns()
+        if self._entry is None or now_ns < self._search_ns:
+            raise self._removed()
+        self._search_ns = now_ns + SEARCH_NS
+        for bus in self._together:
+            bus._close_if_removed()
+        name = search(self._entry.identity, adapters(self._devices), self._known, alone=self._alone)
+        if name is None:
+            raise self._removed()
+        try:
+            self._open(str(self._device_files / name))
+        except (OSError, BusUrlError) as error:  # udev has not given it its rights yet, or another program was faster
+            raise self._removed() from error
 
     def transfer_all(self, requests: Sequence[Request]) -> list[bytes]:
         """What `transfer` gives for each of `requests`, in one transaction where the adapter allows it, joined by
@@ -103,11 +181,14 @@ class LinuxBus:
         """
         if self._grouping and 1 < len(requests) <= MAX_MESSAGES // 2:
             block = self._many(tuple(requests))
+            if self._file < 0:
+                self._find_again()
             try:
                 fcntl.ioctl(self._file, I2C_RDWR, block.structure)
                 return [answer.raw for answer in block.answers]
             except OSError as error:
                 if error.errno != errno.EOPNOTSUPP:
+                    self._notice_removal()
                     raise
                 self._grouping = False
         return [self.transfer(*request) for request in requests]
@@ -117,10 +198,13 @@ class LinuxBus:
         drivers of one chip undo each other's work, and of a multiplexer reroute each other's transactions (LNX-24).
         """
         bus = self if path is None else self._other(path)
+        if bus._file < 0:
+            bus._find_again()
         try:
             fcntl.ioctl(bus._file, I2C_SLAVE, address)
         except OSError as error:
             if error.errno != errno.EBUSY:
+                bus._notice_removal()
                 raise
             raise SensorError(
                 f"{bus.path}: address {address:#04x} belongs to {bus._owner(address)}; unbind that driver, or, if it"
@@ -129,7 +213,7 @@ class LinuxBus:
 
     def _owner(self, address: int) -> str:
         """The kernel driver of `address`, by name if the kernel tells."""
-        number = os.path.realpath(self.path).rpartition("-")[2]
+        number = os.path.realpath(self.where or self.path).rpartition("-")[2]
         link = self._devices / f"{number}-{address:04x}" / "driver"
         return f"the kernel's driver {link.readlink().name!r}" if link.is_symlink() else "a driver of the kernel"
 
@@ -141,7 +225,16 @@ class LinuxBus:
         if os.path.realpath(path) == os.path.realpath(self.path):
             return self
         if path not in self._others:
-            self._others[path] = LinuxBus(path, timeout_s=self._timeout_s, devices=self._devices)
+            other = LinuxBus(
+                path,
+                timeout_s=self._timeout_s,
+                devices=self._devices,
+                device_files=self._device_files,
+                clock=self.clock,
+            )
+            self._others[path] = other
+            self._together.append(other)
+            other._together = self._together
         return self._others[path]
 
     def __enter__(self) -> Self:

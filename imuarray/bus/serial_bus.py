@@ -22,13 +22,15 @@ from imuarray.bus import serial_link as link
 from imuarray.bus.protocol import Bus
 from imuarray.bus.serial_clock import ClockFit, Widened
 from imuarray.bus.serial_link import Capacity, Frame, LinkError, PollList
-from imuarray.bus.serial_port import Port, port_of, usual_port
+from imuarray.bus.serial_port import Port, UsualPort, port_of
 from imuarray.bus.serial_session import PATIENCE_S, Session
 from imuarray.clock import Clock, MonotonicClock, sleep_for
 from imuarray.errors import BusUrlError
 
 NAP_S = 0.02
 """Between two pieces of a stream: what comes in the meantime is read at once."""
+SEARCH_NS = 1_000_000_000
+"""Between two looks for a microcontroller that is gone, while it is asked transaction by transaction."""
 BUSY_BYTES = 8192
 """When more than this came in a nap, the next one is left out: the system's own buffers are no larger."""
 
@@ -62,6 +64,8 @@ class SerialBus:
         self._sizes: dict[int, int] = {}
         self._period_us = 0
         self._behind = False
+        self._lost = False
+        self._search_ns = 0
 
     @property
     def fit(self) -> ClockFit:
@@ -84,9 +88,30 @@ class SerialBus:
         return self._period_us > 0
 
     def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
-        """See `Bus.transfer`; LinkError if the microcontroller does not answer, ValueError for what no frame holds."""
-        answer = self._session.ask(link.TRANSFER, link.transfer_payload(address, write, read))
+        """See `Bus.transfer`; LinkError if the microcontroller does not answer, ValueError for what no frame holds.
+
+        After that it is looked for, at most every `SEARCH_NS`, and until it is there OSError has ENODEV.
+        """
+        payload = link.transfer_payload(address, write, read)
+        if self._lost:
+            self._find_again()
+        try:
+            answer = self._session.ask(link.TRANSFER, payload)
+        except LinkError:
+            self._lost, self._search_ns = True, self.clock.now_ns() + SEARCH_NS
+            raise
         return link.outcome_of(answer.payload, read, f"address {address:#04x} over the link")
+
+    def _find_again(self) -> None:
+        """Open the port anew; OSError with ENODEV if nobody who speaks the link is there."""
+        now_ns = self.clock.now_ns()
+        if now_ns < self._search_ns:
+            raise OSError(errno.ENODEV, "the microcontroller is gone")
+        try:
+            self.reconnect()
+        except LinkError as error:
+            self._search_ns = self.clock.now_ns() + SEARCH_NS
+            raise OSError(errno.ENODEV, f"the microcontroller is gone: {error.strerror}") from error
 
     def channel_bus(self, path: str) -> Bus:
         """There is none: OSError, as for a device file that isn't there."""
@@ -134,6 +159,7 @@ class SerialBus:
         """
         self._period_us = 0
         self._session.reconnect(patience_s)
+        self._lost = False
 
     def _do(self, kind: int, payload: bytes, what: str) -> None:
         link.outcome_of(self._session.ask(kind, payload).payload, 0, what)
@@ -171,7 +197,7 @@ def open_serial(rest: str) -> SerialBus:
     """The bus of the URL ``serial:`` + `rest`: ``/dev/ttyACM0``, ``/dev/ttyUSB0?baud=921600``; BusUrlError."""
     path, baud = port_of(rest)
     try:
-        return SerialBus(lambda: usual_port(path, baud), patience_s=PATIENCE_S)
+        return SerialBus(UsualPort(path, baud), patience_s=PATIENCE_S)
     except LinkError as error:
         raise BusUrlError(f"serial:{path}: {error.strerror}; its firmware must speak the serial link") from error
     except (OSError, ValueError) as error:

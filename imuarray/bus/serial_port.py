@@ -6,11 +6,15 @@ faster.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import errno
+import os
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Protocol
 from urllib.parse import parse_qsl
 
+from imuarray.bus.identity import DEVICE_FILES, TTY_DEVICES, Entry, is_alone, mark_of, ports, search
 from imuarray.bus.serial_link import LinkError
 from imuarray.errors import BusUrlError
 
@@ -44,6 +48,46 @@ def usual_port(path: str, baud: int) -> Port:
 
     port: Port = Serial(path, baud, timeout=READ_S, write_timeout=WRITE_S, exclusive=True)
     return port
+
+
+class UsualPort:
+    """Opens the port at `path`, and later the same device wherever it appears again (`imuarray.bus.identity`): its
+    number may be another one after it was unplugged. `devices` is the kernel's list of serial ports, `where` the one
+    that was opened last.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        baud: int,
+        *,
+        devices: Path | None = None,
+        device_files: Path | None = None,
+        open_port: Callable[[str, int], Port] = usual_port,
+    ) -> None:
+        self.where = path
+        self._baud = baud
+        self._devices = TTY_DEVICES if devices is None else devices
+        self._device_files = DEVICE_FILES if device_files is None else device_files
+        self._open_port = open_port
+        self._entry: Entry | None = None
+        self._alone = True
+        self._known: dict[str, int] = {}
+
+    def __call__(self) -> Port:
+        """The port, open; what `usual_port` raises, FileNotFoundError while the device is removed."""
+        listed = ports(self._devices)
+        if self._entry is not None and mark_of(self._devices, self._entry.name) != self._entry.mark:
+            name = search(self._entry.identity, listed, self._known, alone=self._alone)
+            if name is None:
+                raise FileNotFoundError(errno.ENOENT, f"{self._entry.identity.text} was removed", self.where)
+            self.where = str(self._device_files / name)
+        port = self._open_port(self.where, self._baud)
+        self._entry = listed.get(Path(os.path.realpath(self.where)).name)
+        if self._entry is not None:
+            self._known = {other.name: other.mark for other in listed.values() if other != self._entry}
+            self._alone = is_alone(self._entry.identity, listed)
+        return port
 
 
 def port_of(rest: str) -> tuple[str, int]:

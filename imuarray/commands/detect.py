@@ -39,7 +39,8 @@ _SENSOR_ADVICE = "look at its supply, its wires and its address pin, and whether
     "--output",
     type=click.Path(path_type=Path),
     metavar="NEW.toml",
-    help="without CONFIG: write a configuration of what answers, ready to log with",
+    help="without CONFIG: write a configuration of what answers, ready to log with; chips that identify themselves"
+    " alike (HMC5883, HMC5883L) are told apart by their self-test",
 )
 @force_option
 @json_option
@@ -58,10 +59,12 @@ def command(
     \b
     imuarray detect --bus i2c:/dev/i2c-1 -o array.toml
 
-    Exits 2 if a sensor is missing, another chip sits in its place, or it fails its self-test; with --doctor 1 if
-    anything is not well (it needs no CONFIG; with one it looks at each sensor, too).
+    Exits 2 if a sensor is missing, another chip sits in its place, a driver of the kernel has its address, or it fails
+    its self-test; 1 if a self-test could not be determined; with --doctor 1 if anything is not well (it needs no
+    CONFIG; with one it looks at each sensor, too).
     """
     from imuarray.acquire import detect, explore
+    from imuarray.acquire.propose import tell_apart
     from imuarray.array import load_array
     from imuarray.bus import open_bus
 
@@ -86,18 +89,24 @@ def command(
         click.echo(f"imuarray: {config}: no bus is named: asking the emulated array, no hardware", err=True)
     with open_bus(url, array) as bus:
         found = explore(bus) if config is None else detect(array, bus, self_test=self_test)
+        if output is not None:
+            found = tell_apart(found, bus)
         source = bus.source
     if output is not None:
         _write(found, url, output, force)
     name = array.name if config else None
     wrong = [line for line in found if not line.ok]
+    unknown = [line for line in found if line.undetermined]
+    exit_code = 2 if wrong else 1 if unknown else 0
     if as_json:
-        print_json({"array": name, "source": source, "found": [asdict(line) for line in found], "ok": not wrong})
-        return 2 if wrong else 0
+        lines = [asdict(line) for line in found]
+        print_json({"array": name, "source": source, "found": lines, "ok": not wrong and not unknown})
+        return exit_code
     note = " (emulated, no hardware)" if source == "emulated" else ""
     click.echo(f"{name or 'chips'} on {url}{note}")
     for line in found:
-        mark = "   " if not name else "ok " if line.ok and line.expected else ("?  " if line.ok else "NO ")
+        mark = "ok " if line.ok and line.expected and not line.undetermined else "?  " if line.ok else "NO "
+        mark = mark if name else "   "
         wanted = f"{line.sensor} ({line.expected})" if line.expected else "not in the configuration" if name else ""
         told = [text for text in (line.found, line.self_test) if text not in ("", line.expected)]
         click.echo(f"  {mark} {line.place:24} {wanted:28} {'; '.join(told)}".rstrip())
@@ -107,8 +116,10 @@ def command(
         )
         click.echo(f"then `imuarray calibrate axes poses.h5 -o {output} --force`")
     if name:
-        click.echo(f"{sum(bool(line.expected) for line in found) - len(wrong)} as configured, {len(wrong)} not")
-    return 2 if wrong else 0
+        expected = sum(bool(line.expected) for line in found)
+        more = f", {len(unknown)} undetermined" if unknown else ""
+        click.echo(f"{expected - len(wrong) - len(unknown)} as configured, {len(wrong)} not{more}")
+    return exit_code
 
 
 def _write(found: Sequence[Found], url: str, output: Path, force: bool) -> None:

@@ -113,13 +113,14 @@ def command(
     monitor_host: str | None,
     force: bool,
     as_json: bool,
-) -> None:
+) -> int:
     """Record the array of CONFIG into a log of raw counts. Interrupt (Ctrl-C) to end it cleanly.
 
     What happens to a sensor meanwhile is told on standard error. Over ssh start it by the service, tmux or nohup: a
     terminal that goes away ends the log.
 
-    The bus is --bus or the configuration's; with neither, nothing is recorded.
+    The bus is --bus or the configuration's; with neither, nothing is recorded. An adapter that is unplugged is waited
+    for. Exits 1 if no sensor answered any more when the recording ended.
 
     \b
     imuarray log array.toml -o run.h5 --phase z_up --seconds 60
@@ -181,6 +182,10 @@ def command(
         if recorder is not None and recorder.failed:
             click.echo(f"imuarray: {recorder.failed}", err=True)
         tell(summary, output, judge.said if judge else [], fusion, as_json)
+        if len(summary.silent) == len(array.sensors):
+            doctor = f"imuarray detect {config} --doctor"
+            click.echo(f"imuarray: no sensor answered any more when the recording ended; try `{doctor}`", err=True)
+    return 1 if len(summary.silent) == len(array.sensors) else 0
 
 
 def _refuse_without(option: str, said: bool, beside: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from imuarray.acquire import Summary
     from imuarray.commands.log_fusion import LiveFusion
 
-_CARRIES = ("bus", "channel", "link")
+_CARRIES = ("bus", "channel", "link", "adapter")
 """Kinds of events of no one sensor that cost readings."""
 _NAMED = 3
 
@@ -33,6 +33,7 @@ def tell(summary: Summary, output: Path, start_up: list[str], fusion: LiveFusion
                 "missed": summary.missed,
                 "uncertain": summary.uncertain,
                 "lost": lost,
+                "silent": summary.silent,
                 "seconds": summary.seconds,
                 "start_up": start_up,
                 **({"fusion": fusion.report()} if fusion else {}),

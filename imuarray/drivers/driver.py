@@ -17,6 +17,8 @@ from imuarray.facts.registers import Setting
 from imuarray.log.format import SATURATED
 
 Bytes = npt.NDArray[np.uint8]
+Limits = tuple[tuple[float, float], ...]
+"""Lowest and highest value of each axis."""
 
 
 class Decoded(NamedTuple):
@@ -34,10 +36,33 @@ class Decoded(NamedTuple):
 
 
 class SelfTest(NamedTuple):
-    """What a chip's self-test says, in words with numbers."""
+    """What a chip's self-test says, in words with numbers; `passed` is None where it could not be determined: the chip
+    could not be read often enough, or it moved meanwhile.
+    """
 
-    passed: bool
+    passed: bool | None
     text: str
+
+
+def compared(
+    before: npt.NDArray[np.float64], during: npt.NDArray[np.float64], limits: Limits, text: str, *, still: float
+) -> SelfTest:
+    """The verdict on (n, 3) readings before a self-test and (m, 3) during it: do their means differ by what `limits`
+    allow?
+
+    It can't be determined if the readings of either scatter by more than `still` (one standard deviation): the box
+    moved. `text` is a template with {change}.
+    """
+    change = during.mean(axis=0) - before.mean(axis=0)
+    said = text.format(change=", ".join(f"{value:+.3g}" for value in change))
+    if max(before.std(axis=0).max(), during.std(axis=0).max()) > still:
+        return SelfTest(None, f"{said}; it moved meanwhile: let it rest, and try again")
+    return SelfTest(within(change, limits), said)
+
+
+def within(values: npt.NDArray[np.float64], limits: Limits) -> bool:
+    """Whether each of three values lies within its limits."""
+    return all(low <= value <= high for value, (low, high) in zip(values, limits, strict=True))
 
 
 class Driver(Protocol):
@@ -77,7 +102,10 @@ class Driver(Protocol):
         """
 
     def self_test(self) -> SelfTest:
-        """Let the chip deflect its own elements, judge the answer by the data sheet, and configure it again."""
+        """Let the chip deflect its own elements, judge the answer by the data sheet, and configure it again.
+
+        What could not be looked at often enough, or moved meanwhile, is neither good nor bad (`SelfTest`).
+        """
 
     def fetch(self) -> bytes:
         """One burst, one instant; empty if the chip has nothing to give yet. OSError as the bus gives it.

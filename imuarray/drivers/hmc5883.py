@@ -16,23 +16,26 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, registers_for, saturated
+from imuarray.drivers.driver import (
+    Bytes,
+    Decoded,
+    SelfTest,
+    carry_out,
+    compared,
+    registers_for,
+    saturated,
+    within,
+)
 from imuarray.facts import hmc5883 as facts
 from imuarray.facts.registers import Setting
-
-Limits = tuple[tuple[float, float], ...]
 
 _CONTINUOUS = 0b00
 _SELF_TEST_GAIN = 5
 _SELF_TEST_L = ((243.0, 575.0),) * 3  # HMC-41, at gain code 5
 # The plain HMC5883 answers about +655, +655, -604 at its default 1024 LSB/G (HMC-42), without limits: half to twice.
 _SELF_TEST_PLAIN = tuple((min(v * k, v / k), max(v * k, v / k)) for v, k in ((231.0, 2), (231.0, 2), (-213.0, 2)))
+_SELF_TEST_STILL = 50.0  # counts; a quarter of the smallest answer, and noise is one count: HMC-53
 _READY_S = 0.050  # after power-on: HMC-51
-
-
-def _fits(answers: npt.NDArray[np.float64], limits: Limits) -> bool:
-    """Whether each axis answers within its limits."""
-    return all(low <= value <= high for value, (low, high) in zip(answers, limits, strict=True))
 
 
 class Hmc5883:
@@ -87,23 +90,24 @@ class Hmc5883:
         biased = facts.AVERAGING(0) | facts.OUTPUT_RATE(0b110) | facts.MEASUREMENT_BIAS(0b01)
         self.registers.set(biased, facts.GAIN(_SELF_TEST_GAIN))
         self.registers.poke(facts.MODE, facts.OPERATION(_CONTINUOUS).value)
-        change = self._settled()
+        answers = self._settled()
         self.configure()
         both = (_SELF_TEST_L, "hmc5883l"), (_SELF_TEST_PLAIN, "hmc5883")
         (limits, _), (other, name) = both if self.is_l else both[::-1]
-        passed = _fits(change, limits)
         wanted = ", ".join(f"{low:+.0f} to {high:+.0f}" for low, high in limits)
-        hint = f"; fits an {name}: is it one?" if not passed and _fits(change, other) else ""
-        answers = ", ".join(f"{value:+.0f}" for value in change)
-        return SelfTest(passed, f"answers {answers} counts; limits {wanted}{hint}")
+        text = f"answers {{change}} counts; limits {wanted}"
+        verdict = compared(np.zeros((1, 3)), answers, limits, text, still=_SELF_TEST_STILL)
+        if verdict.passed is False and within(answers.mean(axis=0), other):
+            return SelfTest(False, f"{verdict.text}; fits an {name}: is it one?")
+        return verdict
 
     def _settled(self) -> npt.NDArray[np.float64]:
-        """The mean of a few readings (3,) in counts, the first of them thrown away."""
+        """A few readings (n, 3) in counts, the first ones thrown away."""
         readings = []
         for _ in range(7):
             sleep_for(self.clock, 2 / 75)
             readings.append(self.decode(np.frombuffer(self.fetch(), np.uint8).reshape(1, self.burst)).counts[0])
-        return np.asarray(np.mean(readings[3:], axis=0))
+        return np.asarray(readings[3:], float)
 
     def fetch(self) -> bytes:
         """0x03 ... 0x08, all six bytes, so that the data registers unlock again (HMC-33)."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from imuarray.array import SensorConfig
 from imuarray.bus.protocol import Bus
 from imuarray.clock import Clock, sleep_for
-from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, flagged, registers_for, saturated
+from imuarray.drivers.driver import Bytes, Decoded, SelfTest, carry_out, compared, flagged, registers_for, saturated
 from imuarray.drivers.fifo_clock import FifoClock
 from imuarray.facts import l3g4200d as facts
 from imuarray.facts.registers import Register, Setting
@@ -93,25 +93,23 @@ class L3g4200d:
         normal = self.settings[2]
         self.registers.set(*self.settings[:2], facts.OUT_SELECT(0b00), normal, facts.FIFO_MODE(_BYPASS), self.power)
         sleep_for(self.clock, _TURN_ON_S)
-        before = self._mean_dps()
+        before = self._readings_dps()
         self.registers.poke(normal.register, (normal.value & ~facts.SELF_TEST.mask) | facts.SELF_TEST(0b01).value)
-        change = self._mean_dps() - before
+        during = self._readings_dps()
         self.configure()
         typical = _SELF_TEST_DPS[self.range_dps]
-        passed = bool((change > typical / 3).all() and (change < typical * 3).all())
-        return SelfTest(
-            passed, f"changes by {', '.join(f'{value:+.0f}' for value in change)} dps; {typical:+.0f} is typical"
-        )
+        text = f"changes by {{change}} dps; {typical:+.0f} is typical"
+        return compared(before, during, ((typical / 3, typical * 3),) * 3, text, still=typical / 12)
 
-    def _mean_dps(self) -> npt.NDArray[np.float64]:
-        """Mean angular rate (3,) in dps, once the filter has settled."""
+    def _readings_dps(self) -> npt.NDArray[np.float64]:
+        """Angular rates (n, 3) in dps, once the filter has settled."""
         sleep_for(self.clock, 0.1)
         counts = []
         for _ in range(_SELF_TEST_SAMPLES):
             sleep_for(self.clock, 1 / self.rate_hz)
             block = self._read(facts.OUT_X_L, 6)
             counts.append(np.frombuffer(block, "<i2"))
-        return np.asarray(np.mean(counts, axis=0) / self.sensitivity)
+        return np.asarray(np.array(counts) / self.sensitivity)
 
     def _read(self, register: Register, count: int) -> bytes:
         """`count` registers from `register` on."""

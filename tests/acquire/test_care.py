@@ -65,7 +65,7 @@ def test_what_was_only_silent_goes_on_as_it_was(bad_night: Callable[..., Any]) -
     done, log = bad_night(table, 6, A=0, B=0)
     with log:
         status = np.asarray(log["B"].status)
-        assert events_of(log) == [("B", "lost"), ("B", "back")]
+        assert events_of(log) == [("B", "lost"), ("B", "lost"), ("B", "back")]
         assert not (status & (RECONFIGURED | SUSPECT)).any()
         assert np.count_nonzero(status & LOST_BEFORE) == 1
         assert len(status) + done.lost["B"] == done.frames
@@ -201,7 +201,7 @@ def test_troubles_are_told_when_they_begin_and_when_they_lasted() -> None:
     trouble.settle(9000 * MS)
     assert told[1:] == [(1400 * MS, "lost", "in all 26 readings lost in 1.4 s")]
     trouble.happened(9500 * MS, "gone")
-    trouble.close()
+    trouble.close(9600 * MS)
     assert told[2:] == [(9500 * MS, "lost", "gone")]
 
 

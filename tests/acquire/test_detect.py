@@ -8,9 +8,15 @@ from typing import Any
 
 import pytest
 
+from firmware_emulator.adapter import Adapter
+from firmware_emulator.array import open_array
+from firmware_emulator.device_file import device_files
+from firmware_emulator.wire import Wire
 from imuarray.acquire import Found, detect, explore
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
+from imuarray.bus.linux import LinuxBus
+from imuarray.cli import main
 
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
@@ -112,3 +118,81 @@ def test_a_lone_barometer_is_not_taken_for_a_multiplexer() -> None:
     lone = parse_array('[array]\nname = "x"\n[[sensor]]\nname = "P"\nchip = "bmp180"\naddress = 0x77\n')
     with open_bus("emulated:", lone) as bus:
         assert [(line.place, line.found) for line in explore(bus)] == [("trunk address 0x77", "bmp180")]
+
+
+def driven(folder: Path, *owned: tuple[str, str]) -> Path:
+    """A folder like /sys/bus/i2c/devices: places and the drivers that have them."""
+    for place, driver in owned:
+        (folder / "drivers" / driver).mkdir(parents=True, exist_ok=True)
+        (folder / place).mkdir()
+        (folder / place / "driver").symlink_to(folder / "drivers" / driver)
+    return folder
+
+
+def seen_by_linux(array: Any, folder: Path, *owned: tuple[int, str], explored: bool = False) -> tuple[list[Found], Any]:
+    """What is found on an adapter on which drivers of the kernel have these addresses; and the emulated array."""
+    board = open_array(array)
+    devices = driven(folder, *((f"1-{address:04x}", driver) for address, driver in owned))
+    adapters = {"/dev/i2c-1": Adapter(board.wire, owned=dict(owned))}
+    with device_files(adapters), LinuxBus("/dev/i2c-1", devices=devices) as bus:
+        return (explore(bus) if explored else detect(array, bus)), board
+
+
+def test_a_driver_of_the_kernel_is_named(an_array: Callable[..., Any], tmp_path: Path) -> None:
+    lines, _ = seen_by_linux(an_array(A=0, B=1), tmp_path, (0x40, "bma180"))
+    assert [(line.sensor, line.ok) for line in lines] == [("mux", True), ("A", True), ("B", False)]
+    assert "address 0x40 belongs to the kernel's driver 'bma180'; unbind that driver" in lines[2].found
+
+
+def test_a_multiplexer_that_the_kernel_switches_is_left_alone(an_array: Callable[..., Any], tmp_path: Path) -> None:
+    lines, board = seen_by_linux(an_array(A=0, B=1), tmp_path, (0x70, "pca954x"))
+    assert [(line.sensor, line.ok) for line in lines] == [("mux", False), ("A", False), ("B", False)]
+    assert "belongs to the kernel's driver 'pca954x'" in lines[0].found
+    assert "leave out mux" in lines[0].found
+    assert lines[1].found == "not asked: the multiplexer before it belongs to the kernel"
+    assert board.wire.transactions == 0
+
+
+def test_a_bus_with_somebody_elses_driver(an_array: Callable[..., Any], tmp_path: Path) -> None:
+    """A real-time clock at 0x68, where an L3G4200D could be: said, not asked, and no reason to fail."""
+    lines, _ = seen_by_linux(an_array(A=0), tmp_path, (0x68, "rtc-ds1307"), (0x71, "at24"), explored=True)
+    assert [(line.place, line.ok) for line in lines] == [
+        ("trunk address 0x70", True),
+        ("trunk address 0x68", True),
+        ("trunk address 0x71", True),
+        ("channel 0 address 0x53", True),
+    ]
+    assert "'rtc-ds1307'" in lines[1].found
+    assert lines[1].owner
+
+
+def test_an_emulated_driver_of_the_kernel(
+    an_array: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    array = an_array(A=0, B=None)
+    (tmp_path / "a.toml").write_text(array.text)
+    (tmp_path / "n.toml").write_text('[[fault]]\nkind="kernel_driver"\nsensor="B"\nfor_s=1000\n')
+    url = f"emulated:?faults={tmp_path / 'n.toml'}"
+    assert main(["detect", str(tmp_path / "a.toml"), "--bus", url]) == 2
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "B (bma180)" in line]
+    assert line.startswith("  NO ")
+    assert line.endswith("belongs to a driver of the kernel; unbind that driver")
+
+
+def test_an_undetermined_self_test_is_neither_good_nor_bad(
+    an_array: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bus that takes 30 ms a transaction."""
+    (tmp_path / "a.toml").write_text(an_array(A=0, B=1).text)
+    transfer = Wire.transfer
+
+    def slow(wire: Wire, *arguments: Any, **keywords: Any) -> bytes:
+        wire.clock.advance(30_000_000)
+        return transfer(wire, *arguments, **keywords)
+
+    monkeypatch.setattr(Wire, "transfer", slow)
+    assert main(["detect", str(tmp_path / "a.toml"), "--bus", "emulated:", "--self-test"]) == 1
+    said = capsys.readouterr().out
+    assert "  ?   channel 1 address 0x40   B (bma180)" in said
+    assert "self-test undetermined" in said
+    assert said.splitlines()[-1] == "2 as configured, 0 not, 1 undetermined"

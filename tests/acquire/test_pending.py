@@ -86,32 +86,35 @@ def test_flags_stay_with_their_rows(steps: list[tuple[str, int]]) -> None:
     assert ours.times_ns == [each["at"] for each in plain.rows]
 
 
+FRAME_NS = 20_000_000
+
+
 def test_a_reading_that_stands_still_is_told_from_one_that_hardly_moves() -> None:
     """24 equal readings, a second's worth of a slow poll; at 50 Hz it takes the second."""
     ours = pending()
     for index in range(200):
-        ours.add(burst_of(index // 20), index)  # a step every twenty readings
+        ours.add(burst_of(index // 20), index * FRAME_NS)  # a step every twenty readings
     assert ours.frozen_since() is None
     for index in range(200, 249):
-        ours.add(burst_of(77), index)
+        ours.add(burst_of(77), index * FRAME_NS)
     assert ours.frozen_since() is None
-    ours.add(burst_of(77), 249)
+    ours.add(burst_of(77), 249 * FRAME_NS)
     assert ours.frozen_since() == 200
 
 
 def test_a_frozen_chip_that_a_set_up_did_not_change_is_flagged_from_its_first_reading_on() -> None:
     ours = pending()
     for index in range(60):
-        ours.add(burst_of(5), index)
+        ours.add(burst_of(5), index * FRAME_NS)
     assert ours.frozen_since() == 0
     ours.thaw()
     ours.distrust(0)
     ours.trust()
     ours.begin_anew()
     for index in range(60, 70):
-        ours.add(burst_of(5), index)
+        ours.add(burst_of(5), index * FRAME_NS)
     for index in range(70, 80):
-        ours.add(burst_of(6), index)
+        ours.add(burst_of(6), index * FRAME_NS)
     ours.flag_what_is_frozen_still()
     status = ours.take(80, 0).status
     np.testing.assert_array_equal((status & SUSPECT) != 0, np.arange(80) < 70)

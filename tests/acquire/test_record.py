@@ -162,9 +162,10 @@ class TestLostReadings:
     def test_one_event_tells_why(self, lost: Any) -> None:
         _, _, path = lost
         with open_log(path) as log:
-            (event,) = log.events
+            event, end = log.events
             time = log["B"].time[:]
-        assert (event.sensor, event.kind) == ("B", "lost")
+        assert (event.sensor, event.kind) == (end.sensor, end.kind) == ("B", "lost")
+        assert end.message.startswith("in all 10 readings lost in 0.1 s")
         assert "errno 121" in event.message
         before = time[np.argmax(np.diff(time))]
         assert before < event.time_ns <= before + 12 * MS
@@ -217,7 +218,7 @@ def test_a_silent_mux_loses_everything_behind_it_and_comes_back(
     assert 9 <= done.lost["A"] <= 10
     assert 9 <= done.lost["B"] <= 10
     with open_log(tmp_path / "r.h5") as log:
-        assert sorted(event.sensor for event in log.events) == ["A", "B"]
+        assert sorted(event.sensor for event in log.events) == ["A", "A", "B", "B"]
 
 
 def test_a_lost_reading_of_the_barometer_is_told_too(

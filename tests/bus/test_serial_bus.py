@@ -113,9 +113,13 @@ def test_silence() -> None:
         with pytest.raises(LinkError, match="does not answer"):
             bus.transfer(DEVICE)
         begun_ns = bench.now_ns()
-        with pytest.raises(LinkError):
+        with pytest.raises(OSError, match="is gone") as error:
             bus.transfer(DEVICE)
+        assert error.value.errno == 19
         assert bench.now_ns() - begun_ns < 1000 * MS
+        bench.delivered = lambda piece: piece
+        bench.sleep_until(bench.now_ns() + 2000 * MS)
+        assert bus.transfer(0x53, b"\x00", 1) == b"\xe5"
 
 
 def test_nobody_speaks_the_link() -> None:

@@ -318,4 +318,4 @@ def test_without_a_multiplexer_no_channel_is_wrong() -> None:
 
 
 def test_every_kind_is_described_where_a_user_reads_it() -> None:
-    assert len(FAULTS) == len(set(FAULTS)) == 13
+    assert len(FAULTS) == len(set(FAULTS)) == 14

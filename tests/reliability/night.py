@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.board import Board
 from firmware_emulator.faults import faults_from
 from firmware_emulator.faulty_board import with_faults
+from imuarray.acquire import trouble
 from imuarray.acquire.poll import Poll
 from imuarray.acquire.stations import connect
 from imuarray.acquire.summary import Summary
@@ -93,9 +95,12 @@ def night(
     log: Memory | None = None,
     judge: Any = None,
     stopped: Callable[[], bool] = lambda: False,
+    each: bool = False,
     **settings: Any,
 ) -> Night:
-    """Record `array` for `seconds` while `faults` (tables as in their TOML) happen."""
+    """Record `array` for `seconds` while `faults` (tables as in their TOML) happen; with `each` every episode of a
+    fault is told that is a second after the one before, though it comes and goes.
+    """
     board = with_faults(Board, faults_from({"fault": list(faults)}, array))
     memory = Memory() if log is None else log
     with open_array(array, board=board, **settings) as bus:
@@ -104,5 +109,6 @@ def night(
         wall = datetime(2026, 3, 1, tzinfo=UTC)
         poll = Poll(stations, bus, memory, rate_hz, epoch_ns, wall_time=wall, judge=judge)  # type: ignore[arg-type]
         poll.truth = None
-        poll.run(seconds, stopped)
+        with patch.object(trouble, "LONGEST_QUIET_NS", trouble.QUIET_NS if each else trouble.LONGEST_QUIET_NS):
+            poll.run(seconds, stopped)
     return Night(memory, poll.summary, -epoch_ns, bus)

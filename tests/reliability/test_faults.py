@@ -39,7 +39,7 @@ class Faults:
     ) -> None:
         fault = {"at_s": FIRST_S, "every_s": every_s, "times": count, **table}
         self.count, self.rate_hz = count, rate_hz
-        self.night: Night = night(array, [fault, *also], FIRST_S + every_s * count, rate_hz=rate_hz)
+        self.night: Night = night(array, [fault, *also], FIRST_S + every_s * count, rate_hz=rate_hz, each=True)
         self.log: Memory = self.night.log
         first_ns = round(FIRST_S * SECOND) + self.night.powered_on_ns
         self.begin: Times = first_ns + np.arange(count) * round(every_s * SECOND)

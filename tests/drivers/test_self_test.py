@@ -1,0 +1,106 @@
+"""Self-tests have three outcomes: good, bad, and could not be determined; a slow bus and a moving box make none bad."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from firmware_emulator.array import open_array
+from firmware_emulator.world import Shaking, Still
+from imuarray.array import parse_array
+from imuarray.drivers import DRIVERS
+
+MS = 1_000_000
+SENSORS = {
+    "adxl345": "address = 0x53\nrange = 4\nrate_hz = 400\n",
+    "bma180": "address = 0x40\nrange = 4\n",
+    "l3g4200d": "address = 0x68\nrange = 500\nrate_hz = 400\nbandwidth_hz = 50\n",
+    "bmp180": "address = 0x77\n",
+    "hmc5883": "address = 0x1E\nrange = 1.2\nrate_hz = 15\n",
+    "hmc5883l": "address = 0x1E\nrange = 1.3\nrate_hz = 15\n",
+}
+DEAD_WITHOUT = {"adxl345": (0x31, 0x80), "bma180": (0x0D, 0x04), "l3g4200d": (0x23, 0x06)}
+"""Register and bits that start the self-test (ADX-26, BMA-21, L3G-14): a chip that ignores them is dead."""
+
+
+class Slow:
+    """A bus whose transactions take so long, before what happens and after; `dead` chips don't hear some bits."""
+
+    def __init__(self, bus: Any, delays_ms: Iterator[tuple[float, float]], dead: tuple[int, int] | None = None) -> None:
+        self.bus, self.delays_ms, self.dead = bus, delays_ms, dead
+
+    def transfer(self, address: int, write: bytes = b"", read: int = 0) -> bytes:
+        before_ms, after_ms = next(self.delays_ms)
+        if self.dead is not None and len(write) == 2 and write[0] & 0x7F == self.dead[0]:
+            write = bytes([write[0], write[1] & ~self.dead[1]])
+        self.wait(before_ms)
+        answer: bytes = self.bus.transfer(address, write, read)
+        self.wait(after_ms)
+        return answer
+
+    def wait(self, ms: float) -> None:
+        self.bus.clock.sleep_until(self.bus.clock.now_ns() + round(ms * MS))
+
+
+def outcome(chip: str, delays: Iterator[tuple[float, float]], *, dead: bool = False, world: Any = None) -> Any:
+    array = parse_array(f'[array]\nname = "a"\n[[sensor]]\nname = "S"\nchip = "{chip}"\n{SENSORS[chip]}')
+    with open_array(array, world=world or Still()) as bus:
+        bus.clock.sleep_until(20_000 * MS)
+        slow = Slow(bus, delays, DEAD_WITHOUT[chip] if dead else None)
+        driver = DRIVERS[chip](slow, array.sensors[0], bus.clock)
+        return driver.self_test()
+
+
+def steady(before_ms: float, after_ms: float) -> Iterator[tuple[float, float]]:
+    return itertools.repeat((before_ms, after_ms))
+
+
+@pytest.mark.parametrize("ms", [0.0, 0.5, 1.0, 3.0, 7.0, 20.0, 50.0, 100.0])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("chip", SENSORS)
+def test_a_good_chip_is_never_called_bad(chip: str, share: float, ms: float) -> None:
+    verdict = outcome(chip, steady(share * ms, (1 - share) * ms))
+    assert verdict.passed is not False, verdict.text
+    if ms <= 0.5 or chip not in ("bma180", "bmp180"):  # what is deflected as long as it is told to, can be looked at
+        assert verdict.passed, verdict.text
+    if verdict.passed is None:
+        assert "the bus" in verdict.text
+
+
+@pytest.mark.parametrize("pattern", [(0.0, 40.0), (0.2, 0.2, 0.2, 30.0), (25.0, 0.1)])
+def test_a_bus_that_stalls_now_and_then(pattern: tuple[float, ...]) -> None:
+    for shift in range(len(pattern)):
+        delays = itertools.cycle([(ms, 0.0) for ms in (*pattern[shift:], *pattern[:shift])])
+        verdict = outcome("bma180", delays)
+        assert verdict.passed is not False, verdict.text
+
+
+@pytest.mark.parametrize("chip", DEAD_WITHOUT)
+def test_a_dead_chip_fails(chip: str) -> None:
+    verdict = outcome(chip, steady(0.0, 0.0), dead=True)
+    assert verdict.passed is False, verdict.text
+
+
+@pytest.mark.parametrize("chip", DEAD_WITHOUT)
+@pytest.mark.parametrize("ms", [20.0, 100.0])
+def test_a_dead_chip_never_passes_on_a_slow_bus(chip: str, ms: float) -> None:
+    verdict = outcome(chip, steady(ms, 0.0), dead=True)
+    assert verdict.passed is (None if chip == "bma180" else False), verdict.text
+
+
+def test_how_often_it_must_be_looked_at() -> None:
+    """The limit is 2 ms between looks: a test that lasts 10 ms at most (BMA-104) is then seen five times."""
+    assert outcome("bma180", steady(0.7, 0.0), dead=True).passed is False  # the order and a look: 1.8 ms
+    assert outcome("bma180", steady(1.0, 0.0), dead=True).passed is None
+    assert "the bus allowed 1 look in " in outcome("bma180", steady(30.0, 0.0), dead=True).text
+
+
+@pytest.mark.parametrize("chip", ["adxl345", "bma180", "l3g4200d"])
+@pytest.mark.parametrize("dead", [True, False])
+def test_a_moving_box_is_not_judged(chip: str, dead: bool) -> None:
+    verdict = outcome(chip, steady(0.0, 0.0), dead=dead, world=Shaking())
+    assert verdict.passed is None, verdict.text
+    assert verdict.text.endswith("it moved meanwhile: let it rest, and try again")
