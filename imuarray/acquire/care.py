@@ -39,7 +39,7 @@ class _Patient:
         self.stale = troubles.of(self.name, "stale")
         self.overrun = troubles.of(self.name, "overrun")
         self.frozen = troubles.of(self.name, "frozen")
-        self.unwell: Trouble | None = None
+        self.unwell: list[Trouble] = []
         self.freshness = Freshness(pending.station.sensor)
         self.last_row_ns: int | None = None
         self.rows = 0
@@ -50,8 +50,9 @@ class _Patient:
 
     def falls_ill(self, at_ns: int, kind: str, message: str) -> None:
         """It is not well until it was set up again."""
-        self.unwell = self._troubles.of(self.name, kind)
-        self.unwell.begin(at_ns, message)
+        trouble = self._troubles.of(self.name, kind)
+        trouble.begin(at_ns, message)
+        self.unwell.append(trouble)  # a kernel driver that takes a chip configures it too: two at once
 
 
 class Care:
@@ -123,9 +124,9 @@ class Care:
         pending.silent_since_ns = None
         patient.last_row_ns = now_ns
         patient.lost.over(now_ns)
-        if patient.unwell is not None:
-            patient.unwell.over(now_ns, told=True)  # by what follows
-            patient.unwell = None
+        for trouble in patient.unwell:
+            trouble.over(now_ns, told=True)  # by what follows
+        patient.unwell.clear()
         if recovery.intact:
             patient.tell(now_ns, "back", f"answers again, configured as it was, after {took_s:.2f} s")
         else:

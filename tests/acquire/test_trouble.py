@@ -138,6 +138,7 @@ SHOWN_BY: dict[str, tuple[str, str]] = {
 """By what a fault that lasts is told. A multiplexer that forgets costs next to nothing, and a wrong start is told by a
 judge, which there is not here."""
 MOMENTARY = ("reset", "torn", "mux_reset")
+TAKEN_AND_CONFIGURED: dict[str, dict[str, Any]] = {"reset": {}, "kernel_driver": {"for_s": 4.0}}
 
 
 @pytest.mark.parametrize("seconds", [600, pytest.param(7200, marks=pytest.mark.slow)])
@@ -170,3 +171,12 @@ def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seco
         assert not is_end(first.message)
         assert last.time_ns > (seconds - 10) * SECOND
         assert is_end(last.message)
+
+
+def test_a_driver_that_takes_a_chip_and_configures_it_leaves_nothing_behind() -> None:
+    """Both are noticed at once, and both are over when the chip is given back and set up again."""
+    faults = [{"kind": kind, "sensor": "C", "at_s": 20.0, **more} for kind, more in TAKEN_AND_CONFIGURED.items()]
+    log = night(array_of(A=0, C=0), faults, 60, rate_hz=10.0).log
+    kinds = {event.kind: event.message for event in log.events if event.sensor == "C"}
+    assert {"configuration", "taken", "reconfigured"} <= set(kinds)
+    assert [message for message in kinds.values() if "when the log ended" in message] == []
