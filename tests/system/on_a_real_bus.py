@@ -17,9 +17,12 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from itertools import zip_longest
 from pathlib import Path
 
 from imuarray.cli import main
+from imuarray.errors import ImuArrayError
+from imuarray.log import open_log
 from imuarray.log.journal import journal_of
 
 DEVICES = Path("/sys/bus/i2c/devices")
@@ -27,6 +30,8 @@ BUSYBOX = "/run/busybox"
 HOST = "10.0.2.2"
 WAIT_S = 90.0
 """For anything that should happen; two hundred times what most of it takes."""
+SILENCE_S = 3.0
+"""A chip or an adapter is away for so long."""
 LOGS = Path("/tmp/logs")
 
 
@@ -36,7 +41,7 @@ def wait_for(what: str, condition: Callable[[], bool]) -> None:
     while not condition():
         if time.monotonic() > end:
             raise RuntimeError(f"not within {WAIT_S:.0f} s: {what}")
-        time.sleep(0.05)
+        time.sleep(0.2)
 
 
 def adapters() -> dict[int, str]:
@@ -48,6 +53,15 @@ def emulated() -> int | None:
     """The number of the adapter that was plugged in, once its device file is there."""
     numbers = [number for number, name in adapters().items() if name.startswith("i2c-tiny-usb")]
     return numbers[0] if numbers and Path(f"/dev/i2c-{numbers[0]}").exists() else None
+
+
+def occupy(module: Path, number: int) -> bool:
+    """Give `number` to another adapter; False while the kernel has not freed it yet."""
+    subprocess.run([BUSYBOX, "insmod", str(module), "chip_addr=0x50"], check=True)
+    if number in adapters():
+        return True
+    subprocess.run([BUSYBOX, "rmmod", module.stem], check=True)
+    return False
 
 
 class Bench:
@@ -101,22 +115,29 @@ class Bench:
         """Begin a log; its process, once rows are stored."""
         where = ("--bus", f"i2c:/dev/i2c-{number}", "-o", str(LOGS / f"{name}.h5"), "--rate-hz", "5")
         process = self.start(name, "log", str(self.folder / config), *where, *more)
-        wait_for(f"rows of the log {name}", lambda: self.stored(name) > 0)
         self.more_rows(name)
         return process
 
-    def stored(self, name: str) -> int:
-        """Bytes of the log's journal: it grows by every block of rows."""
+    def rows(self, name: str) -> list[int]:
+        """How many rows of each sensor the log has by now; none before it is there."""
+        path = LOGS / f"{name}.h5"
+        if not journal_of(path).exists():
+            return []
         try:
-            return journal_of(LOGS / f"{name}.h5").stat().st_size
-        except OSError:
-            return 0
+            with open_log(path) as log:
+                return [len(log[sensor].time) for sensor in log.sensors]
+        except ImuArrayError:  # it is only just being made
+            return []
 
-    def more_rows(self, name: str, times: int = 5) -> None:
-        """Wait until more rows were stored, several times."""
-        for _ in range(times):
-            before = self.stored(name)
-            wait_for(f"more rows of the log {name}", lambda before=before: self.stored(name) > before)  # type: ignore[misc]
+    def more_rows(self, name: str, count: int = 4) -> None:
+        """Wait until every sensor of a log that is being written has `count` rows more."""
+        before = self.rows(name)
+
+        def grown() -> bool:
+            now = self.rows(name)
+            return bool(now) and all(rows - start >= count for rows, start in zip_longest(now, before, fillvalue=0))
+
+        wait_for(f"more rows of the log {name}", grown)
 
     def told(self, name: str, word: str) -> None:
         """Wait until the log has told of something on standard error."""
@@ -140,7 +161,7 @@ def share_with_a_driver(bench: Bench, number: int) -> None:
     driver = DEVICES / f"{number}-0068" / "driver"
     wait_for("the kernel's driver", driver.exists)
     bench.told("shared", "Gyro taken")
-    bench.more_rows("shared")
+    time.sleep(SILENCE_S)
     (DEVICES / f"i2c-{number}" / "delete_device").write_text("0x68\n")
     bench.told("shared", "Gyro reconfigured")
     bench.more_rows("shared")
@@ -152,8 +173,7 @@ def unplug_during_a_log(bench: Bench, number: int) -> int:
     log = bench.log("unplugged", number)
     bench.unplug()
     wait_for("the adapter's removal", lambda: number not in adapters())
-    subprocess.run([BUSYBOX, "insmod", str(bench.folder / "i2c-stub.ko"), "chip_addr=0x50"], check=True)
-    wait_for("the other adapter", lambda: number in adapters())
+    wait_for("the other adapter", lambda: occupy(bench.folder / "i2c-stub.ko", number))
     again = bench.plug_in()
     bench.told("unplugged", f"/dev/i2c-{again}")
     bench.more_rows("unplugged")
@@ -196,7 +216,8 @@ def lose_everything(bench: Bench, number: int) -> None:
     """The plug is pulled, and nobody puts it in again."""
     log = bench.log("lost", number)
     bench.unplug()
-    wait_for("the adapter's removal", lambda: number not in adapters())
+    bench.told("lost", "was removed")
+    time.sleep(SILENCE_S)
     bench.end("lost", log, signal.SIGINT)
 
 
