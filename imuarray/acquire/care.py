@@ -54,6 +54,10 @@ class _Patient:
         trouble.begin(at_ns, message)
         self.unwell.append(trouble)  # a kernel driver that takes a chip configures it too: two at once
 
+    def is_ill(self, kind: str) -> bool:
+        """Whether it was told that it is not well in that way."""
+        return self._troubles.of(self.name, kind) in self.unwell
+
 
 class Care:
     """All sensors'. `lost` counts readings that never arrived, by sensor."""
@@ -100,6 +104,8 @@ class Care:
         if recovery is None or recovery.waits(now_ns):
             return None
         recovery.go_on(now_ns)
+        if recovery.refusal and not patient.is_ill("taken"):  # and the watch, which asks now and then, has not seen it
+            patient.falls_ill(now_ns, "taken", recovery.refusal)
         if recovery.done:
             self._recovered(pending, recovery, patient, now_ns)
         return recovery.failure if isinstance(recovery.failure, OSError) else None

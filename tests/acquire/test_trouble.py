@@ -138,7 +138,6 @@ SHOWN_BY: dict[str, tuple[str, str]] = {
 """By what a fault that lasts is told. A multiplexer that forgets costs next to nothing, and a wrong start is told by a
 judge, which there is not here."""
 MOMENTARY = ("reset", "torn", "mux_reset")
-TAKEN_AND_CONFIGURED: dict[str, dict[str, Any]] = {"reset": {}, "kernel_driver": {"for_s": 4.0}}
 
 
 @pytest.mark.parametrize("seconds", [600, pytest.param(7200, marks=pytest.mark.slow)])
@@ -173,10 +172,13 @@ def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seco
         assert is_end(last.message)
 
 
-def test_a_driver_that_takes_a_chip_and_configures_it_leaves_nothing_behind() -> None:
-    """Both are noticed at once, and both are over when the chip is given back and set up again."""
-    faults = [{"kind": kind, "sensor": "C", "at_s": 20.0, **more} for kind, more in TAKEN_AND_CONFIGURED.items()]
-    log = night(array_of(A=0, C=0), faults, 60, rate_hz=10.0).log
+@pytest.mark.parametrize(("reset_s", "rate_hz"), [(20.0, 10.0), (19.4, 5.0), (19.6, 5.0)])
+def test_a_driver_that_takes_a_chip_and_configures_it(reset_s: float, rate_hz: float) -> None:
+    """Both are told, whichever is noticed first, and both are over when the chip is given back and set up again."""
+    reset = {"kind": "reset", "sensor": "C", "at_s": reset_s}
+    driver = {"kind": "kernel_driver", "sensor": "C", "at_s": 20.0, "for_s": 4.0}
+    log = night(array_of(A=0, C=0), [reset, driver], 60, rate_hz=rate_hz).log
     kinds = {event.kind: event.message for event in log.events if event.sensor == "C"}
     assert {"configuration", "taken", "reconfigured"} <= set(kinds)
+    assert "driver of the kernel" in kinds["taken"]
     assert [message for message in kinds.values() if "when the log ended" in message] == []

@@ -30,6 +30,8 @@ BUSYBOX = "/run/busybox"
 HOST = "10.0.2.2"
 WAIT_S = 90.0
 """For anything that should happen; two hundred times what most of it takes."""
+RATE_HZ = "12.5"
+"""Half of what the emulated processor stands."""
 SILENCE_S = 3.0
 """A chip or an adapter is away for so long."""
 LOGS = Path("/tmp/logs")
@@ -113,7 +115,7 @@ class Bench:
 
     def log(self, name: str, number: int, *more: str, config: str = "bench.toml") -> int:
         """Begin a log; its process, once rows are stored."""
-        where = ("--bus", f"i2c:/dev/i2c-{number}", "-o", str(LOGS / f"{name}.h5"), "--rate-hz", "5")
+        where = ("--bus", f"i2c:/dev/i2c-{number}", "-o", str(LOGS / f"{name}.h5"), "--rate-hz", RATE_HZ)
         process = self.start(name, "log", str(self.folder / config), *where, *more)
         self.more_rows(name)
         return process
