@@ -37,7 +37,7 @@ class _Patient:
         self.stale = troubles.of(self.name, "stale")
         self.overrun = troubles.of(self.name, "overrun")
         self.frozen = troubles.of(self.name, "frozen")
-        self.unwell: Trouble | None = None
+        self.unwell: list[Trouble] = []
         self.freshness = Freshness(pending.station.sensor)
         self.last_row_ns: int | None = None
         self.rows = 0
@@ -48,8 +48,13 @@ class _Patient:
 
     def falls_ill(self, at_ns: int, kind: str, message: str) -> None:
         """It is not well until it was set up again."""
-        self.unwell = self._troubles.of(self.name, kind)
-        self.unwell.begin(at_ns, message)
+        trouble = self._troubles.of(self.name, kind)
+        trouble.begin(at_ns, message)
+        self.unwell.append(trouble)  # a kernel driver that takes a chip configures it too: two at once
+
+    def is_ill(self, kind: str) -> bool:
+        """Whether it was told that it is not well in that way."""
+        return self._troubles.of(self.name, kind) in self.unwell
 
 
 class Care:
@@ -97,6 +102,8 @@ class Care:
         if recovery is None or recovery.waits(now_ns):
             return None
         recovery.go_on(now_ns)
+        if recovery.refusal and not patient.is_ill("taken"):  # and the watch, which asks now and then, has not seen it
+            patient.falls_ill(now_ns, "taken", recovery.refusal)
         if recovery.done:
             self._recovered(pending, recovery, patient, now_ns)
         return recovery.failure if isinstance(recovery.failure, OSError) else None
@@ -121,9 +128,9 @@ class Care:
         pending.silent_since_ns = None
         patient.last_row_ns = now_ns
         patient.lost.over(now_ns)
-        if patient.unwell is not None:
-            patient.unwell.over(now_ns, told=True)  # by what follows
-            patient.unwell = None
+        for trouble in patient.unwell:
+            trouble.over(now_ns, told=True)  # by what follows
+        patient.unwell.clear()
         if recovery.intact:
             patient.tell(now_ns, "back", f"answers again, configured as it was, after {took_s:.2f} s")
         else:

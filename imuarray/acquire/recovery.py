@@ -28,6 +28,8 @@ class Recovery:
         self.intact = False
         self.done = False
         self.failure: Exception | None = None
+        self.refusal = ""
+        """Whose the address is now, if it belongs to a driver of the kernel."""
         self._look = look
         self._pause_ns = FIRST_PAUSE_NS
         self._next_ns = now_ns
@@ -59,7 +61,7 @@ class Recovery:
 
     def _steps(self) -> Iterator[float]:
         driver = self.station.driver
-        self.station.claim()
+        self._claim()
         driver.identify()
         if self._look and driver.watched:
             found = [(setting, driver.registers.peek(setting.register)[0]) for setting in driver.watched]
@@ -69,3 +71,11 @@ class Recovery:
         self._look = False
         yield 0.0
         yield from driver.steps()
+
+    def _claim(self) -> None:
+        try:
+            self.station.claim()
+        except SensorError as error:
+            self.refusal = str(error)
+            raise
+        self.refusal = ""

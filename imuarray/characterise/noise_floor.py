@@ -67,7 +67,8 @@ class NoiseFloor:
         from scipy.stats import f  # its weight is for those who ask
 
         pairs, which = np.unique([self.spectrum_freedom, self.freedom], axis=1, return_inverse=True)
-        return np.asarray(self.density * f.isf(probability, *pairs)[which])  # few pairs differ, and each takes long
+        # Few pairs differ, and each takes long. The places have a shape of their own in NumPy 2.0.0.
+        return np.asarray(self.density * f.isf(probability, *pairs)[which.reshape(-1)])
 
     def exceedance(self, density: Vector) -> Vector:
         """Probability (b,) that noise exceeds `density` (b,) in a bin."""

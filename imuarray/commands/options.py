@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import click
 
@@ -37,9 +37,13 @@ workers_option = click.option(
 
 
 _USUAL = (signal.default_int_handler,)
+if TYPE_CHECKING:
+    _Seconds = click.ParamType[float]
+else:  # a type with a parameter from click 8.4 on only
+    _Seconds = click.ParamType
 
 
-class Duration(click.ParamType[float]):
+class Duration(_Seconds):
     """A length of time as 30s, 10min, 1h or 1d; a number alone is seconds. In s."""
 
     name = "duration"

@@ -170,3 +170,15 @@ def test_no_fault_fills_a_log_with_events(kind: str, every_s: float | None, seco
         assert not is_end(first.message)
         assert last.time_ns > (seconds - 10) * SECOND
         assert is_end(last.message)
+
+
+@pytest.mark.parametrize(("reset_s", "rate_hz"), [(20.0, 10.0), (19.4, 5.0), (19.6, 5.0)])
+def test_a_driver_that_takes_a_chip_and_configures_it(reset_s: float, rate_hz: float) -> None:
+    """Both are told, whichever is noticed first, and both are over when the chip is given back and set up again."""
+    reset = {"kind": "reset", "sensor": "C", "at_s": reset_s}
+    driver = {"kind": "kernel_driver", "sensor": "C", "at_s": 20.0, "for_s": 4.0}
+    log = night(array_of(A=0, C=0), [reset, driver], 60, rate_hz=rate_hz).log
+    kinds = {event.kind: event.message for event in log.events if event.sensor == "C"}
+    assert {"configuration", "taken", "reconfigured"} <= set(kinds)
+    assert "driver of the kernel" in kinds["taken"]
+    assert [message for message in kinds.values() if "when the log ended" in message] == []

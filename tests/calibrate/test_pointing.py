@@ -25,7 +25,8 @@ UP = {"+X": (1, 0, 0), "-X": (-1, 0, 0), "+Y": (0, 1, 0), "-Y": (0, -1, 0), "+Z"
 
 def attitude(up: str, heading_rad: float) -> Rotation:
     """Box to world: that box axis up, turned about the vertical anyhow."""
-    level = Rotation.align_vectors([[0, 0, 1]], [UP[up]])[0]
+    axis = (1, 0, 0) if up[1] == "Z" else np.cross(UP[up], (0, 0, 1))
+    level = Rotation.from_rotvec(np.arccos(UP[up][2]) * np.asarray(axis, float))
     return Rotation.from_rotvec([0, 0, heading_rad]) * level
 
 

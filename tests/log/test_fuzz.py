@@ -34,9 +34,21 @@ def old_format(small: Path, folder: Path) -> Path:
     """The same in HDF5's first format, whose headers have no check sums: it believes more of what it finds."""
     with h5py.File(small) as log, h5py.File(folder / "a.h5", "w", libver="earliest") as copy:
         for name in log:
-            log.copy(name, copy)
+            log.copy(name, copy, without_attrs=True)  # HDF5 1.14.2 crashes where it copies references to scales
         copy.attrs.update(log.attrs)
+        log.visititems(lambda name, item: describe(copy[name], item))
     return folder / "a.h5"
+
+
+def describe(to: h5py.Group | h5py.Dataset, item: h5py.Group | h5py.Dataset) -> None:
+    """Gives `to`, the copy of an object in another file, the object's attributes and scales."""
+    for name, value in item.attrs.items():
+        if name not in ("DIMENSION_LIST", "REFERENCE_LIST"):
+            to.attrs.create(name, value, dtype=item.attrs.get_id(name).dtype)
+    if isinstance(item, h5py.Dataset) and not item.is_scale:
+        for own, dimension in zip(to.dims, item.dims, strict=True):
+            for scale in dimension.values():
+                own.attach_scale(to.file[scale.name])
 
 
 def unfinished(small: Path, folder: Path) -> Path:

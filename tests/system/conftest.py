@@ -1,6 +1,9 @@
-"""A Linux guest under QEMU, made of Debian's kernel, busybox and a few tools; it runs one script and powers off.
+"""Linux guests under QEMU with Debian's kernel: each runs one script and powers off.
 
-`.ci/system-packages` fetches what is needed; where something is missing, the tests that ask for `guest` are skipped.
+`guest` has a root of its own, made of busybox and a few tools. `host_guest` has this machine's root, read-only over 9p
+with a writable overlay in memory: all that is installed here, this project and its Python included, runs there on
+another kernel. `.ci/system-packages` fetches what is needed; where something is missing, the tests that ask for a guest
+are skipped.
 """
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ import re
 import shutil
 import stat
 import subprocess
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -21,7 +25,9 @@ HOST = "10.0.2.2"
 """The machine that runs QEMU, seen from the guest (QEMU's user networking)."""
 TOOLS = ("i2cdetect", "i2cget", "i2cset", "i2ctransfer", "usbip")
 SYSTEM_PATH = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
-INIT = """#!/bin/busybox sh
+SHARE = "/mnt"
+"""Where a `host_guest` has the test's folder, the only one of the host that it can write to."""
+START = """#!/bin/busybox sh
 /bin/busybox mkdir -p /proc /sys /dev /run /var/run /tmp
 /bin/busybox --install -s /bin
 export PATH=/tools:/bin
@@ -31,9 +37,27 @@ mount -t devtmpfs devtmpfs /dev
 for module in $(cat /modules/order); do insmod /modules/$module || echo "insmod $module failed"; done
 ifconfig lo 127.0.0.1 up
 ifconfig eth0 10.0.2.15 netmask 255.255.255.0 up
+"""
+INIT = f"""{START}
 sh /script > /dev/ttyS1 2>&1
 poweroff -f
 """
+# The page cache of cache=loose is what makes a Python bearable there; the root is read-only, so that it is never wrong.
+HOST_INIT = f"""{START}
+mkdir -p /host /layer /root
+mount -t 9p -o trans=virtio,version=9p2000.L,cache=loose,msize=512000,ro host /host
+mount -t tmpfs tmpfs /layer
+mkdir /layer/upper /layer/work
+mount -t overlay -o lowerdir=/host,upperdir=/layer/upper,workdir=/layer/work overlay /root
+mount -t 9p -o trans=virtio,version=9p2000.L,msize=512000 share /root{SHARE}
+mount -t tmpfs tmpfs /root/run
+cp /script /root/run/script
+cp /bin/busybox /root/run/busybox
+chmod +x /root/run/script
+for place in proc sys dev; do mount --move /$place /root/$place; done
+exec switch_root /root /run/script > /root/dev/ttyS1 2>&1
+"""
+HOST_MODULES = ("virtio_pci", "9p", "9pnet_virtio", "overlay")
 
 Files = dict[str, tuple[int, bytes]]
 """By path in the guest: mode and content; of a symbolic link, its target."""
@@ -108,11 +132,11 @@ def archive(files: Mapping[str, tuple[int, bytes]]) -> bytes:
     return bytes(out)
 
 
-def initramfs(script: str, modules: Mapping[str, bytes]) -> bytes:
-    """The guest's whole file system, compressed."""
+def initramfs(script: str, modules: Mapping[str, bytes], init: str = INIT) -> bytes:
+    """The guest's first file system, compressed."""
     busybox = Path(shutil.which("busybox", path=SYSTEM_PATH) or "").read_bytes()
     files: Files = {
-        "init": (stat.S_IFREG | 0o755, INIT.encode()),
+        "init": (stat.S_IFREG | 0o755, init.encode()),
         "script": (stat.S_IFREG | 0o755, script.encode()),
         "bin/busybox": (stat.S_IFREG | 0o755, busybox),
         "modules/order": (stat.S_IFREG | 0o644, "\n".join(f"{name}.ko" for name in modules).encode()),
@@ -123,39 +147,101 @@ def initramfs(script: str, modules: Mapping[str, bytes]) -> bytes:
     return gzip.compress(archive(files), 1)
 
 
-def run_guest(folder: Path, image: Path, system: bytes, timeout_s: float) -> str:
+@dataclass(frozen=True)
+class Machine:
+    """What QEMU emulates: MiB of memory, further words of its command line and of the kernel's."""
+
+    memory_mib: int = 256
+    devices: tuple[str, ...] = ()
+    kernel: str = "tsc=unstable"
+
+
+def host_machine(share: Path) -> Machine:
+    """A machine that sees this one's root, read-only, and `share`, which it can write to."""
+    root = ("-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap")
+    shared = ("-virtfs", f"local,path={share},mount_tag=share,security_model=none,multidevs=remap")
+    return Machine(1024, (*root, *shared), "tsc=reliable clocksource=tsc")
+
+
+def run_guest(folder: Path, image: Path, system: bytes, timeout_s: float, machine: Machine) -> str:
     """Boot, run, power off; what the script wrote. AssertionError with the console's end if it took too long."""
     console, written, packed = folder / "console", folder / "written", folder / "initramfs"
     packed.write_bytes(system)
-    machine = ["qemu-system-x86_64", "-accel", "tcg", "-machine", "pc", "-cpu", "max", "-m", "256", "-no-reboot"]
+    # Software emulation: it is the same everywhere, and a /dev/kvm that is there need not work.
+    processor = ["qemu-system-x86_64", "-accel", "tcg", "-machine", "pc", "-cpu", "max", "-smp", "1", "-no-reboot"]
     screens = ["-display", "none", "-monitor", "none", "-serial", f"file:{console}", "-serial", f"file:{written}"]
     network = ["-netdev", "user,id=net", "-device", "e1000,netdev=net,romfile="]
-    boot = ["-kernel", str(image), "-initrd", str(packed), "-append", "console=ttyS0 panic=-1 loglevel=4 tsc=unstable"]
+    words = f"console=ttyS0 panic=-1 loglevel=4 {machine.kernel}"
+    boot = ["-m", str(machine.memory_mib), "-kernel", str(image), "-initrd", str(packed), "-append", words]
     try:
-        subprocess.run([*machine, *screens, *network, *boot], timeout=timeout_s, check=True)
+        subprocess.run([*processor, *screens, *network, *machine.devices, *boot], timeout=timeout_s, check=True)
     except subprocess.TimeoutExpired:
         texts = [path.read_text(errors="replace")[-3000:] for path in (console, written) if path.exists()]
         raise AssertionError(f"the guest did not finish within {timeout_s} s:\n" + "\n---\n".join(texts)) from None
     return written.read_text(errors="replace").replace("\r\n", "\n")
 
 
-@pytest.fixture
-def guest(tmp_path: Path) -> Callable[[str, Iterable[str], float], str]:
-    """``guest(script, modules, timeout_s)``: what the script writes in a guest that has loaded the modules."""
-    needed = ("qemu-system-x86_64", "busybox", "ldd", *TOOLS)
-    missing = [name for name in needed if shutil.which(name, path=SYSTEM_PATH) is None]
+Run = Callable[[str, Iterable[str], float], str]
+
+
+def require(*programs: str) -> None:
+    """Skip the test unless all `programs` are installed."""
+    missing = [name for name in programs if shutil.which(name, path=SYSTEM_PATH) is None]
     if missing:
         pytest.skip(f"not installed: {', '.join(missing)} (.ci/system-packages installs them)")
+
+
+def kernel_with(modules: Sequence[str]) -> tuple[Path, dict[str, bytes]]:
+    """The first kernel that has all `modules`, and those with what they depend on; without one the test is skipped."""
     found = kernels()
     if not found:
         pytest.skip(f"no Linux kernel with modules in {cache_folder() / 'kernel'} (.ci/system-packages fetches one)")
+    for image, folder in found:
+        loaded = with_dependencies(["e1000", *modules], folder)
+        absent = [name for name in modules if name.replace("-", "_") not in loaded]
+        if not absent:
+            return image, loaded
+    pytest.skip(f"the kernel {image.name} has no module {', '.join(absent)} (.ci/system-packages fetches one that has)")
+
+
+@pytest.fixture
+def guest(tmp_path: Path) -> Run:
+    """``guest(script, modules, timeout_s)``: what the script writes in a guest that has loaded the modules."""
+    require("qemu-system-x86_64", "busybox", "ldd", *TOOLS)
 
     def run(script: str, modules: Iterable[str], timeout_s: float) -> str:
-        for image, folder in found:
-            loaded = with_dependencies(["e1000", *modules], folder)
-            absent = [name for name in modules if name.replace("-", "_") not in loaded]
-            if not absent:
-                return run_guest(tmp_path, image, initramfs(script, loaded), timeout_s)
-        pytest.skip(f"the kernel {image.name} has no module {', '.join(absent)}")
+        image, loaded = kernel_with(tuple(modules))
+        return run_guest(tmp_path, image, initramfs(script, loaded), timeout_s, Machine())
 
     return run
+
+
+@dataclass(frozen=True)
+class HostGuest:
+    """A guest with this machine's root, which is booted by `run`; it finds the folder `share` at `SHARE`."""
+
+    share: Path
+
+    def module(self, name: str) -> Path | None:
+        """The file of a module of the guest's kernel."""
+        image, _ = kernel_with(HOST_MODULES)
+        folder = dict(kernels())[image]
+        return module_files(folder).get(name.replace("-", "_"))
+
+    def run(self, script: str, modules: Iterable[str], timeout_s: float) -> str:
+        """What the script, an executable that becomes process 1, writes in a guest that has loaded the modules. It
+        ends with ``/run/busybox poweroff -f``.
+        """
+        image, loaded = kernel_with((*HOST_MODULES, *modules))
+        system = initramfs(script, loaded, HOST_INIT)
+        return run_guest(self.share, image, system, timeout_s, host_machine(self.share))
+
+
+@pytest.fixture(scope="module")
+def host_guest(tmp_path_factory: pytest.TempPathFactory) -> HostGuest:
+    """See `HostGuest`; only root can read all of this machine's root."""
+    require("qemu-system-x86_64", "busybox", "usbip")
+    if os.geteuid() != 0:
+        pytest.skip("the guest shares this machine's root, which only root can read in full")
+    kernel_with(HOST_MODULES)
+    return HostGuest(tmp_path_factory.mktemp("guest"))

@@ -6,10 +6,7 @@ kernel has no driver of the multiplexer, so that the script selects channel 0 by
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -20,61 +17,12 @@ from imuarray.acquire import connect
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from imuarray.clock import sleep_for
+from tests.system.bench import CONFIG, SEED, served
 
-SEED = 11
 MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "st_gyro_i2c", "bmp280-i2c", "hmc5843_i2c")
 TIMEOUT_S = 120.0
 READINGS = 12
 GYRO_READINGS = 6
-# Settings are those which the kernel's drivers choose, so that counts mean the same.
-CONFIG = """
-[array]
-name = "bench"
-mux = { chip = "pca9544a", address = 0x70 }
-
-[[sensor]]
-name = "Accel"
-chip = "adxl345"
-channel = 0
-address = 0x53
-range = 16
-
-[[sensor]]
-name = "Bosch"
-chip = "bma180"
-channel = 0
-address = 0x40
-range = 2
-
-[[sensor]]
-name = "Gyro"
-chip = "l3g4200d"
-channel = 0
-address = 0x68
-range = 250
-rate_hz = 100
-bandwidth_hz = 12.5
-
-[[sensor]]
-name = "Baro"
-chip = "bmp180"
-channel = 0
-address = 0x77
-
-[[sensor]]
-name = "Compass"
-chip = "hmc5883l"
-channel = 0
-address = 0x1E
-range = 1.3
-
-[[sensor]]
-name = "Other"
-chip = "l3g4200d"
-channel = 1
-address = 0x69
-range = 250
-"""
 SCRIPT = """
 section() {{ echo "## $1"; }}
 usbip --tcp-port {port} attach -r 10.0.2.2 -b 1-1
@@ -114,18 +62,6 @@ for axis in x y z; do
 done
 section end
 """
-
-
-@contextmanager
-def served(config: Path) -> Iterator[int]:
-    """The emulated array of `config` in a process of its own, as a user starts it; its port."""
-    command = [sys.executable, "-m", "firmware_emulator", str(config), "--usbip", "--port", "0"]
-    with subprocess.Popen([*command, "--query", f"seed={SEED}"], stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            yield int(process.stdout.readline().split()[3])
-        finally:
-            process.terminate()
 
 
 def sections(written: str) -> dict[str, str]:

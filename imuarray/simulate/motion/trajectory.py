@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -61,6 +61,9 @@ class Trajectory(_Rows):
 
     def felt(self, time_ns: Integers) -> Felt:
         """From the second derivative of the place and two of the attitude."""
+        if len(time_ns) == 0:  # no rotations at all are an error in SciPy below 1.16
+            first = self.felt(np.zeros(1, np.int64))
+            return Felt(*(getattr(first, item.name)[:0] for item in fields(Felt)))
         seconds = self._within_s(time_ns)
         to_box = self.attitude(time_ns).inv()
         return Felt(

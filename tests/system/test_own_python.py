@@ -1,0 +1,152 @@
+"""This project's commands in a guest, on the kernel's own /dev/i2c-N: what they do there, seen from outside.
+
+One boot and one Python process for all (`on_a_real_bus`): the first import alone takes longer than all the rest
+there. The array is plugged in over USB/IP, and pulled out.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from imuarray.log import Log, open_log
+from imuarray.log.format import LOST_BEFORE, RECONFIGURED
+from tests.system.bench import CONFIG, served
+from tests.system.conftest import SHARE, HostGuest, module_bytes
+
+pytestmark = pytest.mark.slow
+
+PROGRAM = Path(__file__).with_name("on_a_real_bus.py")
+MODULES = ("vhci-hcd", "i2c-tiny-usb", "i2c-dev", "i2c-mux", "st_gyro_i2c")
+APART = ("i2c-stub", "i2c-mux-pca954x")
+"""Modules that are not loaded at boot; the second is not Debian's: `build_mux_module` builds it."""
+TIMEOUT_S = 900.0
+"""It takes 2 minutes on a quiet machine."""
+SENSORS = {"Accel", "Bosch", "Gyro", "Baro", "Compass", "Other"}
+ROOT = Path(__file__).parents[2]
+
+
+class Seen(NamedTuple):
+    """What the guest left: files in `folder`, exit codes by the command's name, and what it wrote itself."""
+
+    folder: Path
+    codes: dict[str, int]
+    written: str
+
+    def report(self, name: str) -> Any:
+        """What a command printed as JSON."""
+        return json.loads((self.folder / f"{name}.out").read_text())
+
+    def errors(self, name: str) -> str:
+        return (self.folder / f"{name}.err").read_text()
+
+
+@pytest.fixture(scope="module")
+def seen(host_guest: HostGuest) -> Seen:
+    folder = host_guest.share
+    (folder / "bench.toml").write_text(CONFIG)
+    for name in APART:
+        if (path := host_guest.module(name)) is not None:
+            (folder / f"{name}.ko").write_bytes(module_bytes(path))
+    with served(folder / "bench.toml") as port:
+        script = f"""#!/bin/sh
+            export PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root PYTHONDONTWRITEBYTECODE=1 OPENBLAS_NUM_THREADS=1
+            cd {ROOT}
+            {sys.executable} {PROGRAM} {SHARE} {port}
+            /run/busybox poweroff -f
+        """
+        written = host_guest.run(script, MODULES, TIMEOUT_S)
+    codes = folder / "codes.json"
+    return Seen(folder, json.loads(codes.read_text()) if codes.exists() else {}, written)
+
+
+def test_all_of_it_ran(seen: Seen) -> None:
+    assert "Traceback" not in seen.written, seen.written
+    assert {"detect", "self_test", "shared", "unplugged", "killed", "recover", "verify", "lost"} <= set(seen.codes)
+
+
+def rows_of(log: Log, name: str) -> tuple[Any, Any]:
+    """Times in s and flags of a sensor's rows."""
+    return log[name].time[:] * 1e-9, log[name].status[:]
+
+
+def test_detect_finds_what_the_configuration_says(seen: Seen) -> None:
+    assert (seen.codes["detect"], seen.codes["self_test"]) == (0, 0)
+    said = {entry["sensor"]: entry["ok"] for entry in seen.report("detect")["found"]}
+    assert said == dict.fromkeys(SENSORS | {"mux"}, True)
+    tested = [entry["self_test"] for entry in seen.report("self_test")["found"] if entry["self_test"]]
+    assert len(tested) >= 3
+    assert all(text.startswith("self-test passed") for text in tested), tested
+
+
+def test_a_driver_of_the_kernel_takes_a_chip_and_gives_it_back(seen: Seen) -> None:
+    """Only that chip has a gap; it is set up again."""
+    assert seen.codes["shared"] == 0, seen.errors("shared")
+    with open_log(seen.folder / "shared.h5") as log:
+        events = {(event.sensor, event.kind): event for event in log.events}
+        assert "the kernel's driver 'st-gyro-i2c'" in events["Gyro", "taken"].message
+        taken_s, back_s = (events["Gyro", kind].time_ns * 1e-9 for kind in ("taken", "reconfigured"))
+        time, status = rows_of(log, "Gyro")
+        assert time[0] < taken_s < back_s < time[-1]
+        assert not ((taken_s < time) & (time < back_s)).any()
+        first = np.flatnonzero(time > back_s)[0]
+        assert status[first] & (LOST_BEFORE | RECONFIGURED) == LOST_BEFORE | RECONFIGURED
+        others = log["Accel"].time[:] * 1e-9
+        assert ((taken_s < others) & (others < back_s)).sum() > 5
+        assert np.diff(others).max() < back_s - taken_s
+
+
+def test_unplugged_and_plugged_in_again_under_another_number(seen: Seen) -> None:
+    """One log, with rows before and after of every sensor, and events that say so."""
+    assert seen.codes["unplugged"] == 0, seen.errors("unplugged")
+    before, after = json.loads((seen.folder / "numbers.json").read_text())
+    assert before != after
+    with open_log(seen.folder / "unplugged.h5") as log:
+        assert log.state == "finished"
+        told = [event for event in log.events if event.kind == "adapter"]
+        assert len(told) == 2, [event.message for event in told]
+        assert f"/dev/i2c-{before}" in told[0].message
+        assert f"/dev/i2c-{after}" in told[1].message
+        out_s, in_s = (event.time_ns * 1e-9 for event in told)
+        for name in SENSORS:
+            time, status = rows_of(log, name)
+            assert (time < out_s).any(), name
+            assert not ((out_s < time) & (time < in_s)).any(), name
+            first = np.flatnonzero(time > in_s)[0]
+            assert status[first] & (LOST_BEFORE | RECONFIGURED) == LOST_BEFORE | RECONFIGURED, name
+
+
+def test_a_killed_log_is_recovered(seen: Seen) -> None:
+    """The same rows as the journal has, which is read here by itself."""
+    assert [seen.codes[name] for name in ("killed", "recover", "verify")] == [-9, 0, 0]
+    with open_log(seen.folder / "unfinished.h5") as cut, open_log(seen.folder / "killed.h5") as log:
+        assert (cut.state, log.state) == ("interrupted", "finished")
+        for name in SENSORS:
+            assert len(log[name].time) > 3
+            np.testing.assert_array_equal(log[name].time[:], cut[name].time[:])
+            np.testing.assert_array_equal(log[name].counts[:], cut[name].counts[:])
+
+
+def test_the_kernel_drives_the_multiplexer(seen: Seen) -> None:
+    """Each channel by its own bus; the trunk with our own multiplexer is refused, by the driver's name."""
+    if "channels" not in seen.codes:
+        pytest.skip("no module i2c-mux-pca954x, which Debian does not build; tests/system/build_mux_module does")
+    assert seen.codes["detect_trunk"] == 2
+    (mux,) = [entry for entry in seen.report("detect_trunk")["found"] if entry["sensor"] == "mux"]
+    assert "belongs to the kernel's driver 'pca954x'" in mux["found"]
+    assert seen.codes["detect_channels"] == 0
+    assert seen.codes["channels"] == 0, seen.errors("channels")
+    with open_log(seen.folder / "channels.h5") as log:
+        assert {name for name in log.sensors if len(log[name].time) > 3} == SENSORS
+
+
+def test_a_recording_in_which_all_was_lost_does_not_exit_0(seen: Seen) -> None:
+    assert seen.codes["lost"] == 1, seen.errors("lost")
+    with open_log(seen.folder / "lost.h5") as log:
+        assert log.state == "finished"
+        assert [event.kind for event in log.events if event.kind == "adapter"]
