@@ -45,3 +45,5 @@ def command(run: Path, output: Path | None, force: bool, as_json: bool) -> None:
         click.echo(f"{run}: is finished, there is nothing to recover; {output} is a copy of it")
     else:
         click.echo(f"{run}: is finished, there is nothing to recover")
+    if recovered.kept is not None and not as_json:
+        click.echo(f"{run}: a journal that holds more than could be read, or another log, is kept as {recovered.kept}")

@@ -16,7 +16,7 @@ import numpy as np
 from imuarray.errors import DiskFullError, LogError
 from imuarray.log.draft import Draft, sweep
 from imuarray.log.format import Event
-from imuarray.log.journal import JournalLock, journal_of
+from imuarray.log.journal import JournalLock, JournalReader, journal_of
 from imuarray.log.layout import BESIDE, NOTES, Group, Notes, groups_of
 from imuarray.log.reader import Log
 from imuarray.log.room import reserve_of, sync_folder, unwritable
@@ -26,10 +26,13 @@ _LEFT = "the log is left as it was"
 
 
 class Recovered(NamedTuple):
-    """A log that was finished: rows by sensor; `changed` is False if there was nothing to do."""
+    """A log that was finished: rows by sensor; `changed` is False if there was nothing to do. `kept` is the name of a
+    journal that holds more than could be read, or another log.
+    """
 
     rows: dict[str, int]
     changed: bool
+    kept: str | None = None
 
 
 def recover(
@@ -53,6 +56,7 @@ def recover(
         with Log(path, thorough=True) as log:
             rows = {name: len(sensor) for name, sensor in log.sensors.items()}
             changed, losses = log.preamble is not None, log.losses
+            keep = bool(losses) if changed else not _is_journal_of(log)
             if changed:
                 if not log.has_journal and not force:
                     raise LogError(
@@ -60,14 +64,27 @@ def recover(
                         " to finish it without them"
                     )
                 _rewrite(log, output or path, progress, (*_losses(log), _trace(log, now or datetime.now(UTC))))
-        if output is None:
-            _sweep(path, lock, keep=bool(losses))
-        elif not changed:
+        kept = _sweep(path, lock, keep=keep) if output is None else None
+        if output is not None and not changed:
             _copy(path, output)
     finally:
         if lock is not None:
             lock.close()
-    return Recovered(rows, changed)
+    return Recovered(rows, changed, None if kept is None else kept.name)
+
+
+def _is_journal_of(log: Log) -> bool:
+    """Whether the journal beside a finished log is its own, as a kill just before its removal leaves it, and not that
+    of another log: epoch and sensors are the same.
+    """
+    try:
+        with JournalReader(log.path) as journal:
+            preamble = journal.preamble
+    except FileNotFoundError:
+        return True
+    except (LogError, OSError):
+        return journal_of(log.path).stat().st_size == 0
+    return preamble.epoch == log.epoch and {header.name for header in preamble.sensors} == set(log.sensors)
 
 
 def finish(path: Path, lock: JournalLock) -> None:
@@ -167,14 +184,16 @@ def _compare(log: Log, copy: Log, groups: tuple[Group, ...], added: tuple[Event,
         raise LogError(f"{log.path}: its finished copy differs in phases or events; the log is left as it was")
 
 
-def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> None:
+def _sweep(path: Path, lock: JournalLock | None, *, keep: bool) -> Path | None:
     """Remove what a finished log does not need: journal (put aside to `keep` it), reserve, and the copies of processes
-    that are gone.
+    that are gone. The new name of the journal, if it was put aside.
     """
+    kept = None
     if lock is not None and keep:
-        lock.put_aside()
+        kept = lock.put_aside()
     elif lock is not None:
         lock.remove()
     reserve_of(path).unlink(missing_ok=True)
     sweep(path)
     sync_folder(path)
+    return kept

@@ -14,6 +14,7 @@ where the chain goes on in blocks of this log: the tag comes from its identity. 
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 import time
@@ -138,10 +139,19 @@ class JournalLock:
         if self.is_named:
             self.path.unlink(missing_ok=True)
 
-    def put_aside(self) -> None:
-        """The log is finished, but not all of the journal could be read: it is kept as `RUN.h5.journal.damaged`."""
-        if self.is_named:
-            self.path.replace(self.path.with_name(f"{self.path.name}.damaged"))
+    def put_aside(self) -> Path | None:
+        """The log is finished, but the journal holds more than could be read, or another log: it is kept as
+        `RUN.h5.journal.damaged`, or with a number behind that if there is one already. The new name.
+        """
+        if not self.is_named:
+            return None
+        name = self.path.with_name(f"{self.path.name}.damaged")
+        for number in itertools.count(2):
+            if not name.exists():
+                break
+            name = self.path.with_name(f"{self.path.name}.damaged.{number}")
+        self.path.replace(name)
+        return name
 
     def close(self) -> None:
         """Unlock."""

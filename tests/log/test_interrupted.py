@@ -133,7 +133,8 @@ def test_it_is_recovered(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (run.parent / f".run.h5.{2**22 + 1}.part").write_bytes(b"of a process that is gone")
     (run.parent / f".run.h5.{os.getppid()}.part").write_bytes(b"of one that is not")
     assert main(["recover", str(run), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"log": str(run), "rows": {"Acc": ROWS, "Baro": 23}, "changed": True}
+    rows = {"Acc": ROWS, "Baro": 23}
+    assert json.loads(capsys.readouterr().out) == {"log": str(run), "rows": rows, "changed": True, "kept": None}
     assert {path.name for path in run.parent.iterdir()} == {"run.h5", f".run.h5.{os.getppid()}.part"}
     check(run)
     with h5py.File(run) as file:
@@ -323,6 +324,25 @@ def test_a_finished_log_does_not_mind_a_journal_that_was_left(run: Path) -> None
     check(run)
     assert recover(run).changed is False
     assert not journal_of(run).exists()
+
+
+def test_the_journal_of_another_log_beside_a_finished_one_is_kept(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its rows are nowhere else; nor is what was put aside before overwritten."""
+    recover(run)
+    run.with_name("run.h5.journal.damaged").write_text("precious")
+    (tmp_path / "other").mkdir()
+    with LogWriter(tmp_path / "other" / "run.h5", HEADERS, source="emulated", epoch="2026-02-02T00:00:00Z") as log:
+        log.keep()
+        log.append("Acc", acc(5000, 300))
+        log.flush()
+        shutil.copy(journal_of(tmp_path / "other" / "run.h5"), journal_of(run))
+    content = journal_of(run).read_bytes()
+    assert main(["recover", str(run)]) == 0
+    assert "is kept as run.h5.journal.damaged.2" in capsys.readouterr().out
+    assert run.with_name("run.h5.journal.damaged").read_text() == "precious"
+    assert run.with_name("run.h5.journal.damaged.2").read_bytes() == content
 
 
 def test_a_copy_that_is_not_equal_does_not_take_the_logs_place(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
