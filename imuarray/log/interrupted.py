@@ -11,6 +11,7 @@ from __future__ import annotations
 import tempfile
 import zlib
 from collections.abc import Mapping
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -119,32 +120,35 @@ def open_interrupted(path: Path, *, thorough: bool = False, journal_fd: int | No
     `thorough` checks every commit at once, as is done where the journal is missing. `journal_fd` is the journal, open,
     where its name can't be relied upon: then the log is unfinished whatever the file says.
     """
-    file, kept = _open(path), False
-    journal: JournalReader | None = None
-    try:
-        try:
-            is_live = file is not None and is_unfinished(file)
-            known = stored_preamble(path) if is_live else None
-        except DAMAGE:
-            is_live, known = True, None
+    with ExitStack() as opened:
+        file = _open(path)
+        if file is not None:
+            opened.callback(file.close)
+        is_live, known = _marks(path, file)
         journal, why = _journal(path, journal_fd, known)
+        if journal is not None:
+            opened.callback(journal.close)
         if file is not None and not is_live and journal_fd is None and (journal is None or _is_sound(path, file)):
             return None
         if known is not None and journal is not None and journal.preamble.identity != known.identity:
             journal.close()
             journal, why = None, "is another log's"
         view = _view(path, file, known, journal, why, thorough) if file is not None and is_live else None
-        if view is None and journal is None:
-            raise LogError(f"{path}: was not finished, and is damaged; its journal {why}")
         if view is not None:
-            kept = True
+            opened.pop_all()  # the view closes them
             return view
-        return rebuilt(journal) if journal is not None else None
-    finally:
-        if not kept:
-            for opened in (file, journal):
-                if opened is not None:
-                    opened.close()
+        if journal is None:
+            raise LogError(f"{path}: was not finished, and is damaged; its journal {why}")
+        return rebuilt(journal)
+
+
+def _marks(path: Path, file: h5py.File | None) -> tuple[bool, Preamble | None]:
+    """Whether the file is that of an unfinished log, as far as HDF5 can tell, and the preamble in it."""
+    try:
+        is_live = file is not None and is_unfinished(file)
+        return is_live, stored_preamble(path) if is_live else None
+    except DAMAGE:
+        return True, None
 
 
 def _journal(path: Path, fd: int | None, known: Preamble | None) -> tuple[JournalReader | None, str]:
