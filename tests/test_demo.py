@@ -17,6 +17,9 @@ from imuarray.cli import main
 pytest.importorskip("matplotlib")
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What the command says, as JSON, of another seed than its own."""

@@ -40,17 +40,20 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_first_steps_write_what_it_says(walked: Path) -> None:
     written = {path.name for path in walked.iterdir()}
     assert {"tumble.h5", "cal.toml", "noise", "heating.h5", "fused.h5", "board.h5", "board.toml"} <= written
     assert {"report.html", "fused.mcap", "tumble.csv", "mine.toml", "live_fused.h5", "causal.h5", "gap"} <= written
 
 
+@pytest.mark.slow
 def test_an_export_comes_back_as_it_was(walked: Path) -> None:
     with ia.open_log(walked / "tumble.h5") as log, ia.open_log(walked / "tumble_again.h5") as again:
         assert all(np.array_equal(log[name].counts[:], again[name].counts[:]) for name in log.sensors)
 
 
+@pytest.mark.slow
 def test_the_axes_are_found_by_hand(walked: Path) -> None:
     """As configs/martin2013.toml has them of the board that is emulated; by place, for names are the proposal's own."""
     wired, found = (ia.load_array(path) for path in (ROOT / "configs" / "martin2013.toml", walked / "mine.toml"))
@@ -58,6 +61,7 @@ def test_the_axes_are_found_by_hand(walked: Path) -> None:
     assert {(sensor.channel, sensor.address): sensor.axes for sensor in found.sensors} == axes
 
 
+@pytest.mark.slow
 def test_fusing_afterwards_is_fusing_while_it_records(walked: Path) -> None:
     live, causal = (list(read_fused(walked / name)) for name in ("live_fused.h5", "causal.h5"))
     for quantity in ("specific_force", "angular_rate"):
@@ -77,6 +81,7 @@ def test_other_programs_that_are_called_are_there() -> None:
     assert called == ["python configs/examples/new_chip.py"]  # tests/test_examples.py runs it
 
 
+@pytest.mark.slow
 def test_the_python_example_runs(walked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(walked)
     names: dict[str, object] = {}

@@ -16,6 +16,7 @@ from imuarray.errors import ConfigError, LogError
 from imuarray.log import Log
 from imuarray.log.format import SensorHeader
 from imuarray.log.headers import header_of, recorded_header
+from imuarray.log.pace import frames_in
 from imuarray.log.writer import Stimulus
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
@@ -25,7 +26,7 @@ from imuarray.simulate.model import Model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Codes, Motion
 from imuarray.simulate.streams import Streams
-from imuarray.simulate.timeline import Polled, Recorded, Timeline, frames_in, poll
+from imuarray.simulate.timeline import Polled, Recorded, Timeline, poll
 
 _FRAMES_LIKE_HZ = 50.0
 """How often `/truth` is written for a log that is simulated after a recorded one."""
@@ -47,8 +48,8 @@ def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
     """The plan of an array polled `frame_rate_hz` times a second for `seconds`."""
     lines = poll(array, frame_rate_hz, seconds)
     sensors = {sensor.name: (header_of(sensor, {}), lines[sensor.name]) for sensor in array.sensors}
-    frames, period_ns = frames_in(frame_rate_hz, seconds)
-    return Plan(sensors, Polled(frames, period_ns), array.text, frame_rate_hz)
+    frames = Polled(frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz))
+    return Plan(sensors, frames, array.text, frame_rate_hz)
 
 
 def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
@@ -66,8 +67,8 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     if not sensors:
         raise LogError(f"{log.path}: nothing was read in it")
     end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))
-    frames, period_ns = frames_in(_FRAMES_LIKE_HZ, (end_ns + 1) * 1e-9)
-    return Plan(sensors, Polled(frames, period_ns), log.config, log.frame_rate_hz)
+    period_ns = round(1e9 / _FRAMES_LIKE_HZ)
+    return Plan(sensors, Polled(end_ns // period_ns + 1, period_ns), log.config, log.frame_rate_hz)
 
 
 class Simulation:

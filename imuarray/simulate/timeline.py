@@ -20,6 +20,7 @@ from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.log import SensorLog
 from imuarray.log.column import NamedColumn
 from imuarray.log.format import LOST_BEFORE
+from imuarray.log.pace import frames_in
 from imuarray.simulate.signal import Integers
 
 _CLOCK_NS = 2500
@@ -209,15 +210,9 @@ def _holes(sensor: SensorLog, status: NamedColumn) -> Iterator[tuple[Integers, I
             yield first + found, missing
 
 
-def frames_in(frame_rate_hz: float, seconds: float) -> tuple[int, int]:
-    """Frames that begin within `seconds`, and the period in ns."""
-    period_ns = round(1e9 / frame_rate_hz)
-    return max(1, -(-round(seconds * 1e9) // period_ns)), period_ns
-
-
 def poll(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Mapping[str, Timeline]:
     """The timelines of an array that is polled `frame_rate_hz` times a second for `seconds`."""
-    frames, period_ns = frames_in(frame_rate_hz, seconds)
+    frames, period_ns = frames_in(seconds, frame_rate_hz), round(1e9 / frame_rate_hz)
     forth, back = _offsets_ns(array)
     lines: dict[str, Timeline] = {}
     for sensor in array.sensors:

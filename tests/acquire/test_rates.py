@@ -23,7 +23,8 @@ from tests.bus.serial_bench import Bench
 
 SHIPPED = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 MS = 1_000_000
-RATES_HZ = [0.1, 0.3, 1.0, 2.0, 5.0, 9.0, 10.0, 11.0, 50.0]
+QUICK_HZ = [0.1, 1.0, 5.0, 10.0]
+RATES_HZ = [*QUICK_HZ, *(pytest.param(rate_hz, marks=pytest.mark.slow) for rate_hz in (0.3, 2.0, 9.0, 11.0, 50.0))]
 ALONE = {
     "adxl345": "address=0x53\nrange=2\n",
     "bma180": "address=0x40\nrange=2\n",

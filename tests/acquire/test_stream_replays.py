@@ -138,7 +138,7 @@ REPLAYS = [one_old_frame, the_last_frame_again, a_recent_span, recent_bytes, a_s
 
 @pytest.mark.parametrize("inject", REPLAYS)
 @pytest.mark.parametrize("counter_us", [70_000_000, (1 << 32) - 3_000_000])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_replayed_frame_costs_itself_alone(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, inject: Inject, counter_us: int, seed: int
 ) -> None:
@@ -198,7 +198,7 @@ def test_frames_of_an_earlier_boot_that_nothing_tells_from_the_true_ones(
     assert summary.refused >= count * 0.8
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))])
 def test_what_is_reordered_costs_no_more_than_what_was_moved(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int
 ) -> None:
@@ -238,7 +238,7 @@ def test_what_is_reordered_costs_no_more_than_what_was_moved(
     assert {kind for _, kind, _ in events(path)} == {"refused", "lost"}
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_bytes_inserted_anywhere_cost_at_most_the_frame_that_they_split(
     an_array: Callable[..., ArrayConfig], tmp_path: Path, seed: int
 ) -> None:

@@ -91,6 +91,7 @@ def page(made: Made) -> Tables:
     return Tables(made.text)
 
 
+@pytest.mark.slow
 def test_nothing_is_fetched_and_every_tag_is_closed(made: Made, page: Tables) -> None:
     without_images = re.sub(r"data:image/svg\+xml;base64,[^\"]*", "", made.text)
     assert "//" not in without_images and "url(" not in without_images
@@ -100,6 +101,7 @@ def test_nothing_is_fetched_and_every_tag_is_closed(made: Made, page: Tables) ->
     assert "position: sticky" in made.text
 
 
+@pytest.mark.slow
 def test_every_statistic_is_there_and_what_is_far_off_is_marked(made: Made, page: Tables) -> None:
     """Table 11 has no column in another unit: a row per statistic; marks are of |z| > 2 and of nothing else."""
     rows = page.of("Table 11")
@@ -110,6 +112,7 @@ def test_every_statistic_is_there_and_what_is_far_off_is_marked(made: Made, page
     assert [row[:3] for row in rows[1:]][:2] == [["ADXL1 x", "runs_mean", "12.453"], ["ADXL1 x", "runs_sem", "0.047"]]
 
 
+@pytest.mark.slow
 def test_numbers_stand_as_printed(page: Tables) -> None:
     """Also zeros at the end (Table 2: 0.1240), and scale factors without their sign (Table 3: -261.38)."""
     two = {(row[0], row[1]): row[2:] for row in page.of("Table 2")}
@@ -123,6 +126,7 @@ def test_numbers_stand_as_printed(page: Tables) -> None:
     assert ["ADXL1", "box_plus_x", "-X", "-X"] in page.of("Table 1")
 
 
+@pytest.mark.slow
 def test_difference_and_z_of_a_row(made: Made, page: Tables) -> None:
     (found,) = (row for row in made.replica.of("Table 8") if (row.channel, row.statistic[:5]) == ("Gyro1 y", "slope"))
     (row,) = (row for row in page.of("Table 8") if row[:2] == ["Gyro1 y", "slope_lsb_per_degc"])
@@ -131,6 +135,7 @@ def test_difference_and_z_of_a_row(made: Made, page: Tables) -> None:
     assert float(row[5]) == pytest.approx((found.simulated - 0.265) / found.uncertainty, abs=0.06)
 
 
+@pytest.mark.slow
 def test_opposed_gyroscopes_keep_little(page: Tables) -> None:
     """0.002 LSB/degC by Table 8; simulated slopes are sure to about 0.008 (in-run wander), so the half-difference to
     0.006: five of that.
@@ -141,6 +146,7 @@ def test_opposed_gyroscopes_keep_little(page: Tables) -> None:
     assert abs(float(simulated)) < 0.03
 
 
+@pytest.mark.slow
 def test_the_summary_tells_what_was_found(made: Made, page: Tables) -> None:
     whole = made.replica.summary
     text = " ".join(page.summary)
@@ -156,12 +162,14 @@ def test_the_summary_tells_what_was_found(made: Made, page: Tables) -> None:
     assert len(page.of("The text against the tables")) - 1 == 35
 
 
+@pytest.mark.slow
 def test_figures_stand_with_their_tables(page: Tables) -> None:
     assert len(page.images) == 10
     assert all(page.images)
     assert NO_FIGURES not in page.summary
 
 
+@pytest.mark.slow
 def test_without_curves_the_page_says_so(made: Made, tmp_path: Path) -> None:
     path = tmp_path / "paper.html"
     write_paper_page(path, made.replica, None)
@@ -172,6 +180,7 @@ def test_without_curves_the_page_says_so(made: Made, tmp_path: Path) -> None:
         write_paper_page(path, made.replica, None)
 
 
+@pytest.mark.slow
 def test_axes_have_units_and_lines_are_where_they_should(made: Made) -> None:
     drawn = temperature_figure(made.curves, "Gyro2 x", 0.521, 5.67).axes[0]
     ours, theirs = (line for line in drawn.get_lines() if len(line.get_xdata()) == 2)
@@ -194,6 +203,7 @@ def test_axes_have_units_and_lines_are_where_they_should(made: Made) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_half_of_the_difference_hardly_follows_the_temperature(made: Made) -> None:
     """Over 28 degC the single ones move by 7 LSB, half of their difference by 0.06 and its own wander (0.1 LSB)."""
     spans = np.ptp(made.curves.opposed.lsb, axis=0)

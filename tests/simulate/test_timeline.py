@@ -16,7 +16,7 @@ from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import LOST_BEFORE, SensorHeader
-from imuarray.simulate.timeline import Filled, Recorded, filled, frames_in, poll
+from imuarray.simulate.timeline import Filled, Recorded, filled, poll
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
 
@@ -71,9 +71,9 @@ def test_a_queue_gives_a_row_for_every_sample() -> None:
     assert line.stamps(0, 3).tolist() == [0, 2_500_000, 5_000_000]
 
 
-def test_frames_are_counted_as_the_recorder_does() -> None:
-    assert frames_in(48.0, 20.0) == (961, 20_833_333)  # the 961st begins 20 ns before the end
-    assert frames_in(50.0, 1.0) == (50, 20_000_000)
+def test_frames_are_counted_as_the_recorder_does(array: ArrayConfig) -> None:
+    """At 48 Hz a 961st frame would begin 20 ns before the end, by the rounding of the period alone."""
+    assert [poll(array, rate_hz, 20.0)["BMA1"].rows for rate_hz in (48.0, 50.0, 9.0)] == [960, 1000, 180]
 
 
 def test_a_recorded_sensors_own_times(recorded: Path) -> None:

@@ -41,6 +41,7 @@ def test_rows_pool_boots_of_a_seed_and_then_seeds() -> None:
     assert rows["mean"].over_mean.ratio == 1.0 and rows["mean"].over_bound is None
 
 
+@pytest.mark.slow
 def test_a_short_study_has_every_technique(short: Study) -> None:
     for calibration in ("measured", "true"):
         for sensors in ("all", "4 BMA180", "2 ADXL345"):
@@ -54,6 +55,7 @@ def test_a_short_study_has_every_technique(short: Study) -> None:
             assert row.over_bound is not None and row.over_bound.ratio == pytest.approx(1.0, abs=4 * 0.017)
 
 
+@pytest.mark.slow
 def test_a_study_is_told_in_text_and_json(short: Study) -> None:
     text = render_text(short)
     assert "static: 2 ADXL345, calibrated" in text and "planes" in text
@@ -64,6 +66,7 @@ def test_a_study_is_told_in_text_and_json(short: Study) -> None:
     assert planes["over_mean"]["ratio"] < 1
 
 
+@pytest.mark.slow
 def test_the_command_writes_numbers_figures_and_a_page(
     short: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -79,6 +82,7 @@ def test_the_command_writes_numbers_figures_and_a_page(
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_heated_box_for_a_drawing(short: Study, warm: Heated) -> None:
     """Ten means of ten seconds, less the first; the average and what differs from it; 24 to 52 degC, of 2200 frames a
     peak within 0.1 degC. A gyroscope's 0.02 dps/degC shows: by more than 0.1 dps.
