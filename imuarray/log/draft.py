@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import glob
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,11 +32,15 @@ _SETTLED_BYTES = 1 << 24
 _RENAMED = {"start_ns": "start", "end_ns": "end", "time_ns": "time"}
 
 
+_PART = re.compile(r"\..+\.(\d+)(\.live)?\.part")
+"""The temporary name of a log, with the number of the process that writes it."""
+
+
 def sweep(path: Path) -> None:
-    """Remove what processes that were killed left of the log at `path` under temporary names."""
-    for part in path.parent.glob(f".{glob.escape(path.name)}.*.part"):
-        owner = part.name.removeprefix(f".{path.name}.").split(".")[0]
-        if owner.isdigit() and not _is_alive(int(owner)) and not _is_locked(part):
+    """Remove logs under temporary names that killed processes left in the folder of the log at `path`."""
+    for part in path.parent.glob(f".*{glob.escape(path.suffix)}.*.part"):
+        name = _PART.fullmatch(part.name)
+        if name is not None and not _is_alive(int(name[1])) and not _is_locked(part):
             part.unlink(missing_ok=True)
 
 

@@ -415,21 +415,19 @@ def test_a_log_that_could_not_be_finished_never_passes_as_finished(
 
 
 def test_what_a_killed_process_left_under_a_temporary_name_goes(tmp_path: Path, writer: Writer) -> None:
-    """Not what a process that lives has, nor what HDF5 has locked on another machine."""
+    """Of this log and of others in the folder; not what a process that lives has, nor what HDF5 has locked on another
+    machine, nor what is no log.
+    """
     gone, other = 2**22 + 1, os.getppid()
-    for name in (f".run.h5.{gone}.part", f".run.h5.{gone}.live.part", f".run.h5.{other}.part", f".old.h5.{gone}.part"):
+    kept = {f".run.h5.{other}.part", f".film.mp4.{gone}.part", ".run.h5.part", f".run.h5.{gone}.parts"}
+    for name in (f".run.h5.{gone}.part", f".run.h5.{gone}.live.part", f".old.h5.{gone}.part", *kept):
         (tmp_path / name).write_bytes(b"")
     locked = os.open(tmp_path / f".run.h5.{gone + 1}.part", os.O_RDWR | os.O_CREAT)
     fcntl.flock(locked, fcntl.LOCK_EX)
     with writer(tmp_path / "run.h5"):
         pass
     os.close(locked)
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "run.h5",
-        f".run.h5.{other}.part",
-        f".run.h5.{gone + 1}.part",
-        f".old.h5.{gone}.part",
-    }
+    assert {path.name for path in tmp_path.iterdir()} == {"run.h5", f".run.h5.{gone + 1}.part", *kept}
 
 
 HDF5_TEXT = """Can't write data (file write failed: time = Mon Nov 23 12:38:50 2026
