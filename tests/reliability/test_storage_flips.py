@@ -80,6 +80,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
             for event in EVENTS:
                 log.event(event)
             log.phase(PHASE)
+            log.flush()  # a commit of their own: the next one comes with the third batch, however fast the writer is
             for first in range(0, ROWS, BATCH):
                 row = np.arange(first, first + BATCH)
                 zeros = np.zeros((BATCH, 3))
@@ -219,7 +220,7 @@ class TestFlips:
         """The rows of one commit are lost; refused if HDF5 can't read its own structures."""
         kinds = flips(logs.unfinished, RUN, tmp_path, places(count, 4), 4)
         assert kinds["missing, told"] + kinds["refused"] == count
-        assert kinds["refused"] <= 0.1 * count
+        assert kinds["refused"] <= 0.1 * count + 3 * (0.09 * count) ** 0.5
 
     def test_in_a_finished_log(self, logs: Logs, tmp_path: Path, count: int) -> None:
         """A damaged row is a LogError for who reads it, a damaged sensor is left out, a text that is another is told;
