@@ -27,8 +27,9 @@ from imuarray.log.verify import verify
 
 EPOCH, CONFIG = "2026-01-01T00:00:00Z", '# toml\nname = "x"\n' * 20
 PERIOD_NS = 10_000_000
-ROWS, BATCH, CHUNK = 2000, 400, 1024
+ROWS, BATCH, CHUNK = 2000, 400, 1500
 RUN, JOURNAL = "run.h5", "run.h5.journal"
+"""One commit comes with the fourth batch; the rows of the fifth are in the journal alone."""
 HEADERS = (
     SensorHeader("Noise", "bma180", "specific_force", "g", 16.0, 512.0, has_temperature=True),
     SensorHeader("Zeros", "l3g4200d", "angular_rate", "dps", 250.0, 114.3, delay_ns=7),
@@ -80,7 +81,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
             for event in EVENTS:
                 log.event(event)
             log.phase(PHASE)
-            log.flush()  # a commit of their own: the next one comes with the third batch, however fast the writer is
+            log.flush()
             for first in range(0, ROWS, BATCH):
                 row = np.arange(first, first + BATCH)
                 zeros = np.zeros((BATCH, 3))
