@@ -28,8 +28,8 @@ from imuarray.log.verify import verify
 EPOCH, CONFIG = "2026-01-01T00:00:00Z", '# toml\nname = "x"\n' * 20
 PERIOD_NS = 10_000_000
 ROWS, BATCH, CHUNK = 2000, 400, 1500
+"""A commit comes with the fourth batch; the rows of the fifth are in the journal alone."""
 RUN, JOURNAL = "run.h5", "run.h5.journal"
-"""One commit comes with the fourth batch; the rows of the fifth are in the journal alone."""
 HEADERS = (
     SensorHeader("Noise", "bma180", "specific_force", "g", 16.0, 512.0, has_temperature=True),
     SensorHeader("Zeros", "l3g4200d", "angular_rate", "dps", 250.0, 114.3, delay_ns=7),
