@@ -41,7 +41,8 @@ def sweep(path: Path) -> None:
     for part in path.parent.glob(f".*{glob.escape(path.suffix)}.*.part"):
         name = _PART.fullmatch(part.name)
         if name is not None and not _is_alive(int(name[1])) and not _is_locked(part):
-            part.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # it is another user's
+                part.unlink()
 
 
 def _is_alive(process: int) -> bool:

@@ -430,6 +430,27 @@ def test_what_a_killed_process_left_under_a_temporary_name_goes(tmp_path: Path, 
     assert {path.name for path in tmp_path.iterdir()} == {"run.h5", f".run.h5.{gone + 1}.part", *kept}
 
 
+def test_a_part_that_can_not_be_removed_keeps_no_log_from_being_begun(
+    tmp_path: Path, writer: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a folder where another user's process was killed."""
+    part = tmp_path / f".run.h5.{2**22 + 1}.part"
+    part.write_bytes(b"")
+    unlink = Path.unlink
+
+    def refuse(self: Path, missing_ok: bool = False) -> None:
+        if self == part:
+            raise PermissionError(1, "Operation not permitted")
+        unlink(self, missing_ok=missing_ok)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", refuse)
+        with writer(tmp_path / "run.h5") as log:
+            log.append("Gyro", gyro(0, 5))
+    with open_log(tmp_path / "run.h5") as seen:
+        assert len(seen["Gyro"]) == 5
+
+
 HDF5_TEXT = """Can't write data (file write failed: time = Mon Nov 23 12:38:50 2026
 , filename = 't/.run.h5.part', file descriptor = 3, errno = {}, error message = 'x', total write size = 437)"""
 
