@@ -44,8 +44,8 @@ def errno_of(error: Exception) -> int:
     """The errno of what the system said, 0 if none is known; HDF5 tells it in the middle of a paragraph."""
     if isinstance(error, OSError) and error.errno:
         return error.errno
-    told = _HDF5_ERRNO.search(str(error))
-    return int(told[1]) if told else 0
+    match = _HDF5_ERRNO.search(str(error))
+    return int(match[1]) if match else 0
 
 
 def reason_of(error: Exception) -> str:

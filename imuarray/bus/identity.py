@@ -65,12 +65,12 @@ Listing = Callable[[Path], Mapping[str, Entry]]
 def adapters(devices: Path = I2C_DEVICES) -> dict[str, Entry]:
     """Every I2C adapter of this machine by the name of its device file ("i2c-1"); empty where there is no sysfs."""
     names = sorted((path.name for path in _listed(devices) if _ADAPTER.fullmatch(path.name)), key=_number)
-    found = {}
+    entries = {}
     for name in names:
         entry = adapter_entry(devices, name)
         if entry is not None:
-            found[name] = entry
-    return found
+            entries[name] = entry
+    return entries
 
 
 def adapter_entry(devices: Path, name: str) -> Entry | None:
@@ -82,7 +82,7 @@ def adapter_entry(devices: Path, name: str) -> Entry | None:
 
 def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
     """Every serial port that has a device behind it, by the name of its device file ("ttyACM0")."""
-    found = {}
+    entries = {}
     for path in sorted(_listed(devices)):
         mark = mark_of(devices, path.name)
         try:
@@ -91,8 +91,8 @@ def ports(devices: Path = TTY_DEVICES) -> dict[str, Entry]:
             continue
         usb = _usb_device(real)
         if mark is not None and usb is not None:
-            found[path.name] = Entry(path.name, mark, _usb_identity(usb, real, ""))
-    return found
+            entries[path.name] = Entry(path.name, mark, _usb_identity(usb, real, ""))
+    return entries
 
 
 def mark_of(devices: Path, name: str) -> int | None:

@@ -13,7 +13,7 @@ import zlib
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Any, NamedTuple
 
 import h5py
@@ -144,13 +144,11 @@ class CommittedRows:
 
     def _salvaged(self, segment: Segment) -> list[Columns]:
         """What the journal has of a commit that is damaged in both places, by group."""
-        parts: list[list[Columns]] = [[] for _ in self._groups]
+        if self._journal is None:
+            return [group.joined([]) for group in self._groups]
         begin, end = self._marks(segment)
-        for record in self._journal.records(begin) if self._journal is not None else ():
-            if record.after.position > end.position:
-                break
-            parts[record.group].append(self._groups[record.group].decode(record.payload, record.rows))
-        return [group.joined(some) for group, some in zip(self._groups, parts, strict=True)]
+        records = self._journal.records(begin)
+        return self._journal.columns(takewhile(lambda record: record.after.position <= end.position, records))
 
     def _marks(self, segment: Segment) -> tuple[Mark | None, Mark]:
         """Where the journal has the rows of a commit."""
@@ -220,13 +218,10 @@ class CommittedRows:
         if self._journal is None:
             return None
         if segment.number not in self._replacements:
-            parts: list[list[Columns]] = [[] for _ in self._groups]
             try:
-                for record in self._journal.between(*self._marks(segment)):
-                    parts[record.group].append(self._groups[record.group].decode(record.payload, record.rows))
+                rows = self._journal.columns(self._journal.between(*self._marks(segment)))
             except (LogError, OSError):
                 return None
-            rows: list[Columns] = [group.joined(some) for group, some in zip(self._groups, parts, strict=True)]
             lengths = [len(next(iter(columns.values()))) for columns in rows]
             if lengths != self._lengths(segment):
                 return None

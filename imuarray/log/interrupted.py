@@ -238,15 +238,13 @@ def _content(
     commits = read_commits(file[COMMITS][:], preamble.identity, groups)
     committed = CommittedRows(file, groups, commits, journal)
     losses = committed.check() if thorough or journal is None else []
-    parts: list[list[Columns]] = [[] for _ in groups]
     if journal is None:
+        tail: list[Columns] = [group.joined([]) for group in groups]
         losses.append(f"its journal {journal_of(path).name} {why}: rows since the last commit are not here")
     else:
         mark = commits[-1].mark if commits else None
-        for record in journal.records(mark, _newest_ns(groups, committed)):
-            parts[record.group].append(groups[record.group].decode(record.payload, record.rows))
+        tail = journal.columns(journal.records(mark, _newest_ns(groups, committed)))
         losses += journal.damage
-    tail: list[Columns] = [group.joined(some) for group, some in zip(groups, parts, strict=True)]
     return _Content(preamble, committed, tail, tuple(losses))
 
 

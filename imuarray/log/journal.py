@@ -19,7 +19,7 @@ import os
 import sys
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, Self
 
@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogBusyError, LogError
-from imuarray.log.layout import Group, groups_of
+from imuarray.log.layout import Columns, Group, groups_of
 from imuarray.log.preamble import Preamble
 from imuarray.log.salvage import CRC, HEAD, LONGEST_BLOCK, Salvage
 
@@ -262,6 +262,13 @@ class JournalReader:
             mark, restored = resumed
             if restored is not None:
                 yield restored
+
+    def columns(self, records: Iterable[Record]) -> list[Columns]:
+        """The rows of blocks by group, each group's one after the other; empty columns for groups without rows."""
+        parts: list[list[Columns]] = [[] for _ in self.groups]
+        for record in records:
+            parts[record.group].append(self.groups[record.group].decode(record.payload, record.rows))
+        return [group.joined(some) for group, some in zip(self.groups, parts, strict=True)]
 
     def between(self, start: Mark | None, end: Mark) -> list[Record]:
         """The blocks between two places (None: from the beginning); LogError unless all of them are good."""
