@@ -22,7 +22,7 @@ from imuarray.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from imuarray.gap.diagnosis import Diagnosis
+    from imuarray.gap.findings.diagnosis import Diagnosis
     from imuarray.simulate.model import Model
 
 FILES = ("gap.json", "repaired.toml", "report.html")
@@ -94,8 +94,8 @@ def diagnose(
     """
     from imuarray.gap.diagnose import diagnose as diagnosed
     from imuarray.gap.diagnose import library
-    from imuarray.gap.recordings import recordings_of
-    from imuarray.gap.workers import processes, runner
+    from imuarray.gap.model.workers import processes, runner
+    from imuarray.gap.recording.recordings import recordings_of
     from imuarray.log import open_log
 
     left_out = _names(without)
@@ -167,7 +167,7 @@ def _write(folder: Path, found: Diagnosis) -> None:
 
 
 def _say(found: Diagnosis, as_json: bool) -> None:
-    from imuarray.gap.text import text_of
+    from imuarray.gap.findings.text import text_of
 
     if as_json:
         print_json(found.as_json())

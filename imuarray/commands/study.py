@@ -64,7 +64,7 @@ def command(
     \b
     imuarray study --experiments static,heating -o study
     """
-    from imuarray.gap.workers import processes
+    from imuarray.gap.model.workers import processes
     from imuarray.study import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
 
     names = tuple(dict.fromkeys(name.strip() for name in experiments.split(",") if name.strip()))

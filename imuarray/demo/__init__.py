@@ -19,9 +19,9 @@ from imuarray.demo.recording import RUNS, Say, record_all
 from imuarray.errors import OutputExistsError
 from imuarray.fuse import fuse, write_fused
 from imuarray.gap.diagnose import diagnose
-from imuarray.gap.diagnosis import Diagnosis
-from imuarray.gap.recordings import recording_of
-from imuarray.gap.workers import runner
+from imuarray.gap.findings.diagnosis import Diagnosis
+from imuarray.gap.model.workers import runner
+from imuarray.gap.recording.recordings import recording_of
 from imuarray.log import open_log
 from imuarray.report import write_page
 from imuarray.report.gap_page import write_gap_page

@@ -13,8 +13,8 @@ from imuarray.characterise.plots import allan_figure
 from imuarray.demo.comparison import BMA180S, Rows
 from imuarray.errors import LogError
 from imuarray.fuse import errors_of, fuse
-from imuarray.gap.diagnosis import Diagnosis
-from imuarray.gap.text import parameters_text, places_text
+from imuarray.gap.findings.diagnosis import Diagnosis
+from imuarray.gap.findings.text import parameters_text, places_text
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from imuarray.report import Figure, Section, Table

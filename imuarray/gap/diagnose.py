@@ -10,38 +10,37 @@ import numpy.typing as npt
 
 import imuarray
 from imuarray.errors import ConfigError
-from imuarray.gap.bench import Bench, Values
-from imuarray.gap.candidates import CANDIDATES, Candidate
-from imuarray.gap.causes import causes_of, judged_of
-from imuarray.gap.closure import deviating, deviating_in_either
-from imuarray.gap.compare import Compared, compared_with_base, observed, prepared
-from imuarray.gap.described import changes_alike, lines_left
-from imuarray.gap.diagnosis import Cause, Diagnosis, Gap, Recorded, Unshown, Where, is_told_by_both
-from imuarray.gap.judgement import (
-    Judged,
-    Told,
-    floor_of,
-    gap_of,
-    judged,
-    map_of,
-    unknown_of,
-    verdict_of,
-    where_of,
+from imuarray.gap.findings.causes import causes_of, judged_of
+from imuarray.gap.findings.closure import deviating, deviating_in_either
+from imuarray.gap.findings.description import changes_alike, lines_left
+from imuarray.gap.findings.diagnosis import (
+    Cause,
+    Diagnosis,
+    Gap,
+    RecordingSummary,
+    Unobservable,
+    Where,
+    is_told_by_both,
 )
-from imuarray.gap.labels import Mislabelled, cause_of, corrected, mislabelled
-from imuarray.gap.left import is_left_single, left_alike, left_single, worst_of
-from imuarray.gap.menu import next_experiment
-from imuarray.gap.origins import lines_of, notes_of, with_origins
-from imuarray.gap.overlays import overlays_of
-from imuarray.gap.recordings import Recording
-from imuarray.gap.repair import repaired
-from imuarray.gap.rounds import Searched, searches
-from imuarray.gap.sentence import sentence_of
-from imuarray.gap.standing import least_scale
-from imuarray.gap.stimulus import environment_of
-from imuarray.gap.unshown import alike, facts_of, unshown, unsure
-from imuarray.gap.use import uses
-from imuarray.gap.workers import Run
+from imuarray.gap.findings.experiment_design import next_experiment
+from imuarray.gap.findings.labels import WrongLabel, cause_of, corrected, mislabelled
+from imuarray.gap.findings.observability import alike, facts_of, unshown, unsure
+from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
+from imuarray.gap.findings.overlays import overlays_of
+from imuarray.gap.findings.repair import repaired
+from imuarray.gap.findings.sentence import sentence_of
+from imuarray.gap.findings.unexplained import is_left_single, left_alike, left_single, worst_of
+from imuarray.gap.findings.verdict import StatisticReport, floor_of, gap_of, map_of, unknown_of, verdict_of, where_of
+from imuarray.gap.inference.assessment import Assessment, assess
+from imuarray.gap.inference.comparison import Comparison, compared_with_base, observed, prepared
+from imuarray.gap.inference.effects import CANDIDATES, Candidate
+from imuarray.gap.inference.search import SearchResult, searches
+from imuarray.gap.inference.unit_state import least_scale
+from imuarray.gap.model.bench import Bench, StatisticValues
+from imuarray.gap.model.downstream import uses
+from imuarray.gap.model.workers import Run
+from imuarray.gap.recording.recordings import Recording
+from imuarray.gap.statistics.environment import environment_of
 from imuarray.simulate.model import Model
 
 Floats = npt.NDArray[np.float64]
@@ -56,15 +55,15 @@ _FIRST_REPAIRED = 2_000_000
 
 
 @dataclass(frozen=True)
-class Begun:
+class GapCase:
     """What is diagnosed: the recordings, compared with the base model; those as they were `noted`, if some of their
     faces were noted wrongly (`wrong`); the model, the seed, and what calls functions of the bench.
     """
 
     recordings: Sequence[Recording]
-    found: Compared
-    noted: Compared
-    wrong: tuple[Mislabelled, ...]
+    found: Comparison
+    noted: Comparison
+    wrong: tuple[WrongLabel, ...]
     model: Model | None
     seed: int
     run: Run
@@ -87,8 +86,8 @@ def diagnose(
 ) -> Diagnosis:
     """Where recordings differ from what the model makes of them, why, and how far that is closed by the causes.
 
-    `run` gives, for a bench, what calls its functions (`imuarray.gap.workers.runner`). `without` takes effects out of
-    the library of causes; ConfigError for one that isn't in it. `progress` hears what is going on.
+    `run` gives, for a bench, what calls its functions (`imuarray.gap.model.workers.runner`). `without` takes effects
+    out of the library of causes; ConfigError for one that isn't in it. `progress` hears what is going on.
     """
     candidates = library(without)
     begin = begun(recordings, run, model=model, seed=seed, replicates=replicates, progress=progress)
@@ -103,7 +102,7 @@ def begun(
     seed: int = 0,
     replicates: int = REPLICATES,
     progress: Callable[[str], None] = lambda what: None,
-) -> Begun:
+) -> GapCase:
     """Where recordings differ from the base model: the part of `diagnose` that needs no library of causes."""
     progress("reading the recordings")
     bench, campaign = prepared(recordings, model, seed)
@@ -118,11 +117,11 @@ def begun(
         called = run(bench)
         found = compared_with_base(bench, campaign, called, replicates)
         noted = noted if noted.pairs.keys == found.pairs.keys else found
-    return Begun(recordings, found, noted, wrong, model, seed, called)
+    return GapCase(recordings, found, noted, wrong, model, seed, called)
 
 
 def explained(
-    begin: Begun,
+    begin: GapCase,
     candidates: Mapping[str, Candidate],
     progress: Callable[[str], None] = lambda what: None,
     known: Collection[str] = (),
@@ -130,14 +129,14 @@ def explained(
     briefly: bool = False,
 ) -> Diagnosis:
     """The rest of `diagnose`: the search for causes among `candidates`, and what is said of them. `known`: sensors that
-    are known to have one of them (`imuarray.gap.rounds.searches`). `briefly`: without curves and without what to record
-    next, for which more is simulated.
+    are known to have one of them (`imuarray.gap.inference.search.searches`). `briefly`: without curves and without what
+    to record next, for which more is simulated.
     """
     found = begin.found
     if found.located.is_gap:
         searched = searches(found, candidates, begin.run, progress, known)
     else:
-        searched = Searched({}, found.bench.models())
+        searched = SearchResult({}, found.bench.models())
     progress("simulating the repaired model")
     return _said(begin, candidates, searched, briefly)
 
@@ -149,7 +148,7 @@ def library(without: Collection[str]) -> dict[str, Candidate]:
     return {name: one for name, one in CANDIDATES.items() if name not in without}
 
 
-def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, briefly: bool) -> Diagnosis:
+def _said(case: GapCase, candidates: Mapping[str, Candidate], searched: SearchResult, briefly: bool) -> Diagnosis:
     """Everything that follows from the search."""
     found, noted, bench, names, run = case.found, case.noted, case.found.bench, case.names, case.run
     is_gap = noted.located.is_gap
@@ -159,10 +158,10 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
     after = _after(found, came) if causes else found.judged
     lines = lines_of(causes, bench.base.headers)
     causes = tuple(sorted((*map(cause_of, case.wrong), *causes), key=lambda one: -one.probability))
-    told = Told(bench, found.campaign, found.pairs, names)
+    told = StatisticReport(bench, found.campaign, found.pairs, names)
     untold = _untold(case, candidates, causes, told)
     causes = alike(causes, untold)
-    as_noted = told if noted is found else Told(noted.bench, noted.campaign, found.pairs, names)
+    as_noted = told if noted is found else StatisticReport(noted.bench, noted.campaign, found.pairs, names)
     where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
     gap = _gap(case, after, causes)
     left = left_single(after) if is_gap else []
@@ -203,15 +202,15 @@ def _said(case: Begun, candidates: Mapping[str, Candidate], searched: Searched, 
     )
 
 
-def _after(found: Compared, came: Sequence[Values]) -> Judged:
+def _after(found: Comparison, came: Sequence[StatisticValues]) -> Assessment:
     """The recording judged by replicates of the model with the causes in."""
     floor = np.fmax(found.bench.resolutions, least_scale(found.judged.likeness))
-    return judged(found.pairs, found.real.values, np.array([one.values for one in came]), floor)
+    return assess(found.pairs, found.real.values, np.array([one.values for one in came]), floor)
 
 
 def _untold(
-    case: Begun, candidates: Mapping[str, Candidate], causes: Sequence[Cause], told: Told
-) -> tuple[Unshown, ...]:
+    case: GapCase, candidates: Mapping[str, Candidate], causes: Sequence[Cause], told: StatisticReport
+) -> tuple[Unobservable, ...]:
     """Which candidates beside the causes the recordings can't show; without a gap, also where one is not excluded."""
     found, headers = case.found, case.found.bench.base.headers
     unseen = {name: one for name, one in candidates.items() if name not in {cause.effect for cause in causes}}
@@ -219,7 +218,7 @@ def _untold(
     return hidden if case.noted.located.is_gap else (*hidden, *_unsure(found, told))
 
 
-def _described(case: Begun, unexplained: Sequence[Where]) -> tuple[str, ...]:
+def _described(case: GapCase, unexplained: Sequence[Where]) -> tuple[str, ...]:
     """Lines of the spectrum that are left, and changes of bias from log to log that units of a chip share."""
     found, bench = case.found, case.found.bench
     lines = lines_left(found.campaign, unexplained, case.names)
@@ -229,13 +228,13 @@ def _described(case: Begun, unexplained: Sequence[Where]) -> tuple[str, ...]:
     return (*lines, *alike)
 
 
-def _repaired(searched: Searched, run: Run) -> list[Values]:
+def _repaired(searched: SearchResult, run: Run) -> list[StatisticValues]:
     """Replicates with the causes in."""
     numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
     return observed(searched.models, numbers, run)
 
 
-def _gap(case: Begun, after: Judged, causes: Sequence[Cause]) -> Gap:
+def _gap(case: GapCase, after: Assessment, causes: Sequence[Cause]) -> Gap:
     """How far it is closed, on the held-out part; by causes that single parts don't show on both."""
     pairs, before = case.found.pairs, case.noted.judged
     if is_told_by_both(causes):
@@ -246,14 +245,14 @@ def _gap(case: Begun, after: Judged, causes: Sequence[Cause]) -> Gap:
     return gap if case.noted.located.is_gap else replace(gap, after=gap.before, closed=None, closed_ci95=None)
 
 
-def _recorded(one: Recording) -> Recorded:
+def _recorded(one: Recording) -> RecordingSummary:
     sensors = one.experiment.plan.sensors
     seconds = sum((phase.end_ns - phase.start_ns) * 1e-9 for phase in one.phases)
     rows = sum(len(one.log[name]) for name in sensors)
-    return Recorded(one.name, one.kind, seconds, len(sensors), len(one.phases), rows)
+    return RecordingSummary(one.name, one.kind, seconds, len(sensors), len(one.phases), rows)
 
 
-def _unsure(found: Compared, told: Told) -> tuple[Unshown, ...]:
+def _unsure(found: Comparison, told: StatisticReport) -> tuple[Unobservable, ...]:
     """In which domains a difference that matters can't be excluded."""
     places = range(len(found.pairs.keys))
     return unsure(

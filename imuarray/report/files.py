@@ -70,7 +70,7 @@ def _fused(path: Path, together: Together) -> Sayings:
 
 
 def _gap(path: Path, together: Together) -> Sayings:
-    from imuarray.gap.read_back import diagnosis_of
+    from imuarray.gap.findings.files import diagnosis_of
     from imuarray.report.gap_page import gap_sections, gap_summary
 
     diagnosis = diagnosis_of(_json(path), str(path))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from types import MappingProxyType
 
-from imuarray.gap.diagnosis import Overlay
-from imuarray.gap.text import number, share
+from imuarray.gap.findings.diagnosis import Overlay
+from imuarray.gap.findings.text import number, share
 from imuarray.report.gap_figures import farthest, outside, overlay_figure
 from imuarray.report.gap_sheet import SmallFigure
 from imuarray.report.gap_tables import overlays_table

@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.text import scored
+from imuarray.gap.findings.text import scored
 from imuarray.report.gap_sheet import AFTER, BEFORE, NARROW, REAL, legend_above, make_logarithmic, plain, sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from imuarray.gap.diagnosis import Gap, Overlay, Use
+    from imuarray.gap.findings.diagnosis import Gap, Overlay
+from imuarray.gap.model.use import Use
 
 Floats = npt.NDArray[np.float64]
 

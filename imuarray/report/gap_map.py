@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.text import number, scored
+from imuarray.gap.findings.text import number, scored
 from imuarray.report.gap_sheet import NARROW, plain, sheet
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.colors import FuncNorm
     from matplotlib.figure import Figure
 
-    from imuarray.gap.diagnosis import Map
+    from imuarray.gap.findings.diagnosis import Map
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,8 +13,9 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.diagnosis import Diagnosis, Gap, Map, Use, Where, is_told_by_both
-from imuarray.gap.text import chance, gap_text, number, scored, share
+from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Where, is_told_by_both
+from imuarray.gap.findings.text import chance, gap_text, number, scored, share
+from imuarray.gap.model.use import Use
 from imuarray.report import gap_tables as tables
 from imuarray.report.gap_curves import curves_section
 from imuarray.report.gap_figures import can_compare, shrink_figure, use_figure

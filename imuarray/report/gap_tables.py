@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imuarray.errors import MissingExtraError
-from imuarray.gap.diagnosis import Cause, Diagnosis, Figure, Gap, Judged, Map, Overlay, Unshown, Use, Where
-from imuarray.gap.text import NOTHING, chance, closed_text, number, parameters_text, places_text, scored, share
+from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Judged, Map, Overlay, Unobservable, Where
+from imuarray.gap.findings.text import NOTHING, chance, closed_text, number, parameters_text, places_text, scored, share
+from imuarray.gap.model.use import Figure, Use
 from imuarray.report.gap_figures import outside
 from imuarray.report.gap_words import MEANINGS
 from imuarray.report.page import Table
@@ -109,7 +110,7 @@ def where_table(where: Sequence[Where], caption: str) -> Table:
     return Table(heading, rows, caption, (1, 2, 3))
 
 
-def unshown_table(unshown: Sequence[Unshown]) -> Table:
+def unshown_table(unshown: Sequence[Unobservable]) -> Table:
     """What can't be told, of which sensors, and what to record."""
     rows = [[one.effect, ", ".join(one.sensors) or "all", one.record] for one in unshown]
     return Table(["what", "sensors", "record"], rows, "What these recordings can't show.", (1, 2))

@@ -8,7 +8,7 @@ from math import isfinite
 from os import PathLike
 from typing import Any
 
-from imuarray.gap.text import share
+from imuarray.gap.findings.text import share
 from imuarray.report.gap_sheet import SmallFigure
 from imuarray.report.gap_tables import marked
 from imuarray.report.page import Figure, Section, Table, write_page

@@ -3,8 +3,9 @@
     python -m imuarray.validation.calibration DIR...
 
 Of development runs, and of sealed ones that have been opened. Printed are how often causes without a rival were right,
-and the rates that make the causes of these runs likeliest (`imuarray.gap.belief.RATES`), with the calibration error and
-Brier score before and after, and the calibration error that so many causes would show if all probabilities were right.
+and the rates that make the causes of these runs likeliest (`imuarray.gap.findings.probability_calibration.RATES`), with
+the calibration error and Brier score before and after, and the calibration error that so many causes would show if all
+probabilities were right.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import OptimizeResult, minimize
 
-from imuarray.gap.belief import RATES, Rates, believed
+from imuarray.gap.findings.probability_calibration import RATES, Rates, believed
 from imuarray.validation.rates import brier, calibration_error, calibration_error_by_chance, rate
 from imuarray.validation.score_answers import Answer, number, read_run
 from imuarray.validation.score_rows import FULL
@@ -37,7 +38,7 @@ _SURE = 1e-3
 _EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)
 
 
-class Told(NamedTuple):
+class CauseClaim(NamedTuple):
     """A cause that was told: its share among rivals, what is closed of its sensors' gap in all, whether it is right."""
 
     share: float
@@ -45,7 +46,7 @@ class Told(NamedTuple):
     is_right: bool
 
 
-def told_in(answers: Sequence[Answer]) -> Iterator[Told]:
+def told_in(answers: Sequence[Answer]) -> Iterator[CauseClaim]:
     """Causes in cases of one mechanism, two or none on the full plan; those that have no share are left out."""
     for one in answers:
         if one.case.plan != FULL or one.case.kind not in ("single", "pair", "none"):
@@ -54,10 +55,10 @@ def told_in(answers: Sequence[Answer]) -> Iterator[Told]:
             share = number(cause.get("share"))
             if isfinite(share):
                 is_right = any(work.is_met(cause) for work in one.at_work)
-                yield Told(share, number(cause.get("all_closed"), 0.0), is_right)
+                yield CauseClaim(share, number(cause.get("all_closed"), 0.0), is_right)
 
 
-def rates_of(told: Sequence[Told]) -> Rates:
+def rates_of(told: Sequence[CauseClaim]) -> Rates:
     """The likeliest, within `_BOUNDS`; nan of none."""
     if not told:
         return Rates(nan, nan, nan, nan)
@@ -71,7 +72,7 @@ def rates_of(told: Sequence[Told]) -> Rates:
     return Rates(*found.x.tolist())
 
 
-def chances_of(told: Sequence[Told], rates: Rates) -> Floats:
+def chances_of(told: Sequence[CauseClaim], rates: Rates) -> Floats:
     """(k,) probabilities with these rates in the place of those that are used."""
     return np.array([believed(one.share, one.all_closed, rates) for one in told])
 

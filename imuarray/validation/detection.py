@@ -23,14 +23,14 @@ import click
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.bench import Bench
-from imuarray.gap.campaign import Campaign
-from imuarray.gap.compare import Compared, compared_with_base, prepared
-from imuarray.gap.likeness import likeness_of
-from imuarray.gap.pairs import scorer_of
-from imuarray.gap.recordings import recordings_of
-from imuarray.gap.statistics import Key
-from imuarray.gap.workers import processes, runner
+from imuarray.gap.inference.comparison import Comparison, compared_with_base, prepared
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.workers import processes, runner
+from imuarray.gap.recording.recordings import recordings_of
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.pairs import scorer_of
+from imuarray.gap.statistics.synthetic_likelihood import likeness_of
 from imuarray.log import open_log
 from imuarray.validation.case import Put, write_json
 from imuarray.validation.generator import mechanisms, record
@@ -128,7 +128,7 @@ def _scores(asked: Asked, severity: float) -> Floats:
     return np.nan_to_num(_scorer(asked.seed)(off / _wider(null, np.array(chance)) + _mean(null.chance)))
 
 
-def _wider(null: Compared, chance: Floats) -> Floats:
+def _wider(null: Comparison, chance: Floats) -> Floats:
     """(n,) how much more than without the mechanism the statistics of a probe scatter about their mean in replicates
     (r, n) of the case's own model, 1 where they scatter less: more noise moves everything further by chance.
     """
@@ -151,7 +151,7 @@ def _parts(bench: Bench) -> Iterator[tuple[Key, bool]]:
 
 
 @lru_cache(maxsize=2)
-def _null(seed: int) -> Compared:
+def _null(seed: int) -> Comparison:
     with _recorded(seed) as (bench, campaign):
         return compared_with_base(bench, campaign, runner(bench), REPLICATES)
 

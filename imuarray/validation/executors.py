@@ -17,7 +17,7 @@ from threading import local
 from typing import Any, Protocol
 
 from imuarray.errors import ConfigError, ImuArrayError, MissingExtraError
-from imuarray.gap.workers import processes
+from imuarray.gap.model.workers import processes
 
 _ADDRESS = re.compile(r"tcp://[^\s/:@]+:\d{1,5}")
 _CONNECT_S = 10.0

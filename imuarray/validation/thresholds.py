@@ -5,30 +5,32 @@ from __future__ import annotations
 from typing import Any
 
 import imuarray
-from imuarray.gap import belief, causes, judgement, likeness, search, significance, standing
+from imuarray.gap.findings import causes, probability_calibration, verdict
+from imuarray.gap.inference import assessment, forward_selection, localisation, unit_state
+from imuarray.gap.statistics import synthetic_likelihood
 from imuarray.validation import trial
 
 
 def frozen() -> dict[str, Any]:
     """By their names; the version of the software with them."""
     return {
-        "level of false alarms": significance.LEVEL,
-        "nats to be looked at": search.WORTH,
-        "nats to be accepted": search.ACCEPTED,
-        "nats a parameter costs": search.COST,
-        "wrong form allowed": likeness.FORM,
+        "level of false alarms": localisation.LEVEL,
+        "nats to be looked at": forward_selection.WORTH,
+        "nats to be accepted": forward_selection.ACCEPTED,
+        "nats a parameter costs": forward_selection.COST,
+        "wrong form allowed": synthetic_likelihood.FORM,
         "log odds tempered": causes.TEMPER,
-        "right if nothing closes": belief.RATES.least,
-        "right if all closes": belief.RATES.most,
-        "power of what closes": belief.RATES.steep,
-        "power of odds against rivals": belief.RATES.rivals,
+        "right if nothing closes": probability_calibration.RATES.least,
+        "right if all closes": probability_calibration.RATES.most,
+        "power of what closes": probability_calibration.RATES.steep,
+        "power of odds against rivals": probability_calibration.RATES.rivals,
         "probability to be told": causes.ALTERNATIVE,
         "odds to be confusable": causes.CONFUSABLE,
         "closed to be a cause": causes.LEAST,
-        "closed to be explained": judgement.EXPLAINED,
-        "closed to be partly explained": judgement.PARTLY,
-        "beyond chance to be left": judgement.MORE,
+        "closed to be explained": verdict.EXPLAINED,
+        "closed to be partly explained": verdict.PARTLY,
+        "beyond chance to be left": assessment.MORE,
         "replicates of the base model": trial.REPLICATES,
-        "replicates of a trial": standing.REPLICATES,
+        "replicates of a trial": unit_state.REPLICATES,
         "software": f"imuarray {imuarray.__version__}",
     }

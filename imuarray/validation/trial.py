@@ -14,11 +14,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from imuarray.gap.candidates import CANDIDATES
-from imuarray.gap.diagnose import Begun, begun, explained, library
-from imuarray.gap.recordings import Recording, recordings_of
-from imuarray.gap.usual_model import usual_model
-from imuarray.gap.workers import runner
+from imuarray.gap.diagnose import GapCase, begun, explained, library
+from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.model.populations import usual_model
+from imuarray.gap.model.workers import runner
+from imuarray.gap.recording.recordings import Recording, recordings_of
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, Part
@@ -68,7 +68,7 @@ def headers_of(recordings: Iterable[Recording]) -> list[SensorHeader]:
     return list(found.values())
 
 
-def _oracle(compared: Begun, case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:
+def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:
     """The share closed by who knows the effects and the sensors that have them, with its interval: such a one need not
     be shown that they are there, and blames no others.
     """

@@ -17,8 +17,8 @@ from compare import Row, row
 
 from imuarray.cli import program
 from imuarray.gap.diagnose import diagnose
-from imuarray.gap.recordings import recordings_of
-from imuarray.gap.workers import processes, runner
+from imuarray.gap.model.workers import processes, runner
+from imuarray.gap.recording.recordings import recordings_of
 from imuarray.log import open_log
 
 _RATE_HZ = "28"

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.array import parse_array
-from imuarray.gap.campaign import Campaign, summarise_log
-from imuarray.gap.source import simulated_sources
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log import LogWriter
 from imuarray.log.format import Phase
 from imuarray.simulate import Simulation, plan_of

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.array import parse_array
-from imuarray.gap.campaign import Campaign, LogSummary, summarise_log
-from imuarray.gap.probes import PROBES, LogProbe, PhaseProbe
-from imuarray.gap.recordings import Recording, sources_of
-from imuarray.gap.segments import Temperature
-from imuarray.gap.source import simulated_sources
-from imuarray.gap.summary import Grid, Summary, Tally
+from imuarray.gap.recording.recordings import Recording, sources_of
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
+from imuarray.gap.statistics.probes import PROBES, LogProbe, PhaseProbe
+from imuarray.gap.statistics.segments import Temperature
+from imuarray.gap.statistics.summary import Grid, Summary, Tally
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate import Motion, Simulation, plan_of

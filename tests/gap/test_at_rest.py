@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.at_rest import Fitted
+from imuarray.gap.model.rest import FittedParameters
 
-PLAIN = Fitted((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+PLAIN = FittedParameters((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def of(rms: float) -> Fitted:
+def of(rms: float) -> FittedParameters:
     return replace(PLAIN, rms=(rms, rms, rms))
 
 
@@ -28,7 +28,7 @@ def of(rms: float) -> Fitted:
 def test_a_line_through_two_simulations(added: float, scaled: float, truth: float, guesses: list[float]) -> None:
     """A simulation makes `scaled` s^2 + `added` of the variance s^2: whatever these are, two tell them."""
 
-    def made(rms: float) -> Fitted:
+    def made(rms: float) -> FittedParameters:
         return of((scaled * rms**2 + added) ** 0.5)
 
     first, second = map(of, guesses)

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.attitude import array_mean, ups_of
-from imuarray.gap.base_model import fit, residual
-from imuarray.gap.bench import bench_of
-from imuarray.gap.campaign import Campaign, summarise_log
-from imuarray.gap.compare import compared_with_base
-from imuarray.gap.source import simulated_sources
-from imuarray.gap.statistics import statistics
+from imuarray.gap.inference.comparison import compared_with_base
+from imuarray.gap.model.base_model import fit, residual
+from imuarray.gap.model.bench import bench_of
+from imuarray.gap.recording.attitude import array_mean, ups_of
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
+from imuarray.gap.statistics.catalogue import statistics
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.motion.posed import Posed

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.base_model import Base, Fitted, fit, replicate_seed, residual
-from imuarray.gap.campaign import Campaign, Layout, LogSummary, PhaseSummary
-from imuarray.gap.statistics import Key, statistics
+from imuarray.gap.model.base_model import Base, FittedParameters, fit, replicate_seed, residual
+from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary
+from imuarray.gap.statistics.catalogue import Key, statistics
 from imuarray.log.format import Phase
 from imuarray.simulate import parse_model
 from imuarray.simulate.effects.misalignment import Misalignment
@@ -73,7 +73,9 @@ def test_a_sensor_that_was_never_at_rest_is_ideal() -> None:
     campaign = campaign_by_hand(gaussian())
     (part,) = campaign.logs[0].phases
     moving = replace(part, phase=Phase(part.phase.start_ns, part.phase.end_ns, "motion", ""))
-    assert fit(Campaign((LogSummary("motion", (moving,)),)), [Still()]).fitted["S"] == Fitted(*((0.0,) * 3,) * 3)
+    assert fit(Campaign((LogSummary("motion", (moving,)),)), [Still()]).fitted["S"] == FittedParameters(
+        *((0.0,) * 3,) * 3
+    )
 
 
 def test_what_is_predicted_is_taken_away() -> None:

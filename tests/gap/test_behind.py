@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.gap.behind import Behind, behind
+from imuarray.gap.recording.host_lag import HostLag, behind
 from imuarray.log import open_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.clock_error import ClockError
@@ -21,7 +21,7 @@ SHAKEN = HandShake(peak_g=0.5, peak_dps=150.0, still_s=5, motion_s=20)
 SENSORS = ("A1", "A2", "G1", "G2")
 
 
-def lags(folder: Path, *effects: Effect) -> tuple[Behind, ...]:
+def lags(folder: Path, *effects: Effect) -> tuple[HostLag, ...]:
     """Of sensors that all have these."""
     path = folder / "log.h5"
     write_log(simulation(SHAKEN, dict.fromkeys(SENSORS, effects), seed=2), path)

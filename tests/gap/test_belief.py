@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.belief import RATES, Rates, believed
+from imuarray.gap.findings.probability_calibration import RATES, Rates, believed
 
 PLAIN = Rates(0.25, 0.9, 2.0, 1.0)
 SHARES = st.floats(0.0, 1.0)

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from imuarray.array import ArrayConfig, parse_array
-from imuarray.gap.base_model import fit
-from imuarray.gap.bench import Bench, bench_of
-from imuarray.gap.campaign import Campaign, summarise_log
-from imuarray.gap.probes import PROBES
-from imuarray.gap.recordings import Experiment
-from imuarray.gap.source import simulated_sources
-from imuarray.gap.split import split_of
-from imuarray.gap.stage import Modelled
+from imuarray.gap.model.base_model import fit
+from imuarray.gap.model.bench import Bench, bench_of
+from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.recording.recordings import Experiment
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
+from imuarray.gap.statistics.probes import PROBES
+from imuarray.gap.statistics.split import split_of
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
@@ -180,7 +180,7 @@ def test_a_kind_that_is_removed_is_not_drawn() -> None:
     bench, _ = prepared([("static", Still(seconds=2))], ["A1"])
     (model,) = bench.models().values()
 
-    def levels(model: Modelled) -> np.ndarray:
+    def levels(model: SensorModel) -> np.ndarray:
         found = [bench.replicate({"A1": model}, number, held_out=False).fitted["A1"].offset for number in range(12)]
         return np.std(found, axis=0)
 

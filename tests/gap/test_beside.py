@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.gap.beside import lone_beside
-from imuarray.gap.lone import LoneTally
+from imuarray.gap.recording.neighbours import lone_beside
+from imuarray.gap.recording.outliers import OutlierTally
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
 from imuarray.simulate.effects.glitches import Glitches
@@ -49,7 +49,7 @@ def test_what_was_hit_is_furthest_off(shaken: Log) -> None:
 
 def test_the_motion_itself_goes(shaken: Log) -> None:
     """On an axis that was not hit the furthest is off by noise, without the other sensor by a third more."""
-    tally, span = LoneTally(), shaken["A1"].between(MOVING.start_ns, MOVING.end_ns)
+    tally, span = OutlierTally(), shaken["A1"].between(MOVING.start_ns, MOVING.end_ns)
     tally.update(np.asarray(shaken["A1"].time[span]), np.asarray(shaken["A1"].counts[span], float).T)
     alone, beside = tally.result(), lone_beside(shaken["A1"], [shaken["A2"]], MOVING)
     furthest = [np.abs(found.apart[found.axis == 1]).max() for found in (alone, beside)]

@@ -11,15 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.belief import believed
-from imuarray.gap.bench import Bench
-from imuarray.gap.candidates import Trial
-from imuarray.gap.causes import TEMPER, causes_of, judged_of, probabilities
-from imuarray.gap.diagnosis import Cause, Judged
-from imuarray.gap.likeness import Likeness
-from imuarray.gap.refine import Tried
-from imuarray.gap.search import COST, Confirmed, Round
-from imuarray.gap.standing import Standing
+from imuarray.gap.findings.causes import TEMPER, causes_of, judged_of, probabilities
+from imuarray.gap.findings.diagnosis import Cause, Judged
+from imuarray.gap.findings.probability_calibration import believed
+from imuarray.gap.inference.effects import Hypothesis
+from imuarray.gap.inference.forward_selection import COST, Evaluation, Round
+from imuarray.gap.inference.refinement import FittedHypothesis
+from imuarray.gap.inference.unit_state import UnitState
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -44,22 +44,22 @@ def bench() -> Bench:
     return prepared([("static", Still(seconds=4))], ["G1", "G2", "A1"])[0]
 
 
-def standing(bench: Bench, sensor: str, score: float) -> Standing:
+def standing(bench: Bench, sensor: str, score: float) -> UnitState:
     """All statistics of a sensor have this score."""
     count = len(bench.columns([sensor], cross=False))
     nothing, always = np.zeros(count, bool), np.ones(count, bool)
-    likeness = Likeness(np.zeros(count), np.ones(count), always, nothing)
+    likeness = SyntheticLikelihood(np.zeros(count), np.ones(count), always, nothing)
     models = {sensor: bench.models()[sensor]}
-    return Standing((sensor,), models, np.full(count, score), likeness, np.zeros((0, count)), {}, 1.0)
+    return UnitState((sensor,), models, np.full(count, score), likeness, np.zeros((0, count)), {}, 1.0)
 
 
-def confirmed(bench: Bench, sensor: str, trial: Trial | Effect, gain: float, score: float = 1.0) -> Confirmed:
+def confirmed(bench: Bench, sensor: str, trial: Hypothesis | Effect, gain: float, score: float = 1.0) -> Evaluation:
     """With it all statistics have this score."""
-    wanted = trial if isinstance(trial, Trial) else Trial((trial,))
-    return Confirmed(Tried(wanted), standing(bench, sensor, score), 2 * gain, gain)
+    wanted = trial if isinstance(trial, Hypothesis) else Hypothesis((trial,))
+    return Evaluation(FittedHypothesis(wanted), standing(bench, sensor, score), 2 * gain, gain)
 
 
-def round_of(bench: Bench, sensor: str, *found: Confirmed, taken: int | None = 0, before: float = 10.0) -> Round:
+def round_of(bench: Bench, sensor: str, *found: Evaluation, taken: int | None = 0, before: float = 10.0) -> Round:
     return Round(standing(bench, sensor, before), found, -1.0, None if taken is None else found[taken])
 
 
@@ -78,8 +78,8 @@ def of_sensors(bench: Bench, *effects: tuple[str, Effect], gain: float = 10.0) -
 @given(st.lists(st.floats(-1e4, 1e4), max_size=5))
 def test_probabilities_leave_room_for_none_of_them(gains: list[float]) -> None:
     """They sum to one or less, the larger gain is the more probable; nothing is said of numbers too large for exp."""
-    unit = Standing((), {}, np.zeros(0), Likeness(*(np.zeros(0),) * 4), np.zeros((0, 0)), {}, 1.0)  # type: ignore[arg-type]
-    found = tuple(Confirmed(Tried(Trial((LINE,))), unit, gain, gain) for gain in gains)
+    unit = UnitState((), {}, np.zeros(0), SyntheticLikelihood(*(np.zeros(0),) * 4), np.zeros((0, 0)), {}, 1.0)  # type: ignore[arg-type]
+    found = tuple(Evaluation(FittedHypothesis(Hypothesis((LINE,))), unit, gain, gain) for gain in gains)
     chances = probabilities(Round(unit, found, 0.0, None))
     assert all(0 <= chance <= 1 for chance in chances)
     assert math.fsum(chances) <= 1 + 1e-9
@@ -96,7 +96,7 @@ def test_probabilities_are_of_tempered_nats(bench: Bench) -> None:
 
 def test_a_cause_in_full(bench: Bench) -> None:
     """Scores of 10 before, of 1 after: all of the excess is closed. Odds are e^15 to 1, with what a number costs."""
-    trial = Trial((LINE,), ("amplitude",))
+    trial = Hypothesis((LINE,), ("amplitude",))
     (found,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", trial, nats(15.0) + COST)))
     assert (found.effect, found.action, found.sensors, found.axes) == ("tone", "add", ("G1",), ("y",))
     assert found.parameters == {"amplitude_dps": [0.0, 0.04, 0.0], "frequency_hz": 17.0}
@@ -175,9 +175,9 @@ def test_rounds_without_a_cause_tell_none(bench: Bench) -> None:
 
 
 def test_removal_has_no_parameters(bench: Bench) -> None:
-    (gone,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", Trial((), removed="tone"), 9.0)))
+    (gone,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", Hypothesis((), removed="tone"), 9.0)))
     assert (gone.effect, gone.action, gone.axes, gone.parameters) == ("tone", "remove", (), {})
-    other = Trial((LINE,), removed="tone")
+    other = Hypothesis((LINE,), removed="tone")
     (another,) = causes(bench, "G1", round_of(bench, "G1", confirmed(bench, "G1", other, 9.0)))
     assert (another.effect, another.action) == ("tone", "replace")
 
@@ -198,12 +198,12 @@ def test_where_a_cause_lies(bench: Bench, effect: Effect, origin: str) -> None:
 
 def test_a_cause_of_one_sensor_in_the_place_of_a_family(bench: Bench) -> None:
     """Of the two that show it, it is told of the one that has it."""
-    trial = Trial((ChannelSwap("G2"),), shared=True, sensor="G1", others=("G2",))
+    trial = Hypothesis((ChannelSwap("G2"),), shared=True, sensor="G1", others=("G2",))
     columns = bench.columns(["G1", "G2"], cross=True)
     count = len(columns)
-    likeness = Likeness(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
-    both = Standing(("G1", "G2"), {}, np.full(count, 9.0), likeness, np.zeros((0, count)), {}, 1.0)
-    one = Confirmed(Tried(trial), replace(both, real=np.zeros(count)), 9.0, 9.0)
+    likeness = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
+    both = UnitState(("G1", "G2"), {}, np.full(count, 9.0), likeness, np.zeros((0, count)), {}, 1.0)
+    one = Evaluation(FittedHypothesis(trial), replace(both, real=np.zeros(count)), 9.0, 9.0)
     (found,) = causes_of(bench, {("G1", "G2"): [Round(both, (one,), 0.0, one)]}, 1)
     assert found.sensors == ("G1",)
     assert found.each.keys() == {"G1"}
@@ -212,11 +212,11 @@ def test_a_cause_of_one_sensor_in_the_place_of_a_family(bench: Bench) -> None:
 def test_an_exchange_is_one_cause_of_two_sensors(bench: Bench) -> None:
     """Each has its own parameters."""
     one, other = ChannelSwap("G2", "place"), ChannelSwap("G1", "place")
-    trial = Trial((one,), shared=True, sensor="G1", others=("G2",), opposite=(other,))
+    trial = Hypothesis((one,), shared=True, sensor="G1", others=("G2",), opposite=(other,))
     count = len(bench.columns(["G1", "G2"], cross=True))
-    likeness = Likeness(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
-    both = Standing(("G1", "G2"), {}, np.full(count, 9.0), likeness, np.zeros((0, count)), {}, 1.0)
-    taken = Confirmed(Tried(trial), replace(both, real=np.zeros(count)), 9.0, 9.0)
+    likeness = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
+    both = UnitState(("G1", "G2"), {}, np.full(count, 9.0), likeness, np.zeros((0, count)), {}, 1.0)
+    taken = Evaluation(FittedHypothesis(trial), replace(both, real=np.zeros(count)), 9.0, 9.0)
     (found,) = causes_of(bench, {("G1", "G2"): [Round(both, (taken,), 0.0, taken)]}, 1)
     assert (found.effect, found.sensors, found.origin) == ("channel_swap", ("G1", "G2"), "metadata")
     assert found.each == {"G1": {"sensor": "G2", "kind": "place"}, "G2": {"sensor": "G1", "kind": "place"}}
@@ -289,7 +289,7 @@ def test_causes_are_in_order_of_probability(bench: Bench) -> None:
 
 
 def test_everything_that_was_confirmed_is_told_with_its_placebo(bench: Bench) -> None:
-    found = [confirmed(bench, "G1", LINE, 9.0), confirmed(bench, "G1", Trial((), removed="scale"), 1.0)]
+    found = [confirmed(bench, "G1", LINE, 9.0), confirmed(bench, "G1", Hypothesis((), removed="scale"), 1.0)]
     judged = judged_of({("G1",): [round_of(bench, "G1", *found)]})
     assert judged[:2] == (
         Judged("tone", "add", ("G1",), 18.0, 9.0, True),
@@ -309,10 +309,10 @@ def test_of_two_that_gain_as_much_the_one_that_leaves_less(bench: Bench) -> None
     """Where statistics depend on each other, gains count little and parameters cost as ever: the simpler one doesn't
     win if it leaves more than twice the squares.
     """
-    free = Trial((Tone((0.1, 0.1, 0.1), 9.0),), ("amplitude", "frequency_hz"))
+    free = Hypothesis((Tone((0.1, 0.1, 0.1), 9.0),), ("amplitude", "frequency_hz"))
     simple, better = (
         replace(confirmed(bench, "G1", trial, gain), independent=0.01, left=left)
-        for trial, gain, left in ((Trial((LINE,)), 400.0, 300.0), (free, 460.0, 100.0))
+        for trial, gain, left in ((Hypothesis((LINE,)), 400.0, 300.0), (free, 460.0, 100.0))
     )
     assert better.factors - simple.factors == 4
     simple_odds, better_odds = round_of(bench, "G1", simple, better).log_odds

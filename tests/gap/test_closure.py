@@ -10,9 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.gap.closure import BY_ITSELF, DEVIATES, LARGEST, Deviating, deviating, deviating_in_either
-from imuarray.gap.pairs import NOWHERE, Pairs, pairs_of
-from imuarray.gap.statistics import Key
+from imuarray.gap.findings.closure import (
+    BY_ITSELF,
+    DEVIATES,
+    LARGEST,
+    DeviatingStatistics,
+    deviating,
+    deviating_in_either,
+)
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.pairs import NOWHERE, Pairs, pairs_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -23,7 +30,7 @@ def key(domain: str = "level", number: int = 0, sensor: str = "A1", probe: str =
     return Key(0, sensor, "x", "static", number, domain, probe)  # type: ignore[arg-type]
 
 
-def counted(domains: list[str], before: list[float], after: list[float]) -> Deviating:
+def counted(domains: list[str], before: list[float], after: list[float]) -> DeviatingStatistics:
     """Deviating in both parts, the training part as `before`."""
     keys = [key(domain, number) for number, domain in enumerate(domains)]
     pairs = pairs_of([*keys, *keys], [False] * len(keys) + [True] * len(keys))
@@ -125,7 +132,9 @@ def test_the_interval_covers() -> None:
     for seed in range(150):
         before, after = (np.repeat(random.normal(0, sigma, 40), 3) for sigma in (10.0, 10.9**0.5))
         keys = tuple(key(number=block, probe=f"{part}") for block in range(40) for part in range(3))
-        found = Deviating(keys, np.arange(120), np.full(120, 1 / 120), np.clip(before, -99, 99), after).shrunk(seed)
+        found = DeviatingStatistics(
+            keys, np.arange(120), np.full(120, 1 / 120), np.clip(before, -99, 99), after
+        ).shrunk(seed)
         assert found.interval is not None
         low, high = found.interval
         assert low <= high
@@ -144,7 +153,7 @@ def test_the_interval_of_a_few_blocks_covers(blocks: int) -> None:
         off = np.repeat(random.choice((-10.0, 10.0), blocks), 3) * random.uniform(0.5, 1.5, 3 * blocks)
         left = off * np.repeat(random.normal(0, 0.3, blocks), 3)
         chance = random.normal(size=len(keys))
-        found = Deviating(
+        found = DeviatingStatistics(
             keys, np.arange(len(keys)), np.full(len(keys), 1 / len(keys)), off + chance, left + chance
         ).shrunk(seed)
         assert found.interval is not None

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from imuarray.cli import main
-from imuarray.gap.belief import RATES
-from imuarray.gap.candidates import CANDIDATES
-from imuarray.gap.probes import PROBES
+from imuarray.gap.findings.probability_calibration import RATES
+from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.statistics.probes import PROBES
 from imuarray.log import open_log
 from imuarray.simulate import load_model
 

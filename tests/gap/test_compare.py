@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.base_model import fit
-from imuarray.gap.bench import Bench
-from imuarray.gap.campaign import Campaign
-from imuarray.gap.compare import Compared, compared_with_base, settled
-from imuarray.gap.judgement import Told, where_of
-from imuarray.gap.likeness import likeness_of
-from imuarray.gap.workers import processes, runner
+from imuarray.gap.findings.verdict import StatisticReport, where_of
+from imuarray.gap.inference.comparison import Comparison, compared_with_base, settled
+from imuarray.gap.model.base_model import fit
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.workers import processes, runner
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.synthetic_likelihood import likeness_of
 from imuarray.simulate import parse_model
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.misalignment import Misalignment
@@ -46,14 +46,14 @@ def recorded(more: More, seed: int, motion: Motion = SHORT, kind: str = "static"
     return prepared([(kind, motion)], NAMES, more, seed)
 
 
-def compared(more: More, seed: int, replicates: int = 40) -> Compared:
+def compared(more: More, seed: int, replicates: int = 40) -> Comparison:
     """The whole way, from a simulated recording on."""
     bench, campaign = recorded(more, seed)
     return compared_with_base(bench, campaign, Run(bench), replicates)
 
 
 @pytest.fixture(scope="module")
-def nothing() -> Compared:
+def nothing() -> Comparison:
     return compared({}, 0, 80)
 
 
@@ -70,7 +70,7 @@ def units(seed: int) -> dict[str, tuple[Effect, ...]]:
 
 
 @pytest.mark.slow
-def test_false_alarms(nothing: Compared) -> None:
+def test_false_alarms(nothing: Comparison) -> None:
     """60 campaigns, each with its own fit, beside the 80 replicates of another one: p <= 0.05 has a probability of 4/81
     over both; at most 14 come with one of 0.9998 (beta-binomial: 60, 4, 77).
     """
@@ -95,7 +95,7 @@ def test_false_alarms_are_as_rare_as_promised() -> None:
 
 
 @pytest.mark.slow
-def test_scores_are_standard(nothing: Compared) -> None:
+def test_scores_are_standard(nothing: Comparison) -> None:
     """About normal in the middle: 68 % within one, of 40 x 700 scores that hang together, by the other 40; scales of 40
     replicates scatter by 11 %, which makes tails a little longer. Statistics that count things are not normal.
     """
@@ -107,7 +107,7 @@ def test_scores_are_standard(nothing: Compared) -> None:
 
 
 @pytest.mark.slow
-def test_another_seed_draws_others(nothing: Compared) -> None:
+def test_another_seed_draws_others(nothing: Comparison) -> None:
     bench = replace(nothing.bench, base=replace(nothing.bench.base, seed=77))
     other = compared_with_base(bench, nothing.campaign, Run(bench), 40)
     assert not np.array_equal(other.chance, nothing.chance[:40], equal_nan=True)
@@ -139,7 +139,10 @@ def test_sizes_are_in_the_units_of_the_statistic() -> None:
     bench, campaign = recorded({"A2": (Nonlinearity(quadratic=(0.06, 0.0, 0.0)),)}, 3, Tumble(4.0, 1.0), "tumble")
     found = compared_with_base(bench, campaign, Run(bench), 40)
     told = where_of(
-        Told(bench, campaign, found.pairs, ["tumble.h5"]), found.judged, found.located.found, found.located.found
+        StatisticReport(bench, campaign, found.pairs, ["tumble.h5"]),
+        found.judged,
+        found.located.found,
+        found.located.found,
     )
     (square,) = [one for one in told if one.statistic == "force_square"]
     assert (square.sensor, square.axis, square.unit) == ("A2", "x", "g/g^2")

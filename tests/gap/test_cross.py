@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.gap.cross import Cross, CrossTally, window_ns
-from imuarray.gap.probes import PROBES, CrossProbe
+from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
+from imuarray.gap.statistics.probes import PROBES, CrossProbe
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.units import SI_PER_UNIT
 from tests.gap.made import block, header

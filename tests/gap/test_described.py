@@ -7,9 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from imuarray.gap.described import changes_alike, line_hz, lines_left
-from imuarray.gap.diagnosis import Where
-from imuarray.gap.statistics import Key
+from imuarray.gap.findings.description import changes_alike, line_hz, lines_left
+from imuarray.gap.findings.diagnosis import Where
+from imuarray.gap.statistics.catalogue import Key
 from imuarray.simulate.effects.tone import Tone
 from tests.gap.made import campaign_of, header
 

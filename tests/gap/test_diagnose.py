@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from imuarray.errors import ConfigError
-from imuarray.gap.candidates import CANDIDATES
-from imuarray.gap.compare import prepared
 from imuarray.gap.diagnose import begun, diagnose, explained, library
-from imuarray.gap.diagnosis import Diagnosis
-from imuarray.gap.recordings import Recording, recordings_of
+from imuarray.gap.findings.diagnosis import Diagnosis
+from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.recording.recordings import Recording, recordings_of
 from imuarray.log import open_log
 from imuarray.simulate import Motion, parse_model, write_log
 from imuarray.simulate.effects.channel_swap import ChannelSwap

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from imuarray.gap.probes import Domain
-from imuarray.gap.statistics import Key, statistics
+from imuarray.gap.statistics.catalogue import Key, statistics
+from imuarray.gap.statistics.probes import Domain
 from imuarray.simulate import EFFECTS
 from imuarray.simulate.effect import Effect
 from tests.gap.made import PLANS, campaign_of

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from imuarray.gap.at_rest import Fitted
-from imuarray.gap.evidence import Evidence, Scored, Seen, evidence_of
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence, ScoredStatistics, evidence_of
+from imuarray.gap.model.rest import FittedParameters
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.motion.still import turn_on_run
 from tests.gap.made import block, gaussian, header, summary
@@ -17,11 +17,11 @@ from tests.gap.test_bench import LINE, prepared, static
 
 NAN = math.nan
 
-FITTED = Fitted((0.01, 0.01, 0.02), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+FITTED = FittedParameters((0.01, 0.01, 0.02), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def evidence(
-    scores: Mapping[str, Sequence[Sequence[float]]], scale: float = 0.5, seen: Sequence[Seen] = ()
+    scores: Mapping[str, Sequence[Sequence[float]]], scale: float = 0.5, seen: Sequence[PhaseEvidence] = ()
 ) -> Evidence:
     """Values of these scores about 10, in standard deviations of `scale`."""
     given = {probe: np.array(rows) for probe, rows in scores.items()}
@@ -62,7 +62,7 @@ def test_shifts_are_of_the_worst_row_and_of_the_typical_one() -> None:
 def test_rate_is_the_usual_one() -> None:
     """Of 100, 100 and 20 rows/s; without a phase the sensor's own."""
     rows = [summary(block(gaussian(rows=100), interval_ns)) for interval_ns in (10**7, 10**7, 5 * 10**7)]
-    seen = [Seen(0, "static", True, one, one, None) for one in rows]
+    seen = [PhaseEvidence(0, "static", True, one, one, None) for one in rows]
     assert evidence({}, seen=seen).rows_per_s == pytest.approx(100.0)
     assert evidence({}).rows_per_s == 1.0
 
@@ -78,7 +78,7 @@ def test_what_a_recording_shows() -> None:
     train = bench.split.train(campaign)
     number = np.arange(bench.of_train, dtype=float)
     keys, parts = bench.keys[: bench.of_train], [False] * bench.of_train
-    scored = Scored(keys, parts, number, number - 1, number * 2)
+    scored = ScoredStatistics(keys, parts, number, number - 1, number * 2)
     found = evidence_of(bench, train, "G1", scored, bench.models()["G1"], (LINE,))
     assert (found.header.name, found.effects, found.runs, found.others) == ("G1", (LINE,), None, ())
     (seen,) = found.seen
@@ -102,8 +102,8 @@ def test_levels_are_told_from_the_present_model() -> None:
     train = bench.split.train(campaign)
     model = bench.models()["G1"]
     x, y, z = model.fitted.offset
-    shifted = type(model)(Fitted(model.fitted.rms, (x + 0.1, y, z), model.fitted.slope), (Bias(),))
-    nothing = Scored((), (), np.zeros(0), np.zeros(0), np.zeros(0))
+    shifted = type(model)(FittedParameters(model.fitted.rms, (x + 0.1, y, z), model.fitted.slope), (Bias(),))
+    nothing = ScoredStatistics((), (), np.zeros(0), np.zeros(0), np.zeros(0))
     one, other = (evidence_of(bench, train, "G1", nothing, each, ()) for each in (model, shifted))
     assert [item.name for item in one.others] == ["G2"]
     assert [seen.log for seen in one.seen] == [0, 2]  # boots of the campaign

@@ -7,14 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imuarray.gap.bench import Bench
-from imuarray.gap.candidates import Trial
-from imuarray.gap.compare import compared_with_base
-from imuarray.gap.families import is_told_twice, members_of, shared_wins, staying_beside, together, unlike
-from imuarray.gap.refine import Tried
-from imuarray.gap.search import ACCEPTED, Confirmed, Round, confirmed
-from imuarray.gap.stage import Modelled
-from imuarray.gap.standing import Standing
+from imuarray.gap.inference.comparison import compared_with_base
+from imuarray.gap.inference.effects import Hypothesis
+from imuarray.gap.inference.forward_selection import ACCEPTED, Evaluation, Round, confirmed
+from imuarray.gap.inference.refinement import FittedHypothesis
+from imuarray.gap.inference.shared_causes import (
+    is_told_twice,
+    members_of,
+    shared_wins,
+    staying_beside,
+    together,
+    unlike,
+)
+from imuarray.gap.inference.unit_state import UnitState
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.replication import SensorModel
 from imuarray.simulate.effects.channel_swap import ChannelSwap
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.still import Still
@@ -24,19 +31,19 @@ from tests.gap.test_standing import FITTED, drawn
 from tests.gap.test_standing import standing as by_hand
 
 BOTH = ("A1", "A2")
-SWAP = Trial((ChannelSwap("A2"),), shared=True, sensor="A1", others=("A2",))
+SWAP = Hypothesis((ChannelSwap("A2"),), shared=True, sensor="A1", others=("A2",))
 
 
 @pytest.fixture(scope="module")
-def swapped() -> tuple[Bench, Standing, dict[tuple[str, ...], Standing]]:
+def swapped() -> tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]]:
     """A1 has A2's readings, 10 s at rest: the two together, and each alone."""
     bench, campaign = prepared([("static", Still(seconds=10))], BOTH, {"A1": (ChannelSwap("A2"),)})
     found = compared_with_base(bench, campaign, Run(bench), 40)
     return bench, standing_of(found, BOTH), {(name,): standing_of(found, (name,)) for name in BOTH}
 
 
-def found(gain: float) -> Confirmed:
-    return Confirmed(Tried(Trial(())), by_hand([0.0], drawn(1)), gain, gain)
+def found(gain: float) -> Evaluation:
+    return Evaluation(FittedHypothesis(Hypothesis(())), by_hand([0.0], drawn(1)), gain, gain)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +60,7 @@ def test_both_parts_tell_whose_cause_it_is() -> None:
     shared, members = replace(found(10.0), train_gain=18.0), replace(found(12.0), train_gain=12.0)
     round_ = Round(by_hand([0.0], drawn(1)), (shared,), 0.0, shared)
     assert shared_wins(round_, members) is shared
-    rarer = replace(shared, tried=Tried(Trial((), rarity=5.0)))
+    rarer = replace(shared, tried=FittedHypothesis(Hypothesis((), rarity=5.0)))
     assert shared_wins(replace(round_, taken=rarer), members) is None
 
 
@@ -61,17 +68,19 @@ def test_what_stays_beside_a_shared_cause() -> None:
     """A line that gains more than a member's part, 20 of 2; not what gains less, nor another of the shared kind."""
     shared = found(40.0)
     shared = replace(
-        shared, tried=Tried(SWAP), standing=by_hand([0.0], drawn(1), models={name: Modelled(FITTED) for name in BOTH})
+        shared,
+        tried=FittedHypothesis(SWAP),
+        standing=by_hand([0.0], drawn(1), models={name: SensorModel(FITTED) for name in BOTH}),
     )
-    line, weak = (replace(found(gain), tried=Tried(Trial((Tone(1.0, 5.0),)))) for gain in (20.5, 19.5))
-    same = replace(found(30.0), tried=Tried(SWAP))
+    line, weak = (replace(found(gain), tried=FittedHypothesis(Hypothesis((Tone(1.0, 5.0),)))) for gain in (20.5, 19.5))
+    same = replace(found(30.0), tried=FittedHypothesis(SWAP))
     round_ = Round(by_hand([0.0], drawn(1)), (shared,), 0.0, shared)
     assert staying_beside(round_, (line, weak, same)) == (line,)
     assert staying_beside(replace(round_, taken=None), (line,)) == ()
 
 
 def test_trials_of_all_members_are_tried_once() -> None:
-    trials = [Trial((Tone(1.0, 5.0),), shared=True), SWAP, Trial((Tone(1.0, 5.0),), shared=True), SWAP]
+    trials = [Hypothesis((Tone(1.0, 5.0),), shared=True), SWAP, Hypothesis((Tone(1.0, 5.0),), shared=True), SWAP]
     assert unlike(trials) == trials[:2]
     assert unlike([]) == []
 
@@ -92,12 +101,12 @@ def test_several_causes_have_to_be_worth_it_each() -> None:
 
 
 def test_the_same_readings_show_between_two_sensors(
-    swapped: tuple[Bench, Standing, dict[tuple[str, ...], Standing]],
+    swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
 ) -> None:
     """Alone neither shows anything; as a pair they are far off, and with the right cause they aren't."""
     bench, pair, alone = swapped
     assert all(np.nanmax(np.abs(one.scores)) < 8 for one in alone.values())
-    right = confirmed(bench, pair, Tried(SWAP, pair.changed(SWAP)))
+    right = confirmed(bench, pair, FittedHypothesis(SWAP, pair.changed(SWAP)))
     assert min(right.gain, right.train_gain) > 10
     before, after = (np.nanmean(np.abs(one.scores) > 8) for one in (pair, right.standing))
     assert before > 0.05
@@ -107,7 +116,7 @@ def test_the_same_readings_show_between_two_sensors(
 
 
 def test_members_stand_with_the_familys_models(
-    swapped: tuple[Bench, Standing, dict[tuple[str, ...], Standing]],
+    swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]],
 ) -> None:
     """Each with its own model and statistics, those between sensors left out."""
     bench, pair, alone = swapped
@@ -126,7 +135,7 @@ def test_members_stand_with_the_familys_models(
             np.testing.assert_array_equal(one.likeness.location[at], pair.likeness.location[where])
 
 
-def test_causes_of_members_together(swapped: tuple[Bench, Standing, dict[tuple[str, ...], Standing]]) -> None:
+def test_causes_of_members_together(swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]]) -> None:
     """Without any nothing is gained; those that aren't there lose."""
     bench, pair, alone = swapped
     assert together(bench, (pair, ())).gain == pytest.approx(0.0, abs=1e-6)
@@ -134,13 +143,13 @@ def test_causes_of_members_together(swapped: tuple[Bench, Standing, dict[tuple[s
     members = []
     for (name,), one in alone.items():
         model = replace(one.models[name], added=(line,))
-        members.append(Confirmed(Tried(Trial((line,))), replace(one, models={name: model}), 1.0, 1.0))
+        members.append(Evaluation(FittedHypothesis(Hypothesis((line,))), replace(one, models={name: model}), 1.0, 1.0))
     both = together(bench, (pair, tuple(members)))
     assert both.gain < 0
     assert all(both.standing.models[name].added == (line,) for name in BOTH)
 
 
-def test_what_is_told_twice(swapped: tuple[Bench, Standing, dict[tuple[str, ...], Standing]]) -> None:
+def test_what_is_told_twice(swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]]) -> None:
     """A member's own cause takes twelve statistics that lay 5 off back to the middle; the shared one seven of them, or
     five, or makes all of them worse.
     """
@@ -148,7 +157,7 @@ def test_what_is_told_twice(swapped: tuple[Bench, Standing, dict[tuple[str, ...]
     member, mine = alone[("A1",)], bench.among(("A1",), BOTH)
     places = np.flatnonzero(np.isfinite(member.likeness.location) & ~member.likeness.is_silent)[:12]
 
-    def moved(standing: Standing, at: np.ndarray, by: float) -> Standing:
+    def moved(standing: UnitState, at: np.ndarray, by: float) -> UnitState:
         location = standing.likeness.location.copy()
         location[at] = standing.real[at] + by * standing.likeness.scale[at]
         return replace(standing, likeness=replace(standing.likeness, location=location))

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.haar import FINEST, HaarTally
+from imuarray.gap.statistics.haar import FINEST, HaarTally
 
 OCTAVES = 7
 

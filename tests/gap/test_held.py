@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.held import MOST, held_in
+from imuarray.gap.recording.repeated_rows import MOST, held_in
 from tests.gap.made import block
 
 

@@ -12,27 +12,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.closure import deviating
 from imuarray.gap.diagnose import REPAIRED
-from imuarray.gap.diagnosis import Cause, Gap
-from imuarray.gap.judgement import (
+from imuarray.gap.findings.closure import deviating
+from imuarray.gap.findings.diagnosis import Cause, Gap
+from imuarray.gap.findings.verdict import (
     DOUBT,
     EXPLAINED,
     PARTLY,
-    Judged,
-    Told,
+    StatisticReport,
     beyond_form,
     floor_of,
     gap_of,
-    judged,
     map_of,
     unknown_of,
     verdict_of,
     where_of,
 )
-from imuarray.gap.likeness import Likeness, likeness_of
-from imuarray.gap.pairs import Pairs, pairs_of
-from imuarray.gap.statistics import Key
+from imuarray.gap.inference.assessment import Assessment, assess
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.pairs import Pairs, pairs_of
+from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likeness_of
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
@@ -65,9 +64,9 @@ def gap(closed: float | None) -> Gap:
     return Gap(9.0, 1.0, 0.9, closed, None if closed is None else (closed, closed))
 
 
-def after(largest: float, p: float = 0.5, limit: float = 4.0) -> Judged:
+def after(largest: float, p: float = 0.5, limit: float = 4.0) -> Assessment:
     nothing = np.zeros(1)
-    return Judged(np.array([largest]), nothing, nothing, Likeness(*(nothing,) * 4), p, limit)  # type: ignore[arg-type]
+    return Assessment(np.array([largest]), nothing, nothing, SyntheticLikelihood(*(nothing,) * 4), p, limit)  # type: ignore[arg-type]
 
 
 def test_where_nothing_is_wrong_p_is_even() -> None:
@@ -77,7 +76,7 @@ def test_where_nothing_is_wrong_p_is_even() -> None:
     ps = []
     for seed in range(150):
         drawn = chance(41, seed)
-        ps.append(judged(PAIRS, drawn[0], drawn[1:], np.zeros(2 * COUNT)).p)
+        ps.append(assess(PAIRS, drawn[0], drawn[1:], np.zeros(2 * COUNT)).p)
     assert sum(p <= 0.1 for p in ps) <= 27
     assert 0.3 < np.median(ps) < 0.7
 
@@ -86,7 +85,7 @@ def test_what_is_wrong_is_scored_in_standard_deviations() -> None:
     """5 in both parts: 5 sqrt(2); 6 in one: 6 / sqrt(2). 120 replicates tell a scatter to 7 %."""
     real = chance(1, 1)[0]
     real[[3, COUNT + 3]], real[[4, COUNT + 4]] = 5.0, (6.0, 0.0)
-    found = judged(PAIRS, real, chance(120, 2), np.zeros(2 * COUNT))
+    found = assess(PAIRS, real, chance(120, 2), np.zeros(2 * COUNT))
     assert found.scores[3] == pytest.approx(5 * 2**0.5, rel=0.3)
     assert found.scores[4] == pytest.approx(6 / 2**0.5, rel=0.3)
     assert found.p == pytest.approx(1 / 121)
@@ -98,7 +97,7 @@ def test_what_is_wrong_is_scored_in_standard_deviations() -> None:
 def test_p_of_few_replicates_is_not_small() -> None:
     """However large a score is."""
     real = np.full(2 * COUNT, 50.0)
-    assert judged(PAIRS, real, chance(40, 3), np.zeros(2 * COUNT)).p == pytest.approx(1 / 41)
+    assert assess(PAIRS, real, chance(40, 3), np.zeros(2 * COUNT)).p == pytest.approx(1 / 41)
 
 
 @pytest.mark.parametrize(
@@ -133,8 +132,8 @@ def test_a_cause_may_miss_a_twentieth_of_what_it_moves() -> None:
     replicates[:, [3, COUNT + 3]] -= 200.0
     real = np.full(2 * COUNT, 210.0)
     real[[3, COUNT + 3]], real[[4, COUNT + 4]] = 30.0, 250.0
-    before = judged(PAIRS, real, chance(100, 6), without)
-    with_it = judged(PAIRS, real, replicates, without)
+    before = assess(PAIRS, real, chance(100, 6), without)
+    with_it = assess(PAIRS, real, replicates, without)
     found = beyond_form(PAIRS, before, with_it, real, replicates)
     assert with_it.scores[5] == pytest.approx(10 * 2**0.5, rel=0.3)
     assert found[5] == pytest.approx(10 * (2 / 101) ** 0.5, rel=0.3)
@@ -149,7 +148,7 @@ def test_where_no_share_is_told_what_is_left_decides() -> None:
 
 def test_what_is_left_can_be_doubted() -> None:
     """Scores of 50 with the causes in."""
-    left = judged(PAIRS, np.full(2 * COUNT, 50.0), chance(REPAIRED, 4), np.zeros(2 * COUNT))
+    left = assess(PAIRS, np.full(2 * COUNT, 50.0), chance(REPAIRED, 4), np.zeros(2 * COUNT))
     assert verdict_of(True, gap(None), left, [CAUSE]) == "partly explained"
 
 
@@ -192,7 +191,7 @@ def test_the_floor_is_that_of_chance() -> None:
     """About 1 for standard scores of many statistics; 1 where nothing is counted."""
     pairs, rows = PAIRS, chance(200, 5)
     scores = np.full(2 * COUNT, 9.0)
-    before = Judged(scores[:COUNT], scores, np.zeros(2 * COUNT), likeness_of(rows, np.zeros(2 * COUNT)), 0.01, 4.0)
+    before = Assessment(scores[:COUNT], scores, np.zeros(2 * COUNT), likeness_of(rows, np.zeros(2 * COUNT)), 0.01, 4.0)
     counted = deviating(pairs, scores, scores, np.zeros(2 * COUNT, bool))
     assert floor_of(counted, before, rows) == pytest.approx(1.0, abs=0.1)
     nothing = deviating(pairs, 0 * scores, scores, np.zeros(2 * COUNT, bool))
@@ -201,9 +200,9 @@ def test_the_floor_is_that_of_chance() -> None:
 
 def test_the_map_has_the_largest_of_each() -> None:
     keys = [key(0), key(1), key(0, "A1"), key(2, domain="spectrum")]
-    nothing = Likeness(*(np.zeros(8),) * 4)  # type: ignore[arg-type]
+    nothing = SyntheticLikelihood(*(np.zeros(8),) * 4)  # type: ignore[arg-type]
     one, two = (
-        Judged(np.array(scores), np.zeros(8), np.zeros(8), nothing, 0.5, 4.0)
+        Assessment(np.array(scores), np.zeros(8), np.zeros(8), nothing, 0.5, 4.0)
         for scores in ([1.0, -7.0, math.nan, 2.0], [1.0, 0.5, 3.0, math.nan])
     )
     found = map_of(paired(keys), one, two, ["A1", "G1"])
@@ -218,7 +217,9 @@ def test_a_statistic_in_its_units() -> None:
     """A line of 0.04 dps in noise of 0.05 dps; 20 s of 100 rows/s."""
     found = found_in(LINE)
     places = list(found.located.found)
-    told = where_of(Told(found.bench, found.campaign, found.pairs, ["a.h5"]), found.judged, places, found.located.found)
+    told = where_of(
+        StatisticReport(found.bench, found.campaign, found.pairs, ["a.h5"]), found.judged, places, found.located.found
+    )
     worst = next(one for one in told if one.statistic == "noise_excess" or one.statistic == "line")
     assert (worst.log, worst.sensor, worst.axis, worst.phase) == ("a.h5", "G1", "y", "static")
     assert worst.p == found.located.found[places[told.index(worst)]]
@@ -233,11 +234,11 @@ def labelled(logs: Sequence[tuple[str, Motion]]) -> list[tuple[str, str, int, in
     bench, campaign = prepared(logs, ["G1"])
     pairs = bench.pairs()
     count = len(bench.keys)
-    plain = Likeness(np.zeros(count), np.ones(count), np.zeros(count, bool), np.zeros(count, bool))
-    one = Judged(np.zeros(len(pairs.keys)), np.zeros(count), np.zeros(count), plain, 0.5, 4.0)
+    plain = SyntheticLikelihood(np.zeros(count), np.ones(count), np.zeros(count, bool), np.zeros(count, bool))
+    one = Assessment(np.zeros(len(pairs.keys)), np.zeros(count), np.zeros(count), plain, 0.5, 4.0)
     places = [at for at, item in enumerate(pairs.keys) if item.probe == "mean" and item.axis == "x"]
     names = [f"log {number}" for number in range(len(logs))]
-    told = where_of(Told(bench, campaign, pairs, names), one, places, {})
+    told = where_of(StatisticReport(bench, campaign, pairs, names), one, places, {})
     return [
         (found.log, found.phase, int(pairs.train[at]), int(pairs.held_out[at]))
         for at, found in zip(places, told, strict=True)

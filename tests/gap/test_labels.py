@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from imuarray.array import parse_array
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.gap.base_model import fit
-from imuarray.gap.campaign import Campaign
-from imuarray.gap.labels import Mislabelled, cause_of, corrected, face_of, mislabelled, note_of
-from imuarray.gap.recordings import Recording, recording_of
-from imuarray.gap.split import split_of
-from imuarray.gap.text import parameters_text
+from imuarray.gap.findings.labels import WrongLabel, cause_of, corrected, face_of, mislabelled, note_of
+from imuarray.gap.findings.text import parameters_text
+from imuarray.gap.model.base_model import fit
+from imuarray.gap.recording.recordings import Recording, recording_of
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.split import split_of
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from imuarray.simulate import Simulation, plan_of
@@ -87,11 +87,11 @@ def tumbled(
     return recording_of(open_log(written(path, simulation, tuple(phases))))
 
 
-def found_in(*recordings: Recording) -> tuple[Mislabelled, ...]:
+def found_in(*recordings: Recording) -> tuple[WrongLabel, ...]:
     return mislabelled(recordings, Campaign(tuple(map(summarised, recordings))))
 
 
-def told(found: Sequence[Mislabelled]) -> dict[str, tuple[str, str]]:
+def told(found: Sequence[WrongLabel]) -> dict[str, tuple[str, str]]:
     return {one.phase.name: (one.phase.up, one.up) for one in found}
 
 
@@ -208,8 +208,8 @@ def test_unnoted_attitudes_are_estimated_anew(tmp_path: Path) -> None:
     assert [one.up for one in put_right.phases][:3] == ["+Z", "+X", ""]
 
 
-def made(readings: Mapping[str, Sequence[float]], agree: tuple[str, ...]) -> Mislabelled:
-    return Mislabelled(
+def made(readings: Mapping[str, Sequence[float]], agree: tuple[str, ...]) -> WrongLabel:
+    return WrongLabel(
         0, "a.h5", Phase(0, 10**9, "x_up", "-Z"), "+X", {k: np.array(v) for k, v in readings.items()}, agree
     )
 

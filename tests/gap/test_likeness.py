@@ -10,15 +10,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from imuarray.gap.likeness import FORM, FREEDOM, STRANGE, Likeness, independent_share, likeness_of
+from imuarray.gap.statistics.synthetic_likelihood import (
+    FORM,
+    FREEDOM,
+    STRANGE,
+    SyntheticLikelihood,
+    independent_share,
+    likeness_of,
+)
 
 NAN = math.nan
 
 
-def likeness(location: list[float], scale: list[float], always: object = None, never: object = None) -> Likeness:
+def likeness(
+    location: list[float], scale: list[float], always: object = None, never: object = None
+) -> SyntheticLikelihood:
     nothing = np.zeros(len(location), bool)
     sides = [nothing if one is None else np.array(one, bool) for one in (always, never)]
-    return Likeness(np.array(location), np.array(scale), *sides)
+    return SyntheticLikelihood(np.array(location), np.array(scale), *sides)
 
 
 @given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3), st.floats(-90, 90), st.floats(-90, 90))

@@ -6,14 +6,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.gap.lone import MOST, Lone, LoneTally
+from imuarray.gap.recording.outliers import MOST, Outliers, OutlierTally
 
 ROWS = 200
 
 
-def lone(apart: np.ndarray, cuts: tuple[int, ...] = ()) -> Lone:
+def lone(apart: np.ndarray, cuts: tuple[int, ...] = ()) -> Outliers:
     """Of rows (n, 3), row n at n ns, in pieces."""
-    tally, time_ns = LoneTally(), np.arange(len(apart))
+    tally, time_ns = OutlierTally(), np.arange(len(apart))
     for time, part in zip(np.split(time_ns, cuts), np.split(apart.astype(float), cuts), strict=True):
         tally.update(time, part.T)
     return tally.result()

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm, pearson3, t
 
-from imuarray.gap.margins import MARGINS, margin, needed, record_words, share, sized, sizes
-from imuarray.gap.probes import PROBES
-from imuarray.gap.statistics import Key
+from imuarray.gap.findings.equivalence_margins import MARGINS, margin, needed, record_words, share, sized, sizes
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.probes import PROBES
 from tests.gap.made import header
 
 NOISE = np.array([0.004, 0.005, 0.006])

@@ -11,18 +11,18 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from imuarray.gap import menu
-from imuarray.gap.bench import Bench
-from imuarray.gap.candidates import Trial
-from imuarray.gap.diagnosis import Cause, Unshown
-from imuarray.gap.likeness import Likeness
-from imuarray.gap.menu import LEAST, MENU, Offer, nats_between, next_experiment, rivals_of
-from imuarray.gap.probes import PROBES
-from imuarray.gap.refine import Tried
-from imuarray.gap.rounds import Searched
-from imuarray.gap.search import Confirmed, Round
-from imuarray.gap.stage import Modelled
-from imuarray.gap.standing import Standing
+from imuarray.gap.findings import experiment_design as menu
+from imuarray.gap.findings.diagnosis import Cause, Unobservable
+from imuarray.gap.findings.experiment_design import LEAST, MENU, Offer, nats_between, next_experiment, rivals_of
+from imuarray.gap.inference.effects import Hypothesis
+from imuarray.gap.inference.forward_selection import Evaluation, Round
+from imuarray.gap.inference.refinement import FittedHypothesis
+from imuarray.gap.inference.search import SearchResult
+from imuarray.gap.inference.unit_state import UnitState
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.statistics.probes import PROBES
+from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -45,23 +45,23 @@ SHORT: Mapping[str, Offer] = MappingProxyType(
 _NOTHING = np.zeros(0)
 
 
-def standing(models: Mapping[str, Modelled], independent: float = 0.3) -> Standing:
+def standing(models: Mapping[str, SensorModel], independent: float = 0.3) -> UnitState:
     """A standing of which only models and share matter."""
     never = np.zeros(0, bool)
-    likeness = Likeness(_NOTHING, _NOTHING, never, never)
-    return Standing(tuple(models), models, _NOTHING, likeness, np.zeros((0, 0)), {}, independent)
+    likeness = SyntheticLikelihood(_NOTHING, _NOTHING, never, never)
+    return UnitState(tuple(models), models, _NOTHING, likeness, np.zeros((0, 0)), {}, independent)
 
 
-def confirmed(bench: Bench, effect: Effect, sensor: str, gain: float = 9.0) -> Confirmed:
+def confirmed(bench: Bench, effect: Effect, sensor: str, gain: float = 9.0) -> Evaluation:
     model = replace(bench.models()[sensor], added=(effect,))
-    return Confirmed(Tried(Trial((effect,))), standing({sensor: model}), gain, gain)
+    return Evaluation(FittedHypothesis(Hypothesis((effect,))), standing({sensor: model}), gain, gain)
 
 
-def searched(bench: Bench, sensor: str, *effects: Effect) -> Searched:
+def searched(bench: Bench, sensor: str, *effects: Effect) -> SearchResult:
     """One round in which these were confirmed and the first one was taken."""
     every = tuple(confirmed(bench, effect, sensor, 9.0 - at) for at, effect in enumerate(effects))
     before = standing({sensor: bench.models()[sensor]})
-    return Searched({(sensor,): [Round(before, every, 0.0, every[0])]}, bench.models())
+    return SearchResult({(sensor,): [Round(before, every, 0.0, every[0])]}, bench.models())
 
 
 def cause(effect: str, *sensors: str, rivals: Sequence[str] = (), probability: float = 0.6) -> Cause:
@@ -144,9 +144,9 @@ def test_nothing_tells_lines_of_other_phase_apart(bench: Bench) -> None:
     """
     found = searched(bench, "A1", Tone(0.005, 20.0, 0.0), Tone(0.005, 20.0, 90.0))
     (one,) = found.rounds["A1",]
-    other = replace(one.confirmed[1], tried=Tried(Trial((Bias(),))))  # the name of another kind
+    other = replace(one.confirmed[1], tried=FittedHypothesis(Hypothesis((Bias(),))))  # the name of another kind
     rounds = {("A1",): [replace(one, confirmed=(one.confirmed[0], other))]}
-    said = next_experiment(bench, Searched(rounds, {}), [cause("tone", "A1", rivals=["bias"])], [], [], Run(bench))
+    said = next_experiment(bench, SearchResult(rounds, {}), [cause("tone", "A1", rivals=["bias"])], [], [], Run(bench))
     assert said.startswith("Nothing on the menu (static, tumble, heating, turn-on) tells tone from bias of A1: at most")
     assert float(re.findall(r"([\d.]+) nats", said)[0]) <= LEAST  # as rounded
 
@@ -160,8 +160,8 @@ def test_the_sensor_whose_data_another_has_is_simulated_too(bench: Bench) -> Non
 
 
 def test_without_rivals_what_is_not_explained_or_not_shown(bench: Bench) -> None:
-    nothing, run = Searched({}, {}), Run(bench)
-    hidden = [Unshown("thermal_scale", ("A1",), "heating: on all six faces")]
+    nothing, run = SearchResult({}, {}), Run(bench)
+    hidden = [Unobservable("thermal_scale", ("A1",), "heating: on all six faces")]
     left = [where("A2", "z", "run_to_run"), where()]
     assert next_experiment(bench, nothing, [], left, hidden, run) == (
         "Record a turn-on series: 12 runs of 1 minute, switched off in between (0.4 h): it shows more of the run to run"

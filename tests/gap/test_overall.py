@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.likeness import FORM, likeness_of
-from imuarray.gap.overall import LEAST, Overall, overall
-from imuarray.gap.statistics import Key
+from imuarray.gap.inference.residuals import LEAST, GroupResidual, overall
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.synthetic_likelihood import FORM, likeness_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def of(sensor: str, probe: str, axis: str = "") -> npt.NDArray[np.bool_]:
     return np.array([(key.sensor, key.probe) == (sensor, probe) and axis in ("", key.axis) for key in KEYS])
 
 
-def told(real: Floats, replicates: Floats, moved_from: float = 0.0) -> list[Overall]:
+def told(real: Floats, replicates: Floats, moved_from: float = 0.0) -> list[GroupResidual]:
     floor = np.zeros(len(KEYS))
     before = likeness_of(replicates - moved_from, floor)
     return overall(KEYS, before, likeness_of(replicates, floor), real, replicates)

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from imuarray.array import parse_array
-from imuarray.gap.base_model import fit
-from imuarray.gap.bench import Bench, bench_of
-from imuarray.gap.campaign import Campaign, summarise_log
-from imuarray.gap.diagnosis import Overlay, Where
-from imuarray.gap.overlays import Curve, bands, curves_of, drawn, overlays_of
-from imuarray.gap.recordings import Experiment, temperature_of
-from imuarray.gap.source import simulated_sources
-from imuarray.gap.split import split_of
+from imuarray.gap.findings.diagnosis import Overlay, Where
+from imuarray.gap.findings.overlays import Curve, bands, curves_of, drawn, overlays_of
+from imuarray.gap.model.base_model import fit
+from imuarray.gap.model.bench import Bench, bench_of
+from imuarray.gap.recording.recordings import Experiment, temperature_of
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
+from imuarray.gap.statistics.split import split_of
 from imuarray.simulate import plan_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.thermal_bias import ThermalBias

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.pairs import LEAST, NOWHERE, Pairs, pairs_of, spread_of
-from imuarray.gap.statistics import Key
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.pairs import LEAST, NOWHERE, Pairs, pairs_of, spread_of
 
 NAN = math.nan
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from imuarray.axes import up_vector
-from imuarray.gap.campaign import Layout, LogSummary, PhaseSummary
-from imuarray.gap.probes import PROBES, ArrayProbe, Domain
-from imuarray.gap.probes.probe import arcsine, noise_lsb, score_of_largest
+from imuarray.gap.statistics.campaign import Layout, LogSummary, PhaseSummary
+from imuarray.gap.statistics.probes import PROBES, ArrayProbe, Domain
+from imuarray.gap.statistics.probes.probe import arcsine, noise_lsb, score_of_largest
 from imuarray.log.format import Phase
 from imuarray.simulate import EFFECTS
 from imuarray.simulate.motion.tumble import ORDER

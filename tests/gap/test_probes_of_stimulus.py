@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imuarray.axes import face_up, up_vector
-from imuarray.gap.summary import Summary
+from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import LOST_BEFORE, STALE, Phase
 from imuarray.simulate.motion.tumble import ORDER
 from tests.gap.made import SCALE, SECOND, block, gaussian, header, summary, value

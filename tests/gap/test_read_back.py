@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import LogError
-from imuarray.gap.read_back import diagnosis_of
+from imuarray.gap.findings.files import diagnosis_of
 from tests.report.made_diagnosis import made
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from imuarray.errors import LogError
-from imuarray.gap.base_model import fit
-from imuarray.gap.campaign import Campaign
-from imuarray.gap.compare import prepared
-from imuarray.gap.recordings import Recording, recording_of, recordings_of, temperature_of
+from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.model.base_model import fit
+from imuarray.gap.recording.recordings import Recording, recording_of, recordings_of, temperature_of
+from imuarray.gap.statistics.campaign import Campaign
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate import Simulation

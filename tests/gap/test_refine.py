@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imuarray.gap.bench import Bench
-from imuarray.gap.candidates import Trial
-from imuarray.gap.compare import Compared, compared_with_base
-from imuarray.gap.factors import Factor, factors_of
-from imuarray.gap.likeness import independent_share, likeness_of
-from imuarray.gap.refine import look, refine, regressed
-from imuarray.gap.search import replicated
-from imuarray.gap.standing import Standing
+from imuarray.gap.inference.comparison import Comparison, compared_with_base
+from imuarray.gap.inference.effects import Hypothesis
+from imuarray.gap.inference.forward_selection import replicated
+from imuarray.gap.inference.parameters import Factor, factors_of
+from imuarray.gap.inference.refinement import look, refine, regressed
+from imuarray.gap.inference.unit_state import UnitState
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.statistics.synthetic_likelihood import independent_share, likeness_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -32,13 +32,13 @@ REPLICATES = 40
 
 
 @cache
-def found_in(*more: Effect, seed: int = 1) -> Compared:
+def found_in(*more: Effect, seed: int = 1) -> Comparison:
     """`static`, compared with its base model."""
     bench, campaign = static(*more, seed=seed)
     return compared_with_base(bench, campaign, Run(bench), REPLICATES)
 
 
-def standing_of(found: Compared, unit: tuple[str, ...] = ("G1",)) -> Standing:
+def standing_of(found: Comparison, unit: tuple[str, ...] = ("G1",)) -> UnitState:
     """A unit under the base model."""
     bench = found.bench
     columns = bench.columns(unit, cross=len(unit) > 1)
@@ -47,36 +47,36 @@ def standing_of(found: Compared, unit: tuple[str, ...] = ("G1",)) -> Standing:
     models = {name: bench.models()[name] for name in unit}
     wanted = {name: found.real.fitted[name] for name in unit}
     share = independent_share(likeness.scores(chance))
-    first = Standing(unit, models, found.real.values[columns], likeness, np.zeros((0, 0)), wanted, share)
+    first = UnitState(unit, models, found.real.values[columns], likeness, np.zeros((0, 0)), wanted, share)
     return replicated(bench, first)
 
 
 @pytest.fixture(scope="module")
-def tone() -> tuple[Bench, Standing]:
+def tone() -> tuple[Bench, UnitState]:
     found = found_in(LINE)
     return found.bench, standing_of(found)
 
 
 def test_factors_are_numbers_that_do_something() -> None:
-    assert factors_of(Trial((Tone((0.0, 0.1, 0.0), 9.0),), ("amplitude", "frequency_hz"))) == [
+    assert factors_of(Hypothesis((Tone((0.0, 0.1, 0.0), 9.0),), ("amplitude", "frequency_hz"))) == [
         Factor(0, "amplitude", 1, 1),
         Factor(0, "frequency_hz"),
     ]
     nine = (0.0, 0.1, 0.0, 0.0, 0.0, 0.2, 0.3, 0.0, 0.0)
-    assert factors_of(Trial((Bias(1.0), GSensitivity(nine)), ("response",))) == [
+    assert factors_of(Hypothesis((Bias(1.0), GSensitivity(nine)), ("response",))) == [
         Factor(1, "response", 1, 0, 1),
         Factor(1, "response", 5, 1, 2),
         Factor(1, "response", 6, 2, 0),
     ]
-    assert factors_of(Trial((Stuck(0.0, math.inf),), ("onset_s", "duration_s"))) == []
-    assert factors_of(Trial((Tone(1.0, 2.0),))) == []
+    assert factors_of(Hypothesis((Stuck(0.0, math.inf),), ("onset_s", "duration_s"))) == []
+    assert factors_of(Hypothesis((Tone(1.0, 2.0),))) == []
 
 
-def test_a_guess_is_ranked_by_what_it_gains(tone: tuple[Bench, Standing]) -> None:
+def test_a_guess_is_ranked_by_what_it_gains(tone: tuple[Bench, UnitState]) -> None:
     """The line that is there, one elsewhere, and nothing at all."""
     bench, standing = tone
     right, wrong, nothing = (
-        look(bench, standing, Trial(effects)) for effects in ((LINE,), (Tone(LINE.amplitude, 31.0),), ())
+        look(bench, standing, Hypothesis(effects)) for effects in ((LINE,), (Tone(LINE.amplitude, 31.0),), ())
     )
     assert right.gain > 10
     assert right.gain > wrong.gain + 10
@@ -84,12 +84,12 @@ def test_a_guess_is_ranked_by_what_it_gains(tone: tuple[Bench, Standing]) -> Non
 
 
 @pytest.mark.parametrize("guess", [0.025, 0.06])
-def test_an_amplitude_is_found_again(tone: tuple[Bench, Standing], guess: float) -> None:
+def test_an_amplitude_is_found_again(tone: tuple[Bench, UnitState], guess: float) -> None:
     """From 0.6 and 1.5 of it; the noise, which the fit had taken the line for, is what it was. 1000 rows of 0.05 dps
     tell an amplitude to 0.05 sqrt(2 / 1000) = 0.0022 dps and a noise to 2.2 %; frequencies are 0.1 Hz apart.
     """
     bench, standing = tone
-    trial = Trial((Tone((0.0, guess, 0.0), 17.0),), ("amplitude",))
+    trial = Hypothesis((Tone((0.0, guess, 0.0), 17.0),), ("amplitude",))
     found = refine(bench, standing, trial)
     (effect,) = found.trial.effects
     assert isinstance(effect, Tone)
@@ -102,10 +102,10 @@ def test_an_amplitude_is_found_again(tone: tuple[Bench, Standing], guess: float)
     assert found.models["G1"].fitted.rms[1] == pytest.approx(0.05, rel=0.1)
 
 
-def test_axes_that_gain_nothing_are_left(tone: tuple[Bench, Standing]) -> None:
+def test_axes_that_gain_nothing_are_left(tone: tuple[Bench, UnitState]) -> None:
     """A line guessed on all three axes stays on the one that has it."""
     bench, standing = tone
-    found = refine(bench, standing, Trial((Tone((0.02, 0.03, 0.02), 17.0),), ("amplitude",)))
+    found = refine(bench, standing, Hypothesis((Tone((0.02, 0.03, 0.02), 17.0),), ("amplitude",)))
     (effect,) = found.trial.effects
     assert isinstance(effect, Tone)
     assert [bool(one) for one in effect.amplitude] == [False, True, False]
@@ -120,34 +120,34 @@ def test_an_axis_that_gains_nothing_stays_where_it_loses_without() -> None:
     known = {"runs": (0.0,), "moments_s": (8.0,), "lengths_s": (0.5,), "doubts_s": (0.0,)}
     reset = RangeReset(500.0, (0.5, 0.0, 2.0), (2.0, 1.0, 1.0), **known)
     found = found_in(reset)
-    refined = refine(found.bench, standing_of(found), Trial((reset,), ("offset",), whole=True))
+    refined = refine(found.bench, standing_of(found), Hypothesis((reset,), ("offset",), whole=True))
     (effect,) = refined.trial.effects
     assert isinstance(effect, RangeReset)
     assert effect.offset == pytest.approx(reset.offset, rel=0.2)
     assert effect.offset[0] > 0
 
 
-def test_what_has_no_free_parameter_is_as_guessed(tone: tuple[Bench, Standing]) -> None:
+def test_what_has_no_free_parameter_is_as_guessed(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
-    trial = Trial((LINE,))
+    trial = Hypothesis((LINE,))
     found = refine(bench, standing, trial)
     assert found.trial == trial
     assert found.gain == pytest.approx(look(bench, standing, trial).gain, abs=3)  # of two draws, and of the first
 
 
-def test_shares_stay_below_one(tone: tuple[Bench, Standing]) -> None:
+def test_shares_stay_below_one(tone: tuple[Bench, UnitState]) -> None:
     """However little it gains: a probability is one."""
     bench, standing = tone
     for effect in (StaleSamples(0.9), Glitches(0.9, 0.5)):
-        (found,) = refine(bench, standing, Trial((effect,), ("probability",))).trial.effects
+        (found,) = refine(bench, standing, Hypothesis((effect,), ("probability",))).trial.effects
         assert 0 < found.probability <= 1  # type: ignore[attr-defined]
 
 
-def test_what_can_not_be_simulated_is_no_model(tone: tuple[Bench, Standing]) -> None:
+def test_what_can_not_be_simulated_is_no_model(tone: tuple[Bench, UnitState]) -> None:
     """Data of a sensor that isn't there."""
     bench, standing = tone
     for job in (look, refine):
-        found = job(bench, standing, Trial((ChannelSwap("G9"),)))
+        found = job(bench, standing, Hypothesis((ChannelSwap("G9"),)))
         assert (found.models, found.gain) == (None, -math.inf)
 
 

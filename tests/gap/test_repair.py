@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from imuarray.array import parse_array
-from imuarray.gap.at_rest import Fitted
-from imuarray.gap.base_model import Base
-from imuarray.gap.bench import Bench
-from imuarray.gap.campaign import summarise_phase
-from imuarray.gap.candidates import CANDIDATES
 from imuarray.gap.diagnose import diagnose
-from imuarray.gap.recordings import recordings_of
-from imuarray.gap.repair import repaired
-from imuarray.gap.search import Run
-from imuarray.gap.source import simulated_sources
-from imuarray.gap.split import Split
-from imuarray.gap.stage import Modelled
+from imuarray.gap.findings.repair import repaired
+from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.gap.inference.forward_selection import Run
+from imuarray.gap.model.base_model import Base
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.model.rest import FittedParameters
+from imuarray.gap.recording.recordings import recordings_of
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import summarise_phase
+from imuarray.gap.statistics.split import Split
 from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate import Simulation
@@ -40,7 +40,7 @@ from tests.gap.made import ARRAY, RATE_HZ, header, phases_of, simulation, temper
 from tests.gap.test_compare import units
 
 TONE = Tone((0.0, 0.05, 0.0), 20.0)
-FITTED = Fitted((0.05, 0.05, 0.05), (0.5, -0.25, 1.0), (0.05, 0.0, 0.0))
+FITTED = FittedParameters((0.05, 0.05, 0.05), (0.5, -0.25, 1.0), (0.05, 0.0, 0.0))
 
 MODEL = """
 [model]
@@ -87,7 +87,7 @@ def again(model: Model) -> Model:
 
 def test_found_effects_are_in_the_file() -> None:
     bench = bench_with(gyroscope(), header("A1"), kinds=("static", "turn-on", "turn-on"))
-    models = {**bench.models(), "G1": Modelled(FITTED, (TONE, replace(TONE, frequency_hz=31.0)))}
+    models = {**bench.models(), "G1": SensorModel(FITTED, (TONE, replace(TONE, frequency_hz=31.0)))}
     model = again(repaired(bench, models, None, "fixed"))
     assert model.about == (
         "2 sensors as diagnosed from 1 static and 2 turn-on logs: the data sheets, fitted, with G1 tone."
@@ -119,8 +119,8 @@ def test_a_model_keeps_what_is_not_fitted() -> None:
     """Bias, noise and slope of the model give way; its curve over temperature and the rest stay."""
     bench = bench_with(gyroscope("G1"), gyroscope("G2"))
     before = parse_model(MODEL)
-    found = Modelled(FITTED, (TONE,), frozenset({"quantisation", "stale_samples"}))
-    model = again(repaired(bench, {"G1": found, "G2": Modelled(FITTED)}, before, "fixed", logs=("a.h5", "b.h5")))
+    found = SensorModel(FITTED, (TONE,), frozenset({"quantisation", "stale_samples"}))
+    model = again(repaired(bench, {"G1": found, "G2": SensorModel(FITTED)}, before, "fixed", logs=("a.h5", "b.h5")))
     assert "from a.h5, b.h5: model mine, fitted, with G1 tone, without quantisation" in model.about
     first, second, other = model.sensors
     assert (first.name, second.name, other.name) == ("G1", "G2", "G9")
@@ -142,7 +142,7 @@ def test_a_model_keeps_what_is_not_fitted() -> None:
 
 
 def test_another_of_a_kind_takes_its_place() -> None:
-    found = Modelled(FITTED, (TONE,), frozenset({"tone"}))
+    found = SensorModel(FITTED, (TONE,), frozenset({"tone"}))
     model = again(repaired(bench_with(gyroscope()), {"G1": found}, parse_model(MODEL), "fixed"))
     tones = [effect for effect in model.effects(gyroscope(), Streams(0)) if isinstance(effect, Tone)]
     assert [one.frequency_hz for one in tones] == [20.0]
@@ -164,7 +164,7 @@ def test_a_chip_that_nobody_knows_says_its_unit() -> None:
 
 def test_texts_and_figures_without_number_survive() -> None:
     strange = (ChannelSwap("G2"), RangeReset(2000.0, onset_s=5.0), Tone(0.1, 7.0, 90.0))
-    models = {"G1": Modelled(FITTED, strange), "G2": Modelled(Fitted(*((0.0, 0.0, 0.0),) * 3))}
+    models = {"G1": SensorModel(FITTED, strange), "G2": SensorModel(FittedParameters(*((0.0, 0.0, 0.0),) * 3))}
     model = again(repaired(bench_with(gyroscope("G1"), gyroscope("G2")), models, None, "fixed"))
     assert set(strange) <= set(model.effects(gyroscope(), Streams(0)))
     silent = [effect for effect in model.effects(gyroscope("G2"), Streams(0)) if isinstance(effect, WhiteNoise)]
@@ -174,7 +174,7 @@ def test_texts_and_figures_without_number_survive() -> None:
 def test_a_simulation_of_the_file_shows_the_line() -> None:
     """0.05 dps in noise of 0.05 dps at 100 rows/s over 20 s: the bin nearest to 20 Hz stands far above the others."""
     bench = bench_with(gyroscope("G1"), gyroscope("G2"))
-    models = {**bench.models(), "G1": Modelled(FITTED, (TONE,))}
+    models = {**bench.models(), "G1": SensorModel(FITTED, (TONE,))}
     model = again(repaired(bench, models, None, "fixed"))
     motion = Still(seconds=20)
     made = Simulation.of_array(parse_array(ARRAY), motion, model, frame_rate_hz=RATE_HZ, seconds=motion.seconds, seed=3)
@@ -209,7 +209,7 @@ def test_a_second_diagnosis_finds_no_gap(tmp_path: Path) -> None:
     (bench,) = benches
     fitted = bench.base.fitted["G1"]
     quiet = replace(fitted, rms=(fitted.rms[0], fitted.rms[2], fitted.rms[2]))
-    models = {**bench.models(), "G1": Modelled(quiet, (TONE,))}
+    models = {**bench.models(), "G1": SensorModel(quiet, (TONE,))}
     model = again(repaired(bench, models, None, "fixed"))
     second = diagnose(recordings, runs, model=model, without=CANDIDATES, seed=1, replicates=40)
     assert second.verdict == "no gap"

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.resets import MOST, resets_in
+from imuarray.gap.recording.resets import MOST, resets_in
 from imuarray.log import Block, Log, LogWriter, open_log
 from imuarray.log.format import STALE, SUSPECT, SensorHeader
 

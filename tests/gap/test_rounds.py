@@ -8,13 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from imuarray.gap.candidates import CANDIDATES, Candidate, Trial
-from imuarray.gap.causes import causes_of
-from imuarray.gap.compare import compared_with_base
-from imuarray.gap.evidence import Evidence
-from imuarray.gap.rounds import ROUNDS, Searched, _deferred, searches
-from imuarray.gap.search import Round
-from imuarray.gap.standing import Unit
+from imuarray.gap.findings.causes import causes_of
+from imuarray.gap.inference.comparison import compared_with_base
+from imuarray.gap.inference.effects import CANDIDATES, Candidate, Hypothesis
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.forward_selection import Round
+from imuarray.gap.inference.search import ROUNDS, SearchResult, _deferred, searches
+from imuarray.gap.inference.unit_state import Unit
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from tests.gap.test_bench import LINE, SHORT, Run, prepared
@@ -24,13 +24,13 @@ OTHER = Tone((0.06, 0.0, 0.0), 29.0)
 
 
 @pytest.fixture(scope="module")
-def two_lines() -> Searched:
+def two_lines() -> SearchResult:
     """A line on y and one on x."""
     found = found_in(LINE, OTHER)
     return searches(found, {"tone": CANDIDATES["tone"]}, Run(found.bench))
 
 
-def test_what_one_round_takes_the_next_one_has(two_lines: Searched) -> None:
+def test_what_one_round_takes_the_next_one_has(two_lines: SearchResult) -> None:
     """Both lines are found, one after the other or both at once; the last round finds nothing, or nothing is left."""
     (rounds,) = two_lines.rounds.values()
     assert len(rounds) <= ROUNDS
@@ -44,7 +44,7 @@ def test_what_one_round_takes_the_next_one_has(two_lines: Searched) -> None:
         assert sum(one.amplitude[axis] for one in near) == pytest.approx(line.amplitude[axis], rel=0.25)
 
 
-def test_each_round_explains_more(two_lines: Searched) -> None:
+def test_each_round_explains_more(two_lines: SearchResult) -> None:
     (rounds,) = two_lines.rounds.values()
     sizes = [np.sqrt(np.nanmean(np.square(one.before.scores))) for one in rounds]
     assert sizes == sorted(sizes, reverse=True)
@@ -54,7 +54,7 @@ def test_what_all_sensors_have_is_one_cause_of_all() -> None:
     """The same line in sensors of two chips, guessed for each of them as one that everything has."""
     bench, campaign = prepared([("static", SHORT)], ["G1", "A1"], {"G1": (LINE,), "A1": (LINE,)})
     found = compared_with_base(bench, campaign, Run(bench), 40)
-    everywhere = Candidate("tone", lambda evidence: [Trial((LINE,), shared=True, everywhere=True)])
+    everywhere = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True, everywhere=True)])
     came = searches(found, {"tone": everywhere}, Run(bench))
     assert [unit for unit, rounds in came.rounds.items() if any(one.taken for one in rounds)] == [("A1", "G1")]
     assert all(LINE in model.added for model in came.models.values())
@@ -74,7 +74,7 @@ def test_what_all_sensors_have_is_one_cause_of_all() -> None:
     ],
 )
 def test_what_shows_beside_others_waits(
-    two_lines: Searched, shares: tuple[float, float | None], gains: tuple[float, float], waiting: list[str]
+    two_lines: SearchResult, shares: tuple[float, float | None], gains: tuple[float, float], waiting: list[str]
 ) -> None:
     """Of two gyroscopes and an accelerometer, which is another matter, by shares of the gain that each shows alone."""
     found = found_in()
@@ -99,7 +99,7 @@ def test_what_only_one_of_a_chip_shows_may_be_in_all(is_there: bool) -> None:
     bench, campaign = prepared([("static", SHORT)], ["G1", "G2"], {"G1": (LINE,), "G2": other})
     found = compared_with_base(bench, campaign, Run(bench), 40)
     assert [node.path[-1] for node in found.located.root.found("sensor")] == ["G1"]
-    shared = Candidate("tone", lambda evidence: [Trial((LINE,), shared=True)])
+    shared = Candidate("tone", lambda evidence: [Hypothesis((LINE,), shared=True)])
     came = searches(found, {"tone": shared}, Run(bench))
     units = [unit for unit, rounds in came.rounds.items() if any(one.taken for one in rounds)]
     assert units == ([("G1", "G2")] if is_there else [])
@@ -129,7 +129,7 @@ def test_candidates_see_what_is_left() -> None:
     """
     shown: list[Evidence] = []
 
-    def guesses(evidence: Evidence) -> list[Trial]:
+    def guesses(evidence: Evidence) -> list[Hypothesis]:
         shown.append(evidence)
         return []
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from imuarray.gap.probes import PROBES, RunsProbe
-from imuarray.gap.runs import PARTS, Runs, runs_of
+from imuarray.gap.statistics.probes import PROBES, RunsProbe
+from imuarray.gap.statistics.runs import PARTS, Runs, runs_of
 from tests.gap.made import block, header, summary
 
 SCALE = 1 / 2048.0

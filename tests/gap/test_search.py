@@ -13,14 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.bench import Bench
-from imuarray.gap.candidates import Candidate, Trial
-from imuarray.gap.refine import Tried, look
-from imuarray.gap.search import (
+from imuarray.gap.inference.effects import Candidate, Hypothesis
+from imuarray.gap.inference.forward_selection import (
     ACCEPTED,
     COST,
     WORTH,
-    Confirmed,
+    Evaluation,
     Round,
     confirmed,
     guesses_of,
@@ -29,7 +27,9 @@ from imuarray.gap.search import (
     replicates_of,
     searched,
 )
-from imuarray.gap.standing import Standing, Unit
+from imuarray.gap.inference.refinement import FittedHypothesis, look
+from imuarray.gap.inference.unit_state import Unit, UnitState
+from imuarray.gap.model.bench import Bench
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.stuck import Stuck
@@ -46,7 +46,7 @@ KINDS: tuple[Effect, ...] = (Bias(1.0), WhiteNoise(1.0), LINE)
 
 
 @pytest.fixture(scope="module")
-def tone() -> tuple[Bench, Standing]:
+def tone() -> tuple[Bench, UnitState]:
     found = found_in(LINE)
     return found.bench, standing_of(found)
 
@@ -60,7 +60,9 @@ def test_the_likeliest(drawn_trials: list[tuple[int, bool, bool, float]], count:
     behind the best one by more than 15 nats and by more than half.
     """
     tried = [
-        Tried(Trial((KINDS[kind],), removed=KINDS[kind].name if taken else ""), {} if is_made else None, gain)
+        FittedHypothesis(
+            Hypothesis((KINDS[kind],), removed=KINDS[kind].name if taken else ""), {} if is_made else None, gain
+        )
         for kind, taken, is_made, gain in drawn_trials
     ]
     kept = likeliest(tried, count)
@@ -93,7 +95,7 @@ def test_the_placebo_is_nowhere() -> None:
 
 
 def test_guesses_are_of_a_lone_sensor_or_of_a_family() -> None:
-    alone, shared = Trial((LINE,)), Trial((Bias(1.0),), shared=True)
+    alone, shared = Hypothesis((LINE,)), Hypothesis((Bias(1.0),), shared=True)
     candidates = {"tone": Candidate("tone", lambda _: [alone]), "bias": Candidate("bias", lambda _: iter([shared]))}
     found = guesses_of(evidence({}), candidates)
     assert [one for one in found if not one.shared] == [alone]
@@ -101,10 +103,10 @@ def test_guesses_are_of_a_lone_sensor_or_of_a_family() -> None:
     assert guesses_of(evidence({}), {}) == []
 
 
-def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Bench, Standing]) -> None:
+def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
     right, wrong = (
-        confirmed(bench, standing, look(bench, standing, Trial((effect,))))
+        confirmed(bench, standing, look(bench, standing, Hypothesis((effect,))))
         for effect in (LINE, Tone(LINE.amplitude, 31.0))
     )
     assert min(right.gain, right.train_gain) > 10
@@ -115,19 +117,19 @@ def test_the_right_cause_gains_on_data_that_it_was_not_fitted_to(tone: tuple[Ben
     assert after < before / 2
 
 
-def test_the_choice_of_a_moment_costs(tone: tuple[Bench, Standing]) -> None:
+def test_the_choice_of_a_moment_costs(tone: tuple[Bench, UnitState]) -> None:
     """Of what begins within the log the mean of both parts counts, less four nats."""
     bench, standing = tone
-    tried = look(bench, standing, Trial((LINE,)))
+    tried = look(bench, standing, Hypothesis((LINE,)))
     plain = confirmed(bench, standing, tried)
-    brief = confirmed(bench, standing, replace(tried, trial=Trial((Stuck(3.0, 1.0),))))
+    brief = confirmed(bench, standing, replace(tried, trial=Hypothesis((Stuck(3.0, 1.0),))))
     assert brief.gain == pytest.approx((plain.train_gain + plain.gain) / 2 - 4)
     assert brief.train_gain == pytest.approx(plain.train_gain)
 
 
-def test_no_change_gains_nothing(tone: tuple[Bench, Standing]) -> None:
+def test_no_change_gains_nothing(tone: tuple[Bench, UnitState]) -> None:
     bench, standing = tone
-    found = confirmed(bench, standing, Tried(Trial(()), standing.models))
+    found = confirmed(bench, standing, FittedHypothesis(Hypothesis(()), standing.models))
     assert (found.gain, found.train_gain) == (pytest.approx(0, abs=1e-6), pytest.approx(0, abs=1e-6))
 
 
@@ -144,7 +146,7 @@ def test_a_lone_sensor_is_without_what_it_shares() -> None:
         assert np.isfinite(values).mean() > 0.5  # the rest says nothing of one log
 
 
-class Told:
+class CannedRun:
     """In the place of simulations: gains by effect, of the looks and refinements (`first`) and of what is confirmed."""
 
     def __init__(self, first: dict[str, float], last: dict[str, tuple[float, float]], independent: float = 1.0) -> None:
@@ -159,18 +161,22 @@ class Told:
             return [[self._looked(trial) for trial in item.trials] for item in items]
         return [self._looked(item.tried.trial) for item in items]
 
-    def _looked(self, trial: Trial) -> Tried:
-        return Tried(trial, {}, self._first[trial.name])
+    def _looked(self, trial: Hypothesis) -> FittedHypothesis:
+        return FittedHypothesis(trial, {}, self._first[trial.name])
 
-    def _confirmed(self, standing: Standing, tried: Tried) -> Confirmed:
-        return Confirmed(tried, standing, *self._last[tried.trial.name], independent=self._independent)
+    def _confirmed(self, standing: UnitState, tried: FittedHypothesis) -> Evaluation:
+        return Evaluation(tried, standing, *self._last[tried.trial.name], independent=self._independent)
 
 
-def round_of(first: dict[str, float], last: dict[str, tuple[float, float]], *effects: Effect) -> tuple[Round, Told]:
+def round_of(
+    first: dict[str, float], last: dict[str, tuple[float, float]], *effects: Effect
+) -> tuple[Round, CannedRun]:
     """The placebo is the tone."""
-    told = Told(first, last)
+    told = CannedRun(first, last)
     standing = by_hand([0.0], drawn(1))
-    came = searched({UNIT: standing}, {UNIT: [Trial((one,)) for one in effects]}, {UNIT: Trial((LINE,))}, told)
+    came = searched(
+        {UNIT: standing}, {UNIT: [Hypothesis((one,)) for one in effects]}, {UNIT: Hypothesis((LINE,))}, told
+    )
     return came[UNIT], told
 
 
@@ -187,8 +193,8 @@ def test_what_gains_most_is_taken() -> None:
 def test_without_a_placebo_a_cause_has_to_gain_by_itself() -> None:
     """As in later rounds: the placebo of the first one told what chance makes."""
     for gain, is_taken in ((ACCEPTED + 0.1, True), (ACCEPTED - 0.1, False)):
-        told = Told({"bias": 9.0}, {"bias": (9.0, gain)})
-        found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Trial((Bias(1.0),))]}, {}, told)[UNIT]
+        told = CannedRun({"bias": 9.0}, {"bias": (9.0, gain)})
+        found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
         assert told.asked == [1, 1, 0, 1]
         assert ([one.trial.name for one in found.confirmed], found.placebo_gain) == (["bias"], 0.0)
         assert (found.taken is not None) == is_taken
@@ -200,10 +206,13 @@ def test_parameters_cost() -> None:
     """
     first = {"bias": 5.0, "tone": 9.0, "white_noise": 0.0}
     last = {"bias": (5.0, 8.0), "tone": (9.0, 9.0), "white_noise": (0.0, 0.0)}
-    told = Told(first, last)
-    trials = [Trial((Tone(1.0, 9.0),), ("amplitude", "frequency_hz")), Trial((Bias((1.0, 0.0, 0.0)),), ("offset",))]
+    told = CannedRun(first, last)
+    trials = [
+        Hypothesis((Tone(1.0, 9.0),), ("amplitude", "frequency_hz")),
+        Hypothesis((Bias((1.0, 0.0, 0.0)),), ("offset",)),
+    ]
     standing = by_hand([0.0], drawn(1))
-    found = searched({UNIT: standing}, {UNIT: trials}, {UNIT: Trial((WhiteNoise(1.0),))}, told)[UNIT]
+    found = searched({UNIT: standing}, {UNIT: trials}, {UNIT: Hypothesis((WhiteNoise(1.0),))}, told)[UNIT]
     assert [one.trial.name for one in found.confirmed] == ["bias", "tone"]
     assert [one.factors for one in found.confirmed] == [1, 4]
     assert found.log_odds == pytest.approx((8 - COST, 9 - 4 * COST))
@@ -213,9 +222,9 @@ def test_parameters_cost() -> None:
 def test_odds_count_what_is_independent_with_the_best() -> None:
     """Half of what is independent without it: half the nats, of the best and of the others."""
     standing = by_hand([0.0], drawn(1), independent=0.4)
-    tried = [Tried(Trial((one,))) for one in (LINE, Bias(1.0))]
+    tried = [FittedHypothesis(Hypothesis((one,))) for one in (LINE, Bias(1.0))]
     every = tuple(
-        Confirmed(one, standing, 9.0, gain, independent=share)
+        Evaluation(one, standing, 9.0, gain, independent=share)
         for one, gain, share in zip(tried, (20.0, 6.0), (0.2, 0.4), strict=True)
     )
     assert Round(standing, every, 0.0, None).log_odds == pytest.approx((10.0, 3.0))
@@ -241,8 +250,8 @@ def test_what_a_cause_has_to_beat(train: float, gain: float, placebo: float, is_
 @pytest.mark.parametrize(("gain", "is_taken"), [(0.1, True), (-0.1, False)])
 def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -> None:
     """Neither that it is beyond chance nor that the training part shows it; what makes things worse is not it."""
-    told = Told({"bias": 9.0, "tone": 0.0}, {"bias": (0.0, gain), "tone": (0.0, 5.0)})
-    trials, placebos = {UNIT: [Trial((Bias(1.0),))]}, {UNIT: Trial((LINE,))}
+    told = CannedRun({"bias": 9.0, "tone": 0.0}, {"bias": (0.0, gain), "tone": (0.0, 5.0)})
+    trials, placebos = {UNIT: [Hypothesis((Bias(1.0),))]}, {UNIT: Hypothesis((LINE,))}
     found = searched({UNIT: by_hand([0.0], drawn(1))}, trials, placebos, told, known=True)[UNIT]
     assert (found.taken is not None) == is_taken
 
@@ -250,8 +259,8 @@ def test_what_is_known_to_be_there_needs_no_proof(gain: float, is_taken: bool) -
 @pytest.mark.parametrize(("effect", "is_taken"), [(Bias(1.0), False), (Stuck(3.0, 1.0), True)])
 def test_what_moves_for_one_reason_counts_once(effect: Effect, is_taken: bool) -> None:
     """20 nats of statistics of which a tenth is independent are 2; what happens once has no more to show."""
-    told = Told({effect.name: 9.0}, {effect.name: (9.0, 20.0)}, independent=0.1)
-    found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Trial((effect,))]}, {}, told)[UNIT]
+    told = CannedRun({effect.name: 9.0}, {effect.name: (9.0, 20.0)}, independent=0.1)
+    found = searched({UNIT: by_hand([0.0], drawn(1))}, {UNIT: [Hypothesis((effect,))]}, {}, told)[UNIT]
     assert (found.taken is not None) == is_taken
 
 
@@ -260,17 +269,22 @@ def test_few_statistics_that_say_something_of_their_own_count_more(share: float,
     """Nats are counted as if all statistics hung together as those of the whole sensor do, of which 0.3 is independent:
     where those that are moved don't, 2 are 6.
     """
-    told = Told({"bias": 9.0}, {"bias": (9.0, 2.0)}, independent=share)
+    told = CannedRun({"bias": 9.0}, {"bias": (9.0, 2.0)}, independent=share)
     standing = by_hand([0.0], drawn(1), independent=0.3)
-    found = searched({UNIT: standing}, {UNIT: [Trial((Bias(1.0),))]}, {}, told)[UNIT]
+    found = searched({UNIT: standing}, {UNIT: [Hypothesis((Bias(1.0),))]}, {}, told)[UNIT]
     assert (found.taken is not None) == is_taken
 
 
 @pytest.mark.parametrize(("own_share", "odds"), [(1.0, 6.0), (0.5, 4.0), (0.0, 2.0), (-3.0, 2.0)])
 def test_what_shows_beside_others_counts_no_more(own_share: float, odds: float) -> None:
     """2 nats that are three times as independent as most, by what of them the sensor shows alone."""
-    one = Confirmed(
-        Tried(Trial((Bias(1.0),))), by_hand([0.0], drawn(1)), 9.0, 2.0, own_share=own_share, independent=0.9
+    one = Evaluation(
+        FittedHypothesis(Hypothesis((Bias(1.0),))),
+        by_hand([0.0], drawn(1)),
+        9.0,
+        2.0,
+        own_share=own_share,
+        independent=0.9,
     )
     found = Round(by_hand([0.0], drawn(1), independent=0.3), (one,), 0.0, None)
     assert found.log_odds == pytest.approx((odds,))
@@ -290,17 +304,23 @@ def test_nothing_worth_looking_at() -> None:
 
 def test_a_gain_of_few_is_worth_as_much_as_it_counts() -> None:
     """Half of what is worth it is enough where it counts three times, for the order it counts once."""
-    weak, strong = (Tried(Trial((one,)), {}, gain) for one, gain in ((Bias(1.0), WORTH / 2), (Tone(1.0, 9.0), WORTH)))
+    weak, strong = (
+        FittedHypothesis(Hypothesis((one,)), {}, gain)
+        for one, gain in ((Bias(1.0), WORTH / 2), (Tone(1.0, 9.0), WORTH))
+    )
     assert likeliest([weak, strong], 4) == []
     counted = [replace(weak, counts=3.0), replace(strong, counts=1.1)]
     assert likeliest(counted, 4) == counted[::-1]
 
 
-def test_a_round_on_simulations(tone: tuple[Bench, Standing]) -> None:
+def test_a_round_on_simulations(tone: tuple[Bench, UnitState]) -> None:
     """A line that is there, guessed at half its size, and a noise that isn't."""
     bench, standing = tone
-    trials = [Trial((Tone((0.0, 0.02, 0.0), 17.0),), ("amplitude",)), Trial((WhiteNoise((0.03, 0.0, 0.0)),), ("rms",))]
-    placebo = Trial((Tone(0.0025, 100 * (math.sqrt(5) - 1) / 4),), ("amplitude",))
+    trials = [
+        Hypothesis((Tone((0.0, 0.02, 0.0), 17.0),), ("amplitude",)),
+        Hypothesis((WhiteNoise((0.03, 0.0, 0.0)),), ("rms",)),
+    ]
+    placebo = Hypothesis((Tone(0.0025, 100 * (math.sqrt(5) - 1) / 4),), ("amplitude",))
     (found,) = searched({UNIT: standing}, {UNIT: trials}, {UNIT: placebo}, Run(bench)).values()
     assert found.taken is not None
     assert found.taken.trial.name == "tone"
@@ -310,8 +330,10 @@ def test_a_round_on_simulations(tone: tuple[Bench, Standing]) -> None:
 
 def test_lines_that_drift_are_of_another_form_than_those_that_stay() -> None:
     """So that two that stay leave room for one that drifts, however large its amplitude is."""
-    stays, drifts = Trial((Tone(1.0, 9.0),)), Trial((Tone(1.0, 9.0, drift_hz_per_h=3.0),))
-    assert stays.form == Trial((Tone((2.0, 0.0, 0.0), 30.0),), ("amplitude",)).form
-    assert len({stays.form, drifts.form, replace(stays, removed="tone").form, Trial((), removed="tone").form}) == 4
-    tried = [Tried(one, {}, gain) for one, gain in ((stays, 30.0), (stays, 29.0), (stays, 28.0), (drifts, 27.0))]
+    stays, drifts = Hypothesis((Tone(1.0, 9.0),)), Hypothesis((Tone(1.0, 9.0, drift_hz_per_h=3.0),))
+    assert stays.form == Hypothesis((Tone((2.0, 0.0, 0.0), 30.0),), ("amplitude",)).form
+    assert len({stays.form, drifts.form, replace(stays, removed="tone").form, Hypothesis((), removed="tone").form}) == 4
+    tried = [
+        FittedHypothesis(one, {}, gain) for one, gain in ((stays, 30.0), (stays, 29.0), (stays, 28.0), (drifts, 27.0))
+    ]
     assert [one.gain for one in likeliest(tried, 4)] == [30.0, 29.0, 27.0]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from imuarray.gap.segments import Segments, SegmentTally
+from imuarray.gap.statistics.segments import Segments, SegmentTally
 
 SECOND = 10**9
 

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from imuarray.gap.diagnosis import Cause, Figure, Gap, Use, Where
-from imuarray.gap.sentence import meaning, sentence_of
+from imuarray.gap.findings.diagnosis import Cause, Gap, Where
+from imuarray.gap.findings.sentence import meaning, sentence_of
+from imuarray.gap.model.use import Figure, Use
 from imuarray.simulate.effects import EFFECTS
 
 GAP = Gap(9.0, 1.5, 0.9, 0.97, (0.92, 0.99))

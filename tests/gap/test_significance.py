@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from imuarray.gap.base_model import headers_in
-from imuarray.gap.significance import LEVELS, Located, located, p_value
-from imuarray.gap.statistics import Key, statistics
+from imuarray.gap.inference.localisation import LEVELS, Localisation, located, p_value
+from imuarray.gap.model.base_model import headers_in
+from imuarray.gap.statistics.catalogue import Key, statistics
 from tests.gap.made import campaign_of
 
 Floats = npt.NDArray[np.float64]
@@ -18,7 +18,7 @@ KEYS = statistics(CAMPAIGN).keys
 """Of two accelerometers and two gyroscopes, 60 s at rest."""
 
 
-def found_by(scores: Floats, chance: Floats) -> Located:
+def found_by(scores: Floats, chance: Floats) -> Localisation:
     return located(KEYS, headers_in(CAMPAIGN), scores, chance)
 
 
@@ -26,7 +26,7 @@ def places(sensor: str) -> npt.NDArray[np.intp]:
     return np.flatnonzero([key.sensor == sensor for key in KEYS])
 
 
-def found_keys(found: Located) -> list[Key]:
+def found_keys(found: Localisation) -> list[Key]:
     return [KEYS[at] for at in found.found]
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from imuarray.array import parse_array
-from imuarray.gap.campaign import Campaign, summarise_log
-from imuarray.gap.source import RecordedSource, SimulatedSource, Source, simulated_sources
-from imuarray.gap.statistics import statistics
+from imuarray.gap.recording.source import RecordedSource, SimulatedSource, Source, simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
+from imuarray.gap.statistics.catalogue import statistics
 from imuarray.log import open_log
 from imuarray.log.writer import Block
 from imuarray.simulate import Simulation, plan_of, write_log

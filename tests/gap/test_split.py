@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.campaign import Campaign, Layout, LogSummary, PhaseSummary
-from imuarray.gap.source import simulated_sources
-from imuarray.gap.split import Side, Split, split_of
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary
+from imuarray.gap.statistics.split import Side, Split, split_of
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.tumble import Tumble
 from tests.gap.made import phases_of, simulation

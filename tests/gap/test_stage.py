@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from imuarray.gap.stage import Stage
+from imuarray.gap.model.replication import Stage
 from imuarray.simulate import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
 from imuarray.simulate.motion.still import Still

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from imuarray.gap.at_rest import Fitted
-from imuarray.gap.candidates import Trial
-from imuarray.gap.likeness import FORM, FREEDOM, Likeness
-from imuarray.gap.stage import Modelled
-from imuarray.gap.standing import LOOKS, NUMBERS, REPLICATES, Standing, compared, counts_of, gains_of
+from imuarray.gap.inference.effects import Hypothesis
+from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, REPLICATES, UnitState, compared, counts_of, gains_of
+from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.model.rest import FittedParameters
+from imuarray.gap.statistics.synthetic_likelihood import FORM, FREEDOM, SyntheticLikelihood
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -27,23 +27,23 @@ from imuarray.simulate.effects.tone import Tone
 Floats = npt.NDArray[np.float64]
 
 NAN = math.nan
-FITTED = Fitted((0.1, 0.1, 0.1), (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
+FITTED = FittedParameters((0.1, 0.1, 0.1), (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
 LINE, OTHER = Tone(1.0, 5.0), Tone(1.0, 9.0)
 
 
 def standing(
     real: list[float],
     values: Floats,
-    likeness: Likeness | None = None,
-    models: Mapping[str, Modelled] | None = None,
+    likeness: SyntheticLikelihood | None = None,
+    models: Mapping[str, SensorModel] | None = None,
     independent: float = 1.0,
-) -> Standing:
+) -> UnitState:
     """Of statistics that are standard without a change."""
     count = len(real)
-    usual = Likeness(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
-    known = models or {"G1": Modelled(FITTED)}
+    usual = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
+    known = models or {"G1": SensorModel(FITTED)}
     wanted = dict.fromkeys(known, FITTED)
-    return Standing(tuple(known), known, np.array(real), likeness or usual, values, wanted, independent)
+    return UnitState(tuple(known), known, np.array(real), likeness or usual, values, wanted, independent)
 
 
 def drawn(count: int, seed: int = 1, rows: int = REPLICATES) -> Floats:
@@ -56,39 +56,39 @@ def test_few_of_the_replicates_are_looked_at() -> None:
 
 
 def test_a_trial_changes_every_sensor_or_its_own() -> None:
-    models = {"G1": Modelled(FITTED, (LINE, Bias(0.5))), "G2": Modelled(FITTED)}
+    models = {"G1": SensorModel(FITTED, (LINE, Bias(0.5))), "G2": SensorModel(FITTED)}
     unit = standing([0.0], drawn(1), models=models)
-    added = unit.changed(Trial((OTHER,)))
+    added = unit.changed(Hypothesis((OTHER,)))
     assert [model.added for model in added.values()] == [(LINE, Bias(0.5), OTHER), (OTHER,)]
-    own = unit.changed(Trial((OTHER,), sensor="G2"))
+    own = unit.changed(Hypothesis((OTHER,), sensor="G2"))
     assert [model.added for model in own.values()] == [(LINE, Bias(0.5)), (OTHER,)]
     assert all(not model.removed for model in own.values())
 
 
 def test_others_get_the_opposite() -> None:
     """Two of three are exchanged."""
-    models = {name: Modelled(FITTED) for name in ("G1", "G2", "G3")}
+    models = {name: SensorModel(FITTED) for name in ("G1", "G2", "G3")}
     one, other = ChannelSwap("G3", "place"), ChannelSwap("G1", "place")
     changed = standing([0.0], drawn(1), models=models).changed(
-        Trial((one,), sensor="G1", others=("G3",), opposite=(other,))
+        Hypothesis((one,), sensor="G1", others=("G3",), opposite=(other,))
     )
     assert [model.added for model in changed.values()] == [(one,), (), (other,)]
 
 
 def test_what_is_removed_is_gone_from_both_places() -> None:
     """From what was added, and from what the base model draws; what takes its place comes after."""
-    unit = standing([0.0], drawn(1), models={"G1": Modelled(FITTED, (LINE, Bias(0.5)), frozenset({"scale"}))})
-    (model,) = unit.changed(Trial((OTHER,), removed="tone")).values()
-    assert model == Modelled(FITTED, (Bias(0.5), OTHER), frozenset({"scale", "tone"}))
-    (bare,) = unit.changed(Trial((), removed="tone")).values()
-    assert bare == Modelled(FITTED, (Bias(0.5),), frozenset({"scale", "tone"}))
+    unit = standing([0.0], drawn(1), models={"G1": SensorModel(FITTED, (LINE, Bias(0.5)), frozenset({"scale"}))})
+    (model,) = unit.changed(Hypothesis((OTHER,), removed="tone")).values()
+    assert model == SensorModel(FITTED, (Bias(0.5), OTHER), frozenset({"scale", "tone"}))
+    (bare,) = unit.changed(Hypothesis((), removed="tone")).values()
+    assert bare == SensorModel(FITTED, (Bias(0.5),), frozenset({"scale", "tone"}))
 
 
 def test_ordinary_parameters_make_up_for_what_is_missing() -> None:
     """The replicates' fits have 0.5 more of an offset than the recording's: it is taken off. Who reads another's data
     keeps his own.
     """
-    models = {"G1": Modelled(FITTED), "G2": Modelled(FITTED, (ChannelSwap("G1"),))}
+    models = {"G1": SensorModel(FITTED), "G2": SensorModel(FITTED, (ChannelSwap("G1"),))}
     unit = standing([0.0], drawn(1), models=models)
     came = [dict.fromkeys(models, replace(FITTED, offset=(1.5 + bias, 2.0, 3.0))) for bias in (-0.1, 0.1)]
     found = unit.settled({"G1": replace(models["G1"], added=(Scale(0.1),)), "G2": models["G2"]}, came)
@@ -168,7 +168,7 @@ def test_an_event_makes_nothing_surer_than_its_form_is() -> None:
 def test_what_speaks_only_since_the_change() -> None:
     """It is there always now, about where the replicates have it, as sure as a tenth of its size at best."""
     nothing = np.full((REPLICATES, 1), NAN)
-    never = Likeness(np.array([NAN]), np.array([NAN]), np.array([False]), np.array([True]))
+    never = SyntheticLikelihood(np.array([NAN]), np.array([NAN]), np.array([False]), np.array([True]))
     unit = standing([20.0], nothing, never)
     likeness, moved = compared(unit, np.array([[20.01], [19.99]]))
     assert likeness.location[0] == pytest.approx(20.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imuarray.gap.campaign import Campaign
-from imuarray.gap.probes import PROBES
-from imuarray.gap.statistics import ALL_LOGS, WHOLE_LOG, Key, statistics
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.catalogue import ALL_LOGS, WHOLE_LOG, Key, statistics
+from imuarray.gap.statistics.probes import PROBES
 from tests.gap.made import campaign_of
 
 

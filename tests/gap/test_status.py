@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.status import IntervalMoments, StatusTally
+from imuarray.gap.statistics.intervals import IntervalMoments, StatusTally
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE
 
 

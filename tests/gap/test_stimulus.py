@@ -10,12 +10,12 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.array import parse_array
-from imuarray.gap.base_model import headers_in
-from imuarray.gap.campaign import Campaign, summarise_log
-from imuarray.gap.diagnosis import Cause
-from imuarray.gap.origins import lines_of, notes_of, with_origins
-from imuarray.gap.source import simulated_sources
-from imuarray.gap.stimulus import Shared, environment_of, fast_test, groups_of, slow_test
+from imuarray.gap.findings.diagnosis import Cause
+from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
+from imuarray.gap.model.base_model import headers_in
+from imuarray.gap.recording.source import simulated_sources
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
+from imuarray.gap.statistics.environment import SharedSignal, environment_of, fast_test, groups_of, slow_test
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.simulate import Motion, Simulation, plan_of
 from imuarray.simulate.effect import Effect
@@ -103,7 +103,7 @@ def campaign(motion: Motion, more: Mapping[str, Sequence[Effect]] | None = None,
 HEADERS = headers_in(campaign(Still(seconds=2.0)))
 
 
-def told(found: Sequence[Shared]) -> set[tuple[str, str, str]]:
+def told(found: Sequence[SharedSignal]) -> set[tuple[str, str, str]]:
     return {(one.quantity, one.pace, one.axis) for one in found}
 
 
@@ -214,7 +214,7 @@ def cause(effect: str, parameters: Mapping[str, object], *sensors: str) -> Cause
 
 
 def origins(
-    causes: Sequence[Cause], shared: Sequence[Shared] = (), headers: Mapping[str, SensorHeader] = HEADERS
+    causes: Sequence[Cause], shared: Sequence[SharedSignal] = (), headers: Mapping[str, SensorHeader] = HEADERS
 ) -> list[str]:
     return [one.origin for one in with_origins(causes, headers, shared)]
 
@@ -264,7 +264,7 @@ def test_an_array_of_one_chip_tells_by_its_mounting() -> None:
 
 
 def test_wander_is_of_the_box_along_axes_that_show_a_stimulus() -> None:
-    tilt = Shared(0, "static", "slow", "specific_force", "X", ("B1", "B2", "D1", "D2"), 0.97, 1e-9)
+    tilt = SharedSignal(0, "static", "slow", "specific_force", "X", ("B1", "B2", "D1", "D2"), 0.97, 1e-9)
     along = cause("random_walk", {"density_g_per_sqrt_s": [2e-4, 1e-5, 0.0]}, "B1", "B2")
     assert origins([along], [tilt]) == ["environment"]
     assert origins([along]) == ["sensor"]

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from imuarray.gap.probes import PROBES, PhaseProbe
-from imuarray.gap.summary import Grid, Summary, Tally, side_by_side
+from imuarray.gap.statistics.probes import PROBES, PhaseProbe
+from imuarray.gap.statistics.summary import Grid, Summary, Tally, side_by_side
 from imuarray.log.format import Phase
 from imuarray.log.writer import Block
 from tests.gap.made import block, header, summary

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.text import (
+from imuarray.gap.findings.text import (
     WIDTH,
     chance,
     closed_text,

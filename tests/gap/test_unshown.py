@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.candidates.candidate import Candidate, Kind
-from imuarray.gap.diagnosis import Cause, Unshown
-from imuarray.gap.probes import PROBES
-from imuarray.gap.statistics import Key
-from imuarray.gap.unshown import Facts, alike, facts_of, unshown, unsure
+from imuarray.gap.findings.diagnosis import Cause, Unobservable
+from imuarray.gap.findings.observability import Facts, alike, facts_of, unshown, unsure
+from imuarray.gap.inference.effects.candidate import Candidate, Kind
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.probes import PROBES
 from imuarray.log.format import SensorHeader
 from tests.gap.made import campaign_of, header
 
@@ -43,7 +43,7 @@ def candidates(**shown_by: dict[Kind, str]) -> dict[str, Candidate]:
     return {effect: Candidate(effect, lambda _: (), kinds) for effect, kinds in shown_by.items()}
 
 
-def found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str]) -> dict[str, Unshown]:
+def found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str]) -> dict[str, Unobservable]:
     return {one.effect: one for one in unshown(kinds, facts, candidates(**shown_by), SENSORS)}
 
 
@@ -71,7 +71,7 @@ def test_faces_tell_of_accelerometers_turns_of_gyroscopes() -> None:
         "g_sensitivity": {"tumble": "six faces"},
     }
     faces = Facts(6, 0.0, 0, False, 70.0)
-    gyroscopes = {name: Unshown(name, ("G1",), "motion: turn it") for name in ("scale", "saturation")}
+    gyroscopes = {name: Unobservable(name, ("G1",), "motion: turn it") for name in ("scale", "saturation")}
     assert found(("tumble",), faces, **tumble) == gyroscopes
     assert found(("static",), faces, **tumble).keys() == gyroscopes.keys()  # logs at rest on six faces are a tumble
     assert not found(("tumble", "motion"), faces, **tumble)
@@ -100,7 +100,10 @@ def test_thermal_scale_needs_more_than_warmth() -> None:
 
 def test_what_nothing_tells_apart_is_confusable() -> None:
     """Of the sensors concerned; a cause that has another name, or was told apart, stays as it is."""
-    hidden = [Unshown("thermal_scale", ("A1", "A2"), "heating: warm it on two faces"), Unshown("scale", ("A1",), "")]
+    hidden = [
+        Unobservable("thermal_scale", ("A1", "A2"), "heating: warm it on two faces"),
+        Unobservable("scale", ("A1",), ""),
+    ]
     causes = [
         Cause(effect, "add", (sensor,), (), 0.9, {}, 0.9, (0.8, 1.0), ("thermal_lag",))
         for effect, sensor in (("thermal_bias", "A1"), ("thermal_bias", "G1"), ("bias", "A1"))
@@ -120,7 +123,7 @@ def test_half_hearted_experiments_do_not_count() -> None:
 
 def test_candidates_alone_say_what_shows_the_others() -> None:
     told = found(("tumble",), Facts(6, 0.0, 0, False, 600.0), bias_instability={"static": "an hour"}, bias={})
-    assert told == {"bias_instability": Unshown("bias_instability", ("A1", "A2", "G1"), "static: an hour")}
+    assert told == {"bias_instability": Unobservable("bias_instability", ("A1", "A2", "G1"), "static: an hour")}
 
 
 def test_positions_concern_accelerometers() -> None:
@@ -153,7 +156,7 @@ def key(probe: str, sensor: str = "A1", axis: str = "x") -> Key:
 
 def doubts(
     scales: list[float], keys: list[Key], seconds: float, sensors: dict[str, SensorHeader] = SENSORS
-) -> tuple[Unshown, ...]:
+) -> tuple[Unobservable, ...]:
     """With margins of 1.96."""
     return unsure(np.array(scales), np.full(len(scales), 1.96), keys, seconds, sensors)
 
@@ -163,8 +166,8 @@ def test_wide_intervals_are_grouped_by_domain_and_chip() -> None:
     keys = [key("band_1"), key("band_2", "A2"), key("band_3"), key("band_1", "G1"), key("noise"), key("line")]
     told = doubts([2.0, 3.0, 0.9, 2.0, 0.99, math.nan], keys, 60.0)
     assert told == (
-        Unshown("differences of spectrum", ("A1", "A2"), "record 7 minutes"),
-        Unshown("differences of spectrum", ("G1",), "record 4 minutes"),
+        Unobservable("differences of spectrum", ("A1", "A2"), "record 7 minutes"),
+        Unobservable("differences of spectrum", ("G1",), "record 4 minutes"),
     )
 
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from imuarray.gap.base_model import fit, residual
-from imuarray.gap.campaign import Campaign, summarise_log
-from imuarray.gap.use import Uses, attitude_of, coasting, fused, uses, uses_of
+from imuarray.gap.model.base_model import fit, residual
+from imuarray.gap.model.downstream import Uses, attitude_of, coasting, fused, uses, uses_of
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.effects.scale import Scale
@@ -22,7 +22,7 @@ STEP_NS = 100_000_000
 SECONDS = 6000
 
 
-class Held:
+class OneBlock:
     """A source of one block."""
 
     def __init__(self, sensor: SensorHeader, rows: Block) -> None:
@@ -37,7 +37,7 @@ class Held:
 
 def campaign(*series: tuple[SensorHeader, np.ndarray], phase: str = "static", kind: str = "static") -> Campaign:
     """Counts (n, 3) of sensors at 10 Hz, in one phase."""
-    sources = {sensor.name: Held(sensor, block(counts, STEP_NS)) for sensor, counts in series}
+    sources = {sensor.name: OneBlock(sensor, block(counts, STEP_NS)) for sensor, counts in series}
     whole = Phase(0, len(series[0][1]) * STEP_NS, phase, "+Z")
     return Campaign((summarise_log(kind, sources, [whole], lambda time_ns: np.full(len(time_ns), 25.0)),))
 

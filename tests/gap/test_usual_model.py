@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from imuarray.gap.base_model import Base, Fitted
-from imuarray.gap.usual_model import printed_noise, usual_model
+from imuarray.gap.model.base_model import Base, FittedParameters
+from imuarray.gap.model.populations import printed_noise, usual_model
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, Part, parse_model
 from imuarray.simulate.population import Spread
 from tests.gap.made import header
 
-FITTED = Fitted(*((0.0,) * 3,) * 3)
+FITTED = FittedParameters(*((0.0,) * 3,) * 3)
 HEADERS = {
     "A1": header("A1"),
     "A2": header("A2", range=2.0),

@@ -13,8 +13,8 @@ from random import Random
 
 import pytest
 
-from imuarray.gap import workers
-from imuarray.gap.workers import processes, runner
+from imuarray.gap.model import workers
+from imuarray.gap.model.workers import processes, runner
 
 
 class Heavy:

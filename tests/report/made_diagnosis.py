@@ -10,19 +10,18 @@ from typing import Literal
 
 import numpy as np
 
-from imuarray.gap.diagnosis import (
+from imuarray.gap.findings.diagnosis import (
     Cause,
     Diagnosis,
-    Figure,
     Gap,
     Judged,
     Map,
     Overlay,
-    Recorded,
-    Unshown,
-    Use,
+    RecordingSummary,
+    Unobservable,
     Where,
 )
+from imuarray.gap.model.use import Figure, Use
 
 SENSORS = ("BMA1", "BMA2", "ADXL1", "ADXL2", "Gyro1", "Gyro2", "Gyro3")
 DOMAINS = ("level", "spread", "codes", "spectrum", "autocorrelation", "allan", "temperature", "cross_sensor", "timing")
@@ -161,16 +160,16 @@ def made() -> Diagnosis:
         unexplained=(where(5, 7.1), where(8, 6.2, "can't tell")),
         next_experiment="Heat the array a second time and let it cool: 20 minutes tell thermal_lag from random_walk.",
         unshown=(
-            Unshown("scale", ("Gyro1", "Gyro2", "Gyro3"), "a turn by a known angle about each axis"),
-            Unshown("bistable_bias", (), "at least eight boots"),
+            Unobservable("scale", ("Gyro1", "Gyro2", "Gyro3"), "a turn by a known angle about each axis"),
+            Unobservable("bistable_bias", (), "at least eight boots"),
         ),
         uses=USES,
         judged=JUDGED,
         map=Map(SENSORS, DOMAINS, before, after, 4.2),
         overlays=overlays(),
         recorded=(
-            Recorded("heating.h5", "heating", 1800.0, 7, 1, 1_234_567),
-            Recorded("tumble.h5", "tumble", 360.0, 7, 6, 250_000),
+            RecordingSummary("heating.h5", "heating", 1800.0, 7, 1, 1_234_567),
+            RecordingSummary("tumble.h5", "tumble", 360.0, 7, 6, 250_000),
         ),
         notes=("Gyro3: 12 suspect rows were left out.", "No thermometer of the box: BMP180 stands in."),
         held_out="Every second stretch of 60 s and the second heat pulse were kept back; the causes were chosen and "

@@ -15,7 +15,7 @@ from matplotlib.colors import FuncNorm
 from matplotlib.patches import Rectangle
 
 from imuarray.errors import OutputExistsError
-from imuarray.gap.diagnosis import Diagnosis, Gap, Map, Overlay
+from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Overlay
 from imuarray.report import gap_page
 from imuarray.report.gap_curves import MOST_OVERLAYS, curves_section
 from imuarray.report.gap_figures import farthest, outside, overlay_figure, shrink_figure, use_figure

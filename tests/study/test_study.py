@@ -13,7 +13,7 @@ import imuarray.study
 from imuarray.cli import main
 from imuarray.commands import study as command
 from imuarray.fuse import technique_names
-from imuarray.gap.workers import processes
+from imuarray.gap.model.workers import processes
 from imuarray.study import EXPERIMENTS, Measured, Study, render_text, study
 from imuarray.study.heated import Heated
 from imuarray.study.page import drawings_of

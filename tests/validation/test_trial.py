@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from imuarray.gap.usual_model import usual_model
+from imuarray.gap.model.populations import usual_model
 from imuarray.simulate.streams import Streams
 from imuarray.validation.generator import CHIPS
 from imuarray.validation.plans import EXTRAS

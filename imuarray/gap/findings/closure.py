@@ -1,0 +1,145 @@
+"""How far the gap shrinks: the excess of squared scores on held-out data, before and after the causes are in the model.
+
+Which statistics count is decided on the training part, by what deviates there; what they show on the held-out part
+says how far the gap was, and is, closed. Domains weigh alike, whatever number of statistics they have, and no score
+counts for more than `LARGEST`. Where nothing is wrong the mean square of scores is 1: that is taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.findings.diagnosis import Interval
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.pairs import Pairs
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+LARGEST = 100.0
+DEVIATES, BY_ITSELF = 3.5, 5.0
+"""Score on the training part from which on a statistic counts; on the held-out part, if the other can't tell."""
+
+_DRAWS = 400
+_FAR = 10.0
+_LEAST_EXCESS = 1.0
+"""Mean squared excess below which no share of it is told."""
+
+
+class ClosureEstimate(NamedTuple):
+    """Root mean square scores before and after, and the share of the excess that is closed with its 95 % interval; None
+    where there's too little to close.
+    """
+
+    before: float
+    after: float
+    closed: float | None
+    interval: Interval | None
+
+
+@dataclass(frozen=True)
+class DeviatingStatistics:
+    """The statistics that count: their keys, places (k,) among all, weights (k,), and scores `before` and `after` (k,):
+    on held-out data, or where something shows in one part only, on both parts.
+    """
+
+    keys: tuple[Key, ...]
+    places: npt.NDArray[np.intp]
+    weights: Floats
+    before: Floats
+    after: Floats
+
+    def shrunk(self, seed: int) -> ClosureEstimate:
+        """Of all of them; the interval from drawing blocks of one sensor, phase and domain anew (bootstrap), and in
+        each the chance of the recording once more.
+        """
+        if len(self.keys) == 0:
+            return ClosureEstimate(1.0, 1.0, None, None)
+        excess = np.stack([_squares(self.before) - 1, _squares(self.after) - 1])
+        before, after = (excess @ self.weights / self.weights.sum()).tolist()
+        roots = (float(np.sqrt(max(before + 1, 0.0))), float(np.sqrt(max(after + 1, 0.0))))
+        if before < _LEAST_EXCESS:
+            return ClosureEstimate(*roots, None, None)
+        return ClosureEstimate(*roots, min(1.0, 1 - after / before), self._interval(seed))
+
+    def of(self, chosen: Bools) -> DeviatingStatistics:
+        """Some of them, each domain with the same weight again."""
+        keys = tuple(key for key, taken in zip(self.keys, chosen, strict=True) if taken)
+        return DeviatingStatistics(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
+
+    def domains(self) -> tuple[str, ...]:
+        """Those that there are."""
+        return tuple(dict.fromkeys(key.domain for key in self.keys))
+
+    def _interval(self, seed: int) -> Interval | None:
+        """Of draws that have a gap. Chance adds 1 to a squared score, each time that it is drawn; a few blocks alone
+        would say that they know, and one block that it is sure.
+        """
+        stream = np.random.default_rng(seed)
+        blocks = list(_blocks(self.keys).values())
+        chance = stream.standard_normal((_DRAWS, len(self.keys)))
+        excess = np.stack([_squares(scores + chance) - 2 for scores in (self.before, self.after)])
+        weighted = np.stack([(excess[:, :, rows] * self.weights[rows]).sum(axis=-1) for rows in blocks], axis=-1)
+        weights = np.array([self.weights[rows].sum() for rows in blocks])
+        drawn = stream.integers(0, len(blocks), (_DRAWS, len(blocks)))
+        total = np.take_along_axis(weighted, np.broadcast_to(drawn, weighted.shape), axis=-1).sum(axis=-1)
+        before, after = total / weights[drawn].sum(axis=-1)
+        has_gap = before >= _LEAST_EXCESS
+        if not has_gap.any():
+            return None
+        closed = np.clip(1 - after[has_gap] / before[has_gap], -_FAR, 1.0)
+        low, high = np.quantile(closed, (0.025, 0.975)).tolist()
+        return low, high
+
+
+def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Bools) -> DeviatingStatistics:
+    """What deviates on the training part, from scores (n,) of all statistics.
+
+    A statistic that only the held-out part has, or that the fit makes zero on the training part (`silent` (n,)), is
+    chosen by itself, and has to be farther off: levels of another run.
+    """
+    train, held_out = (np.where(places >= 0, before[places], np.nan) for places in (pairs.train, pairs.held_out))
+    alone = ~np.isfinite(train) | ((pairs.train >= 0) & silent[pairs.train])
+    size = np.where(alone, np.abs(np.nan_to_num(held_out)) - (BY_ITSELF - DEVIATES), np.abs(np.nan_to_num(train)))
+    chosen = np.isfinite(held_out) & (size > DEVIATES)
+    if not chosen.any():
+        chosen = np.isfinite(held_out) & (np.abs(np.nan_to_num(held_out)) > DEVIATES)
+    places = pairs.held_out[chosen]
+    keys = tuple(key for key, taken in zip(pairs.keys, chosen, strict=True) if taken)
+    return _of(keys, places, before, after)
+
+
+def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> DeviatingStatistics:
+    """What deviates by itself in either part, for what happens in one of them: the other doesn't know of it."""
+    parts = ((pairs.train, pairs.keys), (pairs.held_out, pairs.keys))
+    found = [(key, at) for places, keys in parts for key, at in zip(keys, places.tolist(), strict=True) if at >= 0]
+    chosen = [(key, at) for key, at in found if abs(np.nan_to_num(before[at])) > BY_ITSELF]
+    return _of(tuple(key for key, _ in chosen), np.array([at for _, at in chosen], np.intp), before, after)
+
+
+def _of(keys: tuple[Key, ...], places: npt.NDArray[np.intp], before: Floats, after: Floats) -> DeviatingStatistics:
+    return DeviatingStatistics(
+        keys, places, _weights(keys), np.nan_to_num(before[places]), np.nan_to_num(after[places])
+    )
+
+
+def _weights(keys: Sequence[Key]) -> Floats:
+    """(k,) one over the number of statistics of the same domain."""
+    domains = [key.domain for key in keys]
+    return np.array([1 / domains.count(domain) for domain in domains])
+
+
+def _blocks(keys: Sequence[Key]) -> dict[tuple[object, ...], list[int]]:
+    found: dict[tuple[object, ...], list[int]] = {}
+    for at, key in enumerate(keys):
+        found.setdefault((key.log, key.phase_number, key.sensor, key.domain), []).append(at)
+    return found
+
+
+def _squares(scores: Floats) -> Floats:
+    return np.asarray(np.minimum(np.abs(scores), LARGEST) ** 2)

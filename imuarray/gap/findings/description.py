@@ -1,0 +1,95 @@
+"""What is not explained, described: where lines lie that the model lacks, and biases that change in all units alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.findings.diagnosis import Where
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.catalogue import AXES, Key
+from imuarray.gap.statistics.probes.spectrum import LINE
+from imuarray.gap.statistics.summary import Summary
+from imuarray.log.format import SensorHeader
+from imuarray.units import READABLE
+
+Floats = npt.NDArray[np.float64]
+
+MOST = 6
+"""So many axes are described."""
+
+_SCORE = 6.0
+"""A peak that far beyond its neighbours is a line."""
+
+_LEAST_UNITS, _SPREAD = 3, 0.5
+"""Units of a chip, and their standard deviation over their mean, of which a change counts as shared."""
+
+_FIRST = 4
+_STEADY = 1.5
+"""A frequency that changes by fewer bins is steady."""
+
+
+def lines_left(campaign: Campaign, unexplained: Sequence[Where], names: Sequence[str]) -> tuple[str, ...]:
+    """A sentence for each axis whose line is not explained, the worst first, log by log; `names` are the logs'."""
+    axes = dict.fromkeys((one.sensor, one.axis) for one in unexplained if one.statistic == "line" and one.axis)
+    return tuple(
+        f"{sensor} {axis}: a line that no cause explains: {'; '.join(told)}."
+        for sensor, axis in list(axes)[:MOST]
+        if (told := list(_by_log(campaign, sensor, AXES.index(axis), names)))
+    )
+
+
+def changes_alike(
+    keys: Sequence[Key], values: Floats, held_out: Sequence[bool], headers: Mapping[str, SensorHeader]
+) -> tuple[str, ...]:
+    """A sentence for each axis on which the level of a held-out log is another than that of the training part, and
+    that by as much in all units of a chip, along their own axes: what their design shares. `values` (n,) of residual
+    statistics.
+    """
+    groups: dict[tuple[str, str, int, str], list[float]] = {}
+    for key, value, out in zip(keys, values.tolist(), held_out, strict=True):
+        header = headers[key.sensor]
+        if out and key.probe == "level" and np.isfinite(value) and header.unit in READABLE:
+            groups.setdefault((header.chip, header.unit, key.log, key.axis), []).append(value)
+    return tuple(_told(*place, np.array(found)) for place, found in groups.items() if _is_alike(np.array(found)))
+
+
+def _is_alike(found: Floats) -> bool:
+    """All one way, and about as far."""
+    same = bool((np.sign(found) == np.sign(found[0])).all())
+    return len(found) >= _LEAST_UNITS and same and float(found.std(ddof=1)) < _SPREAD * abs(float(found.mean()))
+
+
+def _told(chip: str, unit: str, log: int, axis: str, found: Floats) -> str:
+    factor, unit = READABLE[unit]
+    size = f"{factor * found.mean():+.3g} {unit} (standard deviation between units {factor * found.std(ddof=1):.2g})"
+    return (
+        f"All {len(found)} {chip}, {axis}: held-out log {log + 1} lies {size} from the part fitted to, along the "
+        "chips' own axes: a change of bias that the units share."
+    )
+
+
+def line_hz(summary: Summary, axis: int) -> float | None:
+    """Apparent frequency of the highest peak of one axis; None if it is no line."""
+    spectrum = summary.spectrum
+    if spectrum.segments == 0 or not LINE.statistic(summary)[axis] > _SCORE or not summary.intervals.count:
+        return None
+    peak = _FIRST + int(np.nanargmax(spectrum.density[_FIRST:-1, axis]))
+    return float(spectrum.frequency_hz[peak] / summary.intervals.mean_s)
+
+
+def _by_log(campaign: Campaign, sensor: str, axis: int, names: Sequence[str]) -> Iterator[str]:
+    for name, log in zip(names, campaign.logs, strict=True):
+        phases = log.still(sensor)
+        found = [hz for hz in (line_hz(phase, axis) for phase in phases) if hz is not None]
+        if not found:
+            continue
+        finest = max(phase.spectrum.resolution_hz / phase.intervals.mean_s for phase in phases if phase.intervals.count)
+        where = f"in {len(found)} of {len(phases)} stretches at rest of {name}"
+        if np.ptp(found) < _STEADY * finest:
+            yield f"{np.median(found):.3g} Hz {where}"
+        else:
+            course = f"{found[0]:.3g} at first and {found[-1]:.3g} at last"
+            yield f"{min(found):.3g} to {max(found):.3g} Hz {where}, {course}"

@@ -1,0 +1,234 @@
+"""What a diagnosis says, whatever way it was found: the verdict, where the gap is, its causes, how far it shrinks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from math import isfinite, nan
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.model.use import Use
+
+if TYPE_CHECKING:
+    from imuarray.simulate.model import Model
+
+Floats = npt.NDArray[np.float64]
+
+Verdict = Literal["no gap", "explained", "partly explained", "unexplained"]
+Size = Literal["material", "harmless", "can't tell"]
+Origin = Literal["sensor", "environment", "metadata"]
+
+Interval = tuple[float, float]
+"""95 % confidence."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """One statistic that differs: what the recording has, what the simulation has instead, in `unit` ("" for pure
+    numbers). `significance` is the difference in standard deviations of chance, `effect_size` the difference in units
+    of the least one that matters (`margin`,
+    `imuarray.gap.findings.equivalence_margins`); `axis` and `phase` are "" for all.
+    """
+
+    log: str
+    sensor: str
+    axis: str
+    domain: str
+    phase: str
+    statistic: str
+    about: str
+    real: float
+    simulated: float
+    unit: str
+    significance: float
+    p: float
+    effect_size: float
+    margin: float
+    size: Size
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One cause, with the probability that it is there: its `share` among all that would explain as much, times how
+    often causes of sensors of whose gap so much is closed, by all of their causes together (`all_closed`), are right.
+
+    `sensors` and `axes` concerned (no axes: all); `parameters` by their names with units, of the first sensor where
+    they differ (`each` has all); `closed` is the share of the gap of these sensors that goes with it, on data that it
+    was not fitted to. `gain` is how much likelier it makes that data, in nats. `needs_both`: the training part alone
+    doesn't show it, so that it was told, and its share closed, by both parts together.
+    """
+
+    effect: str
+    action: Literal["add", "remove", "replace"]
+    sensors: tuple[str, ...]
+    axes: tuple[str, ...]
+    probability: float
+    parameters: Mapping[str, Any]
+    closed: float | None
+    closed_ci95: Interval | None
+    confusable_with: tuple[str, ...]
+    origin: Origin = "sensor"
+    gain: float = 0.0
+    each: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    needs_both: bool = False
+    share: float = nan
+    all_closed: float | None = None
+
+
+def is_told_by_both(causes: Sequence[Cause]) -> bool:
+    """Whether no cause is left that one part of the campaign tells, so that the other could judge it."""
+    return bool(causes) and all(cause.needs_both for cause in causes)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A candidate that was looked at for some sensors, whether or not it became a cause; placebos are `effect` "".
+    `fits` and `gain`: nats by which it makes the training and the held-out part likelier.
+    """
+
+    effect: str
+    action: str
+    sensors: tuple[str, ...]
+    fits: float
+    gain: float | None
+    is_accepted: bool
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Root mean square score of the statistics that differ, on held-out data: `before`, `after` the causes were added,
+    and where nothing is wrong (`floor`); `closed` is the share of the squared excess that is gone (None without a gap).
+    """
+
+    before: float
+    after: float
+    floor: float
+    closed: float | None
+    closed_ci95: Interval | None
+    domains: Mapping[str, tuple[float, float, float | None]] = field(default_factory=dict)
+    """By domain: before, after, closed."""
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """A curve of one axis: `kind` "spectrum", "allan", "temperature" or "codes"; `real` (n,) over `x` (n,), and the
+    middle and 95 % band (3, n) of simulations `before` and `after`. `x_label` and `y_label` have the units.
+    """
+
+    kind: Literal["spectrum", "allan", "temperature", "codes"]
+    sensor: str
+    axis: str
+    phase: str
+    x_label: str
+    y_label: str
+    x: Floats
+    real: Floats
+    before: Floats
+    after: Floats
+
+
+@dataclass(frozen=True)
+class Unobservable:
+    """What can't be told: `effect` (or a statistic that is too uncertain) of these sensors, and what to `record`."""
+
+    effect: str
+    sensors: tuple[str, ...]
+    record: str
+
+
+@dataclass(frozen=True)
+class Map:
+    """Largest size of score for each sensor (rows) and domain (columns), before and after; nan where nothing is said,
+    `limit` is what chance reaches in one of twenty campaigns.
+    """
+
+    sensors: tuple[str, ...]
+    domains: tuple[str, ...]
+    before: Floats
+    after: Floats
+    limit: float
+
+
+@dataclass(frozen=True)
+class RecordingSummary:
+    """One recording that was diagnosed."""
+
+    name: str
+    kind: str
+    seconds: float
+    sensors: int
+    phases: int
+    rows: int
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that a diagnosis says."""
+
+    verdict: Verdict
+    sentence: str
+    p: float
+    gap: Gap
+    where: tuple[Where, ...]
+    causes: tuple[Cause, ...]
+    unknown: float
+    unexplained: tuple[Where, ...]
+    next_experiment: str
+    unshown: tuple[Unobservable, ...]
+    uses: tuple[Use, ...]
+    judged: tuple[Judged, ...]
+    map: Map
+    overlays: tuple[Overlay, ...]
+    recorded: tuple[RecordingSummary, ...]
+    notes: tuple[str, ...]
+    held_out: str
+    seed: int
+    replicates: int
+    model: str
+    software: str
+    repaired: Model | None = None
+    """The base model with the causes in it."""
+
+    def as_json(self) -> dict[str, Any]:
+        """As one JSON object; numbers that aren't finite are null."""
+        plain = {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "p": self.p,
+            "gap": self.gap,
+            "where": self.where,
+            "causes": self.causes,
+            "unknown": self.unknown,
+            "unexplained": self.unexplained,
+            "next_experiment": self.next_experiment,
+            "cannot_tell": self.unshown,
+            "uses": self.uses,
+            "judged": self.judged,
+            "map": self.map,
+            "recorded": self.recorded,
+            "notes": self.notes,
+            "held_out": self.held_out,
+            "seed": self.seed,
+            "replicates": self.replicates,
+            "model": self.model,
+            "software": self.software,
+        }
+        return {key: _plain(value) for key, value in plain.items()}
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has words for."""
+    if is_dataclass(value):
+        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    return value

@@ -1,0 +1,257 @@
+"""Which differences matter: the least one of each statistic that changes a figure of use by 5 %.
+
+Noise matters by the error of heading or velocity after coasting for 60 s (`imuarray.gap.model.downstream`), E = sqrt(2)
+tau sigma_A(tau). Of white noise sigma_A(tau) = noise / sqrt(tau rows_per_s): what the model has at the least, whatever
+else the recording has. A level adds in quadrature: it matters if the integral over these 60 s is 0.32 E, sqrt(1.05^2 -
+1), which raises the error's rms by 5 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.findings.diagnosis import Size
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.summary import Grid
+from imuarray.log.format import SensorHeader
+
+Floats = npt.NDArray[np.float64]
+
+COASTING_S = 60.0
+SHARE = 0.05
+"""Of a figure of use: what matters."""
+
+TWO_SIDED_95 = 1.96
+
+_BESIDE = math.sqrt((1 + SHARE) ** 2 - 1)
+"""What raises an rms by that share, as a share of the rms."""
+
+_RMS = math.log1p(SHARE)
+_VARIANCE = 2 * _RMS
+_GENEROUS = math.log(1.25)
+"""Density at one place of the spectrum, from which the integral over 60 s takes next to nothing."""
+
+_CORRELATION = SHARE
+_SCORE = 3.0
+_WARMING_DEGC = 10.0
+_THREE_SIGMA = 3.0
+_ROWS_SHARE = 0.001
+_CODES_SHARE = 0.05
+_STIMULUS: Mapping[str, float] = MappingProxyType({"angular_rate": 90.0, "specific_force": 1.0})
+"""In the sensor's unit: a quarter turn, or gravity, for one second."""
+
+
+class Setting(NamedTuple):
+    """Of one sensor in one log: `noise` of single readings in its unit, rows per second, and how long it lasted."""
+
+    header: SensorHeader
+    noise: float
+    rows_per_s: float
+    seconds: float
+
+    @property
+    def level(self) -> float:
+        """A constant whose integral over 60 s raises the rms of E by 5 %: 0.32 sqrt(2) sigma_A(60 s)."""
+        return _BESIDE * math.sqrt(2) * self.noise / math.sqrt(COASTING_S * self.rows_per_s)
+
+
+Rule = Callable[[Setting], float]
+
+
+def fixed(value: float) -> Rule:
+    """The same for every sensor."""
+    return lambda _: value
+
+
+def level(per: float = 1.0) -> Rule:
+    """A coefficient whose product with `per` is a level that matters."""
+    return lambda setting: setting.level / per
+
+
+def response(setting: Setting) -> float:
+    """Share of a motion, or delay in s, that raises the rms of E by 5 % where the box makes a quarter turn in a second
+    (feels 1 g for one second).
+    """
+    return setting.level * COASTING_S / _STIMULUS.get(setting.header.quantity, 1.0)
+
+
+def unevenness(setting: Setting) -> float:
+    """Log variance of segments' log variances if the noise of segments is 5 % apart: (2 ln 1.05)^2 beside the
+    2 / (rows - 1) of Gaussian noise.
+    """
+    rows = setting.seconds * setting.rows_per_s
+    in_segment = rows / Grid.of(round(rows)).segments
+    return math.log1p(_VARIANCE**2 * max(in_segment - 1, 1.0) / 2)
+
+
+def share(of_rows: float, usual: float = 0.0) -> float:
+    """What `of_rows` more than a `usual` share make in the arcsine of its root."""
+    return math.asin(math.sqrt(usual + of_rows)) - math.asin(math.sqrt(usual))
+
+
+_ROWS = fixed(share(_ROWS_SHARE))
+"""One reading in a thousand that is late, missing, clipped or none."""
+
+_CODES = fixed(share(_CODES_SHARE))
+_HALF = fixed(share(_CODES_SHARE / 2, usual=0.5))
+"""One reading in twenty on a grid twice as coarse: half of these have another code."""
+
+_TAILS = fixed(share(_ROWS_SHARE, usual=0.0027))
+"""One step in a thousand more than the 0.27 % of Gaussian noise beyond 3 sigma."""
+
+_SKEW = fixed(math.asinh(SHARE * _THREE_SIGMA * 6 / (_THREE_SIGMA**2 - 1)))
+_KURTOSIS = fixed(math.log1p(SHARE * _THREE_SIGMA * 24 / (_THREE_SIGMA**3 - 3 * _THREE_SIGMA) / 3))
+"""Skewness, and kurtosis over 3, that move the limit of 3 sigma, by which readings are thought wrong, by 5 % (Cornish
+and Fisher 1937, first terms: (z^2 - 1) / 6 of the skewness, (z^3 - 3 z) / 24 of the excess)."""
+
+MARGINS: Mapping[str, Rule] = MappingProxyType(
+    {
+        "mean": level(),
+        "mean_halves": level(),
+        "wander": fixed(_VARIANCE),
+        "wander_uneven": _SKEW,
+        "mean_return": level(),
+        "level": level(),
+        "noise": fixed(_RMS),
+        "noise_excess": fixed(_RMS),
+        "noise_halves": fixed(_VARIANCE),
+        "noise_uneven": unevenness,
+        "noise_force": fixed(_VARIANCE),
+        "skewness": _SKEW,
+        "kurtosis": _KURTOSIS,
+        "tail": _TAILS,
+        "extreme": fixed(_SCORE),
+        "odd_codes": _HALF,
+        "second_bit": _HALF,
+        "absent_codes": _CODES,
+        "code_ends": _ROWS,
+        "code_pile": fixed(_SCORE),
+        "band_1": fixed(_VARIANCE),
+        "band_2": fixed(_VARIANCE),
+        "band_3": fixed(_VARIANCE),
+        "band_4": fixed(_GENEROUS),
+        "band_5": fixed(_GENEROUS),
+        "band_6": fixed(_GENEROUS),
+        "line": fixed(_SCORE),
+        "alternation": fixed(_GENEROUS),
+        "every_other": fixed(_SCORE),
+        "lag_1": fixed(_CORRELATION),
+        "lag_2": fixed(_CORRELATION),
+        "lag_3": fixed(_CORRELATION),
+        "lag_5": fixed(_CORRELATION),
+        "arch": fixed(_CORRELATION),
+        "allan_2": fixed(_VARIANCE),
+        "allan_8": fixed(_VARIANCE),
+        "allan_32": fixed(_VARIANCE),
+        "allan_128": fixed(_VARIANCE),
+        "allan_512": fixed(_VARIANCE),
+        "allan_2048": fixed(_VARIANCE),
+        "allan_longest": fixed(_VARIANCE),
+        "jumps_8": _KURTOSIS,
+        "jumps_32": _KURTOSIS,
+        "jumps_128": _KURTOSIS,
+        "thermal_slope": level(_WARMING_DEGC),
+        "thermal_square": level(_WARMING_DEGC**2),
+        "thermal_change": level(_WARMING_DEGC / COASTING_S),
+        "thermal_residual": fixed(_VARIANCE),
+        "thermal_noise": fixed(_VARIANCE / _WARMING_DEGC),
+        "thermometer_offset": fixed(SHARE * _WARMING_DEGC),
+        "thermometer_noise": fixed(_GENEROUS),
+        "force_own": level(),
+        "force_next": level(),
+        "force_after": level(),
+        "force_square": level(),
+        "motion_gain": response,
+        "motion_next": response,
+        "motion_after": response,
+        "motion_delay": response,
+        "motion_residual": fixed(_VARIANCE),
+        "motion_coupling": fixed(_VARIANCE),
+        "slow_own_axes": fixed(_CORRELATION),
+        "slow_box_axes": fixed(_CORRELATION),
+        "slow_between_axes": fixed(_CORRELATION),
+        "fast_own_axes": fixed(_CORRELATION),
+        "fast_box_axes": fixed(_CORRELATION),
+        "fast_between_axes": fixed(_CORRELATION),
+        "fast_other_chips": fixed(_CORRELATION),
+        "level_apart": level(),
+        "run_spread": fixed(_RMS),
+        "run_scatter": fixed(_VARIANCE),
+        "run_two_states": fixed(_GENEROUS),
+        "run_outlier": fixed(_GENEROUS),
+        "run_creep": level(),
+        "run_profile": fixed(_VARIANCE),
+        "interval": fixed(_VARIANCE),
+        "irregularity": fixed(_GENEROUS),
+        "gaps": _ROWS,
+        "longest_interval": fixed(_GENEROUS),
+        "repeats": _ROWS,
+        "longest_repeat": fixed(_GENEROUS),
+        "stale": _ROWS,
+        "saturated": _ROWS,
+        "lost": _ROWS,
+        "doubt": _ROWS,
+        "words": _ROWS,
+    }
+)
+"""A rule for every probe; logs of noise change E by their own share, logs of variances by half of it.
+
+A correlation r between neighbours, or between three sensors that are averaged, raises the variance of means by 2 r:
+their rms by 5 % at r = 0.05. White noise makes an error with the root of the interval between rows: a log of the
+interval counts as one of a variance. Slopes over temperature are for a warming by 10 degC, changes with dT/dt for one
+within the 60 s, responses to force for the turn from a level axis to an upright one. Scores matter beyond 3.
+"""
+
+
+def margin(key: Key, header: SensorHeader, noise: Floats, rows_per_s: float, seconds: float) -> float:
+    """The least difference of a statistic that matters, in its own unit.
+
+    `noise` (3,) of single readings in the sensor's unit, `rows_per_s` and `seconds` of the log. KeyError for a probe
+    without a rule.
+    """
+    own = float(noise["xyz".index(key.axis)]) if key.axis else float(np.sqrt(np.mean(np.square(noise))))
+    return MARGINS[key.probe](Setting(header, own, rows_per_s, seconds))
+
+
+def sized(shift: float, scale: float, margin: float) -> Size:
+    """How much a difference `shift` with standard error `scale` matters: "material" if all of its size's 95 % interval
+    is beyond the margin, "harmless" if all is within (two one-sided tests, however significant it is), else "can't
+    tell"; that, too, of nan.
+    """
+    return sizes(np.array([shift]), np.array([scale]), np.array([margin]))[0]
+
+
+def sizes(shift: Floats, scale: Floats, margin: Floats) -> tuple[Size, ...]:
+    """`sized` of many, (n,) each."""
+    size, reach = np.abs(shift), TWO_SIDED_95 * np.asarray(scale)
+    names: tuple[Size, ...] = ("can't tell", "harmless", "material")
+    with np.errstate(invalid="ignore"):
+        place = np.where(size - reach > margin, 2, np.where(size + reach < margin, 1, 0))
+    return tuple(names[number] for number in place.tolist())
+
+
+def needed(seconds: float, scale: float, margin: float) -> float:
+    """Seconds of a log that would tell a difference as small as `margin`, if one of `seconds` has the standard error
+    `scale`: it falls with the root of the length. inf for a margin of 0.
+    """
+    return seconds * (TWO_SIDED_95 * scale / margin) ** 2 if margin > 0 else math.inf
+
+
+def record_words(seconds: float) -> str:
+    """What to record, in words and two digits, rounded up: "record 25 minutes"."""
+    if not math.isfinite(seconds):
+        return "no log is long enough"
+    unit, size = next((name, size) for name, size, limit in _UNITS if seconds <= limit)
+    count = max(seconds / size, 1.0)
+    step = 10 ** max(math.floor(math.log10(count)) - 1, 0)
+    rounded = math.ceil(count / step - 1e-9) * step
+    return f"record {rounded} {unit}{'' if rounded == 1 else 's'}"
+
+
+_UNITS = (("second", 1.0, 90.0), ("minute", 60.0, 5400.0), ("hour", 3600.0, 172800.0), ("day", 86400.0, math.inf))

@@ -1,0 +1,135 @@
+"""A diagnosis from the JSON that it was written as (`gap.json`), with all but its curves and the repaired model."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from math import nan
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from imuarray.errors import LogError
+from imuarray.gap.findings import diagnosis as parts
+from imuarray.gap.findings.diagnosis import Diagnosis
+
+_NAMES = {"unshown": "cannot_tell"}
+_NOT_KEPT: Mapping[str, Any] = types.MappingProxyType({"overlays": (), "repaired": None})
+_DEPTH = 12
+_HUGE = 1e30
+"""No figure of a diagnosis comes near it."""
+
+
+def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
+    """What `Diagnosis.as_json` gave, read back; numbers that JSON could not say are nan. LogError."""
+    hints = get_type_hints(Diagnosis, {**vars(parts), "Model": object})
+    if not isinstance(table, Mapping):
+        raise LogError(f"{where}: no diagnosis: an object is wanted")
+    values = {}
+    for item in fields(Diagnosis):
+        if item.name in _NOT_KEPT:
+            values[item.name] = _NOT_KEPT[item.name]
+            continue
+        key = _NAMES.get(item.name, item.name)
+        if key not in table:
+            raise LogError(f"{where}: no diagnosis: {key} is missing")
+        values[item.name] = _read(table[key], hints[item.name], f"{where}: {key}", _DEPTH)
+    found = Diagnosis(**values)
+    shape = (len(found.map.sensors), len(found.map.domains))
+    if found.map.before.shape != shape or found.map.after.shape != shape:
+        raise LogError(f"{where}: map: {shape[0]} sensors by {shape[1]} domains are wanted")
+    return found
+
+
+def _read(value: Any, kind: Any, where: str, depth: int) -> Any:
+    """A value of the type that a field has; LogError if it can't be one."""
+    origin, inside = get_origin(kind), get_args(kind)
+    if depth == 0:
+        raise LogError(f"{where}: nested without end")
+    if origin in (Union, types.UnionType):
+        return (
+            None if value is None else _read(value, next(one for one in inside if one is not type(None)), where, depth)
+        )
+    if is_dataclass(kind):
+        return _dataclass(value, kind, where, depth)
+    if origin is tuple:
+        if not isinstance(value, list) or (inside[-1] is not Ellipsis and len(value) != len(inside)):
+            raise LogError(f"{where}: a list is wanted")
+        kinds = [inside[0]] * len(value) if inside[-1] is Ellipsis else inside
+        return tuple(_read(one, each, where, depth - 1) for one, each in zip(value, kinds, strict=True))
+    if origin is np.ndarray or kind is np.ndarray:
+        return _array(value, where)
+    if origin is not None and isinstance(origin, type) and issubclass(origin, Mapping):
+        if not isinstance(value, Mapping):
+            raise LogError(f"{where}: an object is wanted")
+        return {_text(key, where): _read(one, inside[1], where, depth - 1) for key, one in value.items()}
+    if kind is Any or kind is object:
+        return _anything(value, where, depth)
+    return _plain(value, kind, where)
+
+
+def _dataclass(value: Any, kind: Any, where: str, depth: int) -> Any:
+    if not isinstance(value, Mapping):
+        raise LogError(f"{where}: an object is wanted")
+    hints = get_type_hints(kind)
+    known = [item.name for item in fields(kind) if item.name in value]
+    try:
+        return kind(**{name: _read(value[name], hints[name], f"{where}.{name}", depth - 1) for name in known})
+    except TypeError as error:
+        raise LogError(f"{where}: {error}") from None
+
+
+def _array(value: Any, where: str) -> Any:
+    try:
+        rows = [[nan if one is None else float(one) for one in row] for row in value]
+        found = np.array(rows, float).reshape(len(value), -1)
+        if (np.abs(found) >= _HUGE).any():
+            raise ValueError("beyond any figure of a diagnosis")
+        return found
+    except (TypeError, ValueError, OverflowError):
+        raise LogError(f"{where}: rows of numbers are wanted") from None
+
+
+def _plain(value: Any, kind: Any, where: str) -> Any:
+    """A text, a number or a flag."""
+    if kind is float:
+        return nan if value is None else _number(value, where)
+    if get_origin(kind) is Literal:
+        if value not in get_args(kind):
+            raise LogError(f"{where}: {value!r:.40}; allowed are {', '.join(get_args(kind))}")
+        return value
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        raise LogError(f"{where}: {value!r:.40} is not what stands there")
+    if kind is int:
+        _number(value, where)
+    return _text(value, where) if kind is str else value
+
+
+def _anything(value: Any, where: str, depth: int) -> Any:
+    """A value of which no type is known, with nothing in it that no float is or no file can hold."""
+    if depth == 0:
+        raise LogError(f"{where}: nested without end")
+    if isinstance(value, Mapping):
+        return {_text(key, where): _anything(one, where, depth - 1) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_anything(one, where, depth - 1) for one in value]
+    if isinstance(value, str):
+        return _text(value, where)
+    return value if value is None or isinstance(value, bool) else _number(value, where)
+
+
+def _number(value: Any, where: str) -> float:
+    """A number, as it stands; JSON's whole numbers have no end."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) >= _HUGE:
+        raise LogError(f"{where}: {str(value)[:40]!r} is no number that stands there")
+    return value
+
+
+def _text(value: str, where: str) -> str:
+    """A text that a file can hold: JSON can spell halves of characters."""
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise LogError(f"{where}: {value!r:.40}: half a character") from None
+    return value

@@ -1,0 +1,341 @@
+"""Curves of the recording over those of simulations, before and after the causes were added, where it differs most.
+
+Curves are of the held-out part: models were fitted to the other one, and agree with it more than they ought to.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+from types import MappingProxyType
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.characterise.codes import Histogram
+from imuarray.gap.findings.diagnosis import Overlay, Where
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.replication import TOGETHER, Models
+from imuarray.gap.model.workers import Run
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.summary import Summary
+from imuarray.units import READABLE
+
+Floats = npt.NDArray[np.float64]
+Kind = Literal["spectrum", "allan", "temperature", "codes"]
+
+REPLICATES = 12
+"""Of each model; their 95 % band reaches nearly from the lowest to the highest."""
+
+OF_SENSOR = 3
+"""More curves of one sensor are not drawn."""
+
+CODES, BINS = 200, 40
+"""Most places of a histogram, and of temperatures."""
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "spectrum": "spectrum",
+        "autocorrelation": "spectrum",
+        "cross_sensor": "spectrum",
+        "allan": "allan",
+        "level": "allan",
+        "spread": "allan",
+        "run_to_run": "allan",
+        "codes": "codes",
+        "distribution": "codes",
+        "status": "codes",
+        "temperature": "temperature",
+    }
+)
+"""The curve in which a domain's statistics show. Times, and responses to force and motion, show in none."""
+
+_FIRST = 3_000_000
+_TERMS = 4
+"""An Allan variance of fewer differences is no curve."""
+
+_NAMED = 3
+"""More phases are counted, not named."""
+
+_RARE = 0.001
+"""Share of the readings at either end that doesn't widen a histogram."""
+
+
+class Curve(NamedTuple):
+    """What is drawn of one axis: `phases` are places in the log's own order, one but for temperatures."""
+
+    kind: Kind
+    sensor: str
+    axis: int
+    log: int
+    phases: tuple[int, ...]
+
+
+class Drawn(NamedTuple):
+    """A curve's places on x, and as the sensor's summaries have it, what is drawn there."""
+
+    x: Floats
+    values: Callable[[Sequence[Summary]], Floats]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What a job gets: curves with the recorded summaries that lay them out."""
+
+    models: Models = field(repr=False)
+    numbers: Sequence[int]
+    curves: tuple[tuple[Curve, tuple[Summary, ...]], ...] = field(repr=False)
+
+
+def overlays_of(
+    bench: Bench,
+    campaign: Campaign,
+    found: Sequence[Where],
+    models_before: Models,
+    models_after: Models,
+    run: Run,
+    most: int = 12,
+    names: Sequence[str] = (),
+) -> tuple[Overlay, ...]:
+    """The curves in which the statistics `found` (worst first) show, of `campaign` as it was recorded and in 12
+    replicates of either model: each once, at most `most`, at most `OF_SENSOR` of one sensor. `names` are the logs' (as
+    in `found`); without, a phase is known by its own name.
+    """
+    curves = tuple((curve, summaries_of(campaign, curve)) for curve in curves_of(bench, campaign, found, most, names))
+    if not curves:
+        return ()
+    sensors = {curve.sensor for curve, _ in curves}
+    sides = [{name: models[name] for name in sorted(sensors)} for models in (models_before, models_after)]
+    unlike = sides if sides[0] != sides[1] else sides[:1]
+    numbers = range(_FIRST, _FIRST + REPLICATES)
+    groups = [numbers[first : first + TOGETHER] for first in range(0, REPLICATES, TOGETHER)]
+    came = list(
+        chain.from_iterable(run(_simulated, [_Asked(side, some, curves) for side in unlike for some in groups]))
+    )
+    before, after = came[:REPLICATES], came[-REPLICATES:]
+    return tuple(
+        _overlay(bench, curve, own, bands([one[at] for one in before]), bands([one[at] for one in after]))
+        for at, (curve, own) in enumerate(curves)
+    )
+
+
+def curves_of(
+    bench: Bench, campaign: Campaign, found: Sequence[Where], most: int, names: Sequence[str] = ()
+) -> tuple[Curve, ...]:
+    """What to draw for the statistics `found`, worst first."""
+    kept: dict[tuple[str, str, int], Curve] = {}
+    many: Counter[str] = Counter()
+    for one in found:
+        kind = KINDS.get(one.domain)
+        axis = one.axis or next((other.axis for other in found if other.sensor == one.sensor and other.axis), "x")
+        what = (kind or "", one.sensor, "xyz".index(axis))
+        if kind is None or what in kept or many[one.sensor] >= OF_SENSOR or len(kept) >= most:
+            continue
+        place = _warmed(bench, campaign, one) if kind == "temperature" else _phase(bench, campaign, one, kind, names)
+        if place is not None:
+            kept[what] = Curve(kind, one.sensor, what[2], *place)
+            many[one.sensor] += 1
+    return tuple(kept.values())
+
+
+def summaries_of(campaign: Campaign, curve: Curve) -> tuple[Summary, ...]:
+    """Of the curve's phases, in a campaign summarised in all phases of its split."""
+    return tuple(campaign.logs[curve.log].phases[at].sensors[curve.sensor] for at in curve.phases)
+
+
+def drawn(curve: Curve, recorded: Sequence[Summary]) -> Drawn:
+    """How a curve is drawn, by what was recorded: simulations stand at the same places on x."""
+    return _DRAWN[curve.kind](curve.axis, recorded)
+
+
+def bands(replicates: Sequence[Floats]) -> Floats:
+    """(3, n) middle and 95 % band of replicates, each (n,); nan where fewer than half of them say anything."""
+    values = np.array(replicates)
+    found = np.full((3, values.shape[1]), np.nan)
+    known = 2 * np.isfinite(values).sum(axis=0) >= len(values)
+    found[:, known] = np.nanquantile(values[:, known], (0.5, 0.025, 0.975), axis=0)
+    return found
+
+
+def _simulated(bench: Bench, asked: _Asked) -> list[list[Floats]]:
+    """All curves in each replicate, from their logs alone."""
+    replicates = [(asked.models, number) for number in asked.numbers]
+    campaigns = bench.campaigns(replicates, logs={curve.log for curve, _ in asked.curves})
+    return [
+        [drawn(curve, recorded).values(summaries_of(campaign, curve)) for curve, recorded in asked.curves]
+        for campaign in campaigns
+    ]
+
+
+def _overlay(bench: Bench, curve: Curve, recorded: Sequence[Summary], before: Floats, after: Floats) -> Overlay:
+    how, unit = drawn(curve, recorded), _readable(recorded[0])[1]
+    x_label, y_label = _LABELS[curve.kind]
+    real = how.values(recorded)
+    where = _caption(bench, curve, recorded)
+    label = y_label.replace("{u}", unit)
+    return Overlay(curve.kind, curve.sensor, "xyz"[curve.axis], where, x_label, label, how.x, real, before, after)
+
+
+def _caption(bench: Bench, curve: Curve, recorded: Sequence[Summary]) -> str:
+    """The phase and that it was held out."""
+    share = bench.split.shares[curve.log]
+    names = dict.fromkeys(summary.phase.name for summary in recorded)
+    whole = ", ".join(names) if len(names) <= _NAMED else f"{bench.kinds[curve.log]}, {len(recorded)} phases"
+    return f"{whole} ({'second halves' if len(recorded) > 1 else 'second half'})" if share.half else whole
+
+
+def _phase(
+    bench: Bench, campaign: Campaign, one: Where, kind: Kind, names: Sequence[str]
+) -> tuple[int, tuple[int, ...]] | None:
+    """The held-out phase of a statistic, or the longest one at rest. A moving box has no spectrum of its noise."""
+    wanted = _log_beside(bench, campaign, one, names)
+    known = [
+        (log, at)
+        for log, at in _held_out(bench, campaign, one.sensor)
+        if kind == "codes" or campaign.logs[log].phases[at].is_still
+    ]
+    own = [(log, at) for log, at in known if campaign.logs[log].phases[at].phase.name == one.phase]
+    still = [(log, at) for log, at in known if campaign.logs[log].phases[at].is_still]
+    choice = [place for place in own if place[0] == wanted] or own or still
+    if not choice:
+        return None
+    log, at = max(choice, key=lambda place: campaign.logs[place[0]].phases[place[1]].sensors[one.sensor].rows)
+    return log, (at,)
+
+
+def _warmed(bench: Bench, campaign: Campaign, one: Where) -> tuple[int, tuple[int, ...]] | None:
+    """All held-out phases at rest of the log with the widest span of temperatures."""
+    logs: dict[int, list[int]] = {}
+    for log, at in _held_out(bench, campaign, one.sensor):
+        if campaign.logs[log].phases[at].is_still:
+            logs.setdefault(log, []).append(at)
+
+    def span_degc(log: int) -> float:
+        parts = [campaign.logs[log].phases[at].sensors[one.sensor].segments for at in logs[log]]
+        return float(np.ptp(np.concatenate([part.temperature_degc[part.rows > 0] for part in parts])))
+
+    if not logs:
+        return None
+    widest = max(logs, key=span_degc)
+    return (widest, tuple(logs[widest])) if span_degc(widest) > 0 else None
+
+
+def _log_beside(bench: Bench, campaign: Campaign, one: Where, names: Sequence[str]) -> int | None:
+    """The held-out log that stands beside the one of the training part by which a pair of statistics is named."""
+    train, held_out = (side(campaign).logs for side in (bench.split.train, bench.split.held_out))
+    known = [names[log] for log in train] if names else []
+    place = known.index(one.log) if one.log in known else len(held_out)
+    return held_out[place] if place < len(held_out) else None
+
+
+def _held_out(bench: Bench, campaign: Campaign, sensor: str) -> Iterator[tuple[int, int]]:
+    """Places (log, phase) of the held-out part in which a sensor was read."""
+    for log, (share, summary) in enumerate(zip(bench.split.shares, campaign.logs, strict=True)):
+        for at, (out, phase) in enumerate(zip(share.held_out, summary.phases, strict=True)):
+            if out and sensor in phase.sensors and phase.sensors[sensor].rows:
+                yield log, at
+
+
+def _spectrum(axis: int, recorded: Sequence[Summary]) -> Drawn:
+    """Amplitude spectral density without the bin of the mean."""
+    rows_per_s = 1 / recorded[0].intervals.mean_s
+    factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
+
+    def values(own: Sequence[Summary]) -> Floats:
+        density = own[0].spectrum.density[1:, axis]
+        return np.asarray(factor * np.sqrt(density / rows_per_s))
+
+    return Drawn(np.asarray(recorded[0].spectrum.frequency_hz[1:] * rows_per_s), values)
+
+
+def _allan(axis: int, recorded: Sequence[Summary]) -> Drawn:
+    """Allan deviation."""
+    factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
+    known = recorded[0].allan.terms >= _TERMS
+    factors = 2.0 ** np.flatnonzero(known)
+    return Drawn(
+        np.asarray(factors * recorded[0].intervals.mean_s),
+        lambda own: np.asarray(factor * np.sqrt(own[0].allan.variance[known, axis])),
+    )
+
+
+def _codes(axis: int, recorded: Sequence[Summary]) -> Drawn:
+    """Shares of the codes about the middle one. A simulation is moved there by whole steps of either side's codes: its
+    level is another matter, and which codes come is not touched.
+    """
+    real = recorded[0].codes[axis]
+    middle, low, high = (_quantile(real, share) for share in (0.5, _RARE, 1 - _RARE))
+    width = 1
+    while 1.5 * (high - low) >= CODES * width:
+        width *= 2  # codes that are all even, or multiples of four, do not beat with it
+    margin = (high - low) // 4 + width
+    edges = np.arange(low - margin, high + margin + width, width)
+
+    def values(own: Sequence[Summary]) -> Floats:
+        codes = own[0].codes[axis]
+        step = int(np.lcm(_step(real), _step(codes)))
+        moved = step * round((middle - _quantile(codes, 0.5)) / step)
+        counts, _ = np.histogram(codes.codes + moved, edges - 0.5, weights=codes.counts)
+        return np.asarray(counts / max(int(codes.counts.sum()), 1), float)
+
+    return Drawn(np.asarray(edges[:-1] + (width - 1) / 2, float), values)
+
+
+def _temperature(axis: int, recorded: Sequence[Summary]) -> Drawn:
+    """Means of readings at about the same recorded temperature, less that of the whole log: shape, not level."""
+    factor = _readable(recorded[0])[0] / recorded[0].header.sensitivity
+    degc, rows = (
+        np.concatenate([np.asarray(getattr(one.segments, name), float) for one in recorded])
+        for name in ("temperature_degc", "rows")
+    )
+    held = (rows > 0) & np.isfinite(degc)
+    edges = np.linspace(degc[held].min(), degc[held].max(), BINS + 1)
+    place = np.clip(np.searchsorted(edges, degc, side="right") - 1, 0, BINS - 1)
+    filled = np.flatnonzero(np.bincount(place[held], minlength=BINS))
+
+    def means(of: Floats) -> Floats:
+        known = held & np.isfinite(of)
+        weights = np.bincount(place[known], rows[known], BINS)[filled]
+        sums = np.bincount(place[known], rows[known] * of[known], BINS)[filled]
+        return np.asarray(np.divide(sums, weights, out=np.full(len(filled), np.nan), where=weights > 0))
+
+    def values(own: Sequence[Summary]) -> Floats:
+        found = means(factor * np.concatenate([one.segments.mean[:, axis] for one in own]))
+        return np.asarray(found - np.nanmean(found)) if np.isfinite(found).any() else found
+
+    return Drawn(means(degc), values)
+
+
+_DRAWN: Mapping[Kind, Callable[[int, Sequence[Summary]], Drawn]] = MappingProxyType(
+    {"spectrum": _spectrum, "allan": _allan, "codes": _codes, "temperature": _temperature}
+)
+
+_LABELS: Mapping[Kind, tuple[str, str]] = MappingProxyType(
+    {
+        "spectrum": ("frequency (Hz)", "amplitude density ({u}/√Hz)"),
+        "allan": ("averaging time τ (s)", "Allan deviation ({u})"),
+        "codes": ("code (LSB), simulations moved to the recorded middle", "share of readings"),
+        "temperature": ("temperature (°C)", "mean reading, less the log's ({u})"),
+    }
+)
+
+
+def _readable(summary: Summary) -> tuple[float, str]:
+    return READABLE.get(summary.header.unit, (1.0, summary.header.unit))
+
+
+def _quantile(seen: Histogram, share: float) -> int:
+    """The code at or below which this share of the readings lies; 0 of none."""
+    if not len(seen.codes):
+        return 0
+    passed = np.cumsum(seen.counts)
+    return int(seen.codes[min(int(np.searchsorted(passed, share * passed[-1])), len(seen.codes) - 1)])
+
+
+def _step(seen: Histogram) -> int:
+    """What divides every distance of the usual codes; 1 if none was seen."""
+    usual = seen.codes[seen.counts > _RARE * seen.counts.sum()]
+    return max(int(np.gcd.reduce(np.diff(usual))), 1) if len(usual) > 1 else 1

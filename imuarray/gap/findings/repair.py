@@ -1,0 +1,95 @@
+"""The repaired model: the base model with every cause in it, as a file to simulate with and to diagnose with again.
+
+Every sensor has what was fitted to it and what was found; what else it has stays with its design, as a population.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.populations import own_unit, usual_model
+from imuarray.gap.model.replication import ORDINARY, Models, SensorModel
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.model import TRIADS, Model, Part, noise_bandwidth_hz
+from imuarray.simulate.parameters import to_table
+from imuarray.simulate.population import Recipe, figure_of
+
+_SLOPE = "slope_"
+"""Begins the key of the part of `thermal_bias` that is fitted anew."""
+
+_QUADRATIC = "quadratic_"
+
+_HARMLESS: Recipe = {}
+"""An effect made without arguments does nothing."""
+
+
+def repaired(
+    bench: Bench, models: Models, model: Model | None, name: str, *, about: str = "", logs: Sequence[str] = ()
+) -> Model:
+    """The model called `name` of the bench's sensors: what `models` have, over the designs of `model`, on which the
+    diagnosis was based (None: the data sheets' scale and misalignment). Known units of `model` that were not recorded
+    stay as they are.
+
+    An effect that was found missing in a sensor takes the one of its design out with its harmless values. `about` is
+    what the file says of itself; without, what was diagnosed, from which kinds of `logs` (or from these).
+    """
+    headers = bench.base.headers
+    rest = model or usual_model(headers.values())
+    sensors = tuple(_sensor(rest, header, models[sensor]) for sensor, header in headers.items())
+    others = tuple(part for part in rest.sensors if part.name not in headers)
+    return Model(name, about or _about(bench, models, model, logs), rest.designs, (*sensors, *others))
+
+
+def _sensor(model: Model, header: SensorHeader, found: SensorModel) -> Part:
+    """One sensor: what its designs say no other word of is left to them."""
+    parts = model.parts(header)
+    added: dict[str, list[Recipe]] = {}
+    for effect in (*found.fitted.effects(), *found.added):
+        added.setdefault(effect.name, []).append(_recipe(effect, header))
+    effects: dict[str, tuple[Recipe, ...]] = {}
+    for kind in EFFECTS:
+        had = tuple(_kept(kind, parts[kind].effects[kind])) if kind in parts else ()
+        kept = () if kind in found.removed else had
+        is_own = kind in parts and bool(parts[kind].name)
+        if kind in added or (kept and is_own):
+            effects[kind] = (*kept, *added.get(kind, ()))
+        elif kind in found.removed and kind in model.parts(header, population=True):
+            effects[kind] = (_HARMLESS,)
+    known = TRIADS.get(header.chip)
+    range_ = header.range if known is None or header.range in known.sensitivity else None
+    return Part(header.chip, range_, header.name, noise_bandwidth_hz(header) or None, effects, own_unit(header))
+
+
+def _kept(kind: str, recipes: Sequence[Recipe]) -> Iterator[Recipe]:
+    """What of a model's effect is not fitted: all, nothing, or the curve of a bias over temperature."""
+    if kind not in ORDINARY:
+        yield from recipes
+    elif kind == ThermalBias.name:
+        for recipe in recipes:
+            if any(key.startswith(_QUADRATIC) for key in recipe):
+                yield {key: figure for key, figure in recipe.items() if not key.startswith(_SLOPE)}
+
+
+def _recipe(effect: Effect, header: SensorHeader) -> Recipe:
+    return {key: figure_of(value, effect.name) for key, value in to_table(effect, header.unit).items()}
+
+
+def _about(bench: Bench, models: Models, model: Model | None, logs: Sequence[str]) -> str:
+    """What was diagnosed, from what."""
+    kinds = " and ".join(f"{count} {kind}" for kind, count in Counter(bench.kinds).items())
+    source = ", ".join(logs) or f"{kinds} {'log' if len(bench.kinds) == 1 else 'logs'}"
+    found = [f"{name} {words}" for name, one in models.items() if (words := ", ".join(_changes(one)))]
+    before = f"model {model.name}" if model else "the data sheets"
+    changes = f"with {'; '.join(found)}" if found else "with no cause found"
+    return f"{len(bench.base.headers)} sensors as diagnosed from {source}: {before}, fitted, {changes}."
+
+
+def _changes(one: SensorModel) -> Iterator[str]:
+    kinds = [effect.name for effect in one.added]
+    yield from dict.fromkeys(kinds)
+    yield from (f"without {kind}" for kind in sorted(one.removed - set(kinds)))

@@ -1,0 +1,224 @@
+"""A diagnosis in plain words: for the terminal, at most 120 columns, and the numbers and parameters as a person reads
+them, which the HTML page takes from here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from math import isfinite
+from textwrap import wrap
+from types import MappingProxyType
+from typing import Any
+
+from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Interval, Unobservable, Where
+
+WIDTH = 120
+NOTHING = "–"
+
+_WORST = 10
+_COLUMNS = (12, 15, 18, 7, 8, 8, 11, 6, 5, 10)
+"""Greatest widths of the table of statistics, together `WIDTH` with two spaces before each."""
+_MOST = 9
+"""So many numbers of a list are said, as many as a response has."""
+
+_SMALL_G = 0.1
+"""Accelerations below it are written in mg."""
+
+_SHARES = ("probability", "error")
+"""Parameters that are shares of 1."""
+
+_UNITS: Mapping[str, str] = MappingProxyType(
+    {name: name for name in ("g", "dps", "gauss", "s", "h", "ppm", "mm")}
+    | {"degc": "°C", "degc2": "°C²", "hz": "Hz", "deg": "°", "lsb": "LSB", "sqrt_s": "√s"}
+    | {"g2": "g²", "dps2": "dps²", "gauss2": "gauss²"}
+)
+_LONGEST_FIRST = "|".join(sorted(_UNITS, key=len, reverse=True))
+_WITH_UNIT = re.compile(rf"(?P<name>.*?[^_])(?:_(?P<over>{_LONGEST_FIRST}))?(?:_per_(?P<under>{_LONGEST_FIRST}))?")
+
+
+def text_of(diagnosis: Diagnosis) -> str:
+    """What a terminal shows: sentence, gap, causes, the worst statistics, what can't be told and what to do next."""
+    parts = (
+        wrap(_printable(diagnosis.sentence), WIDTH),
+        list(_verdict(diagnosis)),
+        list(_causes(diagnosis)),
+        list(_where(diagnosis.where)),
+        list(_unshown(diagnosis.unshown)),
+        _hanging("Next experiment: ", diagnosis.next_experiment) if diagnosis.next_experiment else [],
+    )
+    return "\n\n".join("\n".join(lines) for lines in parts if lines) + "\n"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """To so many significant digits, no exponent below a million; "–" for what isn't finite."""
+    if not isfinite(value):
+        return NOTHING
+    text = f"{value + 0.0:.{digits}g}"  # -0 becomes 0
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e6 else text
+
+
+def scored(score: float) -> str:
+    """A score: one digit after the point below ten, else whole; "∞" beyond all numbers, "–" where nothing is said."""
+    if not isfinite(score):
+        return "∞" if score > 0 else NOTHING
+    return f"{score:.1f}" if abs(score) < 9.95 else f"{score:.0f}"
+
+
+def share(value: float | None) -> str:
+    """In percent; "–" for None. Only 0 and 1 themselves are 0 and 100 %."""
+    if value is None or not isfinite(value):
+        return NOTHING
+    for limit, edge in ((0.005, 0.0), (0.995, 1.0)):
+        if edge != value and min(limit, edge) <= value <= max(limit, edge):
+            return "<1 %" if edge == 0 else ">99 %"
+    return f"{100 * value:.0f} %"
+
+
+def chance(p: float) -> str:
+    """A p-value: "p = 0.03", "p < 0.001"."""
+    return f"p {NOTHING}" if not isfinite(p) else "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
+
+
+def closed_text(closed: float | None, interval: Interval | None) -> str:
+    """A closed share and its 95 % interval: "86 % (75 to 94)"."""
+    if closed is None or interval is None:
+        return share(closed)
+    low, high = (f"{100 * end:.0f}" if isfinite(end) else NOTHING for end in interval)
+    return f"{share(closed)} ({low} to {high})"
+
+
+def gap_text(gap: Gap) -> str:
+    """Before, after, floor and closed share in one line."""
+    floor = f"{scored(gap.floor)} where nothing is wrong"
+    if gap.closed is None:
+        return f"{scored(gap.before)} standard deviations (rms), {floor}: nothing to close"
+    return (
+        f"{scored(gap.before)} standard deviations (rms) before, {scored(gap.after)} after, {floor}: "
+        f"{closed_text(gap.closed, gap.closed_ci95)} closed"
+    )
+
+
+def parameters_text(parameters: Mapping[str, Any]) -> str:
+    """Parameters of an effect with their units behind them, small accelerations in mg: "offset 12, -3, 0.5 mg"."""
+    return "; ".join(_parameter(str(key), value) for key, value in parameters.items())
+
+
+def places_text(cause: Cause) -> str:
+    """Sensors, and the axes if not all: "Gyro1, Gyro2 (x, z)"."""
+    axes = f" ({', '.join(cause.axes)})" if cause.axes else ""
+    return f"{', '.join(cause.sensors) or 'all sensors'}{axes}"
+
+
+def _parameter(key: str, value: Any) -> str:
+    values, found = _numbers(value), _WITH_UNIT.fullmatch(key)
+    if values is None or found is None:
+        return f"{key.replace('_', ' ')} {value}"
+    if key in _SHARES:
+        return f"{key} {', '.join(number(100 * one) for one in values)} %"
+    over, under = found["over"] or "", found["under"]
+    unit = _UNITS.get(over, "")
+    if over == "g" and max(map(abs, values), default=0.0) < _SMALL_G:
+        unit, values = "mg", [1000 * one for one in values]
+    unit += f"/{_UNITS[under]}" if under else ""
+    space = "" if unit == "°" else " "
+    said = ", ".join(map(number, values[:_MOST])) + (f" ... ({len(values)} in all)" if len(values) > _MOST else "")
+    return f"{found['name'].replace('_', ' ')} {said}{space}{unit}".rstrip()
+
+
+def _numbers(value: Any) -> list[float] | None:
+    """One number or several; None for anything else."""
+    several = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+    try:
+        return None if any(isinstance(one, str) for one in several) else [float(one) for one in several]
+    except (TypeError, ValueError):
+        return None
+
+
+def _verdict(diagnosis: Diagnosis) -> Iterator[str]:
+    yield from _hanging("Verdict  ", f"{diagnosis.verdict} (chance alone: {chance(diagnosis.p)})")
+    yield from _hanging("Gap      ", gap_text(diagnosis.gap))
+    if diagnosis.unknown > 0:
+        yield from _hanging("Unknown  ", f"{share(diagnosis.unknown)} that something outside the library is present")
+
+
+def _causes(diagnosis: Diagnosis) -> Iterator[str]:
+    if not diagnosis.causes:
+        return
+    yield "Causes, most probable first"
+    rows = [
+        [share(cause.probability), cause.action, cause.effect, places_text(cause), _closes(cause)]
+        for cause in diagnosis.causes
+    ]
+    for cause, line in zip(diagnosis.causes, _aligned(rows, (0,), (8, 8, 20, 44, 26)), strict=True):
+        yield line
+        more = [parameters_text(cause.parameters)] if cause.parameters else []
+        more += [f"may also be {' or '.join(cause.confusable_with)}"] if cause.confusable_with else []
+        more += ["told by both parts together, nothing was withheld from it"] if cause.needs_both else []
+        more += [f"not of the sensor but of the {cause.origin}"] if cause.origin != "sensor" else []
+        yield from _hanging(" " * 8, ". ".join(more)) if more else []
+
+
+def _closes(cause: Cause) -> str:
+    return "" if cause.closed is None else f"closes {closed_text(cause.closed, cause.closed_ci95)}"
+
+
+def _where(where: Sequence[Where]) -> Iterator[str]:
+    if not where:
+        return
+    kinds: dict[tuple[str, str, str], Where] = {}
+    for one in where:
+        kinds.setdefault((one.sensor, one.axis, one.statistic), one)  # where it is worst: logs repeat each other
+    worst = list(kinds.values())[:_WORST]
+    more = f", the worst {len(worst)}" if len(where) > len(worst) else ""
+    yield f"Where it differs: {len(where)} statistics{more} (sd of chance; size in margins, matters from 1 on)"
+    heading = ["sensor", "domain", "statistic", "phase", "real", "sim.", "unit", "sd", "size", ""]
+    yield from _aligned([heading, *map(_row, worst)], (4, 5, 7, 8), _COLUMNS)
+
+
+def _row(one: Where) -> list[str]:
+    values = [number(one.real), number(one.simulated), one.unit]
+    sizes = [f"{one.significance:+.{1 if abs(one.significance) < 1000 else 0}f}", number(one.effect_size, 2), one.size]
+    return [
+        f"{_cut(one.sensor, _COLUMNS[0] - 2)} {one.axis}".rstrip(),
+        one.domain,
+        one.statistic,
+        one.phase or "all",
+        *values,
+        *sizes,
+    ]
+
+
+def _unshown(unshown: Sequence[Unobservable]) -> Iterator[str]:
+    if unshown:
+        yield "Can't be told from these recordings"
+    for one in unshown:
+        sensors = f" of {', '.join(one.sensors)}" if one.sensors else ""
+        yield from _hanging(f"  {_printable(one.effect)}", f"{sensors}: record {one.record}", "    ")
+
+
+def _aligned(rows: Sequence[Sequence[str]], right: Collection[int], most: Sequence[int]) -> Iterator[str]:
+    """Columns two spaces apart, `right` ones to the right, none wider than its `most`."""
+    clean = [[_cut(cell, wide) for cell, wide in zip(row, most, strict=True)] for row in rows]
+    widths = [max(len(row[place]) for row in clean) for place in range(len(most))]
+    for row in clean:
+        cells = [
+            cell.rjust(wide) if place in right else cell.ljust(wide)
+            for place, (cell, wide) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield ("  " + "  ".join(cells)).rstrip()
+
+
+def _cut(text: str, wide: int) -> str:
+    text = _printable(text)
+    return text if len(text) <= wide else text[: wide - 1] + "…"
+
+
+def _hanging(head: str, text: str, indent: str | None = None) -> list[str]:
+    rest = " " * len(head) if indent is None else indent
+    return wrap(head + _printable(text), WIDTH, subsequent_indent=rest, break_on_hyphens=False, drop_whitespace=True)
+
+
+def _printable(text: str) -> str:
+    """Without what would steer a terminal."""
+    return "".join(sign if sign.isprintable() else " " if sign.isspace() else "?" for sign in text)

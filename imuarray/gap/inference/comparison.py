@@ -1,0 +1,120 @@
+"""A recorded campaign beside replicates of a model of it: what was recorded, what chance makes, where they differ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.assessment import Assessment, assess
+from imuarray.gap.inference.localisation import Localisation, located
+from imuarray.gap.model.base_model import fit, headers_in
+from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
+from imuarray.gap.model.replication import TOGETHER, Models, ReplicateRequest
+from imuarray.gap.model.workers import Run
+from imuarray.gap.recording.events import events_of
+from imuarray.gap.recording.phases import is_at_rest
+from imuarray.gap.recording.recordings import Recording, sources_of, temperature_of
+from imuarray.gap.statistics.campaign import Campaign, summarise_log
+from imuarray.gap.statistics.pairs import Pairs, scores_by_others
+from imuarray.gap.statistics.split import Split, split_of
+from imuarray.simulate.model import Model
+from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.like import LikeLog
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The recorded campaign on its bench, beside replicates of the base model: statistics of the recording (`real`)
+    and of the replicates, their pairs, the recording judged by them, and where it is beyond chance.
+    """
+
+    bench: Bench
+    campaign: Campaign
+    real: StatisticValues
+    replicates: tuple[StatisticValues, ...]
+    pairs: Pairs
+    judged: Assessment
+    located: Localisation
+
+    @cached_property
+    def chance(self) -> Floats:
+        """(b, n) the replicates' statistics."""
+        return np.array([one.values for one in self.replicates])
+
+
+def prepared(recordings: Sequence[Recording], model: Model | None, seed: int) -> tuple[Bench, Campaign]:
+    """The recordings summarised, the base model fitted to their training part."""
+    split = split_of([one.kind for one in recordings], [one.phases for one in recordings])
+    logs = []
+    for one, phases in zip(recordings, split.phases(), strict=True):
+        summary = summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion))
+        lines = {name: line for name, (_, line) in one.experiment.plan.sensors.items()}
+        moving = [phase for phase in one.phases if not is_at_rest(phase)]
+        logs.append(replace(summary, events=events_of(one.log, lines, moving, _tracked(one.experiment.motion))))
+    campaign = _of_both_parts(Campaign(tuple(logs)), split)
+    train = split.train(campaign)
+    motions = [recordings[at].experiment.motion for at in train.logs]
+    base = fit(train.campaign, motions, model=model, seed=seed)
+    bench = bench_of(campaign, split, [one.experiment for one in recordings], base)
+    return (bench if model is None else settled(bench)), campaign
+
+
+def _tracked(motion: Motion) -> Motion | None:
+    """A motion that a track of the log tells; None if it is only known on which face the box lay."""
+    return motion if isinstance(motion, LikeLog) and motion.source != "phases" else None
+
+
+def _of_both_parts(campaign: Campaign, split: Split) -> Campaign:
+    """Without sensors that only the held-out part has: nothing could be fitted to them."""
+    fitted = set(headers_in(split.train(campaign).campaign))
+    logs = []
+    for log in campaign.logs:
+        phases = [
+            replace(part, sensors={name: one for name, one in part.sensors.items() if name in fitted})
+            for part in log.phases
+        ]
+        logs.append(replace(log, phases=tuple(phases)))
+    return Campaign(tuple(logs))
+
+
+def settled(bench: Bench, replicates: int = 8) -> Bench:
+    """The bench with the base model's ordinary parameters moved by as much as the fit of its replicates misses that of
+    the recording: what the other effects of a model add to noise and level is not in them twice.
+    """
+    models = bench.models()
+    came = [one.fitted for one in bench.replicates([(models, number) for number in range(replicates)], held_out=False)]
+    fitted = {
+        name: one.moved(bench.base.fitted[name], [each[name] for each in came])
+        for name, one in bench.base.fitted.items()
+    }
+    return replace(bench, base=replace(bench.base, fitted=fitted))
+
+
+def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: int) -> Comparison:
+    """Where the recording leaves what the base model makes of it."""
+    real = bench.observed(campaign, bench.base.fitted)
+    came = tuple(observed(bench.models(), range(replicates), run))
+    chance = np.array([one.values for one in came])
+    pairs = bench.pairs()
+    scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
+    where = located(pairs.keys, bench.base.headers, scores[0], scores[1:])
+    whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
+    return Comparison(bench, campaign, real, came, pairs, whole, where)
+
+
+def observed(models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:
+    """Replicates, by their numbers, of sensors modelled so; a few of them in each job."""
+    asked = [(models, number) for number in numbers]
+    groups = [asked[first : first + TOGETHER] for first in range(0, len(asked), TOGETHER)]
+    return list(chain.from_iterable(run(_observed, groups)))
+
+
+def _observed(bench: Bench, asked: Sequence[ReplicateRequest]) -> list[StatisticValues]:
+    return bench.each_observed(bench.campaigns(asked), asked[0][0])

@@ -1,0 +1,84 @@
+"""`bandwidth`: correlation phi^k of readings k rows apart, and motion that comes late."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import brentq
+
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.effects.lag import mean_of, odd_lags
+from imuarray.gap.inference.effects.quietness import rarity_behind
+from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
+
+_TRACES = ("lag_1", "lag_2", "lag_3", "allan_2", "allan_8", "band_5", "band_6", "band_1", "noise_excess")
+_BEYOND = 2.7
+_LEAST, _MOST = 0.01, 0.995
+"""Correlations beyond are no low-pass that rows show."""
+
+_ALIKE = 1.3
+_UNSEEN = 0.3
+"""Correlation from which on rows tell the cutoff themselves."""
+
+_NOTHING_LEFT = 0.75 * math.pi
+"""Time constants after which noise behind two poles is not correlated any more, for the first time."""
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The cutoff by the correlation at lag 1, -ln(phi) rows_per_s / (2 pi); others by that at lag 2, sqrt, and by the
+    ratio of both, where what is slower or white adds to them. Each with the signal as it is, and where a motion tells
+    that it is late, or early, with the signal filtered too.
+
+    Rows too slow to show any correlation still show the delay, 1 / (sqrt(2) pi cutoff) of a filter with two poles, and
+    only that: what tells it from a reading that is merely late is how much noise is gone.
+    """
+    yield from with_removal(evidence, Bandwidth.name, _found(evidence))
+    if not any(effect.name == Bandwidth.name for effect in evidence.effects):
+        yield from _by_delay(evidence)
+
+
+def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+    if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
+        return
+    first, second = (float(np.tanh(evidence.typical(f"lag_{lag}")).mean()) for lag in (1, 2))
+    shares = (0.0, 1.0) if evidence.is_odd("motion_delay", beyond=_BEYOND) else (0.0,)
+    tried: list[float] = []
+    for phi in (first, math.sqrt(max(second, 0.0)), second / first if first > 0 else 0.0):
+        if not _LEAST < phi < _MOST:
+            continue
+        cutoff_hz = -math.log(phi) * evidence.rows_per_s / (2 * math.pi)
+        if all(max(cutoff_hz / other, other / cutoff_hz) > _ALIKE for other in tried):
+            tried.append(cutoff_hz)
+            for share in shares:
+                yield Hypothesis((Bandwidth(cutoff_hz, share),), ("cutoff_hz",))
+    if _LEAST < first < _MOST:
+        decay = float(brentq(lambda decay: correlation(decay, 2) - first, 0.0, _NOTHING_LEFT))
+        for share in shares:
+            yield Hypothesis((Bandwidth(_of_two_poles(decay * evidence.rows_per_s), share, 2.0),), ("cutoff_hz",))
+
+
+def _by_delay(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Two poles, as output stages have at least: with one, rows would sooner show it."""
+    found = odd_lags(evidence)
+    if not found or any(lag.is_large for lag in found):
+        return
+    lag_s = mean_of(found, "lag_s")
+    if lag_s > 0 and correlation(1 / (lag_s * evidence.rows_per_s), 2) < _UNSEEN:
+        cutoff_hz = _of_two_poles(1 / lag_s)
+        yield Hypothesis((Bandwidth(cutoff_hz, 1.0, 2.0),), ("cutoff_hz",), rarity=rarity_behind(evidence, cutoff_hz))
+
+
+def _of_two_poles(decay_per_s: float) -> float:
+    """Cutoff of the Butterworth filter whose noise fades and whose signal lags by that."""
+    return decay_per_s / (math.sqrt(2) * math.pi)
+
+
+BANDWIDTH = Candidate(
+    Bandwidth.name,
+    guesses,
+    {"static": "still for 2 minutes, read as fast as the sensor's data rate"},
+)

@@ -1,0 +1,99 @@
+"""What a candidate is: an effect that may be the cause, and a guess of its parameters from what a sensor shows.
+
+A guess need not be good: the search refines every free parameter by simulation. It has to be of the right kind (a line
+has a frequency, a reset chip has one of its ranges) and of about the right size, and there should be none where
+nothing of the effect can be seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from math import isfinite
+from typing import Literal
+
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.model.rest import FittedParameters
+from imuarray.simulate.effect import Effect
+
+Kind = Literal["static", "tumble", "heating", "turn-on", "motion"]
+"""What is done in a log; the menu of experiments."""
+
+Action = Literal["add", "remove", "replace"]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A change of a sensor's model that may explain what it shows.
+
+    `effects` are added, with first guesses of their parameters; effects of the kind `removed` are taken out first ("":
+    none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis axis by
+    axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be told from
+    another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or (`sensor`) this one
+    has it, and `others` show it; these have the effects `opposite` at the same time; or (`everywhere`) all that the
+    host reads have it. `whole`: neither part shows it without the other. `rarity`: nats by which it is rarer, as it is
+    meant, than others that look the same (negative: more usual). `fitted` are the ordinary parameters to begin with,
+    where the effect misleads the fit (None: those of the fit).
+    """
+
+    effects: tuple[Effect, ...]
+    free: tuple[str, ...] = ()
+    removed: str = ""
+    shared: bool = False
+    sensor: str = ""
+    others: tuple[str, ...] = ()
+    opposite: tuple[Effect, ...] = ()
+    everywhere: bool = False
+    whole: bool = False
+    rarity: float = 0.0
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fitted: FittedParameters | None = None
+
+    @property
+    def name(self) -> str:
+        """The effect that it is about."""
+        return self.effects[0].name if self.effects else self.removed
+
+    @property
+    def is_brief(self) -> bool:
+        """Whether it begins at some time within a log, or lies between two logs."""
+        onsets = [getattr(effect, "onset_s", 0.0) for effect in self.effects]
+        return any(isfinite(onset) and onset > 0 for onset in onsets)
+
+    @property
+    def needs_both(self) -> bool:
+        """Whether both parts are needed to see it: neither shows it without the other (`whole`), or it is brief."""
+        return self.whole or self.is_brief
+
+    @property
+    def form(self) -> tuple[str, ...]:
+        """What is done with which effects, and which of their parameters do something: a line that drifts is another
+        form than one that stays.
+        """
+        used = [
+            f"{effect.name}.{item.name}"
+            for effect in (*self.effects, *self.opposite)
+            for item in fields(effect)
+            if repr(getattr(effect, item.name)) != repr(getattr(type(effect)(), item.name))
+        ]
+        return (self.name, self.action, *used)
+
+    @property
+    def action(self) -> Action:
+        """What is done to the model."""
+        if not self.effects:
+            return "remove"
+        return "replace" if self.removed else "add"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect of `imuarray.simulate.effects`, and how it is recognised.
+
+    `guesses` makes trials of what one sensor shows, at most a handful. `shown_by`: what has to be recorded for the
+    effect to show, by kind of experiment; kinds that are missing can't show it.
+    """
+
+    effect: str
+    guesses: Callable[[Evidence], Iterable[Hypothesis]]
+    shown_by: Mapping[Kind, str] = field(default_factory=dict)

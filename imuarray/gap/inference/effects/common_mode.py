@@ -1,0 +1,139 @@
+"""`common_mode`: slow drift that correlates between the units of a chip along their own axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.effects.in_motion import takes_part
+from imuarray.gap.inference.effects.levels import change_between_logs
+from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.effects.slow import (
+    TRACES,
+    Wander,
+    longest_s,
+    over_logs,
+    sized,
+    slower,
+    wander_of,
+    within,
+)
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.gap.statistics.cross import Cross
+from imuarray.simulate.effects.common_mode import CommonMode
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+
+Floats = npt.NDArray[np.float64]
+
+_TRACES = ("slow_own_axes", "fast_own_axes", "slow_between_axes")
+_FREE = ("rms", "time_constant_s")
+_BEYOND = 2.7
+_APART, _ALIKE = 5.0, 1.5
+_FOR_EVER_S = 1e6
+_LEAST_DEGC = 1.0
+_LEAST = 4
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
+    and straight lines taken out; its time constant by that of the sensor's wander, in logs and between them, another
+    one slower; or all of this wander. Of two logs, what they differ by, constant within each: alone, and with what the
+    others don't share of it.
+    """
+    yield from with_removal(evidence, CommonMode.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+    yield from _between_logs(evidence)
+    if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
+        return
+    pairs = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
+    partners = pairs[0][1].others(evidence.header.name, family=True) if pairs else ()
+    if not partners:
+        return
+    wander, over = wander_of(evidence), over_logs(evidence)
+    for time_s in _times_s(evidence, wander, over):
+        rms = np.sqrt(np.maximum(_variance(pairs, evidence.header.name, partners, time_s), 0.0))
+        if rms.any():
+            x, y, z = np.where(rms < rms.max() / 5, 0.0, rms).tolist()
+            yield Hypothesis((CommonMode((x, y, z), time_s),), _FREE, shared=True)
+    score = evidence.score(*TRACES)
+    for one in (None if wander is None else slower(evidence, wander), over):
+        if one is not None and one.rms.any():  # few values of a slow process are independent: a covariance says little
+            yield Hypothesis((CommonMode(sized(one.rms, score), one.time_constant_s),), _FREE, shared=True)
+
+
+def _times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> list[float]:
+    """Time constants that are apart, by how the sensor itself wanders in logs, and between them."""
+    first_s = wander.time_constant_s if wander is not None else longest_s(evidence) / 10
+    times_s = [first_s, min(_APART * first_s, 3 * longest_s(evidence))]
+    if over is not None:
+        times_s.append(over.time_constant_s)
+    kept: list[float] = []
+    for time_s in times_s:
+        if all(max(time_s / other, other / time_s) > _ALIKE for other in kept):
+            kept.append(time_s)
+    return kept
+
+
+def _between_logs(evidence: Evidence) -> Iterator[Hypothesis]:
+    """A change of level that the others have too, and beside it what this one's own differs from it."""
+    change = change_between_logs(evidence)
+    if not change.any():
+        return
+    own = np.where(np.abs(evidence.score("level_apart")) > _BEYOND, evidence.shift("level_apart"), 0.0)
+    common = np.where(change == 0, 0.0, change - own)
+    if not common.any():
+        return
+    a, b, c = (np.abs(common) / np.sqrt(2)).tolist()
+    shared = CommonMode((a, b, c), _FOR_EVER_S)
+    yield Hypothesis((shared,), shared=True, whole=True)
+    if own.any():
+        x, y, z = (np.abs(own) / np.sqrt(2)).tolist()
+        yield Hypothesis((shared, TurnOnBias((x, y, z))), shared=True, whole=True)
+
+
+def _variance(
+    seen: Sequence[tuple[PhaseEvidence, Cross]], sensor: str, partners: Sequence[str], time_constant_s: float
+) -> Floats:
+    """(3,) mean covariance over phases and partners, axis by axis along the chips' own, over what phases, about their
+    means, show of a process of this time constant.
+    """
+    found, shown, weights = [], [], []
+    for one, cross in seen:
+        own = _slow(one, cross, sensor)
+        known = np.isfinite(own).all(axis=1)
+        if known.sum() < _LEAST:
+            continue
+        slow = [np.mean((own * _slow(one, cross, partner))[known], axis=0) for partner in partners]
+        fast = [np.diag(cross.fast[cross.columns(sensor), cross.columns(partner)]) for partner in partners]
+        found.append(np.mean(slow, axis=0) + np.nan_to_num(np.mean(fast, axis=0)))
+        shown.append(within(1e-9 * (cross.phase.end_ns - cross.phase.start_ns), time_constant_s))
+        weights.append(len(own))
+    if not found:
+        return np.zeros(3)
+    return np.asarray(np.average(found, axis=0, weights=weights) / np.average(shown, weights=weights))
+
+
+def _slow(one: PhaseEvidence, cross: Cross, sensor: str) -> Floats:
+    """(s, 3) means less their mean, and less what follows the temperature if it changes."""
+    means, part = cross.slow[:, cross.columns(sensor)], one.raw.segments
+    known, held = np.isfinite(means).all(axis=1), np.isfinite(part.time_s) & np.isfinite(part.temperature_degc)
+    if not known.any() or not held.any():
+        return means
+    design = np.ones((len(means), 1))
+    if np.ptp(part.temperature_degc[held]) > _LEAST_DEGC:
+        at = np.linspace(part.time_s[held][0], part.time_s[held][-1], len(means))
+        degc = np.interp(at, part.time_s[held], part.temperature_degc[held])
+        design = np.stack([np.ones_like(degc), degc - degc.mean()], axis=1)
+    return np.asarray(means - design @ np.linalg.lstsq(design[known], means[known], rcond=None)[0])
+
+
+COMMON_MODE = Candidate(
+    CommonMode.name,
+    guesses,
+    {"static": "all units of the chip, two of them anti-parallel, still for an hour at one temperature"},
+)

@@ -1,0 +1,78 @@
+"""How a sensor's readings in motion hang together with what it should feel, with rotation and with force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.statistics.cross import KINEMATIC, Cross
+
+Floats = npt.NDArray[np.float64]
+
+OWN, REFERENCE, ROTATION = slice(0, 3), slice(3, 6), slice(6, 6 + KINEMATIC)
+FORCE = slice(6 + KINEMATIC, 9 + KINEMATIC)
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Mean products (18, 18) of window means in motion, about their segments' means: the sensor's readings (`OWN`),
+    those of the mean of all others that measure the same along its nominal axes (`REFERENCE`), products of angular
+    rates and angular accelerations in the box (`ROTATION`, rad^2/s^2), the mean force in the sensor's nominal axes
+    in g (`FORCE`); over `windows` windows.
+    """
+
+    products: Floats
+    windows: int
+
+    def beside(self, columns: slice) -> tuple[Floats, Floats, Floats]:
+        """What the reference doesn't explain: products (c, c) of these columns, (c, 3) of them with the sensor's
+        readings, and (3,) squares of the readings.
+        """
+        given = self.products[REFERENCE, REFERENCE]
+        solved = np.linalg.pinv(given, rcond=1e-9, hermitian=True) @ self.products[REFERENCE]
+        left = self.products - self.products[:, REFERENCE] @ solved
+        return left[columns, columns], left[columns, OWN], np.diag(left[OWN, OWN])
+
+
+def moments(evidence: Evidence) -> Moments | None:
+    """Of all phases in motion; None without one, or for the only sensor of its kind."""
+    total, windows = np.zeros((9 + KINEMATIC, 9 + KINEMATIC)), 0
+    for one in evidence.seen:
+        if one.is_still or one.cross is None or not one.cross.windows or not takes_part(evidence, one.cross):
+            continue
+        weights = _weights(one.cross, evidence.header.name)
+        if weights is None:
+            return None
+        total += one.cross.windows * (weights @ one.cross.fast @ weights.T)
+        windows += one.cross.windows
+    return Moments(total / windows, windows) if windows else None
+
+
+def takes_part(evidence: Evidence, cross: Cross) -> bool:
+    """Whether the sensor is among those whose readings stand beside each other: inertial ones, as long as they read."""
+    return any(item.name == evidence.header.name for item in cross.sensors)
+
+
+def _weights(cross: Cross, sensor: str) -> Floats | None:
+    """(18, p) what each column is made of."""
+    others = cross.others(sensor, family=False)
+    if not others:
+        return None
+    weights = np.zeros((9 + KINEMATIC, cross.fast.shape[0]))
+    weights[OWN, cross.columns(sensor)] = np.eye(3)
+    turn = np.array(cross.header(sensor).orientation).T
+    weights[REFERENCE] = turn @ _mean_box(cross, others)
+    weights[ROTATION, cross.kinematic] = np.eye(KINEMATIC)
+    feel = tuple(item.name for item in cross.sensors if item.quantity == "specific_force")
+    weights[FORCE] = turn @ _mean_box(cross, feel)
+    return weights
+
+
+def _mean_box(cross: Cross, sensors: tuple[str, ...]) -> Floats:
+    weights = np.zeros((3, cross.fast.shape[0]))
+    for name in sensors:
+        weights[:, cross.columns(name)] = np.array(cross.header(name).orientation) / len(sensors)
+    return weights

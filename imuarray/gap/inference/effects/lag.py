@@ -1,0 +1,97 @@
+"""How far a sensor is behind the motion of the others, phase by phase, also where that is no small part of a period."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.probes.motion import delay, gain
+from imuarray.log.format import Phase
+
+Floats = npt.NDArray[np.float64]
+
+ODD = 2.5
+"""Scores beyond which there is something to explain."""
+
+
+class Lag(NamedTuple):
+    """`lag_s` behind the others, `at_s` after the log's epoch, in a motion of mean period 2 pi / `pace`; `weight` is
+    how much moved.
+    """
+
+    at_s: float
+    lag_s: float
+    pace: float
+    weight: float
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it may be any number of periods more or less."""
+        return abs(self.lag_s * self.pace) > 1
+
+
+def odd_lags(evidence: Evidence) -> list[Lag]:
+    """Of each phase of motion, if these are odd: by themselves, or because a sensor that is far behind shares none of
+    the motion.
+    """
+    found = list(lags(evidence))
+    large = any(lag.is_large for lag in found) and bool((evidence.score("motion_residual") > ODD).any())
+    return found if large or evidence.is_odd("motion_delay", beyond=ODD) else []
+
+
+def mean_of(found: Sequence[Lag], name: str) -> float:
+    """Of the field of that name, by how much moved."""
+    return float(np.average([getattr(lag, name) for lag in found], weights=[lag.weight for lag in found]))
+
+
+def lags(evidence: Evidence) -> Iterator[Lag]:
+    """Of each phase of motion, over the axes as much as they move.
+
+    For a sine of angular frequency w that is behind by d, the share of motion is cos(w d) and the probe of delay sin(w
+    d) / p, p = sin(w h) / h with windows of length h; p^2 is the mean square of change over that of the signal.
+    """
+    usual_s, share = _usual(evidence, "motion_delay", 0.0), _usual(evidence, "motion_gain", 1.0)
+    share = np.where(share > 0, share, np.nan)
+    sensor = evidence.header.name
+    for phase, cross in motions(evidence):
+        seen, moved = _pace(cross, sensor)
+        pace = np.arcsin(np.minimum(seen * cross.window_s, 1.0)) / cross.window_s
+        found = np.arctan2(seen * (delay(cross, sensor) - usual_s), gain(cross, sensor) / share) / pace
+        known = np.isfinite(found) & (moved > 0)
+        if known.any():
+            middle_s = (phase.start_ns + phase.end_ns) * 0.5e-9
+            lag_s, mean_pace = (float(np.average(item[known], weights=moved[known])) for item in (found, pace))
+            yield Lag(middle_s, lag_s, mean_pace, float(moved[known].sum()))
+
+
+def motions(evidence: Evidence) -> Iterator[tuple[Phase, Cross]]:
+    """The phases in which the box moves, and what the sensor and others have in common there."""
+    for seen in evidence.seen:
+        cross = None if seen.is_still else seen.cross
+        if cross is not None and any(item.name == evidence.header.name for item in cross.sensors):
+            yield seen.raw.phase, cross
+
+
+def speed_squared(cross: Cross, sensor: str) -> Floats:
+    """(3,) mean square of the change of readings per second, squared units."""
+    return np.asarray(np.diag(cross.changes)[cross.columns(sensor)] / cross.window_s**2)
+
+
+def _pace(cross: Cross, sensor: str) -> tuple[Floats, Floats]:
+    """(3,) root of the mean square of change per second over that of the signal, 1/s, and the speed's square."""
+    speed = speed_squared(cross, sensor)
+    square = np.diag(cross.fast)[cross.columns(sensor)]
+    ratio = np.divide(speed, square, out=np.full(3, np.nan), where=(square > 0) & (speed > 0))
+    return np.sqrt(ratio), speed
+
+
+def _usual(evidence: Evidence, probe: str, otherwise: float) -> Floats:
+    """(3,) what the model makes of a probe, in the median over phases."""
+    rows = evidence.expected.get(probe, np.zeros((0, 3)))
+    known = rows[np.isfinite(rows).all(axis=1)]
+    return np.asarray(np.median(known, axis=0)) if len(known) else np.full(3, otherwise)

@@ -1,0 +1,134 @@
+"""A sensor's segments at rest, one after the other: where its readings lie, less the levels of the base model."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.gap.statistics.probes.force import felt_g
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+_LEAST_ROWS = 4
+
+
+@dataclass(frozen=True)
+class Levels:
+    """n segments that hold rows. `log` and `group` (n,): those of one group are of one log and face; `time_s`, `degc`
+    (n,); `mean` (n, 3) in the sensor's unit less what the base model predicts, and its `square_error` (n, 3) if
+    readings are independent; `felt_g` (n, 3) specific force along the nominal axes, nan where no face is named;
+    `thermometer` (n,) counts of the chip's own, nan if it has none; `width_s` (n,).
+    """
+
+    log: Integers
+    group: Integers
+    time_s: Floats
+    degc: Floats
+    mean: Floats
+    square_error: Floats
+    felt_g: Floats
+    thermometer: Floats
+    width_s: Floats
+
+    @property
+    def apart(self) -> Floats:
+        """(n, 3) mean less that of the group."""
+        return centred(self.mean, self.group)
+
+    @property
+    def seconds(self) -> float:
+        """All segments' time."""
+        return float(self.width_s.sum())
+
+    def groups(self) -> Iterator[npt.NDArray[np.intp]]:
+        """Which segments are of each group."""
+        for group in np.unique(self.group):
+            yield np.flatnonzero(self.group == group)
+
+
+def levels(evidence: Evidence) -> Levels:
+    """Of all phases at rest."""
+    groups: dict[tuple[int, str], int] = {}
+    parts = [_of_phase(one, groups.setdefault((one.log, one.left.phase.up), len(groups))) for one in evidence.still]
+    if not parts:
+        none, nothing = np.zeros((0, 3)), np.zeros(0)
+        return Levels(np.zeros(0, int), np.zeros(0, int), nothing, nothing, none, none, none, nothing, nothing)
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return Levels(*columns)
+
+
+def centred(values: Floats, group: Integers) -> Floats:
+    """(n, k) values less the mean of their group."""
+    found = np.array(values, float)
+    for number in np.unique(group):
+        found[group == number] -= found[group == number].mean(axis=0)
+    return found
+
+
+class LogLevels(NamedTuple):
+    """Of l logs, by their numbers `log` (l,): levels `mean` (l, 3) against each other, on the faces that they share,
+    and their square errors (l, 3) if readings are independent.
+    """
+
+    log: Integers
+    mean: Floats
+    square_error: Floats
+
+
+def log_levels(found: Levels) -> LogLevels:
+    """In the order of the logs' numbers; empty without two logs that share a face."""
+    members = list(found.groups())
+    groups = [(int(found.log[at[0]]), tuple(np.nan_to_num(found.felt_g[at[0]], nan=9.0).round(3))) for at in members]
+    means = np.array([found.mean[at].mean(axis=0) for at in members]).reshape(-1, 3)
+    errors = np.array([found.square_error[at].mean(axis=0) / len(at) for at in members]).reshape(-1, 3)
+    shared = {face for _, face in groups if sum(other == face for _, other in groups) > 1}
+    apart: dict[int, list[tuple[Floats, Floats]]] = {}
+    for face in shared:
+        places = [place for place, (_, other) in enumerate(groups) if other == face]
+        for place in places:
+            level = means[place] - np.median(means[places], axis=0)
+            apart.setdefault(groups[place][0], []).append((level, errors[place]))
+    logs = sorted(apart) if len(apart) > 1 else []
+    known = [apart[log] for log in logs]
+    return LogLevels(
+        np.array(logs, int),
+        np.array([np.mean([level for level, _ in one], axis=0) for one in known]).reshape(-1, 3),
+        np.array([np.mean([error for _, error in one], axis=0) / len(one) for one in known]).reshape(-1, 3),
+    )
+
+
+def _of_phase(one: PhaseEvidence, group: int) -> tuple[npt.NDArray[np.generic], ...]:
+    part, header = one.left.segments, one.left.header
+    held = (part.rows >= _LEAST_ROWS) & np.isfinite(part.mean).all(axis=1)
+    count = int(held.sum())
+    return (
+        np.full(count, one.log),
+        np.full(count, group),
+        part.time_s[held],
+        part.temperature_degc[held],
+        part.mean[held] / header.sensitivity,
+        part.steady_variance[held] / (part.rows[held, None] - 1) / header.sensitivity**2,
+        np.broadcast_to(felt_g([one.left])[0], (count, 3)),
+        part.thermometer[held],
+        np.full(count, part.width_s),
+    )
+
+
+def change_between_logs(evidence: Evidence) -> Floats:
+    """(3,) by how much two or three logs of one kind differ in level, where evidence of both parts tells; else 0."""
+    counts = Counter(kind for _, kind in {(one.log, one.kind) for one in evidence.still})
+    if not any(1 < count < _SERIES for count in counts.values()):
+        return np.zeros(3)
+    probe = "level" if np.isfinite(evidence.values.get("level", np.full((1, 3), np.nan))).any() else "mean"
+    return np.where(np.abs(evidence.score(probe)) > _CHANGED, evidence.shift(probe), 0.0)
+
+
+_SERIES = 4
+_CHANGED = 3.0

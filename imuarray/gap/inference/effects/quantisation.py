@@ -1,0 +1,121 @@
+"""`quantisation` is recognised by codes that are all multiples of a number, that never have one of their bits, or of
+which those before every carry are missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import reduce
+from typing import get_args
+
+import numpy as np
+
+from imuarray.characterise.codes import NOTHING, Histogram
+from imuarray.gap.inference.effects.behind_codes import behind
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
+from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.converters import code_span
+from imuarray.simulate.effects.quantisation import Quantisation
+
+_PROBES = ("odd_codes", "second_bit", "absent_codes", "repeats")
+_LEAPS = ("kurtosis", "extreme", "noise_excess", "force_square")
+"""Probes that move where readings leap from one stretch of codes to another."""
+
+_STEPS = tuple(2**bits for bits in range(1, 13))
+_ODD_ONES = 0.01
+"""Share of codes that are anything: glitches."""
+
+_HIGHEST_BIT = 12
+
+_FEWEST = 3
+"""Fewer different codes have a common divisor by chance."""
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The greatest step of which (nearly) all codes are multiples, and the power of two in it; bits that are never set,
+    though codes leap over where they would be; codes before a carry that never come.
+    """
+    yield from with_removal(evidence, Quantisation.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+    usual = code_span(evidence.header).step
+    if not evidence.is_odd(*_PROBES, *_LEAPS):
+        return
+    codes = [codes for seen in evidence.seen for codes in seen.raw.codes if len(codes.codes)]
+    merged = reduce(Histogram.merge, codes, NOTHING)
+    divisor = _divisor(merged)
+    powers = [step for step in _STEPS if divisor and divisor % step == 0]
+    for step in dict.fromkeys((divisor, *powers[-1:])):
+        if step > usual:
+            yield Hypothesis((Quantisation(float(step)),))
+    if divisor not in (0, usual):
+        return
+    for bit in range(_HIGHEST_BIT):
+        if _is_dead(bit, merged, codes):
+            yield from _with_what_hides(evidence, Quantisation(dead_bits=float(1 << bit)), 2 << bit, 1 << bit)
+    each = {carry: missing for carry in _STEPS[1:] if (missing := _missing(carry, merged, codes))}
+    if each:  # of every 16 all but two are, of every four, two
+        carry = max(each, key=lambda carry: each[carry] / carry)
+        found = Quantisation(carry_lsb=float(carry), missing_lsb=float(each[carry]))
+        yield from _with_what_hides(evidence, found, carry, each[carry])
+
+
+def _with_what_hides(evidence: Evidence, found: Quantisation, period: int, stretch: int) -> Iterator[Hypothesis]:
+    """With the parameters of the fit, and with those that the sensor has behind the codes that come."""
+    yield Hypothesis((found,))
+    fitted = behind(evidence, found.coded, period, stretch)
+    if fitted is not None:
+        yield Hypothesis((found,), fitted=fitted)
+
+
+def _divisor(merged: Histogram) -> int:
+    """Of all codes but a hundredth of the readings, over all axes and phases; 0 without one."""
+    least = (1 - _ODD_ONES) * merged.counts.sum()
+    for step in range(_STEPS[-1], 1, -1):
+        on = merged.codes % step == 0
+        if np.count_nonzero(on) >= _FEWEST and merged.counts[on].sum() >= least:
+            return step
+    return 0
+
+
+def _is_dead(bit: int, merged: Histogram, each: Sequence[Histogram]) -> bool:
+    """Whether a bit is clear in all codes but a hundredth of the readings, though those of an axis in a phase leap
+    over a stretch in which it would be set.
+    """
+    clear = merged.counts[merged.codes >> bit & 1 == 0].sum()
+    return bool(clear >= (1 - _ODD_ONES) * merged.counts.sum()) and any(_leaps(bit, codes) for codes in each)
+
+
+def _leaps(bit: int, codes: Histogram) -> bool:
+    low, high = _most(codes)
+    return low >> (bit + 1) != high >> (bit + 1)
+
+
+def _most(codes: Histogram) -> tuple[int, int]:
+    """The lowest and the highest one, but for a hundredth of the readings at either end."""
+    upto = np.cumsum(codes.counts)
+    low, high = codes.codes[np.searchsorted(upto, np.array([_ODD_ONES, 1 - _ODD_ONES]) * upto[-1])].tolist()
+    return low, high
+
+
+def _missing(carry: int, merged: Histogram, each: Sequence[Histogram]) -> int:
+    """How many codes before every multiple of `carry` never come, but that multiple in their place, though readings of
+    an axis in a phase lie on either side; 0 if none.
+    """
+    counts = np.bincount(merged.codes % carry, weights=merged.counts, minlength=carry)
+    upto = np.cumsum(counts[::-1])  # of so many and one codes before the carry
+    few = upto <= _ODD_ONES * counts.sum() * np.arange(1, carry + 1) / carry
+    missing = int(np.argmin(few)) if few[0] else 0
+    there = counts[1 : carry - missing]
+    beside = np.concatenate([there[:2], there[-2:]])
+    if not missing or not len(there) or counts[0] < (1 + missing / 2) * beside.mean():
+        return 0
+    spans = np.array([_most(codes) for codes in each])
+    return missing if ((spans[:, 0] - 1) // carry < (spans[:, 1] - 1) // carry).any() else 0
+
+
+QUANTISATION = Candidate(
+    Quantisation.name, guesses, dict.fromkeys(get_args(Kind), "1000 readings, at rest or in motion")
+)

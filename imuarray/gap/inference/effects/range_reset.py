@@ -1,0 +1,208 @@
+"""`range_reset`: levels and noise scaled by sensitivities of the chip: always, in some boots, or from a row on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.chips import CHIPS
+from imuarray.gap.inference.effects.bistable_bias import rarer
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.effects.levels import levels, log_levels
+from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.effects.single import NUMBERS, stretches
+from imuarray.gap.inference.effects.steps import Onset, States, onsets, states_of_logs
+from imuarray.gap.inference.evidence import Evidence, Span
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.range_reset import RangeReset
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+_WHOLE = ("force_own", "motion_gain", "thermal_slope", "code_ends", "saturated", "code_pile")
+_LOGS = ("run_spread", "run_scatter", "run_two_states", "run_outlier", "mean", "noise")
+_WITHIN = ("noise_halves", "noise_uneven", "mean_halves", "wander", "arch", "kurtosis", "noise_excess", "mean_return")
+_BEYOND = 2.7
+
+_NEAR = 0.25
+"""A response is that of another range if its log is as near to that of the ratio of sensitivities."""
+
+_FREE = ("offset", "noise_share", "probability")
+_NOISE_SHARES = (0.1, 10.0)
+_MOST = 3.0
+"""An offset is not larger than so many times the step that it takes part in."""
+
+_SOON = 2.0
+"""Rows that are lost so many rows behind a stretch are those in which the chip was set up again."""
+
+_OFFSET = 0.005
+"""By how much of the configured range the offsets of ranges differ, or a few times that."""
+
+_NOISE_TOO = 0.3
+"""Of what another range makes of noise that comes before its amplifier, in the log: some of it comes behind."""
+
+_RANGES = 2
+"""So many ranges are tried, those that need the smallest offset and change of noise."""
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Another range always, by the response to force or motion; in some logs; while the recorder found the chip set
+    otherwise; or from the row on at which level or noise change: the offset is what the range leaves of the level,
+    `noise_share` what it leaves of the noise.
+    """
+    yield from with_removal(evidence, RangeReset.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+    if evidence.header.chip not in CHIPS:
+        return
+    if evidence.is_odd(*_WHOLE, beyond=_BEYOND):
+        yield from _always(evidence)
+    if evidence.is_odd(*_LOGS, beyond=_BEYOND):
+        logs, means, errors = log_levels(levels(evidence))
+        rare = rarer(means, errors) if len(means) > 1 else None
+        if rare is not None and (states := states_of_logs(evidence, rare)) is not None:
+            yield from _reset(evidence, states, 0.0, float(rare.mean()))
+            yield from _just_in(evidence, states, logs[rare].tolist())
+    if evidence.resets and evidence.is_odd("doubt", *_WITHIN, beyond=_BEYOND):
+        yield from _noticed(evidence)
+    if evidence.is_odd(*_WITHIN, beyond=_BEYOND) and (found := onsets(evidence)):
+        yield from _within(evidence, found)
+
+
+def _within(evidence: Evidence, found: Sequence[Onset]) -> Iterator[Hypothesis]:
+    """A reset in the log with the clearest step; and in all others in which the same range is left of one."""
+    clearest, *more = found
+    for trial in _reset(evidence, clearest.states, 0.0, 1.0):
+        (first,) = (effect for effect in trial.effects if isinstance(effect, RangeReset))
+        alone = replace(first, onset_s=clearest.onset_s, run=float(clearest.log))
+        others = [
+            replace(effect, onset_s=one.onset_s, run=float(one.log))
+            for one in more
+            for other in _reset(evidence, one.states, 0.0, 1.0)
+            for effect in other.effects
+            if isinstance(effect, RangeReset) and effect.range == first.range
+        ]
+        if others:
+            yield Hypothesis((alone, *others))
+        yield replace(trial, effects=(alone,))
+
+
+def _just_in(evidence: Evidence, states: States, logs: Sequence[int]) -> Iterator[Hypothesis]:
+    """In these logs and no others: chance may put all of them into one part, of which the other knows nothing. Noise
+    has to be another one too, as that of a mere bias is not.
+    """
+    for guess in _cheapest(_guesses(evidence, [states])):
+        ratio = _ratios(evidence)[guess.effect.range]
+        changed = np.log(states.noise_after / states.noise_before) / np.log(ratio)
+        if changed.min() > _NOISE_TOO:
+            effect = replace(guess.effect, runs=tuple(map(float, logs)))
+            yield Hypothesis((effect,), whole=True, rarity=NUMBERS * len(logs) + _unlike(evidence, guess.size))
+
+
+def _noticed(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Stretches that the recorder noticed, however short: the range that takes readings before to those within, and the
+    rows that were lost while the chip was set up again.
+    """
+    resets = [one for _, one in evidence.resets]
+    scale = evidence.header.sensitivity
+    sides = [
+        States(*(side / scale for side in (one.before, one.within, one.noise_before, one.noise_within)))
+        for one in resets
+    ]
+    row_s = 1 / evidence.rows_per_s
+    lost = [
+        hole
+        for hole in evidence.holes
+        if any(log == hole.log and abs(one.end_s - hole.moment_s) < _SOON * row_s for log, one in evidence.resets)
+    ]
+    known = stretches([Span(log, one.moment_s, one.end_s - one.moment_s) for log, one in evidence.resets])
+    doubts_s = tuple(one.moment_s - one.doubt_s for one in resets)
+    missing = DroppedSamples(**stretches(lost))
+    numbers = NUMBERS * (len(resets) + len(lost))
+    found = [(_unlike(evidence, guess.size), guess.effect) for guess in _guesses(evidence, sides)]
+    for rarity, effect in sorted(found, key=lambda one: one[0])[:_RANGES]:  # so few readings say little of the noise
+        told = replace(effect, **known, doubts_s=doubts_s, blanks_s=tuple(one.blank_s for one in resets))
+        effects = (told, *([missing] if lost else []))
+        yield Hypothesis(effects, whole=True, rarity=numbers + rarity)
+
+
+def _unlike(evidence: Evidence, size: float) -> float:
+    """Nats by which an offset is rarer than none: what few readings show another range explains with another one."""
+    return float(np.log1p((size / (_OFFSET * evidence.header.range)) ** 2))
+
+
+def _ratios(evidence: Evidence) -> dict[float, float]:
+    """Counts per unit of the other ranges over those of the one that is configured."""
+    header = evidence.header
+    sensitivities = CHIPS[header.chip].sensitivity
+    return {
+        other: sensitivity / header.sensitivity
+        for other, sensitivity in sensitivities.items()
+        if other != header.range and abs(sensitivity / header.sensitivity - 1) > 1e-3
+    }
+
+
+def _always(evidence: Evidence) -> Iterator[Hypothesis]:
+    shown = []
+    if evidence.header.quantity == "specific_force":
+        shown.append(1 + float(np.nanmedian(evidence.typical("force_own"))))
+    if "motion_gain" in evidence.values:
+        shown.append(float(np.nanmedian(np.append(evidence.values["motion_gain"], 1.0))))
+    for other, ratio in _ratios(evidence).items():
+        if any(one > 0 and abs(np.log(one / ratio)) < _NEAR for one in shown):
+            yield Hypothesis((RangeReset(range=other),))
+
+
+class _Guess(NamedTuple):
+    """What it costs; root mean square of the offsets that each pair of sides asks for."""
+
+    cost: float
+    size: float
+    effect: RangeReset
+
+
+def _reset(evidence: Evidence, states: States, onset_s: float, probability: float) -> Iterator[Hypothesis]:
+    """By the levels and noises before and after, of the true ones: r (x + offset), r share noise."""
+    free = _FREE if probability < 1 else _FREE[:2]
+    for guess in _cheapest(_guesses(evidence, [states])):
+        yield Hypothesis((replace(guess.effect, onset_s=onset_s, probability=probability),), free)
+
+
+def _guesses(evidence: Evidence, sides: Sequence[States]) -> Iterator[_Guess]:
+    """Of each other range, with the offset and the noise that it leaves in the middle of all pairs of sides."""
+    step = float(np.median([np.linalg.norm(one.after - one.before) for one in sides]))
+    for other, ratio in _ratios(evidence).items():
+        offsets = np.array([one.after / ratio - one.before for one in sides])
+        offset = np.median(offsets, axis=0)
+        shares = np.array([one.noise_after / (ratio * one.noise_before) for one in sides])
+        known = shares[np.isfinite(shares).all(axis=1)]
+        share = np.median(known, axis=0) if len(known) else np.ones(3)
+        if not ((share > _NOISE_SHARES[0]) & (share < _NOISE_SHARES[1])).all():
+            continue
+        size = float(np.sqrt(np.mean(np.square(offsets).sum(axis=1))))  # faces tell a wrong range by other ones each
+        if size > _MOST * step:
+            continue
+        (x, y, z), (a, b, c) = offset.tolist(), share.tolist()
+        cost = size / step + float(np.abs(np.log(share)).mean())
+        yield _Guess(cost, size, RangeReset(other, (x, y, z), (a, b, c)))
+
+
+def _cheapest(found: Iterable[_Guess]) -> list[_Guess]:
+    return sorted(found, key=lambda one: one.cost)[:_RANGES]
+
+
+RANGE_RESET = Candidate(
+    RangeReset.name,
+    guesses,
+    {
+        "tumble": "all six faces, 1 minute each",
+        "turn-on": "20 boots of 1 minute",
+        "static": "still for an hour, on a face that the sensor's z axis feels",
+        "motion": "turns and strokes along every axis, 1 minute",
+    },
+)

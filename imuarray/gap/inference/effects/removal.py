@@ -1,0 +1,38 @@
+"""An effect that the model has and the sensor has not: taken out, or replaced by one of its kind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.evidence import Evidence
+
+ORDINARY = frozenset({"white_noise", "bias", "thermal_bias", "scale", "misalignment", "g_sensitivity", "own_clock"})
+"""What every sensor has: fitted, or drawn from a population."""
+
+
+def removals(evidence: Evidence, name: str) -> Iterator[Hypothesis]:
+    """The trial without effects of this kind, if the model has any that isn't ordinary."""
+    if _has(evidence, name):
+        yield Hypothesis((), removed=name)
+
+
+def with_removal(
+    evidence: Evidence, name: str, guesses: Iterable[Hypothesis], *, several: bool = False
+) -> Iterator[Hypothesis]:
+    """The trial without effects of this kind, and the `guesses` that add one. Where the model has one already each of
+    these takes its place, since two of a kind can't be told apart; unless a sensor may have `several`: then it is both
+    added and put in its place.
+    """
+    yield from removals(evidence, name)
+    has = _has(evidence, name)
+    for guess in guesses:
+        if has:
+            yield replace(guess, removed=name)
+        if not has or several:
+            yield guess
+
+
+def _has(evidence: Evidence, name: str) -> bool:
+    return name not in ORDINARY and any(effect.name == name for effect in evidence.effects)

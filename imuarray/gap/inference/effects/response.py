@@ -1,0 +1,96 @@
+"""How a sensor's axes respond to what they should feel: to the faces that were up, and to the motion of the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.statistics.probes.level import mean
+
+Floats = npt.NDArray[np.float64]
+
+MOTION_WEIGHT = 0.1
+"""Of a motion beside a face: shares of a noisy reference fill in what no face tells."""
+
+_LEAST_SHARE = 0.1
+"""A motion of which even the model shows less says nothing."""
+
+ODD, DOUBTFUL = 2.5, 1.5
+"""Scores beyond which there is something to explain, and beyond which an axis may have a part in it."""
+
+_AXES = np.arange(3)
+
+
+@dataclass(frozen=True)
+class Response:
+    """`felt` and `read` (p, 3): what the sensor should have shown along its axes and what it did show, less their
+    means; unit vectors where the attitude or the motion was all that changed.
+    """
+
+    felt: Floats
+    read: Floats
+
+    @property
+    def error(self) -> Floats:
+        """(3, 3) E of read = (1 + E) felt, row i of axis i; 0 for directions that were never felt."""
+        return np.asarray(np.linalg.lstsq(self.felt, self.read - self.felt, rcond=0.05)[0].T)
+
+    def misfit(self, matrix: Floats) -> float:
+        """Sum of squares that `matrix` (3, 3) as the response leaves."""
+        return float(((self.read - self.felt @ matrix.T) ** 2).sum())
+
+
+def response(evidence: Evidence) -> Response | None:
+    """From the phases at rest on several faces, and from motion; None without either."""
+    parts = [part for part in (_of_faces(evidence), _of_motion(evidence)) if part is not None]
+    if not parts:
+        return None
+    return Response(np.concatenate([part.felt for part in parts]), np.concatenate([part.read for part in parts]))
+
+
+def size_of_score(evidence: Evidence, *probes: str) -> Floats:
+    """(3,) how odd an axis is by these probes, or by the means on faces where these say nothing."""
+    said = [probe for probe in probes if np.isfinite(evidence.scores.get(probe, np.nan)).any()]
+    return np.abs(evidence.score(*(said or ["mean"])))
+
+
+def _of_faces(evidence: Evidence) -> Response | None:
+    """Each attitude counts alike, however often it was taken up. A gyroscope feels nothing at rest."""
+    if evidence.header.quantity == "angular_rate" or not any(evidence.fitted.rms):
+        return None
+    faces: dict[tuple[float, ...], list[Floats]] = {}
+    for seen in evidence.still:
+        if seen.raw.rows:
+            read = evidence.fitted.felt_by(seen.raw)
+            felt = read - mean(seen.left)
+            faces.setdefault(tuple(np.round(felt, 1).tolist()), []).append(np.array([felt, read]))
+    if len(faces) < 2:
+        return None
+    felt, read = np.array([np.mean(pairs, axis=0) for pairs in faces.values()]).transpose(1, 0, 2)
+    size = np.linalg.norm(felt, axis=1).mean()
+    return Response((felt - felt.mean(axis=0)) / size, (read - read.mean(axis=0)) / size) if size > 0 else None
+
+
+def _of_motion(evidence: Evidence) -> Response | None:
+    """Shares of the others' motion over what the model makes of them, in the median over phases."""
+    shares = [_median(evidence, probe) for probe in ("motion_gain", "motion_next", "motion_after")]
+    usual = shares[0][1]
+    if not (all(np.isfinite(pair).all() for pair in shares) and (np.abs(usual) > _LEAST_SHARE).all()):
+        return None
+    matrix = np.eye(3)
+    for step, (value, expected) in enumerate(shares):
+        matrix[_AXES, (_AXES + step) % 3] = value / usual if step == 0 else (value - expected) / usual
+    return Response(MOTION_WEIGHT * np.eye(3), MOTION_WEIGHT * matrix.T)
+
+
+def _median(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
+    """(3,) value and expectation."""
+    return _over(evidence.values.get(probe)), _over(evidence.expected.get(probe))
+
+
+def _over(rows: Floats | None) -> Floats:
+    known = np.zeros((0, 3)) if rows is None else rows[np.isfinite(rows).all(axis=1)]
+    return np.asarray(np.median(known, axis=0)) if len(known) else np.full(3, np.nan)

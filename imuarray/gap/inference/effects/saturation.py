@@ -1,0 +1,60 @@
+"""`saturation` is recognised by readings that pile up at the outermost code, short of the converter's end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from imuarray.characterise.codes import Histogram
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.converters import code_span
+from imuarray.simulate.effects.saturation import Saturation
+
+_PROBES = ("code_pile", "skewness", "kurtosis", "motion_residual", "motion_gain", "force_square", "force_own")
+_PILE = 3.0
+"""Standard deviations by which the last code outnumbers the one before."""
+
+_MOST = 2
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The largest codes at which an axis piles up."""
+    yield from with_removal(evidence, Saturation.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+    if not evidence.is_odd(*_PROBES):
+        return
+    span = code_span(evidence.header)
+    ends = (end for seen in evidence.seen for codes in seen.raw.codes for end in _piled(codes))
+    limits = {abs(end) for end in ends if span.lowest < end < span.highest and end}
+    for limit in _apart(sorted(limits, reverse=True))[:_MOST]:
+        yield Hypothesis((Saturation(limit / evidence.header.sensitivity),), ("limit",))
+
+
+def _piled(seen: Histogram) -> Iterator[int]:
+    """The ends with a pile; the root of a Poisson count scatters by 1/2."""
+    if len(seen.codes) < 2:
+        return
+    for last, before in ((0, 1), (-1, -2)):
+        here, beside = np.sqrt(seen.counts[[last, before]] + 3 / 8)
+        if np.sqrt(2) * (here - beside) > _PILE:
+            yield int(seen.codes[last])
+
+
+def _apart(limits: list[int]) -> list[int]:
+    """Descending codes without those that are the one before, rounded otherwise."""
+    return [code for at, code in enumerate(limits) if at == 0 or limits[at - 1] - code > 1]
+
+
+SATURATION = Candidate(
+    Saturation.name,
+    guesses,
+    {
+        "tumble": "all six faces, 1 minute each",
+        "motion": "strokes and turns up to the range, along every axis",
+    },
+)

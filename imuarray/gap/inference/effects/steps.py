@@ -1,0 +1,127 @@
+"""Two states of a sensor: level and noise in one part of its logs and in the rest."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.gap.model.rest import REFERENCE_DEGC
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+_LEAST = 3
+"""Segments on each side of a step."""
+
+_ROUNDING_LSB2 = 0.01
+"""Least variance in squared counts: readings that are all alike have a noise too."""
+
+_CLEAR = 15.0
+"""By so many nats two states have to fit better than one."""
+
+
+class States(NamedTuple):
+    """(3,) readings before and after, in the unit by the configured sensitivity, on the same face, and noises."""
+
+    before: Floats
+    after: Floats
+    noise_before: Floats
+    noise_after: Floats
+
+
+class Onset(NamedTuple):
+    """From `onset_s` on in log number `log` another state holds, which explains it by `nats` better."""
+
+    log: int
+    onset_s: float
+    states: States
+    nats: float
+
+
+class _Series(NamedTuple):
+    """Segments in order: (s,) times, (s, 3) levels less the model's, what the model predicts, and variances."""
+
+    time_s: Floats
+    left: Floats
+    predicted: Floats
+    variance: Floats
+
+
+def onsets(evidence: Evidence) -> list[Onset]:
+    """The clearest step of level and noise within each log that has a clear one, the clearest first."""
+    found: list[Onset] = []
+    for log in dict.fromkeys(one.log for one in evidence.still):
+        series = _series(evidence, [one for one in evidence.still if one.log == log])
+        if len(series.time_s) < 2 * _LEAST + 2:
+            continue
+        gains = np.array([_gain(series, at) for at in range(_LEAST, len(series.time_s) - _LEAST)])
+        at = int(gains.argmax()) + _LEAST
+        if gains.max() > _CLEAR:
+            found.append(Onset(log, _time(series, at), _states(series, at), float(gains.max())))
+    return sorted(found, key=lambda one: -one.nats)
+
+
+def states_of_logs(evidence: Evidence, rare: Bools) -> States | None:
+    """What the `rare` ones of the logs (l,) show on the face that the first one of all has."""
+    logs = sorted({one.log for one in evidence.still})
+    if len(logs) != len(rare):
+        return None
+    series = [_series(evidence, [one for one in evidence.still if one.log == log][:1]) for log in logs]
+    sides = [[one for one, is_rare in zip(series, rare, strict=True) if is_rare == side] for side in (False, True)]
+    usual, other = (_Series(*(np.concatenate(column) for column in zip(*side, strict=True))) for side in sides)
+    if not len(usual.time_s) or not len(other.time_s):
+        return None
+    felt = usual.predicted.mean(axis=0)
+    return States(
+        felt + usual.left.mean(axis=0),
+        other.predicted.mean(axis=0) + other.left.mean(axis=0),
+        np.sqrt(np.median(usual.variance, axis=0)),
+        np.sqrt(np.median(other.variance, axis=0)),
+    )
+
+
+def _series(evidence: Evidence, phases: list[PhaseEvidence]) -> _Series:
+    scale, parts = evidence.header.sensitivity, []
+    for one in phases:
+        raw, left = one.raw.segments, one.left.segments
+        held = (raw.rows > 3) & np.isfinite(raw.temperature_degc)
+        warm = (raw.temperature_degc[held, None] - REFERENCE_DEGC) * np.array(evidence.fitted.slope)
+        predicted = (raw.mean[held] - left.mean[held]) / scale - warm
+        variance = raw.steady_variance[held] * (raw.rows[held] / (raw.rows[held] - 1.0))[:, None]
+        variance = np.maximum(variance, _ROUNDING_LSB2) / scale**2
+        parts.append((raw.time_s[held], left.mean[held] / scale, predicted, variance))
+    return _Series(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _gain(series: _Series, at: int) -> float:
+    """Nats by which two levels and variances explain segments better than one of each."""
+
+    values = np.concatenate([series.left, np.log(series.variance)], axis=1)
+    whole = (len(values) * values.var(axis=0)).clip(1e-30)
+    parts = at * values[:at].var(axis=0) + (len(values) - at) * values[at:].var(axis=0)
+    return float(len(values) / 2 * np.log(whole / parts.clip(1e-6 * whole)).sum())
+
+
+def _states(series: _Series, at: int) -> States:
+    """From the segments that are wholly on either side, referred to the face that is up at the step."""
+    before, after = slice(None, at - 1), slice(at + 1, None)
+    face = series.predicted[at]
+    return States(
+        face + np.median(series.left[before], axis=0),
+        face + np.median(series.left[after], axis=0),
+        np.sqrt(np.median(series.variance[before], axis=0)),
+        np.sqrt(np.median(series.variance[after], axis=0)),
+    )
+
+
+def _time(series: _Series, at: int) -> float:
+    """Within the segment before or after, by the share of the step that its mean has taken."""
+    low, high = np.median(series.left[: at - 1], axis=0), np.median(series.left[at + 1 :], axis=0)
+    axis = int(np.abs(high - low).argmax())
+    width = float(np.median(np.diff(series.time_s)))
+    inner = series.left[at - 1 : at + 1, axis]
+    shares = np.clip((inner - low[axis]) / (high - low)[axis], 0.0, 1.0) if high[axis] != low[axis] else np.zeros(2)
+    return float(series.time_s[at] + width / 2 - width * shares.sum())

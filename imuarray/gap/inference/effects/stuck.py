@@ -1,0 +1,128 @@
+"""`stuck` is recognised by runs of equal rows that are longer than holding and chance make them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, get_args
+
+import numpy as np
+
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
+from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.effects.single import NUMBERS, SINGLE, stretches
+from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.simulate.effects.stuck import Stuck
+
+_PROBES = ("longest_repeat", "repeats", "stale", "noise_uneven")
+_LEAST_ROWS = 8
+_HOLDS = 4.0
+"""So many times longer than readings are held on average."""
+
+_MOST = 2
+_AGAIN = 3
+"""Phases with such a run; fewer are single events."""
+
+_FEWEST = 2
+"""Stretches that are told one by one."""
+
+_BEYOND = 1.5
+"""So many times longer than the longest run that the model makes in any phase."""
+
+
+class _Run(NamedTuple):
+    """Seconds since the epoch of log `log` in which every reading is the one before; `open` until the phase's end."""
+
+    log: int
+    onset_s: float
+    end_s: float
+    open: bool
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The longest runs, runs over several phases in one piece; one that lasts to the log's end lasts for ever. Where
+    many phases have one: again and again, as much time in all as rows are held; and where they are few enough, each of
+    them, since chance puts them into other phases.
+    """
+    yield from with_removal(evidence, Stuck.name, _found(evidence))
+
+
+def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+    if not evidence.is_odd(*_PROBES):
+        return
+    runs = sorted(_runs(evidence), key=lambda run: run.onset_s - run.end_s)
+    if len(runs) >= _AGAIN:
+        yield from _again(evidence, runs)
+    yield from _one_by_one(evidence)
+    for run in runs[:_MOST]:
+        for_ever = run.open and run.end_s >= _end_s(evidence, run.log)
+        duration_s = math.inf if for_ever else run.end_s - run.onset_s
+        yield Hypothesis((Stuck(run.onset_s, duration_s, kind=_kind(evidence)),))
+
+
+def _again(evidence: Evidence, runs: Sequence[_Run]) -> Iterator[Hypothesis]:
+    """As long as these are, and as often as it takes for all the rows that are held."""
+    length_s = float(np.median([run.end_s - run.onset_s for run in runs]))
+    held = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.seen)
+    rows = sum(seen.raw.rows for seen in evidence.seen)
+    every_s = length_s * (rows / max(held, length_s * evidence.rows_per_s) - 1)
+    if every_s > 0:
+        stuck = Stuck(duration_s=length_s, every_s=every_s, kind=_kind(evidence))
+        yield Hypothesis((stuck,), ("duration_s", "every_s"))
+
+
+def _one_by_one(evidence: Evidence) -> Iterator[Hypothesis]:
+    """All stretches that are longer than the model makes them."""
+    longest = np.exp(evidence.expected.get("longest_repeat", np.zeros((0, 1)))) + 0.5  # rows, the first one too
+    least = _BEYOND * float(np.nanmax(longest, initial=1.0)) - 1
+    held = [span for span, rows in evidence.held if rows >= least]
+    if not _FEWEST <= len(held) <= SINGLE:
+        return
+    yield Hypothesis((Stuck(kind=_kind(evidence), **stretches(held)),), whole=True, rarity=NUMBERS * len(held))
+
+
+def _kind(evidence: Evidence) -> str:
+    """Whether the chip says that it has nothing new, of most rows that are repeated."""
+    repeated = sum(float(np.nan_to_num(seen.raw.repeats.repeat_share)) * seen.raw.rows for seen in evidence.seen)
+    return "stale" if sum(seen.raw.flags["stale"] for seen in evidence.seen) > repeated / 2 else "new"
+
+
+def _runs(evidence: Evidence) -> list[_Run]:
+    """The longest of each phase, joined where one goes on in the next phase of the log."""
+    joined: list[_Run] = []
+    order = sorted(evidence.seen, key=lambda seen: (seen.log, seen.raw.phase.start_ns))
+    for seen in order:
+        run = _longest(seen, evidence.rows_per_s)
+        if run is None:
+            continue
+        last = joined[-1] if joined else None
+        if last is not None and last.open and last.log == seen.log and seen.raw.repeats.longest_row == 0:
+            joined[-1] = last._replace(end_s=run.end_s, open=run.open)
+        else:
+            joined.append(run)
+    return joined
+
+
+def _longest(seen: PhaseEvidence, rows_per_s: float) -> _Run | None:
+    """None for one that holding and chance make."""
+    repeats, phase = seen.raw.repeats, seen.raw.phase
+    hold = _HOLDS / repeats.new_share if repeats.new_share > 0 else 0.0
+    if repeats.longest < max(_LEAST_ROWS, hold):
+        return None
+    rows = seen.raw.segments.rows
+    edges_s = phase.start_ns * 1e-9 + seen.raw.segments.width_s * np.arange(len(rows) + 1)
+    upto = np.concatenate([[0], np.cumsum(rows)])
+    first = repeats.longest_row + (repeats.longest_row > 0)  # the reading that is repeated is not one of them
+    ends = (first, repeats.longest_row + repeats.longest)
+    onset_s, end_s = np.interp(ends, upto, edges_s).tolist()
+    half_s = 0.5 / rows_per_s  # between two rows
+    return _Run(seen.log, max(onset_s - half_s, 0.0), end_s - half_s, ends[1] >= seen.raw.rows)
+
+
+def _end_s(evidence: Evidence, log: int) -> float:
+    """When its last phase ends, less a row."""
+    end_ns = max(seen.raw.phase.end_ns for seen in evidence.seen if seen.log == log)
+    return end_ns * 1e-9 - 1 / evidence.rows_per_s
+
+
+STUCK = Candidate(Stuck.name, guesses, dict.fromkeys(get_args(Kind), "the same again, for as long as possible"))

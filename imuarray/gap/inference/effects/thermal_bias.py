@@ -1,0 +1,58 @@
+"""`thermal_bias`: levels that follow the square of the temperature, beside the straight line that is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.effects.levels import Levels, levels
+from imuarray.gap.inference.effects.thermal import BEYOND, LEAST_DEGC, TRACES, fitted, is_warmed, warmth
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+
+Floats = npt.NDArray[np.float64]
+
+_CLEAR = 2.0
+"""A coefficient so many standard errors from 0 is one."""
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The quadratic term by least squares; a linear one where only the levels of several logs tell it, which the base
+    model doesn't fit.
+    """
+    found = levels(evidence)
+    if not len(found.degc) or not evidence.is_odd(*TRACES, beyond=BEYOND):
+        return
+    if is_warmed(found):
+        yield from _squares(found)
+    elif np.ptp(found.degc) >= LEAST_DEGC:
+        yield from _between_logs(found)
+
+
+def _squares(found: Levels) -> Iterator[Hypothesis]:
+    """With the slope that goes with them: the straight line that was fitted lies along the curve where the sensor was
+    warm, and would turn away from it there if the square were put on top.
+    """
+    warm = warmth(found)
+    fit = fitted(np.stack([warm, warm**2], axis=1), found.mean, found.group)
+    clear = np.abs(fit.coefficient[1]) > _CLEAR * fit.error[1]
+    if clear.any():
+        slope, quadratic = np.where(clear, fit.coefficient, 0.0).tolist()
+        yield Hypothesis((ThermalBias(tuple(slope), tuple(quadratic)),), ("quadratic",))
+
+
+def _between_logs(found: Levels) -> Iterator[Hypothesis]:
+    """Of levels on one face at several temperatures."""
+    faces = np.unique(np.nan_to_num(found.felt_g.round(3), nan=9.0), axis=0, return_inverse=True)[1].reshape(-1)
+    fit = fitted(warmth(found)[:, None], found.mean, faces)
+    if fit.coefficient.any():
+        x, y, z = fit.coefficient[0].tolist()
+        yield Hypothesis((ThermalBias(slope=(x, y, z)),), ("slope",))
+
+
+THERMAL_BIAS = Candidate(
+    ThermalBias.name, guesses, {"heating": "heat by 20 degC and let cool, twice, on one face, 10 minutes each way"}
+)

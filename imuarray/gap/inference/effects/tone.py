@@ -1,0 +1,132 @@
+"""`tone`: a line in the spectrum, that stays where it is or drifts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import theilslopes
+
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.effects.lines import highest_lines, pooled
+from imuarray.gap.inference.effects.removal import with_removal
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.effects.tone import Tone
+
+Floats = npt.NDArray[np.float64]
+
+_TRACES = (
+    *("line", "alternation", "noise_excess", "kurtosis", "lag_1", "lag_2", "lag_3", "lag_5"),
+    *("band_2", "band_3", "band_4", "band_5", "band_6", "allan_2", "allan_8", "allan_32"),
+    *("fast_own_axes", "fast_box_axes", "fast_between_axes", "fast_other_chips"),
+)
+_BEYOND = 2.7
+_MAINS_HZ = (50.0, 60.0)
+
+_CLEAR = 2.0
+_LINES = 2
+
+_LEAST_PHASES = 5
+_DRIFTS, _SCATTER = 0.75, 0.25
+"""Bins by which a line has to move to drift, and the share of that by which it may leave a straight course."""
+
+_BETWEEN = 2.0
+
+
+class _Sighting(NamedTuple):
+    """The highest line of one phase at rest: in which log, at `time_s` of it, `power` and `height` (3,)."""
+
+    log: int
+    time_s: float
+    hertz: float
+    bin_hz: float
+    power: Floats
+    height: Floats
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The two highest lines of the mean spectrum at rest, at the frequency at which rows show them; at that of the
+    mains if it is where rows show these. One that is elsewhere in each phase, by its course.
+    """
+    yield from with_removal(evidence, Tone.name, _found(evidence), several=True)
+
+
+def _found(evidence: Evidence) -> Iterator[Hypothesis]:
+    if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
+        return
+    spectrum = pooled([one.raw.spectrum for one in evidence.still])
+    if spectrum is None:
+        return
+    known = [effect for effect in evidence.effects if isinstance(effect, Tone)]
+    bin_hz = evidence.rows_per_s / spectrum.segment_rows
+    places = [_shown_hz(effect.frequency_hz, evidence.rows_per_s) / bin_hz for effect in known]
+    for line in highest_lines(spectrum, _LINES, places):
+        amplitude = _amplitude(evidence, line.power, line.height)
+        yield Hypothesis((Tone(amplitude, _true_hz(line.bin * bin_hz, bin_hz, evidence.rows_per_s)),), ("amplitude",))
+    if not any(effect.drift_hz_per_h for effect in known):
+        yield from _drifting(evidence, [place * bin_hz for place in places])
+
+
+def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]:
+    """The line that is highest in most phases, if it moves straight on in each log. What a single log can't tell is
+    how far from there others begin: twice as far, it is taken, as it drifts in this one.
+    """
+    seen = list(_sightings(evidence, known_hz))
+    if len(seen) < max(_LEAST_PHASES, len(evidence.still) / 2):
+        return
+    logs, time_s, hertz = (np.array([getattr(one, name) for one in seen]) for name in ("log", "time_s", "hertz"))
+    centred = np.zeros((2, len(seen)))
+    for log in set(logs.tolist()):
+        own = logs == log
+        centred[:, own] = [value[own] - np.median(value[own]) for value in (time_s, hertz)]
+    if np.ptp(centred[0]) == 0:
+        return
+    slope = float(theilslopes(centred[1], centred[0]).slope)
+    length_s = np.ptp(time_s)
+    moved_hz = float(abs(slope) * length_s)
+    off_hz = float(np.median(np.abs(centred[1] - slope * centred[0])))
+    if moved_hz < _DRIFTS * max(one.bin_hz for one in seen) or off_hz > _SCATTER * moved_hz:
+        return
+    firsts = [float(np.median((hertz - slope * time_s)[logs == log])) for log in sorted(set(logs.tolist()))]
+    spread_hz = float(np.std(firsts, ddof=1)) if len(firsts) > 1 else _BETWEEN * moved_hz
+    power, height = (np.median([getattr(one, name) for one in seen], axis=0) for name in ("power", "height"))
+    first_hz = max(float(np.mean(firsts)), 0.0)
+    tone = Tone(
+        _amplitude(evidence, power, height), first_hz, frequency_spread_hz=spread_hz, drift_hz_per_h=3600 * slope
+    )
+    yield Hypothesis((tone,), ("amplitude",))
+
+
+def _sightings(evidence: Evidence, known_hz: list[float]) -> Iterator[_Sighting]:
+    for one in evidence.still:
+        spectrum = one.raw.spectrum
+        if spectrum.segments == 0 or not one.raw.intervals.count:
+            continue
+        bin_hz = evidence.rows_per_s / spectrum.segment_rows
+        for line in highest_lines(spectrum, 1, [hertz / bin_hz for hertz in known_hz]):
+            time_s = float(np.nanmean(one.raw.segments.time_s))
+            yield _Sighting(one.log, time_s, line.bin * bin_hz, bin_hz, line.power, line.height)
+
+
+def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> tuple[float, float, float]:
+    """In the sensor's unit, of the axes on which the line is clear."""
+    x, y, z = (np.sqrt(2 * np.where(height > _CLEAR, power, 0.0)) / evidence.header.sensitivity).tolist()
+    return x, y, z
+
+
+def _shown_hz(hertz: float, rows_per_s: float) -> float:
+    """Where rows show it, 0 to half their rate."""
+    return abs(hertz - rows_per_s * round(hertz / rows_per_s))
+
+
+def _true_hz(shown_hz: float, bin_hz: float, rows_per_s: float) -> float:
+    """That of the mains if it shows in the same bin, else what is shown."""
+    alike = [hertz for hertz in _MAINS_HZ if abs(_shown_hz(hertz, rows_per_s) - shown_hz) < bin_hz]
+    return alike[0] if alike and alike[0] > rows_per_s / 2 else shown_hz
+
+
+TONE = Candidate(
+    Tone.name, guesses, {"static": "still for 5 minutes, and again at another poll rate, by which an alias moves"}
+)

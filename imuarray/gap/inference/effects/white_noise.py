@@ -1,0 +1,29 @@
+"""`white_noise`: fitted wherever a sensor was at rest; only one that never was has an unknown noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.effects.white_noise import WhiteNoise
+
+_BEYOND = 3.0
+
+
+def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
+    """What a motion leaves that the other sensors don't explain. Where the base model was fitted its noise can't be too
+    large or small, and one that changes is no white noise: nothing is guessed.
+    """
+    if any(evidence.fitted.rms) or not evidence.is_odd("motion_residual", beyond=_BEYOND):
+        return
+    moving = [one.cross for one in evidence.seen if not one.is_still and one.cross is not None]
+    window_rows = max(moving[0].window_s * evidence.rows_per_s, 1.0) if moving else 1.0
+    variance = evidence.noise**2 * np.exp(np.nanmedian(evidence.values["motion_residual"], axis=0))
+    x, y, z = np.sqrt(np.nan_to_num(variance) * window_rows).tolist()
+    yield Hypothesis((WhiteNoise((x, y, z)),), ("rms",))
+
+
+WHITE_NOISE = Candidate(WhiteNoise.name, guesses, {"static": "still for 1 minute"})

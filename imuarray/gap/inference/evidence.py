@@ -1,0 +1,201 @@
+"""What the training part of a campaign shows of one sensor, in the form in which candidates are guessed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.model.base_model import FittedParameters, residual
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.recording.events import Host
+from imuarray.gap.recording.outliers import Outliers
+from imuarray.gap.recording.repeated_rows import RepeatedRows
+from imuarray.gap.recording.resets import Reset
+from imuarray.gap.statistics.campaign import runs_in
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.runs import Runs
+from imuarray.gap.statistics.split import Side
+from imuarray.gap.statistics.summary import Summary
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.effect import Effect
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PhaseEvidence:
+    """One phase of log number `log` of the campaign: the summary as recorded (`raw`) and with what the model's bias,
+    slope and nominal axes predict taken from the means of its segments (`left`, at rest only; else the same). `cross`
+    is what the array's sensors have in common in it.
+    """
+
+    log: int
+    kind: str
+    is_still: bool
+    raw: Summary
+    left: Summary
+    cross: Cross | None
+
+
+class Span(NamedTuple):
+    """Something happened in log number `log` from `moment_s`, in seconds since its epoch, for `length_s`."""
+
+    log: int
+    moment_s: float
+    length_s: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One sensor: what it shows, and what the model has so far.
+
+    `values`, `expected` and `scores` of each probe are (m, 3), or (m, 1) for a probe of the whole sensor, a row for
+    every phase, log or series of the training part: the statistic, what the model makes of it, and how many standard
+    deviations lie between; nan where nothing is said. `effects` is what the model gives the sensor now, `runs` its
+    boots if there are several logs of a turn-on series, `others` the sensors that measure the same, `holes` where rows
+    that were due were lost, `held` where rows (so many each) repeat the one before, in whatever phase or none, `lone`
+    which of its readings stand alone, by logs, in each phase in which the box moves; `hosts` is what
+    the times of all sensors of a log tell of the host that read them, `resets` are stretches, by logs, in which the
+    recorder found the chip set otherwise.
+    """
+
+    header: SensorHeader
+    fitted: FittedParameters
+    seen: tuple[PhaseEvidence, ...]
+    values: Mapping[str, Floats]
+    expected: Mapping[str, Floats]
+    scores: Mapping[str, Floats]
+    effects: tuple[Effect, ...]
+    runs: Runs | None = None
+    others: tuple[SensorHeader, ...] = ()
+    holes: tuple[Span, ...] = ()
+    held: tuple[tuple[Span, int], ...] = ()
+    lone: tuple[tuple[int, Outliers], ...] = ()
+    hosts: tuple[Host, ...] = ()
+    resets: tuple[tuple[int, Reset], ...] = ()
+
+    @property
+    def still(self) -> tuple[PhaseEvidence, ...]:
+        """The phases at rest."""
+        return tuple(one for one in self.seen if one.is_still)
+
+    @property
+    def noise(self) -> Floats:
+        """(3,) standard deviation of single readings as fitted, in the sensor's unit, rounding included."""
+        return self.fitted.noise(self.header)
+
+    @property
+    def rows_per_s(self) -> float:
+        """Usual rate of the sensor's rows, 1/s."""
+        intervals = [one.raw.intervals.mean_s for one in self.seen if one.raw.intervals.count]
+        return float(1 / np.median(intervals)) if intervals else max(self.header.rate_hz, 1.0)
+
+    def score(self, *probes: str) -> Floats:
+        """(3,) of all scores of these probes the one farthest from 0 on each axis; 0 where none says anything. That of
+        a whole sensor stands for each axis.
+        """
+        rows = [np.broadcast_to(self.scores[probe], (len(self.scores[probe]), 3)) for probe in self._known(probes)]
+        found = np.nan_to_num(np.concatenate([np.zeros((1, 3)), *rows]))
+        return np.asarray(found[np.abs(found).argmax(axis=0), range(3)])
+
+    def is_odd(self, *probes: str, beyond: float = 3.0) -> bool:
+        """Whether any of these probes lies further from what the model makes than that."""
+        return bool((np.abs(self.score(*probes)) > beyond).any())
+
+    def shift(self, probe: str) -> Floats:
+        """(3,) value less what the model makes of it, of the row with the score that is farthest from 0, by axis; 0
+        where nothing is said.
+        """
+        if probe not in self.scores:
+            return np.zeros(3)
+        shape = (len(self.scores[probe]), 3)
+        size = np.abs(np.nan_to_num(np.broadcast_to(self.scores[probe], shape)))
+        apart = np.nan_to_num(np.broadcast_to(self.values[probe] - self.expected[probe], shape))
+        return np.asarray(apart[size.argmax(axis=0), range(3)])
+
+    def typical(self, probe: str) -> Floats:
+        """(3,) median over the rows of value less what the model makes of it; 0 where nothing is said."""
+        apart = self.values[probe] - self.expected[probe] if probe in self.scores else np.zeros((0, 1))
+        known = apart[np.isfinite(apart).all(axis=1)]
+        return np.asarray(np.broadcast_to(np.median(known, axis=0) if len(known) else np.zeros(1), (3,)))
+
+    def _known(self, probes: Sequence[str]) -> list[str]:
+        return [probe for probe in probes if probe in self.scores]
+
+
+def evidence_of(
+    bench: Bench, train: Side, sensor: str, scored: ScoredStatistics, modelled: SensorModel, effects: tuple[Effect, ...]
+) -> Evidence:
+    """What the recorded training part shows of a sensor that is modelled so; `effects` are those that it has."""
+    logs = [(log, bench.motions[at]) for log, at in zip(train.campaign.logs, train.logs, strict=True)]
+    base = replace(bench.base, fitted={**bench.base.fitted, sensor: modelled.fitted})
+    left = residual(train.campaign, [motion for _, motion in logs], base)
+    seen = tuple(
+        PhaseEvidence(boot, log.kind, raw.is_still, raw.sensors[sensor], without.sensors[sensor], raw.cross)
+        for boot, log, bare in zip(train.logs, train.campaign.logs, left.logs, strict=True)
+        for raw, without in zip(log.phases, bare.phases, strict=True)
+        if sensor in raw.sensors
+    )
+    header = seen[0].raw.header
+    others = tuple(
+        other for other in bench.base.headers.values() if other.quantity == header.quantity and other.name != sensor
+    )
+    series = train.campaign.series().get("turn-on", ())
+    numbered = zip(train.logs, train.campaign.logs, strict=True)
+    events = [(number, log.events[sensor]) for number, log in numbered if sensor in log.events]
+    return Evidence(
+        header,
+        modelled.fitted,
+        seen,
+        _by_probe(scored, scored.values),
+        _by_probe(scored, scored.expected),
+        _by_probe(scored, scored.scores),
+        effects,
+        runs_in(series, sensor) if series else None,
+        others,
+        tuple(hole for log, own in events for hole in _holes(log, own.holes)),
+        tuple(held for log, own in events for held in _held(log, own.held)),
+        tuple((log, lone) for log, own in events for lone in own.lone),
+        tuple(own.host for _, own in events),
+        tuple((log, reset) for log, own in events for reset in own.resets),
+    )
+
+
+def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
+    """Half a row and more away from the rows that came."""
+    for before_ns, after_ns, missing in holes:
+        row_s = (after_ns - before_ns) * 1e-9 / (missing + 1)
+        yield Span(log, before_ns * 1e-9 + row_s / 2, missing * row_s)
+
+
+def _held(log: int, held: RepeatedRows) -> Iterator[tuple[Span, int]]:
+    """From half a row before the first repetition to half a row after the last one."""
+    for rows, begin_ns, end_ns in zip(held.rows.tolist(), held.begin_ns.tolist(), held.end_ns.tolist(), strict=True):
+        row_s = (end_ns - begin_ns) * 1e-9 / (rows - 1)
+        yield Span(log, begin_ns * 1e-9 - row_s / 2, rows * row_s), rows
+
+
+class ScoredStatistics(NamedTuple):
+    """Statistics of one sensor (n,): the recording's, what the model makes of them, scores, and which part each is
+    of.
+    """
+
+    keys: Sequence[Key]
+    held_out: Sequence[bool]
+    values: Floats
+    expected: Floats
+    scores: Floats
+
+
+def _by_probe(scored: ScoredStatistics, values: Floats) -> dict[str, Floats]:
+    """(m, 3) or (m, 1) of each probe."""
+    rows: dict[str, dict[tuple[bool, int, str, int], list[float]]] = {}
+    for key, out, value in zip(scored.keys, scored.held_out, values.tolist(), strict=True):
+        rows.setdefault(key.probe, {}).setdefault((out, key.log, key.phase, key.phase_number), []).append(value)
+    return {probe: np.array(list(found.values())) for probe, found in rows.items()}

@@ -1,0 +1,86 @@
+"""The numbers of a trial that may be changed, each by a factor, and the trial with them changed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.effects import Hypothesis
+from imuarray.simulate.effect import Effect
+
+Floats = npt.NDArray[np.float64]
+
+
+class Factor(NamedTuple):
+    """A free parameter of a trial's effect, or one number of it: `place` in its list, which belongs to an `axis` 0, 1,
+    2 and is its number `turn` there (a 3x3 response has three for each axis); None: it has no axes.
+    """
+
+    effect: int
+    name: str
+    place: int | None = None
+    axis: int | None = None
+    turn: int = 0
+
+
+def factors_of(trial: Hypothesis) -> list[Factor]:
+    """The free parameters that are not 0, axis by axis."""
+    found = []
+    for name in trial.free:
+        at = next(number for number, effect in enumerate(trial.effects) if hasattr(effect, name))
+        value = getattr(trial.effects[at], name)
+        if isinstance(value, tuple):
+            each = len(value) // 3
+            found += [
+                Factor(at, name, place, place // each, place % each)
+                for place, one in enumerate(value)
+                if one and np.isfinite(one)
+            ]
+        elif value and np.isfinite(value):
+            found.append(Factor(at, name))
+    return found
+
+
+def moved(trial: Hypothesis, factors: Sequence[Factor], steps: Floats) -> Hypothesis:
+    """The trial with its factors times exp(steps); shares and probabilities stay below 1."""
+    effects = list(trial.effects)
+    for factor, step in zip(factors, steps.tolist(), strict=True):
+        effects[factor.effect] = _scaled(effects[factor.effect], factor, float(np.exp(step)), trial.limits)
+    return replace(trial, effects=tuple(effects))
+
+
+def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tuple[float, float]]) -> Effect:
+    value: Any = getattr(effect, factor.name)
+    if factor.place is not None:
+        changed: Any = tuple(one * by if place == factor.place else one for place, one in enumerate(value))
+    else:
+        low, high = limits.get(factor.name, (0.0, 1.0 if factor.name == "probability" else np.inf))
+        changed = min(max(value * by, low), high)
+    try:
+        return replace(effect, **{factor.name: changed})
+    except ValueError:
+        return effect
+
+
+def active_axes(trial: Hypothesis) -> list[int]:
+    """The axes on which the trial's first effect does something, if it has amplitudes by axis."""
+    amplitudes = [getattr(trial.effects[0], name) for name in _amplitudes(trial.effects[0])] if trial.effects else []
+    return [axis for axis in range(3) if any(value[axis] for value in amplitudes)]
+
+
+def _amplitudes(effect: Effect) -> Iterator[str]:
+    """Parameters by axis that do nothing where they are 0."""
+    return (item.name for item in fields(effect) if item.metadata.get("per_axis") and item.default == (0.0, 0.0, 0.0))
+
+
+def without(effect: Effect, axes: set[int]) -> Effect:
+    """The effect with nothing on these axes."""
+    changes = {
+        name: tuple(0.0 if axis in axes else one for axis, one in enumerate(getattr(effect, name)))
+        for name in _amplitudes(effect)
+    }
+    return replace(effect, **changes)

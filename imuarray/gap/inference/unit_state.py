@@ -1,0 +1,276 @@
+"""Where the search stands with a unit (a sensor, or a family): its model, what that makes, and what is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.inference.effects import Hypothesis
+from imuarray.gap.model.base_model import FittedParameters
+from imuarray.gap.model.replication import Models, SensorModel
+from imuarray.gap.statistics.synthetic_likelihood import (
+    FORM,
+    FREEDOM,
+    SyntheticLikelihood,
+    independent_share,
+    likeness_of,
+)
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.effects.channel_swap import ChannelSwap
+
+Floats = npt.NDArray[np.float64]
+
+Unit = tuple[str, ...]
+"""Names of sensors that are looked at together."""
+
+Came = Sequence[Mapping[str, FittedParameters]]
+"""What fits of replicates gave, sensor by sensor."""
+
+REPLICATES = 8
+"""By which a refined trial is judged."""
+
+LOOKS = 2
+"""The first of them, by which a guess is ranked and refined."""
+
+NUMBERS = range(1_000_000, 1_000_000 + REPLICATES)
+"""Of these replicates; the null uses others."""
+
+
+@dataclass(frozen=True)
+class UnitState:
+    """A unit: its `models`, what n statistics are in the recording (`real`) and what the models make of them, in
+    general (`likeness`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
+    what the fit of the recording gave, `independent` the share of the statistics that is. `company` are the models of
+    other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes, of which statistics move
+    alike, and `alike` (n,) those of each axis and kind of log, which scatter alike when they do (none: nothing is known
+    of that), `misfit` the nats that the models' noise lacks. `apart` (n,) is the same share of the statistics that hang
+    together with few others (none: none do).
+    """
+
+    unit: Unit
+    models: Models
+    real: Floats
+    likeness: SyntheticLikelihood
+    values: Floats
+    wanted: Mapping[str, FittedParameters]
+    independent: float
+    company: Models = field(default_factory=dict)
+    probes: npt.NDArray[np.intp] | None = field(default=None, repr=False)
+    alike: npt.NDArray[np.intp] | None = field(default=None, repr=False)
+    misfit: float = 0.0
+    apart: Floats | None = field(default=None, repr=False)
+
+    @property
+    def weight(self) -> Floats | float:
+        """(n,) how much each statistic counts: by the share of all that is independent, or where it is one of those
+        apart by the share of these.
+        """
+        return self.independent if self.apart is None else np.fmax(self.apart, self.independent)
+
+    @property
+    def scores(self) -> Floats:
+        """(n,) of the recording under the present models."""
+        return self.likeness.scores(self.real)
+
+    def changed(self, trial: Hypothesis) -> Models:
+        """The models with the trial's change made to each sensor, or to its own, and the opposite to the others."""
+        effects = dict.fromkeys(trial.others if trial.opposite else (), trial.opposite)
+        if trial.sensor:
+            effects[trial.sensor] = trial.effects
+        else:
+            effects.update(dict.fromkeys(self.models, trial.effects))
+        return {
+            name: _changed(model, replace(trial, effects=effects[name])) if name in effects else model
+            for name, model in self.models.items()
+        }
+
+    def settled(self, models: Models, came: Came, before: tuple[Models, Came] | None = None) -> Models:
+        """`models` with ordinary parameters moved by what the fits of their replicates, which `came`, lack; by these
+        and what came of the models `before`, if there are any. Those of a sensor that reads another's data do nothing,
+        and stay.
+        """
+        return {name: self._settled(name, model, came, before) for name, model in models.items()}
+
+    def _settled(self, name: str, model: SensorModel, came: Came, before: tuple[Models, Came] | None) -> SensorModel:
+        if reads_another(model):
+            return model
+        own = [fitted[name] for fitted in came]
+        if before is None:
+            return replace(model, fitted=model.fitted.moved(self.wanted[name], own))
+        models, gone = before
+        last = models[name].fitted, [fitted[name] for fitted in gone]
+        return replace(model, fitted=model.fitted.between(self.wanted[name], own, *last))
+
+    def misfit_of(self, headers: Mapping[str, SensorHeader], came: Came) -> float:
+        """Nats that models lose whose replicates' fits, which `came`, have another noise than the recording's: of
+        statistics over that noise, nothing is left that tells a line of one amplitude from one of twice that.
+        """
+        lost = 0.0
+        for name, wanted in self.wanted.items():
+            square = np.mean([np.square(fitted[name].noise(headers[name])) for fitted in came], axis=0)
+            apart = np.log(square / np.square(wanted.noise(headers[name]))) / 2 / _NOISE_SURE
+            lost += float((FREEDOM + 1) / 2 * np.log1p(np.square(apart) / FREEDOM).sum())
+        return lost
+
+
+def reads_another(model: SensorModel) -> bool:
+    """Whether a sensor has another's data, so that nothing of its own shows."""
+    return any(isinstance(effect, ChannelSwap) and effect.kind == "data" for effect in model.added)
+
+
+def _changed(model: SensorModel, trial: Hypothesis) -> SensorModel:
+    kept = tuple(effect for effect in model.added if effect.name != trial.removed)
+    removed = model.removed | ({trial.removed} if trial.removed else set())
+    fitted = model.fitted if trial.fitted is None else trial.fitted
+    return replace(model, fitted=fitted, added=(*kept, *trial.effects), removed=removed)
+
+
+def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, Floats]:
+    """What a change makes, from its replicates (r, n) beside the first r of those without it: the likeness under it,
+    and (n,) how far it moved each statistic. Draws are the same in both, so that a few replicates do.
+    """
+    before, without = standing.likeness, standing.values[: len(values)]
+    moved, came = values - without, np.isfinite(values)
+    if standing.probes is not None:
+        moved = moved * _kept(moved / before.scale, standing.probes)
+    known = np.isfinite(moved).any(axis=0)
+    shift = np.zeros(moved.shape[1])
+    shift[known] = np.nanmean(moved[:, known], axis=0)
+    location, scale = before.location + shift, before.scale.copy()
+    alike = None if standing.alike is None else standing.alike[known]
+    ratio = _spread_ratio(values[:, known], without[:, known], before.scale[known], alike)
+    scale[known] *= ratio
+    # where a change takes the scatter away, as a delay that outdoes the noise, it doesn't matter where the same
+    # replicates lay before it (a control variate, of a weight that is at most the ratio)
+    kept, straight = np.minimum(ratio, 1.0), np.nanmean(values[:, known], axis=0)
+    paired = kept * location[known] + (1 - kept) * straight
+    location[known] = np.where(np.isfinite(location[known]), paired, location[known])
+    if len(values) >= _PAIRS:  # what is the same every time is that, however it scattered before
+        least = np.fmax(_SAME * (1 + np.abs(values).max(axis=0)), least_scale(before))
+        same = came.all(axis=0) & (np.ptp(values, axis=0) < least)
+        location[same] = values[:, same].mean(axis=0)
+    scale = np.fmax(np.fmax(scale, _SAME * (1 + np.abs(location))), least_scale(before))
+    fresh = came.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
+    alone = likeness_of(values[:, fresh], np.zeros(int(fresh.sum())))
+    location[fresh] = alone.location
+    scale[fresh] = np.fmax(alone.scale, _UNSURE * (1 + np.abs(alone.location)))
+    untold = ~came.any(axis=0) & ~np.isfinite(without).any(axis=0)  # as what is shared with sensors beside the unit
+    never = ~came.any(axis=0) & ~untold
+    location[never & before.always] = np.nan
+    always = (before.always & (came.all(axis=0) | untold)) | fresh
+    silent = np.asarray((never & before.always) | (~came.any(axis=0) & before.never))
+    return SyntheticLikelihood(location, scale, np.asarray(always), silent, *_branched(before, moved, shift)), shift
+
+
+def _branched(before: SyntheticLikelihood, moved: Floats, shift: Floats) -> tuple[Floats, Floats]:
+    """Where each replicate takes the statistics (k, n), on top of where effects that were there before take it, and how
+    wide they scatter there (n,); a replicate without the change moves as they do on average.
+    """
+    if before.branches is None or before.width is None:
+        return before.location + moved, before.scale
+    rest = np.broadcast_to(shift, (max(0, len(before.branches) - len(moved)), len(shift)))
+    return before.branches + np.concatenate([moved, rest])[: len(before.branches)], before.width
+
+
+def least_scale(before: SyntheticLikelihood) -> Floats:
+    """(n,) of the scatter under a model with more in it: where a single event drowns what chance makes, no statistic is
+    known better than the event's form.
+    """
+    return FORM * before.scale
+
+
+def gains_of(standing: UnitState, likeness: SyntheticLikelihood, moved: Floats) -> Floats:
+    """(n,) nats by which a change makes each of the recording's statistics likelier; they add up."""
+    before = standing.likeness.log_density(standing.real)
+    return standing.weight * (likeness.log_density(standing.real, moved) - before)
+
+
+def touched_by(before: SyntheticLikelihood, likeness: SyntheticLikelihood, moved: Floats) -> npt.NDArray[np.bool_]:
+    """(n,) which statistics a change moved, or made wider or narrower, beyond chance."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        widened = np.abs(np.log(likeness.scale / before.scale)) > _WIDER
+    return np.asarray((np.abs(moved) > before.scale) | widened)
+
+
+def counts_of(standing: UnitState, likeness: SyntheticLikelihood, moved: Floats) -> float:
+    """How much more a gain counts whose statistics are more independent than all of the unit's are: few of those that
+    a curved response moves say the same, whatever hundreds of levels do. Never less: that a change moves many of them
+    for one reason is told when it is judged.
+    """
+    touched = touched_by(standing.likeness, likeness, moved)
+    if not touched.any() or len(standing.values) < _PAIRS:
+        return 1.0
+    share = independent_share(standing.likeness.scores(standing.values)[:, touched])
+    return max(share / standing.independent, 1.0)
+
+
+def _kept(moved: Floats, probes: npt.NDArray[np.intp]) -> Floats:
+    """(n,) how much of what each statistic moved by (r, n), in standard deviations, the change did.
+
+    Where a change makes noise fall otherwise, pairs differ by chance alone; what that adds to the mean of r of them is
+    told from their scatter, for all statistics of a probe together, and the rest by how far the means are apart
+    (empirical Bayes: Efron and Morris, J. Am. Stat. Assoc. 68, 1973).
+    """
+    known = np.isfinite(moved).all(axis=0)
+    kept = np.ones(moved.shape[1])
+    for probe in np.unique(probes[known]) if len(moved) > 1 else ():
+        own = moved[:, known & (probes == probe)]
+        by_chance = min(float(own.var(axis=0, ddof=1).mean()), _INDEPENDENT) / len(own)
+        square = float((own.mean(axis=0) ** 2).mean())
+        kept[probes == probe] = max(0.0, 1 - by_chance / square) if square > 0 else 0.0
+    return kept
+
+
+def _spread_ratio(values: Floats, without: Floats, scale: Floats, alike: npt.NDArray[np.intp] | None = None) -> Floats:
+    """(n,) by how much a change widens or narrows the scatter, from replicates with and without it.
+
+    Where a pair agrees closely even a few replicates tell; the log of the ratio is shrunk by how uncertain it is, as
+    the correlation of the pairs says. Few pairs tell only what their differences add to those of independent ones.
+    """
+    if len(values) < _PAIRS:
+        added = _added((values - without) / scale, alike)
+        return np.asarray(np.sqrt(1.0 + np.maximum(added - _INDEPENDENT, 0.0)))
+    spreads = [np.nanstd(side, axis=0) for side in (values, without)]
+    usable = (spreads[0] > 0) & (spreads[1] > 0) & np.isfinite(scale)
+    ratio = np.ones(values.shape[1])
+    first, second = spreads[0][usable], spreads[1][usable]
+    log_ratio = np.log(first / second)
+    apart = np.nanvar(values[:, usable] - without[:, usable], axis=0)
+    together = np.clip((first**2 + second**2 - apart) / (2 * first * second), -1.0, 1.0)
+    variance = (1 - together**2) / (len(values) - 1)
+    ratio[usable] = np.exp(log_ratio * log_ratio**2 / (log_ratio**2 + 2 * variance + _TINY))
+    return ratio
+
+
+def _added(moved: Floats, alike: npt.NDArray[np.intp] | None) -> Floats:
+    """(n,) variance of what few replicates moved by (r, n), in standard deviations; 0 of a single one.
+
+    Two that happen to agree are no proof that a third would: each variance is taken together with the mean one of
+    those alike, as if that were known from `_LIKE_IT` more replicates (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004).
+    """
+    freedom = np.isfinite(moved).sum(axis=0) - 1
+    found = np.zeros(moved.shape[1])
+    several = freedom > 0
+    found[several] = np.nanvar(moved[:, several], axis=0, ddof=1)
+    touched = several & (found > 0)  # of the part that isn't simulated nothing moves
+    for group in np.unique(alike[touched]) if alike is not None else ():
+        own = touched & (alike == group)
+        found[own] = (freedom[own] * found[own] + _LIKE_IT * found[own].mean()) / (freedom[own] + _LIKE_IT)
+    return found
+
+
+_NOISE_SURE = 0.05
+"""Relative error of a noise, as a fit tells it and as a form may have it."""
+
+_PAIRS = 6
+_INDEPENDENT = 2.0
+"""Variance of the difference of two independent readings of variance 1."""
+
+_LIKE_IT = 4.0
+_WIDER = 0.3
+_UNSURE = 0.1
+_TINY = 1e-12
+_SAME = 1e-9

@@ -1,0 +1,1 @@
+"""The fitted base model with its nuisance populations, and its replicates."""

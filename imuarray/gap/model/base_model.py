@@ -1,0 +1,187 @@
+"""The base model: what a simulation has before anything is blamed, its few parameters fitted to a campaign's summaries.
+
+Every sensor has `white_noise`, `bias` and a linear `thermal_bias`, fitted; `scale`, `misalignment` and a gyroscope's
+`g_sensitivity` are drawn anew for every replicate from their populations (`imuarray.gap.model.populations`), since no
+log in one attitude tells them from a bias. The phase of `own_clock` is drawn for every log, since it is another one
+after every boot and no log at rest tells it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.model.gravity import Forces, estimated_forces, forces_left
+from imuarray.gap.model.populations import usual_model
+from imuarray.gap.model.rest import FittedParameters, Rest, felt, fitted_to
+from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
+from imuarray.gap.statistics.catalogue import (
+    AXES,
+    Key,
+    ReplicateStatistics,
+    Statistics,
+    replicate_statistics,
+    statistics,
+)
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.own_clock import OwnClock
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.model import Model
+from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.streams import Streams
+
+__all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "residual"]
+
+Floats = npt.NDArray[np.float64]
+
+_IN_STEP = OwnClock(phase_deg=math.nan)
+"""Of a chip of whose clock the model says nothing."""
+
+_NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
+"""Statistics in logs of the sensor's unit to a power: as many logs of the fitted noise are taken from them."""
+
+_FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
+
+
+@dataclass(frozen=True)
+class Base:
+    """The fitted sensors by name; `model` has the rest of their effects (None: the usual ones are all), of which
+    populations are drawn; `seed` keys the draws. A model that says nothing of a sensor's clock leaves it its own phase
+    at each boot.
+    """
+
+    headers: Mapping[str, SensorHeader]
+    fitted: Mapping[str, FittedParameters]
+    model: Model | None = None
+    seed: int = 0
+
+    def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
+        """The effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
+        drawn = self.drawn(replicate)
+        return {name: (*drawn[name], *fitted.effects()) for name, fitted in self.fitted.items()}
+
+    def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
+        """What isn't fitted: neither noise, bias nor slope, but the curve of a bias over temperature."""
+        units = Streams(replicate_seed(self.seed, replicate))
+        return {name: self._drawn(self.headers[name], units) for name in self.fitted}
+
+    @cached_property
+    def _usual(self) -> Model:
+        return usual_model(self.headers.values())
+
+    def _drawn(self, header: SensorHeader, units: Streams) -> tuple[Effect, ...]:
+        effects = tuple(_unfitted((self.model or self._usual).effects(header, units)))
+        return effects if any(effect.name == OwnClock.name for effect in effects) else (_IN_STEP, *effects)
+
+
+def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = None, seed: int = 0) -> Base:
+    """The base model of a campaign in whose logs the box did `motions`, one for each log.
+
+    From the segments of the phases at rest: noise is the median of their variances; offset the mean of readings less
+    what the nominal axes feel, faces weighted alike (opposite ones cancel an error of scale); slope that of the means
+    over temperature, each log and face about its own mean. Where nobody noted how the box lay, what is felt is the
+    array's own estimate (`imuarray.gap.model.gravity`). A `model` gives the other effects; what these add to noise or
+    level is in the fitted figures as well (`imuarray.gap.inference.comparison.settled` takes it out).
+    """
+    headers, forces = headers_in(campaign), estimated_forces(campaign, motions)
+    fitted = {
+        name: fitted_to(header, list(_at_rest(campaign, motions, forces, name))) for name, header in headers.items()
+    }
+    return Base(headers, fitted, model, seed)
+
+
+def headers_in(campaign: Campaign) -> dict[str, SensorHeader]:
+    """What is known of each sensor of a campaign."""
+    phases = (phase for log in campaign.logs for phase in log.phases)
+    return {name: summary.header for phase in phases for name, summary in phase.sensors.items()}
+
+
+def residual(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Campaign:
+    """The campaign with what `base` predicts of the phases at rest taken from the means of their segments: what is
+    left of a level, a slope or a face is what the fit doesn't explain, whatever its parameters are. An attitude that
+    nobody noted is the one that its accelerometers tell on average, by their parameters.
+    """
+    fitted = base.fitted
+    forces = forces_left(campaign, motions, lambda summary: fitted[summary.header.name].felt_by(summary))
+    logs = []
+    for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
+        parts = [
+            _left(part, motion, forces.get((number, part.phase.start_ns)), base) if part.is_still else part
+            for part in log.phases
+        ]
+        logs.append(replace(log, phases=tuple(parts)))
+    return Campaign(tuple(logs))
+
+
+def residual_statistics(campaign: Campaign, motions: Sequence[Motion], base: Base) -> Statistics:
+    """Statistics of what a fit leaves, to the campaign or to another part of it: of levels less the predicted ones, of
+    noises over the fitted ones.
+    """
+    found = statistics(residual(campaign, motions, base))
+    return replace(found, values=found.values - _predictions(found.keys, [base])[0])
+
+
+def replicated_statistics(
+    campaigns: Sequence[Campaign], motions: Sequence[Motion], bases: Sequence[Base], sensors: Collection[str]
+) -> ReplicateStatistics:
+    """The same of these sensors in several replicates, which were looked at alike, by a fit to each."""
+    residuals = [residual(campaign, motions, base) for campaign, base in zip(campaigns, bases, strict=True)]
+    keys, values = replicate_statistics(residuals, sensors)
+    return ReplicateStatistics(keys, values - _predictions(keys, bases))
+
+
+def _predictions(keys: Sequence[Key], bases: Sequence[Base]) -> Floats:
+    """(r, n) what the noise that was fitted makes of statistics in logs, 0 of others."""
+    noises = [
+        {name: fitted.noise(base.headers[name]).tolist() for name, fitted in base.fitted.items()} for base in bases
+    ]
+    predicted = np.zeros((len(bases), len(keys)))
+    for place in [place for place, key in enumerate(keys) if key.probe in _NOISE_POWERS]:
+        key = keys[place]
+        axis = AXES.index(key.axis)
+        predicted[:, place] = [_NOISE_POWERS[key.probe] * math.log(noise[key.sensor][axis]) for noise in noises]
+    return predicted
+
+
+def replicate_seed(seed: int, replicate: int) -> int:
+    """64 bits for each replicate that no small seed has."""
+    high, low = np.random.SeedSequence((seed, replicate)).generate_state(2).tolist()
+    return int(high) << 32 | int(low) | 1 << 63
+
+
+def _at_rest(campaign: Campaign, motions: Sequence[Motion], forces: Forces, sensor: str) -> Iterator[Rest]:
+    for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
+        for phase in log.phases:
+            if not phase.is_still or sensor not in phase.sensors:
+                continue
+            summary = phase.sensors[sensor]
+            part = summary.segments
+            held = part.rows > 0
+            if held.any():
+                gravity = felt(summary, motion, forces.get((number, phase.phase.start_ns)))
+                alone = part.mean / summary.header.sensitivity - gravity
+                group = (number, phase.phase.up or phase.phase.name)
+                yield Rest(group, part.rows[held], part.temperature_degc[held], alone[held], part.steady_variance[held])
+
+
+def _left(phase: PhaseSummary, motion: Motion, force_box: npt.NDArray[np.float64] | None, base: Base) -> PhaseSummary:
+    sensors = {}
+    for name, summary in phase.sensors.items():
+        predicted = felt(summary, motion, force_box) + base.fitted[name].adds(summary)
+        mean = summary.segments.mean - predicted * summary.header.sensitivity
+        sensors[name] = replace(summary, segments=replace(summary.segments, mean=mean))
+    return replace(phase, sensors=sensors)
+
+
+def _unfitted(effects: Iterable[Effect]) -> Iterator[Effect]:
+    for effect in effects:
+        if isinstance(effect, ThermalBias) and any(effect.quadratic):
+            yield replace(effect, slope=(0.0, 0.0, 0.0))
+        elif effect.name not in _FITTED:
+            yield effect

@@ -1,0 +1,222 @@
+"""What a gap means to who uses the sensors: errors of heading and velocity after coasting, of the fused array at rest,
+of force from face to face, and drift under heat.
+
+All from summaries, so that a campaign's rows are read once. A simulation that is looked at as the recording was has its
+figures under the same names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import UP_AXES
+from imuarray.gap.model.base_model import headers_in
+from imuarray.gap.model.use import Figure, Use
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.probes.level import mean
+from imuarray.gap.statistics.summary import Summary
+from imuarray.log.format import Phase
+from imuarray.units import INERTIAL, READABLE_SI, SI_PER_UNIT
+
+Floats = npt.NDArray[np.float64]
+Uses = Mapping[tuple[str, str], tuple[float, str]]
+"""Value and unit of each figure, by its name and sensor ("" for the array)."""
+
+TAUS_S = (60.0, 50.0, 40.0, 30.0, 20.0, 15.0, 10.0, 5.0, 2.0, 1.0)
+"""Coasting times; the longest is taken that the phases at rest can tell."""
+
+_TERMS = 12
+_LEAST_RATIO = 4.25
+"""A phase that lasts so many coasting times has Allan variances of up to twice the time, to interpolate between."""
+
+_LEAST_REPLICATES = 8
+_TINY = np.finfo(float).tiny
+
+_COASTING = {"angular_rate": ("heading", "deg", 180 / np.pi), "specific_force": ("velocity", "m/s", 1.0)}
+_FUSED = {"angular_rate": "rate", "specific_force": "force"}
+_UNITS = {"mg": "mg", "dps": "deg/s"}
+
+
+class Coasting(NamedTuple):
+    """Root mean square `error` (3,) of the integral of each axis, in `unit`: deg, or m/s of an accelerometer, when a
+    bias that was told from `tau_s` at rest is used for the next `tau_s`.
+    """
+
+    tau_s: float
+    error: Floats
+    unit: str
+
+
+def uses_of(campaign: Campaign, residual_campaign: Campaign) -> Uses:
+    """Every figure that the campaign allows; `residual_campaign` is what its own fit leaves of it
+    (`imuarray.gap.model.base_model.residual`).
+
+    Of each inertial sensor, as the root mean square over its axes: error after coasting, residual over faces or poses
+    (from two on, accelerometers only), peak to peak over a heating log. Of the array: fused rate and force at rest.
+    """
+    found: dict[tuple[str, str], tuple[float, str]] = {}
+    for sensor, header in headers_in(campaign).items():
+        if header.quantity not in INERTIAL:
+            continue
+        coasted = coasting(campaign, sensor)
+        if coasted is not None:
+            what = _COASTING[header.quantity][0]
+            found[f"{what} error after coasting {coasted.tau_s:g} s", sensor] = (_rms(coasted.error), coasted.unit)
+        factor, unit = READABLE_SI[header.quantity]
+        for name, value in _residuals(residual_campaign, sensor, header.quantity):
+            found[name, sensor] = (value * factor * SI_PER_UNIT[header.unit], _UNITS[unit])
+    for quantity in INERTIAL:
+        error = fused(campaign, quantity)
+        if error is not None:
+            found[f"fused {_FUSED[quantity]} error at rest", ""] = (error, _UNITS[READABLE_SI[quantity][1]])
+    return {place: figure for place, figure in found.items() if np.isfinite(figure[0])}
+
+
+def coasting(campaign: Campaign, sensor: str) -> Coasting | None:
+    """Error of an inertial sensor after coasting, exactly sqrt(2) tau sigma_A(tau): the integral of the readings less
+    the calibrated bias is the second difference of their running integral, whose mean square is 2 tau^2 sigma_A^2.
+
+    Allan variances at octaves of rows, pooled over the phases at rest by their terms, interpolated in log-log. None if
+    no phase is long enough for the least of `TAUS_S`.
+    """
+    phases = [phase for log in campaign.logs for phase in log.still(sensor) if phase.intervals.count]
+    tau_s = _longest_s(phases)
+    known = [found for phase in phases if tau_s and (found := _allan_at(phase, tau_s)) is not None]
+    if not known:
+        return None
+    header = phases[0].header
+    variance = np.average([one for one, _ in known], axis=0, weights=[terms for _, terms in known])
+    _, unit, factor = _COASTING[header.quantity]
+    error = np.sqrt(2 * variance) * tau_s * SI_PER_UNIT[header.unit] * factor
+    return Coasting(tau_s, np.asarray(error), unit)
+
+
+def fused(campaign: Campaign, quantity: str) -> float | None:
+    """Root mean square over the box's axes, deg/s or mg, of the mean of all sensors of a quantity about its mean in
+    each phase at rest; windows are those of `imuarray.gap.statistics.cross`. None without such sensors beside others.
+    """
+    parts = [
+        (_mean_square(phase.cross, quantity), phase.cross.windows)
+        for log in campaign.logs
+        for phase in log.phases
+        if phase.is_still and phase.cross is not None and phase.cross.windows
+    ]
+    known = [(square, windows) for square, windows in parts if np.isfinite(square)]
+    if not known:
+        return None
+    return float(np.sqrt(np.average([one for one, _ in known], weights=[windows for _, windows in known])))
+
+
+def uses(real: Uses, before: Sequence[Uses], after: Sequence[Uses]) -> tuple[Use, ...]:
+    """The figures of a recording beside those of its simulations before and after the causes were added.
+
+    A simulated figure is the median of the replicates with their 95 % interval. The recorded one scatters about the
+    truth by the factor by which replicates scatter about their median: those `after` if they are 8, else those
+    `before`; nan if neither are.
+    """
+    found = []
+    for (name, sensor), (value, unit) in real.items():
+        first, second = (_values(replicates, (name, sensor)) for replicates in (before, after))
+        scatter = second if len(second) >= _LEAST_REPLICATES else first
+        found.append(Use(name, sensor, unit, _recorded(value, scatter), _simulated(first), _simulated(second)))
+    return tuple(found)
+
+
+def attitude_of(phase: Phase) -> str:
+    """What tells the attitude of a phase at rest from others: the axis that is up, or the name of a pose by hand; "" if
+    nothing does.
+    """
+    return phase.up or (phase.name if phase.name.startswith("pose ") else "")
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _longest_s(phases: Sequence[Summary]) -> float:
+    """By how long the phases were, which simulations share, not by the rows that came; 0 if all are too short."""
+    if not phases:
+        return 0.0
+    lasting_s = np.array([(phase.phase.end_ns - phase.phase.start_ns) * 1e-9 for phase in phases])
+    interval_s = float(np.median([phase.intervals.mean_s for phase in phases]))
+    for tau_s in TAUS_S:
+        ratios = lasting_s[lasting_s >= _LEAST_RATIO * tau_s] / tau_s
+        octaves = len(phases[0].allan.terms)
+        if (4 * ratios - 7).sum() >= _TERMS and interval_s <= tau_s <= interval_s * 2 ** (octaves - 1):
+            return tau_s
+    return 0.0
+
+
+def _allan_at(phase: Summary, tau_s: float) -> tuple[Floats, float] | None:
+    """(3,) Allan variance in the sensor's unit squared and the terms behind it; None beyond what the phase tells."""
+    variance, terms, _ = phase.allan
+    known = np.flatnonzero(terms)
+    octave = float(np.log2(tau_s / phase.intervals.mean_s))
+    if len(known) == 0 or not known[0] <= octave <= known[-1]:
+        return None
+    logs = np.log(np.maximum(variance[known], _TINY))
+    found = np.exp([np.interp(octave, known, column) for column in logs.T])
+    return found / phase.header.sensitivity**2, float(np.interp(octave, known, terms[known]))
+
+
+def _mean_square(cross: Cross, quantity: str) -> float:
+    """In deg^2/s^2 or mg^2, mean over the box's axes; nan without such a sensor."""
+    members = [sensor for sensor in cross.sensors if sensor.quantity == quantity]
+    weights = np.zeros((3, cross.fast.shape[0]))
+    for sensor in members:
+        factor = SI_PER_UNIT[sensor.unit] * READABLE_SI[quantity][0]
+        weights[:, cross.columns(sensor.name)] = np.array(sensor.orientation) * factor / len(members)
+    slow = cross.slow[np.isfinite(cross.slow).all(axis=1)] @ weights.T
+    fast = np.diag(weights @ cross.fast @ weights.T)
+    return float(np.mean(fast + slow.var(axis=0))) if members and len(slow) else float("nan")
+
+
+def _residuals(campaign: Campaign, sensor: str, quantity: str) -> Iterator[tuple[str, float]]:
+    """Names and values, in the sensor's unit, of what the fit leaves of its level."""
+    faces: dict[str, list[Floats]] = {}
+    for log in campaign.logs:
+        for phase in log.still(sensor):
+            attitude = attitude_of(phase.phase)
+            if phase.rows and attitude:
+                faces.setdefault(attitude, []).append(mean(phase))
+    if quantity == "specific_force" and len(faces) > 1:
+        name = "six-face residual" if faces.keys() == set(UP_AXES) else f"residual over {len(faces)} attitudes"
+        yield name, _rms(np.array([np.mean(means, axis=0) for means in faces.values()]))
+    drifts = [_peak_to_peak(log.still(sensor)) for log in campaign.logs if log.kind == "heating" and log.still(sensor)]
+    if drifts:
+        yield "drift over heating", _rms(np.array(drifts))
+
+
+def _peak_to_peak(phases: Sequence[Summary]) -> Floats:
+    """(3,) of the means of well filled segments, each face about its own mean; the largest of the faces."""
+    faces: dict[str, list[Floats]] = {}
+    for phase in phases:
+        part = phase.segments
+        full = part.rows >= max(1.0, float(np.median(part.rows)) / 2)
+        faces.setdefault(attitude_of(phase.phase), []).append(part.mean[full] / phase.header.sensitivity)
+    joined = [np.concatenate(means) for means in faces.values()]
+    sizes = [np.ptp(means, axis=0) for means in joined if len(means)]
+    return np.asarray(np.max(sizes, axis=0)) if sizes else np.full(3, np.nan)
+
+
+def _values(replicates: Sequence[Uses], place: tuple[str, str]) -> Floats:
+    return np.array([replicate[place][0] for replicate in replicates if place in replicate])
+
+
+def _simulated(values: Floats) -> Figure:
+    low, middle, high = np.quantile(values, (0.025, 0.5, 0.975)) if len(values) else np.full(3, np.nan)
+    return Figure(float(middle), float(low), float(high))
+
+
+def _recorded(value: float, scatter: Floats) -> Figure:
+    positive = scatter[scatter > 0]
+    if len(positive) < _LEAST_REPLICATES:
+        return Figure(value, float("nan"), float("nan"))
+    apart = np.log(positive)
+    low, high = np.quantile(apart - np.median(apart), (0.025, 0.975))
+    return Figure(value, float(value * np.exp(-high)), float(value * np.exp(-low)))

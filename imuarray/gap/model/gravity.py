@@ -1,0 +1,88 @@
+"""Specific force in phases at rest whose attitude nobody noted, estimated from all accelerometers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.recording.attitude import array_mean, directions, ups_of
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.probes.level import mean
+from imuarray.gap.statistics.summary import Summary
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.felt import Motion
+from imuarray.simulate.motion.posed import Posed
+from imuarray.units import STANDARD_GRAVITY
+
+Floats = npt.NDArray[np.float64]
+
+_INSTANTS = 64
+"""Of a phase whose force is known: a reference has noise."""
+
+Forces = Mapping[tuple[int, int], Floats]
+"""Estimated specific force (3,) in m/s2, box frame, by the number of the log and the start of the phase in it."""
+
+
+def estimated_forces(campaign: Campaign, motions: Sequence[Motion]) -> Forces:
+    """What is felt in the phases whose attitude is estimated, from all phases at rest of the campaign together."""
+    rests = list(_rests(campaign, motions))
+    if not any(rest.known is None for rest in rests):
+        return {}
+    readings = _readings([rest.accelerometers for rest in rests], lambda summary: mean(summary))
+    known_g = np.array([np.full(3, np.nan) if rest.known is None else rest.known for rest in rests])
+    return _forces(rests, ups_of(array_mean(readings), known_g).up_box)
+
+
+def forces_left(campaign: Campaign, motions: Sequence[Motion], less: Callable[[Summary], Floats]) -> Forces:
+    """The same where what each sensor adds to gravity is known: `less` is its mean (3,) without it, in its unit."""
+    rests = [rest for rest in _rests(campaign, motions) if rest.known is None]
+    if not rests:
+        return {}
+    return _forces(rests, directions(array_mean(_readings([rest.accelerometers for rest in rests], less)))[0])
+
+
+class _Rest(NamedTuple):
+    """A phase at rest: where it is, its accelerometers by name, and what is felt (3,) in g (None: not known)."""
+
+    place: tuple[int, int]
+    accelerometers: Mapping[str, Summary]
+    known: Floats | None
+
+
+def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
+    for number, (log, motion) in enumerate(zip(campaign.logs, motions, strict=True)):
+        for part in log.phases:
+            there = {
+                name: summary
+                for name, summary in part.sensors.items()
+                if summary.header.quantity == "specific_force" and summary.rows
+            }
+            if not part.is_still or not there:
+                continue
+            is_estimated = isinstance(motion, Posed) and motion.is_estimated(part.phase)
+            known = None if is_estimated else _mean_force_g(motion, part.phase)
+            yield _Rest((number, part.phase.start_ns), there, known)
+
+
+def _mean_force_g(motion: Motion, phase: Phase) -> Floats:
+    at_ns = np.linspace(phase.start_ns, phase.end_ns - 1, _INSTANTS).astype(np.int64)
+    return np.asarray(np.mean(motion.felt(at_ns).force_box, axis=0) / STANDARD_GRAVITY)
+
+
+def _readings(phases: Sequence[Mapping[str, Summary]], of: Callable[[Summary], Floats]) -> Floats:
+    """(k, s, 3) in the box frame, nan where a sensor didn't read."""
+    names = dict.fromkeys(name for phase in phases for name in phase)
+    nothing = np.full(3, np.nan)
+    rows = [
+        [np.array(phase[name].header.orientation) @ of(phase[name]) if name in phase else nothing for name in names]
+        for phase in phases
+    ]
+    return np.array(rows)
+
+
+def _forces(rests: Sequence[_Rest], up_box: Floats) -> Forces:
+    found = zip(rests, up_box, strict=True)
+    return {rest.place: up * STANDARD_GRAVITY for rest, up in found if rest.known is None}

@@ -1,0 +1,71 @@
+"""What a box feels that somebody put down by hand: which way is up, from the array's own accelerometers.
+
+In every pose the specific force is one g long and all accelerometers feel the same: from poses in many directions the
+bias that they have in common is told from the direction, scale taken as nominal. What is felt in a pose is thus an
+estimate, with the array's own noise and errors in it; whoever compares a recording with simulations has to estimate it
+in these as well, though there it is known.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+GROSS_G = 0.25
+"""An accelerometer that reads so much otherwise than the median of all, in any pose, has no say in the mean: a wrong
+range, an axis swapped, a dead chip."""
+
+_STEPS = 5
+"""Of Gauss and Newton, which double the digits; biases of 0.1 g need three."""
+
+_LEAST_SHARE = 0.1
+"""Directions along which the poses tell the common bias so much worse than along the best one are left at none."""
+
+
+class Ups(NamedTuple):
+    """`up_box` (k, 3) of length 1, (0, 0, 0) where nothing is felt; `bias_g` (3,), common to the array, box frame."""
+
+    up_box: Floats
+    bias_g: Floats
+
+
+def ups_of(mean_g: Floats, known_g: Floats) -> Ups:
+    """Directions up from what the array reads on average in k poses, `mean_g` (k, 3) in the box frame; `known_g` (k, 3)
+    is what is felt where it is known, nan elsewhere.
+
+    Least squares of the lengths' differences from 1 g, of known poses those of all axes, over one bias for all.
+    """
+    bias = np.zeros(3)
+    unknown = np.isnan(known_g).any(axis=1)
+    for _ in range(_STEPS):
+        ups, lengths = directions(mean_g - bias)
+        apart = (mean_g - bias - known_g)[~unknown]
+        design = np.concatenate([ups[unknown], np.tile(np.eye(3), (len(apart), 1))])
+        wanted = np.concatenate([lengths[unknown] - 1, apart.ravel()])
+        bias = bias + np.linalg.lstsq(design, wanted, rcond=_LEAST_SHARE)[0]
+    return Ups(directions(mean_g - bias)[0], bias)
+
+
+def array_mean(readings: Floats) -> Floats:
+    """(k, 3) mean of s accelerometers, `readings` (k, s, 3) in g in the box frame, nan of what was not read: of those
+    that read in every pose and never are `GROSS_G` from the median; of all, if there are none.
+    """
+    whole = np.isfinite(readings).all(axis=(0, 2))
+    if not whole.any():
+        with np.errstate(invalid="ignore"):
+            known = np.isfinite(readings)
+            return np.asarray(np.where(known, readings, 0.0).sum(axis=1) / known.sum(axis=1))
+    found = readings[:, whole]
+    near = (np.abs(found - np.median(found, axis=1)[:, None]) < GROSS_G).all(axis=(0, 2))
+    return np.asarray(found[:, near].mean(axis=1) if near.any() else np.median(found, axis=1))
+
+
+def directions(vectors: Floats) -> tuple[Floats, Floats]:
+    """Of vectors (k, 3): (k, 3) of length 1, and (k,) the lengths; 0 of nothing."""
+    lengths = np.linalg.norm(vectors, axis=1)
+    units = np.divide(vectors, lengths[:, None], out=np.zeros_like(vectors), where=lengths[:, None] > 0)
+    return units, lengths

@@ -1,0 +1,141 @@
+"""What was done in a recorded log: its phases, how the box lay in them, and what nobody noted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import up_vector
+from imuarray.calibrate.poses import MIN_POSE_S, find_poses
+from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
+from imuarray.errors import CalibrationError, LogError
+from imuarray.gap.recording.attitude import array_mean, ups_of
+from imuarray.gap.recording.source import RecordedSource
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.like import LikeLog
+from imuarray.simulate.motion.posed import Attitude
+
+Floats = npt.NDArray[np.float64]
+Up = tuple[float, float, float]
+
+_SHORT = 0.25
+"""A static stretch of less than this share of the longest says little, and often is a hand that holds the box."""
+
+_SAME_COSINE = np.cos(np.radians(10))
+"""Poses nearer to each other than that are of one face."""
+
+
+def is_at_rest(phase: Phase) -> bool:
+    """Whether the box is at rest in a phase: it says which axis is up, or its name says it."""
+    name = phase.name
+    return bool(phase.up) or name in STILL_NAMES or name in FACE_NAMES or name.startswith(("run ", "pose "))
+
+
+def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
+    """What can be compared, and notes on what can't: phases at rest, else static stretches that are found; others where
+    `motion` follows a track. LogError if there is nothing.
+    """
+    is_told = motion.source != "phases"
+    still = [phase for phase in log.phases if is_at_rest(phase)]
+    found, notes = ([], []) if still else _found_poses(log)
+    moving = [phase for phase in log.phases if phase not in still]
+    if not is_told:
+        notes += [f"Phase {phase.name!r} is left out: nothing says how the box moved." for phase in moving]
+        moving = []
+    elif not log.phases:
+        moving = list(_between(log, found))
+    phases = tuple(sorted([*still, *found, *moving]))
+    if not phases:
+        raise LogError(f"{log.path}: nothing to compare: it holds no phase at rest, and nothing says how the box moved")
+    return phases, notes
+
+
+def _found_poses(log: Log) -> tuple[list[Phase], list[str]]:
+    """Static stretches that no phase names, without the shortest."""
+    try:
+        found = [pose.phase for pose in find_poses(log)]
+    except CalibrationError:
+        return [], []
+    lengths = [phase.end_ns - phase.start_ns for phase in found]
+    kept = [phase for phase, length in zip(found, lengths, strict=True) if length >= _SHORT * max(lengths)]
+    notes = [f"No phase is named as one at rest: {len(kept)} static stretches were found."] if kept else []
+    if (short := len(found) - len(kept)) > 0:
+        notes.append(f"Stretches left out that are short beside the longest one: {short}.")
+    return kept, notes
+
+
+def _between(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
+    """The stretches of a log between its static ones, if they are as long as one."""
+    begin = min(int(sensor.time[0]) for sensor in log.sensors.values() if len(sensor))
+    end = max(int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)) + 1
+    starts, ends = [begin, *(phase.end_ns for phase in still)], [*(phase.start_ns for phase in still), end]
+    for start_ns, end_ns in zip(starts, ends, strict=True):
+        if end_ns - start_ns >= MIN_POSE_S * 1e9:
+            yield Phase(start_ns, end_ns, "motion")
+
+
+def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[Attitude, ...], list[str]]:
+    """How the box lay in the phases at rest, and notes on how that is known; nothing where `motion` follows a track."""
+    still = [phase for phase in phases if is_at_rest(phase)]
+    if motion.source != "phases":
+        return (), []
+    noted = [up_vector(phase.up) if phase.up else None for phase in still]
+    free = noted.count(None)
+    accelerometers = [sensor for sensor in log.of("specific_force") if len(sensor) and sensor.sensitivity]
+    if not free or not accelerometers:
+        ups = [up or (0.0, 0.0, 1.0) for up in noted]
+        notes = ["No accelerometer tells which axis was up: where no phase says so, +Z is assumed."] if free else []
+        return tuple(Attitude(phase, up, estimated=False) for phase, up in zip(still, ups, strict=True)), notes
+    readings = np.array([[_mean_g(sensor, phase) for sensor in accelerometers] for phase in still])
+    known = np.array([(np.nan,) * 3 if up is None else up for up in noted])
+    found = ups_of(array_mean(readings), known).up_box.tolist()
+    attitudes = [
+        Attitude(phase, up or (estimate[0], estimate[1], estimate[2]), estimated=up is None)
+        for phase, up, estimate in zip(still, noted, found, strict=True)
+    ]
+    note = (
+        f"Which axis was up is not noted in {free} of {len(still)} phases at rest: it is estimated from all "
+        "accelerometers, whose common error is told from it only as far as the attitudes differ."
+    )
+    return tuple(attitudes), [note]
+
+
+def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:
+    """(3,) in the box frame; nan without readings."""
+    rows, sums = 0, np.zeros(3)
+    for block in RecordedSource(sensor).blocks(phase.start_ns, phase.end_ns):
+        rows += len(block.time)
+        sums += block.counts.sum(axis=0, dtype=float)
+    return np.asarray(sensor.orientation @ sums / (rows * sensor.sensitivity)) if rows else np.full(3, np.nan)
+
+
+def kind_of(phases: Sequence[Phase], attitudes: Sequence[Attitude]) -> str:
+    """What was done: heating, turn-on, tumble, motion, static, the first that fits."""
+    names = [phase.name for phase in phases]
+    if any("heat" in name for name in names):
+        return "heating"
+    if any(name.startswith("run ") for name in names):
+        return "turn-on"
+    if _sides(phases, attitudes) > 1:
+        return "tumble"
+    return "static" if all(is_at_rest(phase) for phase in phases) else "motion"
+
+
+def _sides(phases: Sequence[Phase], attitudes: Sequence[Attitude]) -> int:
+    """How many different attitudes there are."""
+    ups = [attitude.up_box for attitude in attitudes] or [up_vector(phase.up) for phase in phases if phase.up]
+    apart: list[Up] = []
+    for up in ups:
+        if all(np.dot(up, other) < _SAME_COSINE for other in apart):
+            apart.append(up)
+    return len(apart)
+
+
+def unknown_temperature(log: Log) -> list[str]:
+    """A note, if nothing tells the temperature."""
+    tracks = [track for track in (log.truth, log.reference) if track is not None]
+    known = any(track.temperature is not None for track in tracks) or any(len(one) for one in log.of("pressure"))
+    return [] if known else ["No reference tells the temperature: 25 degC is assumed all the time."]

@@ -1,0 +1,259 @@
+"""All logs of an array that are diagnosed together, recorded or simulated, summarised."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+
+from imuarray.gap.recording.events import Events
+from imuarray.gap.recording.phases import is_at_rest
+from imuarray.gap.recording.recordings import Temperature
+from imuarray.gap.recording.source import Source
+from imuarray.gap.statistics.cross import Cross, CrossTally, window_ns
+from imuarray.gap.statistics.runs import Runs, runs_of
+from imuarray.gap.statistics.summary import Grid, Summary, Tally
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.writer import Block
+from imuarray.simulate.streams import CHUNK
+from imuarray.units import INERTIAL
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The grid of every sensor in a phase, and the common windows; simulations take those of the recorded phase."""
+
+    grids: Mapping[str, Grid]
+    window_ns: int
+
+
+@dataclass(frozen=True)
+class PhaseSummary:
+    """One phase: its number in the log, a summary per sensor, and what inertial ones have in common (None: no two)."""
+
+    phase: Phase
+    number: int
+    layout: Layout
+    sensors: Mapping[str, Summary]
+    cross: Cross | None
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the box is at rest in it, by its name."""
+        return is_at_rest(self.phase)
+
+
+@dataclass(frozen=True)
+class LogSummary:
+    """One log: what was done in it (`kind`: static, tumble, heating, turn-on, motion), its phases in order, and of a
+    recorded one what happened to single rows of each sensor (`events`).
+    """
+
+    kind: str
+    phases: tuple[PhaseSummary, ...]
+    events: Mapping[str, Events] = field(default_factory=dict)
+
+    def still(self, sensor: str) -> tuple[Summary, ...]:
+        """The sensor's phases at rest."""
+        return tuple(part.sensors[sensor] for part in self.phases if part.is_still and sensor in part.sensors)
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Several logs of one array."""
+
+    logs: tuple[LogSummary, ...]
+
+    def series(self) -> dict[str, tuple[LogSummary, ...]]:
+        """The logs by kind, of the kinds that there are several of."""
+        kinds = dict.fromkeys(log.kind for log in self.logs)
+        found = {kind: tuple(log for log in self.logs if log.kind == kind) for kind in kinds}
+        return {kind: logs for kind, logs in found.items() if len(logs) > 1}
+
+
+def summarise_log(
+    kind: str,
+    sources: Mapping[str, Source],
+    phases: Sequence[Phase],
+    temperature: Temperature,
+    layouts: Sequence[Layout] | None = None,
+) -> LogSummary:
+    """Every triad in every phase, in one pass; `layouts`, one per phase, are those of the log to compare with."""
+    (found,) = summarise_logs(kind, [sources], phases, temperature, layouts)
+    return found
+
+
+def summarise_logs(
+    kind: str,
+    replicates: Sequence[Mapping[str, Source]],
+    phases: Sequence[Phase],
+    temperature: Temperature,
+    layouts: Sequence[Layout] | None = None,
+) -> list[LogSummary]:
+    """`summarise_log` of several replicates of one log, which have the same sensors."""
+    found = [
+        _summarise_phases(replicates, phase, number, temperature, None if layouts is None else layouts[number])
+        for number, phase in enumerate(phases)
+    ]
+    return [LogSummary(kind, tuple(phase[at] for phase in found)) for at in range(len(replicates))]
+
+
+def summarise_phase(
+    sources: Mapping[str, Source], phase: Phase, number: int, temperature: Temperature, layout: Layout | None = None
+) -> PhaseSummary:
+    """One phase of one log."""
+    (found,) = _summarise_phases([sources], phase, number, temperature, layout)
+    return found
+
+
+def _summarise_phases(
+    replicates: Sequence[Mapping[str, Source]],
+    phase: Phase,
+    number: int,
+    temperature: Temperature,
+    layout: Layout | None,
+) -> list[PhaseSummary]:
+    """Of each replicate: short phases together, long ones one after the other, of which little has to be kept."""
+    chosen = layout or layout_of(replicates[0], phase)
+    rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
+    at_once = max(CHUNK // max(rows, 1), 1)
+    found: list[PhaseSummary] = []
+    for first in range(0, len(replicates), at_once):
+        some = replicates[first : first + at_once]
+        if len(some) > 1:
+            found += _together(some, phase, number, temperature, chosen)
+        else:
+            found.append(_in_one_pass(some[0], phase, number, temperature, chosen))
+    return found
+
+
+def _together(
+    replicates: Sequence[Mapping[str, Source]], phase: Phase, number: int, temperature: Temperature, layout: Layout
+) -> list[PhaseSummary]:
+    """Sensor by sensor, all replicates side by side where their rows have the same times."""
+    blocks = [
+        {name: list(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
+        for sources in replicates
+    ]
+    for name, grid in ((name, layout.grids[name]) for name in replicates[0]):
+        new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].known]
+        for some in _simultaneous([one[name] for one in blocks], new):
+            header = replicates[0][name].header
+            tallied = _tallied(header, phase, grid, [blocks[at][name] for at in some], temperature)
+            for at, summary in zip(some, tallied, strict=True):
+                replicates[at][name].known[phase, grid] = summary
+    crosses: dict[int, Cross | None] = {}
+    for some in _simultaneous([list(chain(*one.values())) for one in blocks], range(len(replicates))):
+        crosses.update(
+            zip(some, _crossed(replicates[some[0]], [blocks[at] for at in some], phase, layout), strict=True)
+        )
+    return [
+        PhaseSummary(
+            phase,
+            number,
+            layout,
+            {name: source.known[phase, layout.grids[name]] for name, source in sources.items()},
+            crosses[at],
+        )
+        for at, sources in enumerate(replicates)
+    ]
+
+
+def _simultaneous(replicates: Sequence[Sequence[Block]], places: Iterable[int]) -> list[list[int]]:
+    """The places of replicates, those together whose blocks have the same times."""
+    found: list[list[int]] = []
+    for at in places:
+        own = replicates[at]
+        for some in found:
+            others = replicates[some[0]]
+            if len(own) == len(others) and all(map(_have_same_times, own, others)):
+                some.append(at)
+                break
+        else:
+            found.append([at])
+    return found
+
+
+def _have_same_times(one: Block, other: Block) -> bool:
+    return np.array_equal(one.time, other.time)
+
+
+def _tallied(
+    header: SensorHeader, phase: Phase, grid: Grid, replicates: Sequence[Sequence[Block]], temperature: Temperature
+) -> list[Summary]:
+    """Summaries of replicates whose blocks have the same times."""
+    tally = Tally(header, phase, grid, len(replicates))
+    for blocks in zip(*replicates, strict=True):
+        tally.update(*blocks)
+    return tally.results(temperature)
+
+
+def _crossed(
+    sources: Mapping[str, Source], blocks: Sequence[Mapping[str, Sequence[Block]]], phase: Phase, layout: Layout
+) -> Sequence[Cross | None]:
+    """What inertial sensors have in common, of replicates whose blocks have the same times."""
+    cross = _cross(sources, phase, layout.window_ns, len(blocks))
+    if cross is None:
+        return [None] * len(blocks)
+    waiting = {
+        name: list(zip(*(one[name] for one in blocks), strict=True)) for name in sources if name in cross.sensors
+    }
+    for name, several in _in_turn({name: iter(own) for name, own in waiting.items()}, phase):
+        cross.take(name, several)
+    return cross.results()
+
+
+def _in_one_pass(
+    sources: Mapping[str, Source], phase: Phase, number: int, temperature: Temperature, layout: Layout
+) -> PhaseSummary:
+    """All sensors side by side, a block at a time."""
+    tallies = {name: Tally(source.header, phase, layout.grids[name]) for name, source in sources.items()}
+    cross = _cross(sources, phase, layout.window_ns)
+    waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
+    for name, blocks in _in_turn(waiting, phase):
+        if blocks is not None:
+            tallies[name].update(*blocks)
+        if cross is not None and name in cross.sensors:
+            cross.take(name, blocks)
+    sensors = {name: tally.result(temperature) for name, tally in tallies.items()}
+    return PhaseSummary(phase, number, layout, sensors, None if cross is None else cross.result())
+
+
+def _in_turn(
+    blocks: Mapping[str, Iterator[tuple[Block, ...]]], phase: Phase
+) -> Iterator[tuple[str, tuple[Block, ...] | None]]:
+    """The blocks of all sensors, None behind a sensor's last: always the one that is furthest behind goes on, so that
+    little has to be kept.
+    """
+    waiting, reached = dict(blocks), dict.fromkeys(blocks, phase.start_ns)
+    while waiting:
+        name = min(waiting, key=reached.__getitem__)
+        several = next(waiting[name], None)
+        if several is None:
+            del waiting[name]
+        else:
+            reached[name] = int(several[0].time[-1])
+        yield name, several
+
+
+def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
+    """How finely a phase can be looked at."""
+    rows = {name: source.rows(phase.start_ns, phase.end_ns) for name, source in sources.items()}
+    seconds = (phase.end_ns - phase.start_ns) * 1e-9
+    rates = [rows[name] / seconds for name, source in sources.items() if source.header.quantity in INERTIAL]
+    grids = {name: Grid.of(count) for name, count in rows.items()}
+    return Layout(grids, window_ns([rate for rate in rates if rate] or [1.0]))
+
+
+def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
+    """A sensor's runs, each log's first phase at rest; None if it isn't in all of them."""
+    phases = [log.still(sensor)[:1] for log in logs]
+    return runs_of([phase for (phase,) in phases]) if all(phases) else None
+
+
+def _cross(sources: Mapping[str, Source], phase: Phase, window: int, replicates: int = 1) -> CrossTally | None:
+    there = [source for source in sources.values() if source.rows(phase.start_ns, phase.end_ns)]
+    headers = [source.header for source in there if source.header.quantity in INERTIAL]
+    return CrossTally(headers, phase, window, replicates) if len(headers) > 1 else None

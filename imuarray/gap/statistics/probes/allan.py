@@ -1,0 +1,60 @@
+"""How means over more and more rows differ from the next ones."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from imuarray.gap.statistics.probes.probe import NOTHING, Floats, PhaseProbe, log, once
+from imuarray.gap.statistics.summary import Summary
+
+_TERMS = 12
+"""Fewer differences, four of them in an averaging time, say too little."""
+
+_MANY_TERMS = 100
+"""As do fewer of a fourth moment."""
+
+
+def at(octave: int, summary: Summary) -> Floats:
+    """Log of the Allan variance at 2^octave rows over that of white noise with the variance at one row."""
+    return np.asarray(_logs(summary)[octave])
+
+
+def jumps(octave: int, summary: Summary) -> Floats:
+    """Log of the kurtosis of the differences of neighbouring means over 2^octave rows, less log 3."""
+    share = summary.allan.kurtosis[octave] / 3
+    return log(share if summary.allan.terms[octave] >= _MANY_TERMS else np.full_like(share, np.nan))
+
+
+def longest(summary: Summary) -> Floats:
+    """The same at the longest averaging time that the phase has enough rows for."""
+    known = np.flatnonzero(summary.allan.terms >= _TERMS)
+    return at(int(known[-1]), summary) if len(known) else NOTHING
+
+
+@once
+def _logs(summary: Summary) -> Floats:
+    """(o, 3) at all octaves; nan of those that have too few terms."""
+    variance, terms, _ = summary.allan
+    factors = np.where(terms >= _TERMS, 2.0 ** np.arange(len(terms)), np.nan)
+    return np.asarray(log(variance * factors[:, None]) - log(variance[0]))
+
+
+_MOVED = ("bias_instability", "random_walk", "popcorn_noise", "common_mode", "bandwidth", "tone")
+
+OCTAVE_PROBES = {
+    1 << octave: PhaseProbe("allan", f"log Allan variance at {1 << octave} rows", "", _MOVED, partial(at, octave))
+    for octave in (1, 3, 5, 7, 9, 11)
+}
+JUMP_PROBES = {
+    1 << octave: PhaseProbe(
+        "allan",
+        f"log of a third of the kurtosis of steps between means over {1 << octave} rows",
+        "",
+        ("popcorn_noise", "glitches"),
+        partial(jumps, octave),
+    )
+    for octave in (3, 5, 7)
+}
+LONGEST = PhaseProbe("allan", "log Allan variance at the longest averaging time", "", _MOVED, longest)

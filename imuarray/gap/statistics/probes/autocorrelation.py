@@ -1,0 +1,36 @@
+"""How a reading depends on those just before it."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from imuarray.gap.statistics.probes.probe import Floats, PhaseProbe, fisher_z
+from imuarray.gap.statistics.summary import Summary
+
+_APART = 2
+"""Differences so many rows apart share no reading: of independent noise their squares don't correlate."""
+
+
+def lag(rows: int, summary: Summary) -> Floats:
+    """Fisher's z of the correlation with the reading so many rows before."""
+    return fisher_z(summary.correlation[rows])
+
+
+def arch(summary: Summary) -> Floats:
+    """Fisher's z of the correlation of squared differences of neighbours, two rows apart: noise in bursts."""
+    return fisher_z(summary.arch[_APART])
+
+
+_MOVED = ("bandwidth", "stale_samples", "odr_error", "bias_instability", "random_walk", "tone")
+
+LAG_PROBES = {
+    rows: PhaseProbe("autocorrelation", f"Fisher's z of the correlation at lag {rows}", "", _MOVED, partial(lag, rows))
+    for rows in (1, 2, 3, 5)
+}
+ARCH = PhaseProbe(
+    "autocorrelation",
+    "Fisher's z of the correlation of squared steps two rows apart",
+    "",
+    ("stuck", "range_reset", "odr_error"),
+    arch,
+)

@@ -1,0 +1,99 @@
+"""Which codes come, whatever the signal."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imuarray.characterise.codes import Histogram
+from imuarray.gap.statistics.probes.probe import Floats, PhaseProbe, arcsine, once, one_row
+from imuarray.gap.statistics.summary import Summary
+from imuarray.simulate.converters import CodeSpan, code_span
+
+_MIDDLE = np.array([0.05, 0.95])
+"""Codes that never come are looked for between these quantiles."""
+
+
+def odd(summary: Summary) -> Floats:
+    """arcsine of the share of odd codes."""
+    return arcsine(_having(summary, 1), summary.rows)
+
+
+def second_bit(summary: Summary) -> Floats:
+    """arcsine of the share of codes with the second lowest bit set."""
+    return arcsine(_having(summary, 2), summary.rows)
+
+
+def absent(summary: Summary) -> Floats:
+    """arcsine of the share of codes in the middle nine tenths that never came."""
+    found = _middles(summary)
+    return arcsine([missing for missing, _ in found], [codes for _, codes in found])
+
+
+def at_ends(summary: Summary) -> Floats:
+    """arcsine of the share of readings at or beyond an end of the code span."""
+    span = code_span(summary.header)
+    return arcsine([_beyond(seen, span) for seen in summary.codes], summary.rows)
+
+
+def pile(summary: Summary) -> Floats:
+    """How much more often the outermost code came than the next one inwards, in standard deviations, at the worse end.
+
+    The root of a Poisson count scatters by 1/2 whatever its mean.
+    """
+    return np.array([_pile(seen.counts) for seen in summary.codes])
+
+
+def _beyond(seen: Histogram, span: CodeSpan) -> int:
+    if len(seen.codes) == 0 or (span.lowest < seen.codes[0] and seen.codes[-1] < span.highest):
+        return 0
+    return int(seen.counts[(seen.codes <= span.lowest) | (seen.codes >= span.highest)].sum())
+
+
+def _having(summary: Summary, bit: int) -> list[int]:
+    return [int(seen.counts @ (seen.codes & bit)) // bit for seen in summary.codes]
+
+
+@once
+def _middles(summary: Summary) -> list[tuple[int, int]]:
+    return [_absent(seen) for seen in summary.codes]
+
+
+def _absent(seen: Histogram) -> tuple[int, int]:
+    """Codes that are missing, and how many there are in all, between the quantiles."""
+    if len(seen.codes) == 0:
+        return 0, 0
+    upto = seen.counts.cumsum()
+    low, high = upto.searchsorted(_MIDDLE * upto[-1])
+    span = int(seen.codes[high] - seen.codes[low]) + 1
+    return span - int(high - low) - 1, span
+
+
+def _pile(counts: np.ndarray) -> float:
+    if len(counts) < 2:
+        return math.nan
+    first, inner, beside, last = (math.sqrt(count + 3 / 8) for count in counts[[0, 1, -2, -1]].tolist())
+    return math.sqrt(2) * max(first - inner, last - beside)
+
+
+def _one_code(summary: Summary) -> float:
+    """What one missing code of the narrowest axis makes, which chance can."""
+    spans = [codes for _, codes in _middles(summary)]
+    return 0.5 / math.sqrt(max(min(spans, default=1), 1))
+
+
+_STEPS = ("quantisation", "odr_error")
+_CLIPPED = ("saturation", "range_reset", "scale", "nonlinearity")
+
+ODD = PhaseProbe("codes", "arcsine of the share of odd codes", "", _STEPS, odd, True, one_row)
+SECOND_BIT = PhaseProbe(
+    "codes", "arcsine of the share of codes with bit 1 set", "", ("quantisation",), second_bit, True, one_row
+)
+ABSENT = PhaseProbe(
+    "codes", "arcsine of the share of codes in the middle that never came", "", _STEPS, absent, True, _one_code
+)
+ENDS = PhaseProbe("codes", "arcsine of the share at the ends of the span", "", _CLIPPED, at_ends, True, one_row)
+PILE = PhaseProbe(
+    "codes", "by how much the outermost code outnumbers the next", "", _CLIPPED, pile, True, lambda _: 1.0
+)

@@ -1,0 +1,153 @@
+"""What a sensor shares with others: along the chips' own axes if it comes of their design, along the box's if it is
+motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import Matrix
+from imuarray.gap.statistics.campaign import LogSummary
+from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.probes.level import level
+from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, Floats, fisher_z, once
+from imuarray.log.format import SensorHeader
+
+AXES = np.arange(3)
+
+Moments = Callable[[Cross], Floats]
+
+
+@once
+def _slow(cross: Cross) -> Floats:
+    """(p, p) Fisher's z of correlations of the segments' means, along the sensors' axes."""
+    return _correlations(cross.slow_covariance)
+
+
+@once
+def _fast(cross: Cross) -> Floats:
+    """(p, p) the same within segments."""
+    return _correlations(cross.fast)
+
+
+@once
+def _slow_in_box(cross: Cross) -> Floats:
+    return _correlations(_in_box(cross, cross.slow_covariance))
+
+
+@once
+def _fast_in_box(cross: Cross) -> Floats:
+    return _correlations(_in_box(cross, cross.fast))
+
+
+def own_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
+    """Mean Fisher's z with the same axis of the other sensors of this chip."""
+    return _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True))
+
+
+def box_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
+    """Mean Fisher's z, box axis by box axis, with the other sensors of this chip; told for the sensor's axis that lies
+    along the box axis.
+    """
+    return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, cross.others(sensor, family=True)))
+
+
+def others(correlations: Moments, cross: Cross, sensor: str) -> Floats:
+    """The same with the sensors of other chips that measure the same."""
+    family = set(cross.others(sensor, family=True))
+    strangers = [name for name in cross.others(sensor, family=False) if name not in family]
+    return _as_own(cross, sensor, _mean_z(correlations(cross), cross, sensor, strangers))
+
+
+def between_axes(correlations: Moments, cross: Cross, sensor: str) -> Floats:
+    """Fisher's z of each axis with the next one of the same sensor."""
+    begin = cross.columns(sensor).start
+    return np.asarray(correlations(cross)[begin + AXES, begin + (AXES + 1) % 3])
+
+
+def level_apart(log: LogSummary, sensor: str) -> Floats:
+    """Mean reading of the log less the mean of that of the other sensors of this chip, each along its own axes."""
+    levels = _levels(log)
+    header, own = levels[sensor]
+    others = [
+        theirs
+        for name, (other, theirs) in levels.items()
+        if name != sensor and (other.chip, other.quantity) == (header.chip, header.quantity)
+    ]
+    return own - np.mean(others, axis=0) if others else NOTHING
+
+
+@once
+def _levels(log: LogSummary) -> dict[str, tuple[SensorHeader, Floats]]:
+    """Of every sensor that has readings at rest."""
+    names = dict.fromkeys(sensor for phase in log.phases for sensor in phase.sensors)
+    still = {name: log.still(name) for name in names}
+    return {name: (phases[0].header, level(phases)) for name, phases in still.items() if phases}
+
+
+def _mean_z(correlation: Floats, cross: Cross, sensor: str, partners: Sequence[str]) -> Floats:
+    """(3,) axis by axis, mean over the partners."""
+    if not partners:
+        return NOTHING
+    beside = np.array([[cross.columns(partner).start] for partner in partners]) + AXES
+    return np.asarray(correlation[cross.columns(sensor).start + AXES, beside].sum(axis=0) / len(partners))
+
+
+def _as_own(cross: Cross, sensor: str, box: Floats) -> Floats:
+    """(3,) values of box axes in the order of the sensor's axes that lie along them."""
+    return np.asarray(box[_nearest(cross.header(sensor).orientation)])
+
+
+@lru_cache(maxsize=64)
+def _nearest(orientation: Matrix) -> npt.NDArray[np.intp]:
+    """(3,) the box's axis along which each of the sensor's lies."""
+    return np.asarray(np.abs(np.array(orientation)).argmax(axis=0))
+
+
+def _in_box(cross: Cross, moments: Floats) -> Floats:
+    """(p, p) moments with every sensor's axes turned into the box's."""
+    turn = np.eye(len(moments))
+    for sensor in cross.sensors:
+        turn[cross.columns(sensor.name), cross.columns(sensor.name)] = sensor.orientation
+    return np.asarray(turn @ moments @ turn.T)
+
+
+def _correlations(moments: Floats) -> Floats:
+    """Fisher's z of correlations; nan of what never changes."""
+    size = np.sqrt(np.diag(moments))
+    size = np.where(size > 0, size, np.nan)
+    return fisher_z(moments / size[:, None] / size)
+
+
+def _probe(
+    statistic: Callable[[Moments, Cross, str], Floats], correlations: Moments, about: str, *moved_by: str
+) -> CrossProbe:
+    pace = "slow" if correlations in (_slow, _slow_in_box) else "fast"
+    return CrossProbe(
+        "cross_sensor", f"{about}, {pace}", "", moved_by, lambda cross, sensor: statistic(correlations, cross, sensor)
+    )
+
+
+_ALIKE = "correlation with units of one chip along the chips' axes"
+_BOX = "correlation with units of one chip along the box's axes"
+_NEXT = "correlation with the next axis of the sensor"
+
+SLOW_OWN = _probe(own_axes, _slow, _ALIKE, "common_mode", "thermal_bias", "channel_swap")
+SLOW_BOX = _probe(box_axes, _slow_in_box, _BOX, "common_mode", "channel_swap")
+FAST_OWN = _probe(own_axes, _fast, _ALIKE, "common_mode", "channel_swap", "tone")
+FAST_BOX = _probe(box_axes, _fast_in_box, _BOX, "common_mode", "channel_swap", "tone")
+FAST_OTHERS = _probe(others, _fast_in_box, "correlation with other chips along the box's axes", "tone")
+FAST_BETWEEN = _probe(between_axes, _fast, _NEXT, "tone", "glitches")
+SLOW_BETWEEN = _probe(between_axes, _slow, _NEXT, "thermal_bias", "common_mode")
+
+LEVEL_APART = ArrayProbe(
+    "cross_sensor",
+    "mean reading of the whole log less that of the other units of the chip",
+    "{u}",
+    ("turn_on_bias", "bistable_bias", "range_reset"),
+    level_apart,
+)

@@ -1,0 +1,82 @@
+"""What the scatter looks like: its shape, its tails."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imuarray.gap.statistics.probes.probe import (
+    NOTHING,
+    Floats,
+    PhaseProbe,
+    arcsine,
+    log,
+    noise_lsb,
+    once,
+    one_row,
+    score_of_largest,
+)
+from imuarray.gap.statistics.summary import Summary
+
+TAIL = 3.0
+"""Differences of neighbours beyond so many of their standard deviations are the tail: 0.27 % of Gaussian ones."""
+
+
+def skewness(summary: Summary) -> Floats:
+    """arsinh of the skewness about the segments' means."""
+    variance, third, _ = _central(summary)
+    return np.asarray(
+        np.arcsinh(np.divide(third, variance**1.5, out=np.full_like(variance, np.nan), where=variance > 0))
+    )
+
+
+def kurtosis(summary: Summary) -> Floats:
+    """Log of the kurtosis about the segments' means, less log 3."""
+    variance, _, fourth = _central(summary)
+    return log(_share(fourth, 3 * variance**2))
+
+
+def tail(summary: Summary) -> Floats:
+    """arcsine of the share of differences of neighbours beyond `TAIL` times the noise's; a code is as wide as one."""
+    limit = TAIL * np.sqrt(2) * noise_lsb(summary)
+    beyond = [
+        float(steps.counts @ (steps.codes + (0.5 - end)).clip(0.0, 1.0)) if math.isfinite(end) else math.nan
+        for steps, end in zip(summary.steps, limit.tolist(), strict=True)
+    ]
+    return arcsine(beyond, summary.rows - 1)
+
+
+def extreme(summary: Summary) -> Floats:
+    """Normal score of the largest difference of neighbours, as if all of them were independent and Gaussian."""
+    largest = [float(steps.codes[-1]) if len(steps.codes) else np.nan for steps in summary.steps]
+    return score_of_largest(np.array(largest) / (np.sqrt(2) * noise_lsb(summary)), 2 * summary.rows)
+
+
+def _share(moment: Floats, of: Floats) -> Floats:
+    """nan of nothing."""
+    return np.divide(moment, of, out=np.full_like(of, np.nan), where=of > 0)
+
+
+@once
+def _central(summary: Summary) -> tuple[Floats, Floats, Floats]:
+    """(3,) second, third and fourth moment about the segments' means."""
+    part = summary.segments
+    held = (part.rows > 0).nonzero()[0]
+    if len(held) == 0:
+        return NOTHING, NOTHING, NOTHING
+    share = part.rows[held] / part.rows.sum()
+    second, third, fourth = (share @ power.take(held, axis=0) for power in (part.variance, part.third, part.fourth))
+    return second, third, fourth
+
+
+SKEWNESS = PhaseProbe(
+    "distribution", "arsinh of the skewness within segments", "", ("glitches", "saturation", "nonlinearity"), skewness
+)
+KURTOSIS = PhaseProbe(
+    "distribution", "log of a third of the kurtosis within segments", "", ("glitches", "saturation", "tone"), kurtosis
+)
+TAIL_SHARE = PhaseProbe(
+    "distribution", "arcsine of the share of steps beyond 3 sigma", "", ("glitches",), tail, resolution=one_row
+)
+EXTREME = PhaseProbe("distribution", "normal score of the largest step", "", ("glitches", "range_reset"), extreme)

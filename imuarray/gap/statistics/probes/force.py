@@ -1,0 +1,77 @@
+"""How readings follow gravity, face by face: what changes sign with it, and what does not.
+
+The means of the phases on faces are fitted with sum over the sensor's axes k of odd_k f_k + even_k f_k^2, f in g along
+the sensor's nominal axes: on whole faces odd_k is half the difference of the two faces of axis k, and even_k half their
+sum. On such faces f_x^2 + f_y^2 + f_z^2 = 1: a constant is in the even parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imuarray.axes import UP_AXES, up_vector
+from imuarray.gap.statistics.probes.level import mean
+from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe
+from imuarray.gap.statistics.summary import Summary
+
+AXES = np.arange(3)
+
+_FACES = frozenset(UP_AXES)
+
+
+def own(phases: Sequence[Summary]) -> Floats:
+    """What one g along the axis itself adds to its reading."""
+    return np.asarray(_parts(phases)[0][AXES, AXES])
+
+
+def next_axis(phases: Sequence[Summary]) -> Floats:
+    """What one g along the next axis (y for x, z for y, x for z) adds."""
+    return np.asarray(_parts(phases)[0][AXES, (AXES + 1) % 3])
+
+
+def axis_after(phases: Sequence[Summary]) -> Floats:
+    """What one g along the axis after that adds."""
+    return np.asarray(_parts(phases)[0][AXES, (AXES + 2) % 3])
+
+
+def square(phases: Sequence[Summary]) -> Floats:
+    """What 1 g^2 along the axis itself adds, beyond the other axes' mean."""
+    even = _parts(phases)[1]
+    others = (even[AXES, (AXES + 1) % 3] + even[AXES, (AXES + 2) % 3]) / 2
+    return np.asarray(even[AXES, AXES] - others)
+
+
+def felt_g(phases: Sequence[Summary]) -> Floats:
+    """(f, 3) specific force along the sensor's nominal axes in each phase, nan where no face is named."""
+    return np.array([_felt(phase) for phase in phases])
+
+
+def _felt(phase: Summary) -> Floats:
+    up = phase.phase.up
+    return np.array(phase.header.orientation).T @ np.array(up_vector(up)) if up in UP_AXES else NOTHING
+
+
+def _parts(phases: Sequence[Summary]) -> tuple[Floats, Floats]:
+    """(3, 3) odd and even parts in the sensor's unit, of axis (row) for each direction of force (column); nan unless
+    all six faces are there.
+    """
+    nothing = np.full((3, 3), np.nan)
+    if not {phase.phase.up for phase in phases} >= _FACES:
+        return nothing, nothing
+    felt, means = felt_g(phases), np.array([mean(phase) for phase in phases])
+    known = np.isfinite(felt).all(axis=1) & np.isfinite(means).all(axis=1)
+    design = np.concatenate([felt, felt**2], axis=1)[known]
+    found, _, rank, _ = np.linalg.lstsq(design, means[known], rcond=None)
+    return (found.T[:, :3], found.T[:, 3:]) if rank == design.shape[1] else (nothing, nothing)
+
+
+_CROSS = ("misalignment", "axis_error", "g_sensitivity", "channel_swap")
+
+OWN = LogProbe(
+    "force", "response to force along the axis", "{u}/g", ("scale", "axis_error", "range_reset", "g_sensitivity"), own
+)
+NEXT = LogProbe("force", "response to force along the next axis", "{u}/g", _CROSS, next_axis)
+AFTER = LogProbe("force", "response to force along the axis after the next", "{u}/g", _CROSS, axis_after)
+SQUARE = LogProbe("force", "response to the square of force along the axis", "{u}/g^2", ("nonlinearity",), square)

@@ -1,0 +1,118 @@
+"""Where the readings lie, and whether they stay there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, once
+from imuarray.gap.statistics.summary import Summary
+
+_LEAST, _MANY = 4, 16
+"""Fewer segments say nothing of a variance, of higher moments."""
+
+
+@once
+def mean(summary: Summary) -> Floats:
+    """Mean reading by the nominal sensitivity."""
+    part = summary.segments
+    held = (part.rows > 0).nonzero()[0]
+    total = part.rows[held] @ part.mean.take(held, axis=0)
+    return np.asarray(total / (summary.rows * summary.header.sensitivity)) if summary.rows else NOTHING
+
+
+def halves(summary: Summary) -> Floats:
+    """Mean of the second half's segments less that of the first half's."""
+    part = summary.segments.mean / summary.header.sensitivity
+    middle = (len(part) + 1) // 2
+    first, second = (half[np.isfinite(half[:, 0])] for half in (part[:middle], part[middle:]))
+    return np.asarray(second.mean(axis=0) - first.mean(axis=0)) if len(first) and len(second) else NOTHING
+
+
+def wander(summary: Summary) -> Floats:
+    """Log of the variance of the segments' means about a straight line, over what independent readings would give."""
+    part = summary.segments
+    held = (part.rows > 1).nonzero()[0]
+    if len(held) < _LEAST:
+        return NOTHING
+    expected = 1 / (part.rows[held] - 1) @ part.steady_variance.take(held, axis=0) / len(held)
+    left = _about_line(summary)
+    return np.asarray(log((left * left).sum(axis=0) / (len(held) - 2)) - log(expected))
+
+
+def uneven(summary: Summary) -> Floats:
+    """arsinh of the skewness of the segments' means about a straight line: of two levels one is seldom."""
+    if np.count_nonzero(summary.segments.rows > 1) < _MANY:
+        return np.full(summary.segments.mean.shape[1], np.nan)
+    left = _about_line(summary)
+    square = (left * left).mean(axis=0)
+    return np.asarray(np.arcsinh(_share((left**3).mean(axis=0), square**1.5)))
+
+
+@once
+def _about_line(summary: Summary) -> Floats:
+    """(s, 3) means of segments that hold readings, less a straight line through them."""
+    part = summary.segments
+    held = (part.rows > 1).nonzero()[0]
+    times, means = part.time_s[held], part.mean.take(held, axis=0)
+    times, means = times - times.sum() / len(held), means - means.sum(axis=0) / len(held)
+    return np.asarray(means - times[:, None] * (times @ means / (times @ times)))
+
+
+def _share(moment: Floats, of: Floats) -> Floats:
+    """nan of nothing."""
+    return np.divide(moment, of, out=np.full_like(of, np.nan), where=of > 0)
+
+
+def returned(phases: Sequence[Summary]) -> Floats:
+    """Mean of the last phase less that of the first one on the same face."""
+    last = phases[-1]
+    before = [phase for phase in phases[:-1] if phase.phase.up == last.phase.up]
+    return mean(last) - mean(before[0]) if before else NOTHING
+
+
+def whole(phases: Sequence[Summary]) -> Floats:
+    """Mean of all phases, each face or pose weighted alike, as the fit of a bias has it; nan of a single phase, whose
+    own mean says it.
+    """
+    return level(phases) if len(phases) > 1 else NOTHING
+
+
+def level(phases: Sequence[Summary]) -> Floats:
+    """The same, of a single phase too; nan without readings."""
+    faces: dict[str, list[Floats]] = {}
+    for phase in phases:
+        if phase.rows:
+            faces.setdefault(phase.phase.up or phase.phase.name, []).append(mean(phase))
+    return np.mean([np.add.reduce(means) / len(means) for means in faces.values()], axis=0) if faces else NOTHING
+
+
+_SLOW = ("bias_instability", "random_walk", "popcorn_noise", "common_mode")
+
+MEAN = PhaseProbe(
+    "level",
+    "mean reading",
+    "{u}",
+    ("bias", "scale", "misalignment", "axis_error", "turn_on_bias", "bistable_bias", "range_reset", "channel_swap"),
+    mean,
+)
+HALVES = PhaseProbe(
+    "level", "mean of the second half less that of the first", "{u}", (*_SLOW, "thermal_bias", "range_reset"), halves
+)
+WANDER = PhaseProbe(
+    "level", "log of the variance of segments' means about a straight line, over that of white noise", "", _SLOW, wander
+)
+UNEVEN = PhaseProbe(
+    "level", "arsinh of the skewness of segments' means about a straight line", "", ("popcorn_noise",), uneven
+)
+RETURN = LogProbe(
+    "level", "mean of the last phase less that of the first on the same face", "{u}", ("random_walk",), returned
+)
+LEVEL = LogProbe(
+    "level",
+    "mean reading of the whole log",
+    "{u}",
+    ("turn_on_bias", "bistable_bias", "common_mode", "range_reset"),
+    whole,
+)

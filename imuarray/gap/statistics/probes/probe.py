@@ -1,0 +1,177 @@
+"""What a probe is: a pure function that makes a number per axis of a summary, and what is said about it.
+
+A statistic is such that it scatters about evenly, and nearly normally, where nothing is wrong: logs of variances,
+Fisher's z of correlations, arcsines of the roots of shares. It is nan where it says nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import log_ndtr, ndtri_exp
+
+from imuarray.gap.statistics.campaign import LogSummary
+from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.runs import Runs
+from imuarray.gap.statistics.summary import Summary
+
+Floats = npt.NDArray[np.float64]
+Subject = TypeVar("Subject", Summary, Cross, LogSummary)
+Found = TypeVar("Found")
+Domain = Literal[
+    "level",
+    "spread",
+    "distribution",
+    "codes",
+    "spectrum",
+    "autocorrelation",
+    "allan",
+    "temperature",
+    "force",
+    "motion",
+    "cross_sensor",
+    "run_to_run",
+    "timing",
+    "status",
+]
+
+NOTHING = np.full(3, np.nan)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """`about`: what it measures; `unit` of its values ("" for pure numbers, "{u}" stands for the sensor's unit);
+    `moved_by`: the effects that it was made to see.
+    """
+
+    domain: Domain
+    about: str
+    unit: str
+    moved_by: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PhaseProbe(Probe):
+    """Of one sensor in one phase: (3,), or one number for all axes. `in_motion`: while the box moves, too. `resolution`
+    is the least difference that means anything where values can be all alike by chance. `by_column`: whatever number of
+    columns there is, each says what it says alone, so that replicates can be looked at side by side.
+    """
+
+    statistic: Callable[[Summary], Floats]
+    in_motion: bool = False
+    resolution: Callable[[Summary], float] = lambda _: 0.0
+    by_column: bool = True
+
+
+@dataclass(frozen=True)
+class LogProbe(Probe):
+    """Of one sensor in all phases of a log in which the box is at rest; `resolution` as of a `PhaseProbe`."""
+
+    statistic: Callable[[Sequence[Summary]], Floats]
+    resolution: float = 0.0
+
+
+@dataclass(frozen=True)
+class CrossProbe(Probe):
+    """Of one sensor beside the others of the array, at rest or (`in_motion`) in motion."""
+
+    statistic: Callable[[Cross, str], Floats]
+    in_motion: bool = False
+
+
+@dataclass(frozen=True)
+class ArrayProbe(Probe):
+    """Of one sensor beside the others of the array, in all phases of a log in which the box is at rest."""
+
+    statistic: Callable[[LogSummary, str], Floats]
+
+
+@dataclass(frozen=True)
+class RunsProbe(Probe):
+    """Of one sensor in the logs of one kind."""
+
+    statistic: Callable[[Runs], Floats]
+
+
+def once(work: Callable[[Subject], Found]) -> Callable[[Subject], Found]:
+    """`work`, done once for each summary, for several probes or sensors: what it finds is kept in the summary and goes
+    with it.
+    """
+    name = f"{work.__module__}.{work.__qualname__}"
+
+    @wraps(work)
+    def kept(subject: Subject) -> Found:
+        found: dict[str, Any] = vars(subject)
+        if name not in found:
+            found[name] = work(subject)
+        return found[name]  # type: ignore[no-any-return]
+
+    return kept
+
+
+def log(values: float | npt.ArrayLike) -> Floats:
+    """Natural logarithm, nan of what is not positive."""
+    if isinstance(values, float):
+        return np.array(math.log(values) if values > 0 else math.nan)
+    given = np.asarray(values, float)
+    return np.asarray(np.log(np.where(given > 0, given, np.nan)))
+
+
+def fisher_z(correlation: npt.ArrayLike) -> Floats:
+    """artanh, which makes the scatter of a correlation the same everywhere; perfect ones end at 7.25."""
+    return np.asarray(np.arctanh(np.asarray(correlation).clip(-1 + 1e-6, 1 - 1e-6)))
+
+
+def arcsine(count: float | npt.ArrayLike, of: int | npt.ArrayLike) -> Floats:
+    """arcsin of the root of a share: its standard error is 1 / (2 sqrt(of)) whatever the share; nan of nothing."""
+    if isinstance(count, int | float) and isinstance(of, int):
+        return np.array(math.asin(math.sqrt(min(max(count / of, 0.0), 1.0))) if of > 0 else math.nan)
+    total = np.asarray(of, float)
+    share = np.asarray(count, float) / np.where(total > 0, total, np.nan)
+    return np.asarray(np.arcsin(np.sqrt(share.clip(0.0, 1.0))))
+
+
+def score_of_largest(score: npt.ArrayLike, count: float) -> Floats:
+    """The normal score of the largest of `count` independent normal numbers, from that number itself: where nothing is
+    wrong it is normal too, while the largest alone has a long tail.
+    """
+    log_expected = math.log(max(count, 1)) + log_ndtr(-np.asarray(score, float))
+    expected = np.exp(np.asarray(log_expected).clip(_RARE, _COMMON))
+    return np.asarray(-ndtri_exp(np.where(log_expected > _RARE, np.log(-np.expm1(-expected)), log_expected)))
+
+
+def one_row(summary: Summary) -> float:
+    """Standard error of `arcsine` of a share of the rows."""
+    return 0.5 / math.sqrt(max(summary.rows, 1))
+
+
+@once
+def noise_lsb(summary: Summary) -> Floats:
+    """(3,) standard deviation of white noise whose neighbours differ as much as these, from the smallest 95 % of the
+    differences: no drift, no motion, no outlier. nan where neighbours never differ.
+
+    Of Gaussian noise these have a mean of 0.71683 standard deviations: 2 (phi(0) - phi(1.96)) / 0.95.
+    """
+    found = [_trimmed_mean(steps.codes, steps.counts) for steps in summary.steps]
+    noise = np.array(found) / (_TRIMMED * np.sqrt(2))
+    return np.where(noise > 0, noise, np.nan)
+
+
+_RARE, _COMMON = -30.0, 3.5
+_KEPT = 0.95
+_TRIMMED = 0.71683
+
+
+def _trimmed_mean(sizes: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> float:
+    """Mean of the smallest 95 % of `sizes` that came `counts` times."""
+    if len(sizes) == 0:
+        return math.nan
+    upto = counts.cumsum()
+    total = float(upto[-1]) * _KEPT
+    return float(sizes[-1] - np.minimum(upto[:-1], total) @ (sizes[1:] - sizes[:-1]) / total)

@@ -1,0 +1,69 @@
+"""What changes from one run to the next, and what every run does."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imuarray.gap.statistics.probes.probe import NOTHING, Floats, RunsProbe, log
+from imuarray.gap.statistics.runs import PARTS, Runs
+
+_LEAST = 4
+"""Fewer runs say nothing."""
+
+_TIMES = np.log((np.arange(PARTS) + 0.5) / PARTS)
+
+
+def spread(runs: Runs) -> Floats:
+    """Log of the robust standard deviation of the runs' means."""
+    return log(runs.spread) if len(runs.means) >= _LEAST else NOTHING
+
+
+def scatter(runs: Runs) -> Floats:
+    """Log of the variance of the runs' means over that of independent readings."""
+    if len(runs.means) < _LEAST:
+        return NOTHING
+    return np.asarray(log(runs.means.var(axis=0, ddof=1)) - log((runs.errors**2).mean(axis=0)))
+
+
+def two_states(runs: Runs) -> Floats:
+    """Log of the largest gap between the sorted means over the mean of the others."""
+    if len(runs.means) < _LEAST:
+        return NOTHING
+    gaps = np.sort(runs.gaps, axis=0)
+    return np.asarray(log(gaps[-1]) - log(gaps[:-1].mean(axis=0)))
+
+
+def outlier(runs: Runs) -> Floats:
+    """Log of the distance of the farthest run over all axes, in robust standard deviations; one number."""
+    return log(runs.joint_distance.max()) if len(runs.means) >= _LEAST else np.array(np.nan)
+
+
+def creep(runs: Runs) -> Floats:
+    """Slope of the mean profile over the log of time since the run began."""
+    if len(runs.means) < _LEAST:
+        return NOTHING
+    times = _TIMES - _TIMES.mean()
+    return np.asarray(times @ runs.mean_profile / (times @ times))
+
+
+def profile(runs: Runs) -> Floats:
+    """Log of what the mean profile varies by over what the single profiles vary about it, as a ratio of variances."""
+    if len(runs.means) < _LEAST:
+        return NOTHING
+    common = (runs.mean_profile**2).sum(axis=0)
+    single = ((runs.profiles - runs.mean_profile) ** 2).sum(axis=(0, 1)) / (len(runs.means) - 1)
+    return np.asarray(log(len(runs.means) * common) - log(single))
+
+
+_BOOT = ("turn_on_bias", "bistable_bias", "range_reset")
+
+SPREAD = RunsProbe("run_to_run", "log of the robust spread of runs' means", "log {u}", _BOOT, spread)
+SCATTER = RunsProbe(
+    "run_to_run", "log of the variance of runs' means over white noise's", "", (*_BOOT, "bias_instability"), scatter
+)
+TWO_STATES = RunsProbe(
+    "run_to_run", "log of the largest gap of sorted means over others", "", ("bistable_bias", "range_reset"), two_states
+)
+OUTLIER = RunsProbe("run_to_run", "log of the farthest run's distance", "", ("bistable_bias", "range_reset"), outlier)
+CREEP = RunsProbe("run_to_run", "slope of the mean profile over log time", "{u}", (), creep)
+PROFILE = RunsProbe("run_to_run", "log of the variance that runs' profiles have in common", "", (), profile)

@@ -1,0 +1,96 @@
+"""How noise spreads over frequencies, in cycles per row: shape only, the size is a matter of spread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, partial
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import median_filter
+
+from imuarray.gap.statistics.probes.probe import NOTHING, Floats, PhaseProbe, log, once, score_of_largest
+from imuarray.gap.statistics.summary import Summary
+
+BANDS = 6
+"""From the second bin to half the rate, equally wide in the log of frequency."""
+
+_FIRST = 4
+_BESIDE = 33
+_SIDE = _BESIDE // 2
+
+Places = npt.NDArray[np.int_]
+
+
+def band(number: int, summary: Summary) -> Floats:
+    """Log of the mean density in band `number` (0 is the lowest), over the geometric mean of all bands'."""
+    return np.asarray(_bands(summary)[number])
+
+
+def line(summary: Summary) -> Floats:
+    """Normal score of the highest density over the median of its 33 neighbours.
+
+    A density is about chi-squared, its cube root about normal (Wilson and Hilferty, PNAS 17, 1931).
+    """
+    density = summary.spectrum.density
+    if summary.spectrum.segments == 0:
+        return NOTHING
+    mirrored = density.T[:, _mirrored(len(density))]  # one line after the other: faster than three, or two dimensions
+    floor = median_filter(mirrored.ravel(), size=_BESIDE).reshape(mirrored.shape)[:, _SIDE:-_SIDE].T
+    ratio = density / np.where(floor > 0, floor, np.nan)
+    scatter = 2 / (9 * summary.spectrum.freedom[_FIRST])
+    score = (np.cbrt(ratio[_FIRST:-1].max(axis=0)) - 1) / np.sqrt(scatter)
+    return score_of_largest(score, len(ratio))
+
+
+def alternation(summary: Summary) -> Floats:
+    """Log of the density at half the rate, which has no twin and counts double, over that of the bins before it."""
+    density = summary.spectrum.density
+    return np.asarray(log(2 * density[-1]) - log(density[-_BESIDE:-2].mean(axis=0)))
+
+
+def every_other(summary: Summary) -> Floats:
+    """Mean of the readings of which every other one is taken negative, in its standard errors: what follows the number
+    of a reading, as of two converters in turn or of a sensor that is read first in every other frame, adds up over the
+    phase. A line beats with the rows and doesn't, however near it is to half their rate.
+    """
+    density = np.median(summary.spectrum.density[-_BESIDE:-2], axis=0)
+    square_error = np.where(density > 0, density, np.nan) / (2 * max(summary.rows, 1))
+    return np.asarray(summary.alternating / np.sqrt(square_error))
+
+
+@once
+def _bands(summary: Summary) -> Floats:
+    """(b, 3) log of the mean density in each band, over the geometric mean."""
+    density = summary.spectrum.density
+    edges = _edges(len(density))
+    sums = np.add.reduceat(density, edges[:-1], axis=0)
+    logs = log(sums / (edges[1:] - edges[:-1])[:, None])
+    return np.asarray(logs - logs.mean(axis=0))
+
+
+@cache
+def _edges(bins: int) -> Places:
+    """Where the bands begin, and the last one ends."""
+    return np.rint(np.geomspace(2, bins, BANDS + 1)).astype(int)
+
+
+@cache
+def _mirrored(bins: int) -> Places:
+    """The bins, and at either end those that a median of `_BESIDE` reaches for beyond it."""
+    return np.asarray(np.abs((bins - 1) - np.abs((bins - 1) - np.arange(-_SIDE, bins + _SIDE))))
+
+
+def _band_probe(number: int) -> PhaseProbe:
+    statistic: Callable[[Summary], Floats] = partial(band, number)
+    low = ("bias_instability", "random_walk", "popcorn_noise", "common_mode")
+    moved_by = (*low, "bandwidth") if number < BANDS // 2 else ("bandwidth", "odr_error", "stale_samples", "tone")
+    return PhaseProbe("spectrum", f"log density in band {number + 1} of {BANDS}", "", moved_by, statistic)
+
+
+BAND_PROBES = tuple(_band_probe(number) for number in range(BANDS))
+LINE = PhaseProbe("spectrum", "normal score of the highest peak over its neighbours' median", "", ("tone",), line)
+ALTERNATION = PhaseProbe("spectrum", "log of the density at half the rate over that before", "", ("tone",), alternation)
+EVERY_OTHER = PhaseProbe(
+    "spectrum", "normal score of the mean of every other reading less that of those between", "", ("tone",), every_other
+)

@@ -1,0 +1,95 @@
+"""How much readings scatter, and whether always as much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imuarray.gap.statistics.probes.force import felt_g
+from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, noise_lsb, once
+from imuarray.gap.statistics.summary import Summary
+
+_LEAST = 4
+"""Segments of fewer rows say nothing of a variance."""
+
+_ROUNDED = 1 / 12
+"""Variance of rounding, in counts. One code all through a segment says that there is little more, not that there is
+none: where codes are coarse it happens now and then, and a statistic that is missing then would be the strangest of
+all, in one replicate of a few.
+"""
+
+
+def noise(summary: Summary) -> Floats:
+    """Log of the noise from row to row, in the sensor's unit."""
+    return log(noise_lsb(summary) / summary.header.sensitivity)
+
+
+def excess(summary: Summary) -> Floats:
+    """Log of the standard deviation within segments over the noise from row to row."""
+    return np.asarray(log(_pooled(summary)) / 2 - log(noise_lsb(summary)))
+
+
+def halves(summary: Summary) -> Floats:
+    """Log of the variance within the segments of the second half over that of the first half."""
+    variance, rows = summary.segments.steady_variance, summary.segments.rows
+    middle = (len(rows) + 1) // 2
+    return log(_mean_variance(variance[middle:], rows[middle:])) - log(_mean_variance(variance[:middle], rows[:middle]))
+
+
+def uneven(summary: Summary) -> Floats:
+    """Log of the variance of the segments' log variances, over 2 / (rows - 1) as of Gaussian noise; no variance is
+    smaller than that of rounding.
+    """
+    part = summary.segments
+    held = (part.rows >= _LEAST).nonzero()[0]
+    if len(held) < _LEAST:
+        return NOTHING
+    values = log(part.steady_variance.take(held, axis=0).clip(_ROUNDED))
+    values = values - values.sum(axis=0) / len(held)
+    expected = (2 / (part.rows[held] - 1.0)).sum() / len(held)
+    return log((values * values).sum(axis=0) / (len(held) - 1) / expected)
+
+
+def with_force(phases: Sequence[Summary]) -> Floats:
+    """Log variance on faces where the axis feels gravity, less that on the others."""
+    if len({phase.phase.up for phase in phases}) < 2:
+        return NOTHING
+    felt = felt_g(phases)
+    values = np.array([log(_pooled(phase)) for phase in phases])
+    loaded = np.abs(felt) > 0.5
+    known = np.isfinite(felt[:, :1]) & np.isfinite(values)
+    on, off = known & loaded, known & ~loaded
+    if not (on.any(axis=0).all() and off.any(axis=0).all()):
+        return NOTHING
+    return np.asarray(np.mean(values, axis=0, where=on) - np.mean(values, axis=0, where=off))
+
+
+@once
+def _pooled(summary: Summary) -> Floats:
+    return _mean_variance(summary.segments.steady_variance, summary.segments.rows)
+
+
+def _mean_variance(variance: Floats, rows: np.ndarray) -> Floats:
+    """(3,) over the segments, weighted with their rows."""
+    held = (rows > 1).nonzero()[0]
+    taken = rows[held]
+    freedom = int(taken.sum()) - len(taken)
+    return np.asarray(taken @ variance.take(held, axis=0) / freedom) if freedom else NOTHING
+
+
+_SIZES = ("white_noise", "odr_error", "range_reset", "scale", "channel_swap")
+
+NOISE = PhaseProbe("spread", "log of the noise from row to row", "log {u}", (*_SIZES, "bandwidth", "stuck"), noise)
+EXCESS = PhaseProbe(
+    "spread",
+    "log of the standard deviation within segments over the noise from row to row",
+    "",
+    ("glitches", "tone", "popcorn_noise", "bandwidth", "stale_samples"),
+    excess,
+)
+HALVES = PhaseProbe("spread", "log of the variance of the second half over the first", "", ("range_reset",), halves)
+UNEVEN = PhaseProbe(
+    "spread", "log of the variance of segments' log variances", "", ("glitches", "stuck", "range_reset"), uneven
+)
+FORCE = LogProbe("spread", "log of the variance under gravity over that without", "", ("scale",), with_force)

@@ -1,0 +1,47 @@
+"""What the flags say, and words that no sensor gives."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from imuarray.gap.statistics.probes.probe import Floats, PhaseProbe, arcsine, one_row
+from imuarray.gap.statistics.summary import Summary
+
+
+def flagged(names: tuple[str, ...], summary: Summary) -> Floats:
+    """arcsine of the share of rows with these flags, added up."""
+    return arcsine(sum(summary.flags[name] for name in names), summary.rows)
+
+
+def words(summary: Summary) -> Floats:
+    """arcsine of the share of rows whose axes all read -1, or all 0."""
+    return arcsine(summary.words, summary.rows)
+
+
+def _probe(about: str, moved_by: tuple[str, ...], *flags: str) -> PhaseProbe:
+    return PhaseProbe(
+        "status",
+        f"arcsine of the share of rows {about}",
+        "",
+        moved_by,
+        partial(flagged, flags),
+        True,
+        one_row,
+        by_column=False,
+    )
+
+
+STALE = _probe("that are no new reading", ("stale_samples", "stuck", "odr_error"), "stale")
+SATURATED = _probe("at an end of the span", ("saturation", "range_reset", "scale"), "saturated")
+LOST = _probe("before which some were lost", ("dropped_samples",), "lost_before", "overrun")
+DOUBT = _probe("of a chip in doubt or just set up again", (), "suspect", "reconfigured")
+WORDS = PhaseProbe(
+    "status",
+    "arcsine of the share of rows that read -1 or 0 on all axes",
+    "",
+    ("glitches",),
+    words,
+    True,
+    one_row,
+    False,
+)

@@ -1,0 +1,154 @@
+"""How readings follow the temperature of the reference: its value, its square, its change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe, log
+from imuarray.gap.statistics.summary import Summary
+from imuarray.simulate.converters import THERMOMETERS
+
+_LEAST_DEGC = 1.0
+"""A smaller span of temperatures says nothing of a slope."""
+
+SLOPE, SQUARE, CHANGE = 1, 2, 3
+
+
+def coefficient(number: int, phases: Sequence[Summary]) -> Floats:
+    """Coefficient of T - mean, its square, or dT/dt, from a fit of the segments' means that ends with this term."""
+    table = _table(phases)
+    if table is None:
+        return NOTHING
+    design, means, _ = table
+    return np.asarray(np.linalg.lstsq(design[:, : number + 1], means, rcond=None)[0][number])
+
+
+def residual(phases: Sequence[Summary]) -> Floats:
+    """Log of the variance that the whole fit leaves in the segments' means, over what independent readings give."""
+    table = _table(phases)
+    if table is None:
+        return NOTHING
+    design, means, expected = table
+    left = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
+    return np.asarray(log((left**2).sum(axis=0) / (len(design) - design.shape[1])) - log(expected))
+
+
+def noise_slope(phases: Sequence[Summary]) -> Floats:
+    """Slope of the segments' log variance over temperature."""
+    part = _Joined(phases)
+    if not part.is_warmed:
+        return NOTHING
+    held = part.rows > 3
+    held &= (part.variance > 0).all(axis=1)
+    if np.count_nonzero(held) < 4 or np.ptp(part.degc[held]) < _LEAST_DEGC:
+        return NOTHING
+    warm = part.degc[held] - part.degc[held].mean()
+    return np.asarray(warm @ np.log(part.variance[held]) / (warm @ warm))
+
+
+def thermometer_offset(phases: Sequence[Summary]) -> Floats:
+    """What the chip's thermometer shows on average, by the data sheet, less the reference; one number."""
+    converter = THERMOMETERS.get(phases[0].header.chip)
+    part = _Joined(phases)
+    held = np.isfinite(part.thermometer)
+    if converter is None or not held.any():
+        return np.array(np.nan)
+    shown, rows = part.thermometer[held] / converter.lsb_per_degc + converter.zero_degc, part.rows[held]
+    return np.asarray(rows @ (shown - part.degc[held]) / rows.sum())
+
+
+def thermometer_noise(phases: Sequence[Summary]) -> Floats:
+    """Log of the variance of the thermometer's counts within segments and a twelfth of a count; one number."""
+    part = _Joined(phases)
+    held = np.isfinite(part.thermometer)
+    rows = part.rows[held]
+    return log(rows @ part.thermometer_variance[held] / rows.sum() + 1 / 12) if held.any() else np.array(np.nan)
+
+
+class _Joined:
+    """The segments of several phases one after the other; a column is joined when it is asked for."""
+
+    def __init__(self, phases: Sequence[Summary]) -> None:
+        self._parts = [phase.segments for phase in phases]
+
+    @property
+    def is_warmed(self) -> bool:
+        """Whether the temperatures span enough for a slope: the usual case, told first, is that they don't."""
+        return bool(np.fmax.reduce(self.degc) - np.fmin.reduce(self.degc) >= _LEAST_DEGC)
+
+    @cached_property
+    def rows(self) -> npt.NDArray[np.int64]:
+        return np.concatenate([part.rows for part in self._parts])
+
+    @cached_property
+    def degc(self) -> Floats:
+        return np.concatenate([part.temperature_degc for part in self._parts])
+
+    @property
+    def warming(self) -> Floats:
+        return np.concatenate([part.warming_degc_per_s for part in self._parts])
+
+    @property
+    def mean(self) -> Floats:
+        return np.concatenate([part.mean for part in self._parts])
+
+    @cached_property
+    def variance(self) -> Floats:
+        return np.concatenate([part.steady_variance for part in self._parts])
+
+    @cached_property
+    def thermometer(self) -> Floats:
+        return np.concatenate([part.thermometer for part in self._parts])
+
+    @property
+    def thermometer_variance(self) -> Floats:
+        return np.concatenate([part.thermometer_variance for part in self._parts])
+
+
+def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
+    """Columns 1, T, T^2, dT/dt (s, 4), means (s, 3) in the sensor's unit, expected variance (3,); None if the phases
+    are on different faces or always as warm.
+    """
+    if len({phase.phase.up for phase in phases}) > 1:
+        return None
+    part = _Joined(phases)
+    if not part.is_warmed:
+        return None
+    held = (part.rows > 1) & np.isfinite(part.degc)
+    if np.count_nonzero(held) < 8 or np.ptp(part.degc[held]) < _LEAST_DEGC:
+        return None
+    degc = part.degc[held] - part.degc[held].mean()
+    design = np.stack([np.ones_like(degc), degc, degc**2, part.warming[held]], axis=1)
+    scale = phases[0].header.sensitivity
+    expected = (part.variance[held] / (part.rows[held, None] - 1)).mean(axis=0)
+    return design, part.mean[held] / scale, expected / scale**2
+
+
+def _fit(number: int) -> Callable[[Sequence[Summary]], Floats]:
+    return partial(coefficient, number)
+
+
+SLOPE_PROBE = LogProbe(
+    "temperature", "slope of the mean over temperature", "{u}/degC", ("thermal_bias", "thermal_scale"), _fit(SLOPE)
+)
+SQUARE_PROBE = LogProbe("temperature", "coefficient of T^2", "{u}/degC^2", ("thermal_bias",), _fit(SQUARE))
+CHANGE_PROBE = LogProbe(
+    "temperature", "coefficient of dT/dt", "{u} s/degC", ("thermal_lag", "clock_error"), _fit(CHANGE)
+)
+RESIDUAL = LogProbe("temperature", "log of the variance beside the fit", "", ("thermal_lag", "random_walk"), residual)
+NOISE_SLOPE = LogProbe("temperature", "slope of the log variance over temperature", "1/degC", (), noise_slope)
+THERMOMETER_OFFSET = LogProbe(
+    "temperature",
+    "chip's thermometer less the reference",
+    "degC",
+    ("thermometer", "thermal_lag"),
+    thermometer_offset,
+    0.1,
+)
+THERMOMETER_NOISE = LogProbe(
+    "temperature", "log of the variance of the thermometer's counts", "", ("thermometer",), thermometer_noise, 0.1
+)

@@ -1,0 +1,90 @@
+"""When rows come, and whether they are new."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imuarray.gap.statistics.probes.probe import Floats, PhaseProbe, arcsine, log, one_row
+from imuarray.gap.statistics.summary import Summary
+
+
+def interval(summary: Summary) -> Floats:
+    """Log of the mean interval in s."""
+    return log(summary.intervals.mean_s)
+
+
+def irregularity(summary: Summary) -> Floats:
+    """Log of the standard deviation of intervals over their mean, 1e-6 of it at least."""
+    times = summary.intervals
+    return np.asarray(log(math.hypot(times.std_s, 1e-6 * times.mean_s)) - log(times.mean_s))
+
+
+def gaps(summary: Summary) -> Floats:
+    """arcsine of the share of intervals that are gaps."""
+    times = summary.intervals
+    return arcsine(times.gaps, times.count + times.gaps)
+
+
+def longest(summary: Summary) -> Floats:
+    """Log of the longest interval over the mean."""
+    return np.asarray(log(summary.intervals.longest_s) - log(summary.intervals.mean_s))
+
+
+def repeats(summary: Summary) -> Floats:
+    """arcsine of the share of rows that equal the one before on all axes."""
+    share = summary.repeats.repeat_share
+    return arcsine(share * (summary.rows - 1), summary.rows - 1)
+
+
+def longest_repeat(summary: Summary) -> Floats:
+    """Log of the length of the longest run of equal rows, and a half."""
+    return log(summary.repeats.longest - 0.5)
+
+
+def _hundredth(_: Summary) -> float:
+    """Of logs of what may be quite regular."""
+    return 0.01
+
+
+_DROPPED = ("dropped_samples",)
+_REPEATED = ("odr_error", "stale_samples", "stuck")
+
+INTERVAL = PhaseProbe(
+    "timing", "log of the mean interval between rows", "log s", (), interval, True, lambda _: 1e-6, by_column=False
+)
+IRREGULARITY = PhaseProbe(
+    "timing",
+    "log of the scatter of intervals over their mean",
+    "",
+    _DROPPED,
+    irregularity,
+    True,
+    _hundredth,
+    by_column=False,
+)
+GAPS = PhaseProbe("timing", "arcsine of the share of gaps", "", _DROPPED, gaps, True, one_row, by_column=False)
+LONGEST = PhaseProbe(
+    "timing", "log of the longest interval over the mean", "", _DROPPED, longest, True, _hundredth, by_column=False
+)
+REPEATS = PhaseProbe(
+    "timing",
+    "arcsine of the share of rows that repeat the one before",
+    "",
+    _REPEATED,
+    repeats,
+    True,
+    one_row,
+    by_column=False,
+)
+LONGEST_REPEAT = PhaseProbe(
+    "timing",
+    "log of the longest run of equal rows",
+    "",
+    ("stuck", "odr_error"),
+    longest_repeat,
+    True,
+    lambda _: 0.5,
+    False,
+)

@@ -1,0 +1,142 @@
+"""A phase in equal parts of time: the moments of the readings in each, and how warm it was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.recording.recordings import Temperature, Times
+
+Floats = npt.NDArray[np.float64]
+
+POWERS = 4
+
+
+@dataclass(frozen=True)
+class Segments:
+    """s parts of a phase, of `width_s` each; nan where a part has no readings.
+
+    `rows` (s,); `time_s` (s,) their mean time; `temperature_degc` (s,) at that time and `warming_degc_per_s` (s,) from
+    one end of the part to the other, by the reference; `mean` (s, 3) and the central moments `variance`, `third`,
+    `fourth` (s, 3), divided by the rows, in counts and their powers. `thermometer` and `thermometer_variance` (s,) are
+    of the counts of the chip's own thermometer, nan if it gives none.
+    """
+
+    width_s: float
+    rows: npt.NDArray[np.int64]
+    time_s: Floats
+    temperature_degc: Floats
+    warming_degc_per_s: Floats
+    mean: Floats
+    variance: Floats
+    third: Floats
+    fourth: Floats
+    thermometer: Floats
+    thermometer_variance: Floats
+
+    @cached_property
+    def steady_variance(self) -> Floats:
+        """(s, 3) the variance without that of a straight line through the part, as steep as the means of the parts
+        beside it say: a change by c in equal steps has a variance of c^2 / 12. Rounding, 1/12,
+        is left.
+        """
+        change = np.zeros_like(self.mean)
+        if len(change) > 1:
+            change[1:-1] = (self.mean[2:] - self.mean[:-2]) / 2
+            change[0], change[-1] = self.mean[1] - self.mean[0], self.mean[-1] - self.mean[-2]
+        # of a part beside one without readings the change is nan, and the variance stays
+        return np.asarray(np.fmin(self.variance, np.maximum(self.variance - change * change / 12, 1 / 12)))
+
+
+class SegmentTally:
+    """Adds up powers of the readings of [start_ns, end_ns) in `count` parts; of so many `replicates` at once, whose
+    rows have the same times.
+    """
+
+    def __init__(self, start_ns: int, end_ns: int, count: int, replicates: int = 1) -> None:
+        self._edges = start_ns + (np.arange(count + 1) * (end_ns - start_ns)) // count
+        self._rows = np.zeros(count, np.int64)
+        self._since_ns = np.zeros(count)
+        self._powers = np.zeros((POWERS, count, 3 * replicates))
+        self._thermometer = np.zeros((2, replicates, count))
+        self._has_thermometer = False
+
+    def update(self, time_ns: Times, apart: Floats, thermometers: npt.NDArray[np.int16] | None) -> None:
+        """The next rows: times (n,), distances (3 r, n) of counts from an origin, and the thermometers' counts (r, n);
+        of the only replicate (n,).
+        """
+        part, starts, rows = self._parts(time_ns)
+        self._rows[part] += rows
+        self._since_ns[part] += np.add.reduceat(np.asarray(time_ns - self._edges[0], float), starts)
+        powers = np.empty((POWERS, *apart.shape))
+        powers[0] = apart
+        for power in range(1, POWERS):
+            np.multiply(powers[power - 1], apart, out=powers[power])
+        self._powers[:, part] += np.add.reduceat(powers, starts, axis=2).transpose(0, 2, 1)
+        if thermometers is not None:
+            self._has_thermometer = True
+            values = np.atleast_2d(thermometers).astype(float)
+            self._thermometer[0][:, part] += np.add.reduceat(values, starts, axis=1)
+            self._thermometer[1][:, part] += np.add.reduceat(values * values, starts, axis=1)
+
+    def result(self, origin: Floats, temperature: Temperature) -> Segments:
+        """The parts of the only replicate; `origin` (3,) counts is what all distances were taken from."""
+        (found,) = self.results(origin, temperature)
+        return found
+
+    def results(self, origin: Floats, temperature: Temperature) -> list[Segments]:
+        """The parts of each replicate; `origin` (3 r,)."""
+        rows = np.where(self._rows, self._rows, np.nan)
+        replicates, mean_ns = len(self._thermometer[0]), self._since_ns / rows
+        widths_ns = self._edges[1:] - self._edges[:-1]
+        widths_s = widths_ns * 1e-9
+        at_ns = self._edges[0] + np.rint(np.where(self._rows, mean_ns, widths_ns / 2)).astype(np.int64)
+        ends_degc = np.asarray(temperature(self._edges), float)
+        times = (
+            float(widths_s.mean()),
+            self._rows.copy(),
+            (self._edges[0] + mean_ns) * 1e-9,
+            np.asarray(temperature(at_ns), float),
+            (ends_degc[1:] - ends_degc[:-1]) / widths_s,
+        )
+        mean, variance, third, fourth = (apart_again(one, replicates) for one in self._moments(origin, rows))
+        degc, noise = self._warmth(rows)
+        return [
+            Segments(*times, mean[at], variance[at], third[at], fourth[at], degc[at], noise[at])
+            for at in range(replicates)
+        ]
+
+    def _moments(self, origin: Floats, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """(s, 3 r) means, and central moments."""
+        first, second, third, fourth = self._powers / rows[:, None]
+        square = first * first
+        return (
+            first + origin,
+            np.maximum(second - square, 0.0),
+            third - (3 * second - 2 * square) * first,
+            fourth - (4 * third - (6 * second - 3 * square) * first) * first,
+        )
+
+    def _warmth(self, rows: Floats) -> tuple[Floats, Floats]:
+        """(r, s) mean and variance of each thermometer."""
+        if not self._has_thermometer:
+            return (np.full(self._thermometer.shape[1:], np.nan),) * 2
+        means, squares = self._thermometer / rows
+        return means, np.maximum(squares - means**2, 0.0)
+
+    def _parts(self, time_ns: Times) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """The parts that the times lie in, where each begins and how many rows of these it has."""
+        ends = np.searchsorted(self._edges, time_ns[[0, -1]], side="right") - 1
+        part = np.arange(ends[0], ends[1] + 1)
+        starts = np.searchsorted(time_ns, self._edges[part])
+        starts[0] = 0
+        rows = np.concatenate([starts[1:], [len(time_ns)]]) - starts
+        return part[rows > 0], starts[rows > 0], rows[rows > 0]
+
+
+def apart_again(columns: Floats, replicates: int) -> Floats:
+    """(r, n, 3) of replicates that have the columns (n, 3 r) together."""
+    return np.ascontiguousarray(columns.reshape(len(columns), replicates, 3).swapaxes(0, 1))

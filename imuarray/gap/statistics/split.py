@@ -1,0 +1,105 @@
+"""Which part of a campaign parameters are fitted to, and which is held out to judge by.
+
+Of several logs of one kind every second one is held out; of a log that is the only one of its kind the second half of
+every phase. So both parts hold the same faces and phases, and what was fitted to the one has not seen the other.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from imuarray.gap.statistics.campaign import Campaign, LogSummary
+from imuarray.log.format import Phase
+
+
+@dataclass(frozen=True)
+class Share:
+    """What is looked at of one log: `phases`, the `numbers` that these have in the log, and whether each is held out;
+    `half` tells that they are halves.
+    """
+
+    phases: tuple[Phase, ...]
+    numbers: tuple[int, ...]
+    held_out: tuple[bool, ...]
+    half: bool
+
+
+@dataclass(frozen=True)
+class Side:
+    """One part of a campaign: its logs that have anything in this part, and which logs of the whole these are."""
+
+    campaign: Campaign
+    logs: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Split:
+    """What is looked at of every log of a campaign, in order."""
+
+    shares: tuple[Share, ...]
+
+    def train(self, campaign: Campaign) -> Side:
+        """The part to fit to."""
+        return self._side(campaign, False)
+
+    def held_out(self, campaign: Campaign) -> Side:
+        """The part to judge by."""
+        return self._side(campaign, True)
+
+    def both(self, campaign: Campaign) -> Side:
+        """Everything, as one part."""
+        return Side(campaign, tuple(range(len(campaign.logs))))
+
+    def phases(self, held_out: bool | None = None) -> tuple[tuple[Phase, ...], ...]:
+        """What is looked at of each log: both parts (None), or one."""
+        return tuple(tuple(share.phases[at] for at in _places(share, held_out)) for share in self.shares)
+
+    @property
+    def words(self) -> str:
+        """How it was done, in one sentence."""
+        halved = sum(share.half for share in self.shares)
+        whole = sum(all(share.held_out) for share in self.shares if share.phases and not share.half)
+        parts = [f"{whole} of {len(self.shares)} logs (every second of a kind)"] if whole else []
+        parts += [f"the second half of every phase of {halved} {'log' if halved == 1 else 'logs'}"] if halved else []
+        return f"held out: {' and '.join(parts) or 'nothing'}"
+
+    def _side(self, campaign: Campaign, held_out: bool) -> Side:
+        parts = [_part(log, share, held_out) for log, share in zip(campaign.logs, self.shares, strict=True)]
+        logs = tuple(number for number, part in enumerate(parts) if part.phases)
+        return Side(Campaign(tuple(parts[number] for number in logs)), logs)
+
+
+def split_of(kinds: Sequence[str], phases: Sequence[Sequence[Phase]]) -> Split:
+    """The split of a campaign whose logs are of these kinds and have these phases."""
+    many = {kind for kind, count in Counter(kinds).items() if count > 1}
+    shares = []
+    for number, (kind, own) in enumerate(zip(kinds, phases, strict=True)):
+        if kind in many:
+            out = kinds[:number].count(kind) % 2 == 1
+            shares.append(Share(tuple(own), tuple(range(len(own))), (out,) * len(own), False))
+        else:
+            shares.append(_halved(own))
+    return Split(tuple(shares))
+
+
+def _halved(phases: Sequence[Phase]) -> Share:
+    halves: list[Phase] = []
+    for phase in phases:
+        middle = (phase.start_ns + phase.end_ns) // 2
+        halves += [phase._replace(end_ns=middle), phase._replace(start_ns=middle)]
+    numbers = tuple(number // 2 for number in range(len(halves)))
+    return Share(tuple(halves), numbers, (False, True) * len(phases), True)
+
+
+def _places(share: Share, held_out: bool | None) -> list[int]:
+    return [at for at, out in enumerate(share.held_out) if held_out is None or out == held_out]
+
+
+def _part(log: LogSummary, share: Share, held_out: bool) -> LogSummary:
+    """Of a log summarised in all phases of its share, or in those of one part."""
+    places = _places(share, held_out)
+    chosen = places if len(log.phases) == len(share.phases) else range(len(log.phases))
+    parts = [replace(log.phases[at], number=share.numbers[place]) for at, place in zip(chosen, places, strict=False)]
+    return replace(log, phases=tuple(parts))

@@ -1,0 +1,215 @@
+"""Everything that is kept of one sensor in one phase: one pass over its rows, in memory that does not grow with them.
+
+Rows are taken as they come, flagged ones too: a simulation of the same plan flags and misses the same, so that nothing
+has to be cleaned before real and simulated rows are compared. Correlations, spectra and Allan variances count in rows,
+not in seconds; neighbours in the log are neighbours, whatever lies between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.characterise.codes import NOTHING, Histogram, histograms
+from imuarray.characterise.correlation import Autocovariance
+from imuarray.characterise.repeats import Repeats, RepeatTally
+from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
+from imuarray.gap.recording.outliers import Outliers, OutlierTally
+from imuarray.gap.recording.recordings import Temperature
+from imuarray.gap.statistics.haar import Haar, HaarTally
+from imuarray.gap.statistics.intervals import IntervalMoments, Intervals, StatusTally
+from imuarray.gap.statistics.segments import Segments, SegmentTally, apart_again
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.writer import Block
+
+Floats = npt.NDArray[np.float64]
+
+LAGS = 5
+ARCH_LAGS = 3
+OCTAVES = 14
+"""Averaging factors up to 8192 rows."""
+
+_SEGMENTS = 64
+_SEGMENT_ROWS = 16
+"""A part of a phase has at least so many rows, or there are fewer parts."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """How finely a phase is looked at: rows of a spectrum's segment, parts of the phase.
+
+    Statistics can be compared between grids that are the same: what a recorded phase has, its simulations get too.
+    """
+
+    spectrum_rows: int
+    segments: int
+
+    @classmethod
+    def of(cls, rows: int) -> Grid:
+        """The grid for a phase of so many rows."""
+        return cls(segment_rows(max(rows, 1)), min(_SEGMENTS, max(2, rows // _SEGMENT_ROWS)))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One sensor in one phase; arrays have a column for each axis, counts are raw.
+
+    `segments` of time; `codes` and `steps` (sizes of the differences of neighbours), a histogram per axis; `spectrum`
+    in squared counts per cycle per row; `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared
+    differences of neighbours at lags 0 ... 3; `allan` at octaves; `intervals` of time, joint `repeats` of all axes,
+    rows with each of the log's `flags`, `words`: rows in which all axes read -1, or all 0, and `lone` readings.
+    """
+
+    header: SensorHeader
+    phase: Phase
+    grid: Grid
+    rows: int
+    segments: Segments
+    codes: tuple[Histogram, ...]
+    steps: tuple[Histogram, ...]
+    spectrum: Spectrum
+    alternating: Floats
+    correlation: Floats
+    arch: Floats
+    allan: Haar
+    intervals: Intervals
+    repeats: Repeats
+    flags: Mapping[str, int]
+    words: int
+    lone: Outliers
+
+
+class Tally:
+    """Takes the blocks of one sensor in one phase; of so many `replicates` at once, whose rows have the same times:
+    most of the time that few rows take is what every call of NumPy costs.
+    """
+
+    def __init__(self, header: SensorHeader, phase: Phase, grid: Grid, replicates: int = 1) -> None:
+        self._header, self._phase, self._grid = header, phase, grid
+        columns = 3 * replicates
+        self._segments = SegmentTally(phase.start_ns, phase.end_ns, grid.segments, replicates)
+        self._codes, self._steps = [NOTHING] * columns, [NOTHING] * columns
+        self._welch = Welch(1.0, grid.spectrum_rows, columns)
+        self._covariance, self._arch = Autocovariance(LAGS, columns), Autocovariance(ARCH_LAGS, columns)
+        self._haar = HaarTally(OCTAVES, columns)
+        self._intervals = IntervalMoments()
+        self._repeats = [RepeatTally() for _ in range(replicates)]
+        self._status = [StatusTally() for _ in range(replicates)]
+        self._lone = [OutlierTally() for _ in range(replicates)]
+        self._origin, self._rows = np.zeros(columns), 0
+        self._alternating = np.zeros(columns)
+        self._last = np.zeros((columns, 0))
+
+    def update(self, *blocks: Block) -> None:
+        """The next rows of each replicate, at least one."""
+        time = blocks[0].time
+        counts = np.concatenate([block.counts.T for block in blocks])
+        apart = counts.astype(np.float64)
+        if self._rows == 0:
+            self._origin = np.rint(apart.mean(axis=1))
+        apart -= self._origin[:, None]
+        even, odd = (apart[:, (self._rows + first) % 2 :: 2].sum(axis=1) for first in (0, 1))
+        self._alternating += even - odd
+        self._rows += len(time)
+        line = np.concatenate([self._last, apart], axis=1)
+        steps = line[:, 1:] - line[:, :-1]
+        self._last = apart[:, -1:].copy()
+        self._segments.update(time, apart, _thermometers(blocks))
+        self._count(counts, steps)
+        self._welch.update(apart.T)
+        self._covariance.update(apart.T)
+        self._arch.update((steps * steps).T)
+        self._haar.update(apart)
+        self._intervals.update(time)
+        for block, repeats, status in zip(blocks, self._repeats, self._status, strict=True):
+            repeats.update(block.counts)
+            status.update(block.status, block.counts)
+        for at, lone in enumerate(self._lone):
+            lone.update(time, apart[3 * at : 3 * at + 3])
+
+    def result(self, temperature: Temperature) -> Summary:
+        """All that came so far of the only replicate."""
+        (found,) = self.results(temperature)
+        return found
+
+    def results(self, temperature: Temperature) -> list[Summary]:
+        """All that came so far of each replicate."""
+        replicates = len(self._repeats)
+        spectrum, haar, intervals = self._welch.result(), self._haar.result(), self._intervals.result()
+        tables = (self._covariance.correlation(), self._arch.correlation(), haar.variance, haar.kurtosis)
+        correlation, arch, variance, kurtosis = (apart_again(table, replicates) for table in tables)
+        alternating = self._alternating.reshape(replicates, 3) / max(self._rows, 1)
+        segments = self._segments.results(self._origin, temperature)
+        return [
+            Summary(
+                self._header,
+                self._phase,
+                self._grid,
+                self._rows,
+                segments[at],
+                tuple(self._codes[3 * at : 3 * at + 3]),
+                tuple(self._steps[3 * at : 3 * at + 3]),
+                replace(spectrum, density=spectrum.density[:, 3 * at : 3 * at + 3]),
+                alternating[at],
+                correlation[at],
+                arch[at],
+                haar._replace(variance=variance[at], kurtosis=kurtosis[at]),
+                intervals,
+                self._repeats[at].result(),
+                self._status[at].flags,
+                self._status[at].words,
+                self._lone[at].result(),
+            )
+            for at in range(replicates)
+        ]
+
+    def _count(self, counts: npt.NDArray[np.int16], steps: Floats) -> None:
+        codes = histograms(counts.astype(np.int64))
+        sizes = histograms(np.abs(steps).astype(np.int64))
+        self._codes = [seen.merge(more) for seen, more in zip(self._codes, codes, strict=True)]
+        self._steps = [seen.merge(more) for seen, more in zip(self._steps, sizes, strict=True)]
+
+
+def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
+    """(r, n) counts, if the chip gives any."""
+    counts = [block.temperature_counts for block in blocks if block.temperature_counts is not None]
+    return np.array(counts) if counts else None
+
+
+def side_by_side(replicates: Sequence[Summary]) -> Summary:
+    """Replicates that were tallied together as one summary, with three columns of each one after the other, for who
+    looks at every column alone; what has no columns is the first one's.
+    """
+    first = replicates[0]
+    if len(replicates) == 1:
+        return first
+    parts = [one.segments for one in replicates]
+    spectrum = replace(first.spectrum, density=_beside([one.spectrum.density for one in replicates]))
+    return replace(
+        first,
+        segments=replace(
+            first.segments,
+            mean=_beside([part.mean for part in parts]),
+            variance=_beside([part.variance for part in parts]),
+            third=_beside([part.third for part in parts]),
+            fourth=_beside([part.fourth for part in parts]),
+        ),
+        codes=tuple(chain.from_iterable(one.codes for one in replicates)),
+        steps=tuple(chain.from_iterable(one.steps for one in replicates)),
+        spectrum=spectrum,
+        alternating=np.concatenate([one.alternating for one in replicates]),
+        correlation=_beside([one.correlation for one in replicates]),
+        arch=_beside([one.arch for one in replicates]),
+        allan=first.allan._replace(
+            variance=_beside([one.allan.variance for one in replicates]),
+            kurtosis=_beside([one.allan.kurtosis for one in replicates]),
+        ),
+    )
+
+
+def _beside(tables: Sequence[Floats]) -> Floats:
+    return np.concatenate(tables, axis=1)

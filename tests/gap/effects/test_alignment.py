@@ -1,0 +1,123 @@
+"""bias, scale, misalignment, axis_error: guessed from faces and from motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imuarray.gap.inference.effects import bias, misalignment, scale
+from imuarray.gap.inference.effects.axis_error import exchanges
+from imuarray.gap.inference.effects.axis_error import guesses as axis_errors
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.effects.response import Response
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.axis_error import AxisError
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.scale import Scale
+from tests.gap.effects.evidence_of import evidence_of
+
+FACES = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+def test_a_bias_is_in_the_fit_whatever_it_is() -> None:
+    strong: Effect = Bias((0.3,) * 3)
+    assert not list(bias.guesses(evidence_of("tumble", "A1", {"A1": (strong,)})))
+
+
+@pytest.mark.parametrize(("kind", "sensor", "within"), [("tumble", "A1", 0.002), ("motion", "G1", 0.02)])
+def test_scale(kind: str, sensor: str, within: float) -> None:
+    """Motion is compared with that of one other sensor; some of it is beyond the range."""
+    (trial,) = scale.guesses(evidence_of(kind, sensor, {sensor: (Scale((0.05, -0.08, 0.06)),)}))
+    (found,) = trial.effects
+    assert isinstance(found, Scale)
+    assert trial.free == ("error",)
+    np.testing.assert_allclose(found.error, (0.05, -0.08, 0.06), atol=within)
+
+
+def test_an_axis_within_the_population_has_no_part_in_it() -> None:
+    (trial,) = scale.guesses(evidence_of("tumble", "A1", {"A1": (Scale((0.05, 0.0, 0.0)),)}))
+    (found,) = trial.effects
+    assert isinstance(found, Scale)
+    assert found.error[0] == pytest.approx(0.05, abs=0.002)
+    assert found.error[1:] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("kind", "sensor", "within"), [("tumble", "A1", 0.1), ("motion", "G1", 0.5)])
+def test_misalignment(kind: str, sensor: str, within: float) -> None:
+    angles = (4.0, 0.0, 0.0, 0.0, 0.0, -3.0)
+    (trial,) = misalignment.guesses(evidence_of(kind, sensor, {sensor: (Misalignment(angles),)}))
+    (found,) = trial.effects
+    assert isinstance(found, Misalignment)
+    assert trial.free == ("angles_deg",)
+    np.testing.assert_allclose(found.angles_deg, angles, atol=within)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sensor", "axes"),
+    [
+        ("tumble", "A1", "+Y+X-Z"),
+        ("tumble", "A2", "+Y+Z+X"),
+        ("tumble", "A1", "-X+Y+Z"),
+        ("motion", "G1", "-X+Y+Z"),
+        ("motion", "A1", "+Z-Y+X"),
+    ],
+)
+def test_axis_error(kind: str, sensor: str, axes: str) -> None:
+    """The right one comes first."""
+    trials = list(axis_errors(evidence_of(kind, sensor, {sensor: (AxisError(axes),)})))
+    assert 1 <= len(trials) <= 3
+    assert trials[0] == Hypothesis((AxisError(axes),))
+
+
+def test_an_axis_error_that_the_model_has_goes() -> None:
+    """Taken out, or replaced by what fits better."""
+    swapped = AxisError("-X-Y+Z")
+    evidence = evidence_of("tumble", "A1", {"A1": (AxisError("+Y+X-Z"),)}, modelled=(swapped,))
+    first, second, *_ = axis_errors(evidence)
+    assert first == Hypothesis((), removed="axis_error")
+    assert second == Hypothesis((AxisError("+Y+X-Z"),), removed="axis_error")
+
+
+def test_scale_and_misalignment_are_never_taken_out() -> None:
+    """Every unit has some."""
+    evidence = evidence_of("tumble", "A1")
+    assert {"scale", "misalignment"} <= {effect.name for effect in evidence.effects}
+    assert not [*scale.guesses(evidence), *misalignment.guesses(evidence)]
+
+
+def test_there_are_47_exchanges() -> None:
+    """Signed permutations of three axes: 3! 2^3 = 48 with the nominal one; the effect calls them the same."""
+    found = exchanges()
+    assert len(found) == 47
+    vectors = np.array([[1.0, 2.0, 3.0]])
+    for axes, matrix in found.items():
+        np.testing.assert_array_equal(AxisError(axes)._exchanged(vectors), vectors @ matrix.T)
+    hands = [round(np.linalg.det(matrix)) for matrix in found.values()]
+    assert hands == [1] * 23 + [-1] * 24
+
+
+@given(st.lists(st.floats(-0.3, 0.3), min_size=9, max_size=9))
+def test_response_of_six_faces_is_exact(errors: list[float]) -> None:
+    matrix = np.reshape(errors, (3, 3))
+    found = Response(FACES, FACES @ (np.eye(3) + matrix).T)
+    np.testing.assert_allclose(found.error, matrix, atol=1e-12)
+    assert found.misfit(np.eye(3) + matrix) < 1e-20
+
+
+def test_what_two_faces_do_not_tell_is_no_error() -> None:
+    """The two faces of z say how each axis follows z, and nothing else."""
+    felt = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    error = np.array([[0.1, 0.2, 0.3], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3]])
+    found = Response(felt, felt @ (np.eye(3) + error).T).error
+    np.testing.assert_allclose(found, [[0, 0, 0.3]] * 3, atol=1e-12)
+
+
+def test_without_any_turn_nothing_is_guessed() -> None:
+    evidence = replace(evidence_of("static", "A1"), scores={"mean": np.full((1, 3), 50.0)})
+    for guesses in (scale.guesses, misalignment.guesses, axis_errors):
+        assert not list(guesses(evidence))

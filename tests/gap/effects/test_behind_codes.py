@@ -1,0 +1,66 @@
+"""Bias, slope and noise behind codes that lack some, from what they make by closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.gap.inference.effects.behind_codes import _moments, behind
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.quantisation import Quantisation
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from tests.gap.effects.evidence_of import evidence_of
+
+
+def test_moments_of_a_dead_bit_at_its_edge() -> None:
+    """At the edge of the stretch half of the readings are S = 64 lower: mean S / 2 lower, and the variance that of a
+    normal distribution and of two equally likely places, less what these are nearer than S: s^2 + S^2 / 4 - S E|n|.
+    """
+    sigma = 6.0
+    table = _moments(lambda codes: codes & ~64, 128, sigma)
+    edge = int(63.5 * len(table.shift) / 128)
+    assert table.shift[edge] == pytest.approx(-32.0, abs=1e-6)
+    expected = sigma**2 + 32**2 - 64 * np.sqrt(2 / np.pi) * sigma
+    assert table.variance[edge] == pytest.approx(expected, rel=1e-3)
+
+
+def test_moments_where_no_reading_leaps() -> None:
+    table = _moments(lambda codes: codes & ~64, 128, 2.0)
+    assert table.shift[32 * 4] == pytest.approx(0.0, abs=1e-9)
+    assert table.variance[32 * 4] == pytest.approx(2.0**2 + 1 / 12, rel=1e-3)
+    assert table.unsure[32 * 4] == pytest.approx(2 * table.variance[32 * 4] ** 2, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("below_lsb", [2.0, 4.0])
+def test_a_gyroscope_that_warms_up_towards_a_dead_bit(below_lsb: float) -> None:
+    """Its fit sees leaps by 32 counts where the bias comes near the stretch; without them bias, slope and noise are
+    those of the same sensor, with the same draws, whose bits are all alive.
+    """
+    sound = _heated(below_lsb)
+    dead = Quantisation(dead_bits=32.0)
+    evidence = _heated(below_lsb, dead)
+    scale = evidence.header.sensitivity
+    found = behind(evidence, dead.coded, 64, 32)
+    assert found is not None
+    wanted = sound.fitted
+    misled = np.abs(np.subtract(evidence.fitted.slope, wanted.slope)).max() * scale
+    assert np.abs(np.subtract(found.slope, wanted.slope)).max() * scale < max(0.5 * misled, 0.02)
+    assert np.subtract(found.offset, wanted.offset) * scale == pytest.approx(np.zeros(3), abs=0.5)
+    assert found.rms == pytest.approx(wanted.rms, rel=0.1)
+
+
+def test_nothing_is_known_of_a_sensor_that_was_never_at_rest() -> None:
+    evidence = replace(_heated(3.0), seen=())
+    assert behind(evidence, lambda codes: codes, 2, 1) is None
+
+
+def _heated(below_lsb: float, *effects: Quantisation) -> Evidence:
+    """Its levels at 25 degC lie so many counts below a stretch whose bit 5 is set."""
+    scale = evidence_of("heating", "G1").header.sensitivity
+    base = evidence_of("heating", "G1").fitted.offset
+    bias = Bias(tuple((31.5 - below_lsb) / scale - one for one in base))
+    return evidence_of("heating", "G1", {"G1": (bias, ThermalBias((0.2 / scale,) * 3, reference_degc=25.0), *effects)})

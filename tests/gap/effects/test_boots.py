@@ -1,0 +1,173 @@
+"""What differs from boot to boot, and a range that isn't the configured one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.gap.inference.effects.bias import BIAS
+from imuarray.gap.inference.effects.bistable_bias import BISTABLE_BIAS
+from imuarray.gap.inference.effects.range_reset import RANGE_RESET
+from imuarray.gap.inference.effects.turn_on_bias import TURN_ON_BIAS
+from imuarray.gap.inference.evidence import Span
+from imuarray.gap.recording.resets import Reset
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.bistable_bias import BistableBias
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.range_reset import RangeReset
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from tests.gap.effects.evidence_of import evidence_of
+
+
+def resets(kind: str, sensor: str, put_in: RangeReset, seed: int = 7) -> list[RangeReset]:
+    trials = RANGE_RESET.guesses(evidence_of(kind, sensor, {sensor: (put_in,)}, seed=seed))
+    return [effect for trial in trials for effect in trial.effects if isinstance(effect, RangeReset)]
+
+
+@pytest.mark.slow
+def test_levels_that_scatter() -> None:
+    """Eight boots: a standard deviation of seven degrees of freedom is within a factor of 2 in 99 of 100 cases."""
+    evidence = evidence_of("turn-on", "G1", {"G1": (TurnOnBias((0.5, 0.1, 0.3)),)}, seed=7)
+    (trial,) = TURN_ON_BIAS.guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, TurnOnBias)
+    assert np.all(np.abs(np.log(np.array(effect.rms) / (0.5, 0.1, 0.3))) < np.log(2.0))
+
+
+def test_two_groups_of_levels() -> None:
+    """The two states as they were put in, whichever is the rarer one."""
+    put_in = np.array([0.9, 0.4, -0.2])
+    evidence = evidence_of("turn-on", "G1", {"G1": (BistableBias((0.9, 0.4, -0.2), 0.4),)}, seed=7)
+    (trial,) = BISTABLE_BIAS.guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, BistableBias)
+    sign = np.sign(effect.offset[0])
+    np.testing.assert_allclose(sign * np.array(effect.offset), put_in, atol=0.02)
+    assert 0.1 < effect.probability <= 0.5
+
+
+def test_another_range_in_some_boots() -> None:
+    found = resets("turn-on", "A1", RangeReset(2.0, (0.02,) * 3, (1.5,) * 3, probability=0.4))
+    of_two_g, just_in = [one for one in found if one.range == 2.0]
+    assert just_in == replace(of_two_g, probability=1.0, runs=just_in.runs)
+    assert len(just_in.runs) == round(8 * of_two_g.probability)
+    assert of_two_g.offset == pytest.approx((0.02,) * 3, abs=0.002)
+    assert of_two_g.noise_share == pytest.approx((1.5,) * 3, rel=0.1)
+    assert 0.1 < of_two_g.probability <= 0.5
+    assert of_two_g.onset_s == 0.0
+
+
+def test_another_range_in_the_boots_that_have_it() -> None:
+    """Boots 2 and 6, both of one part; a bias of its own in these, without another noise, is no range of theirs."""
+    put_in = RangeReset(2.0, (0.02,) * 3, runs=(2.0, 6.0))
+    trials = RANGE_RESET.guesses(evidence_of("turn-on", "A1", {"A1": (put_in,)}, seed=7))
+    told = [trial for trial in trials if trial.effects[0].runs]  # type: ignore[attr-defined]
+    assert all(trial.whole and trial.rarity >= 2 for trial in told)
+    first, *_ = [one for trial in told for one in trial.effects if isinstance(one, RangeReset)]
+    assert (first.range, first.runs, first.probability) == (2.0, (2.0, 6.0), 1.0)
+    assert first.noise_share == pytest.approx((1.0,) * 3, rel=0.1)
+    states = evidence_of("turn-on", "A1", {"A1": (BistableBias((0.5, 0.3, 0.2), 0.4),)}, seed=7)
+    others = [one for trial in RANGE_RESET.guesses(states) for one in trial.effects if isinstance(one, RangeReset)]
+    assert not [one for one in others if one.runs]
+
+
+@pytest.mark.parametrize(("sensor", "range_", "offset"), [("A1", 2.0, 0.02), ("G1", 2000.0, 0.2)])
+def test_another_range_from_a_row_on(sensor: str, range_: float, offset: float) -> None:
+    first, *_ = resets("static", sensor, RangeReset(range_, (offset,) * 3, (0.8,) * 3, 33.3))
+    assert first.range == range_
+    assert first.onset_s == pytest.approx(33.3, abs=0.1)
+    assert first.offset == pytest.approx((offset,) * 3, rel=0.1)
+    assert first.noise_share == pytest.approx((0.8,) * 3, rel=0.3)
+    assert first.probability == 1.0
+    assert first.run == 0.0
+
+
+@pytest.mark.slow
+def test_another_range_from_another_row_on_in_each_log() -> None:
+    """A supply that dips now and then: the second log has its own moment, the same range."""
+    dips = [RangeReset(2.0, onset_s=onset_s, run=run) for onset_s, run in ((33.3, 0.0), (20.0, 1.0))]
+    evidence = evidence_of(("static", "heating"), "A1", {"A1": tuple(dips)}, seed=7)
+    trial = next(trial for trial in RANGE_RESET.guesses(evidence) if trial.is_brief)
+    found = {effect.run: effect for effect in trial.effects if isinstance(effect, RangeReset)}
+    assert {run: one.range for run, one in found.items()} == {0.0: 2.0, 1.0: 2.0}
+    assert found[0.0].onset_s == pytest.approx(33.3, abs=0.1)
+    assert found[1.0].onset_s == pytest.approx(20.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sensor", "range_"), [("tumble", "A1", 2.0), ("tumble", "A1", 8.0), ("motion", "G1", 500.0)]
+)
+def test_another_range_always(kind: str, sensor: str, range_: float) -> None:
+    assert range_ in {one.range for one in resets(kind, sensor, RangeReset(range_))}
+
+
+def test_boots_are_alike() -> None:
+    evidence = evidence_of("turn-on", "A1", seed=5)
+    for candidate in (TURN_ON_BIAS, BISTABLE_BIAS, RANGE_RESET, BIAS):
+        assert list(candidate.guesses(evidence)) == []
+
+
+def test_a_step_that_stays() -> None:
+    """From the fifth of eight boots on; single boots scatter by less than a hundredth of that."""
+    evidence = evidence_of("turn-on", "A1", {"A1": (Bias((0.05, 0.0, -0.02), 4),)}, seed=7)
+    (trial,) = BIAS.guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, Bias)
+    assert effect.from_boot == 4
+    assert effect.offset == pytest.approx((0.05, 0.0, -0.02), abs=0.002)
+
+
+def test_faces_tell_the_range() -> None:
+    """z up and z down at 4 g, as at 1 g (four times the counts) with an offset of 0.3 g; any other range would need
+    another offset on either face.
+    """
+    noise = np.full(3, 3.0)
+    up, down = (np.array([0.0, 0.0, 2048.0 * z]) for z in (0.7, -1.3))
+    told = [
+        Reset(at, at, at + 0.1, before, 4 * (before + 0.3 * 2048.0 * np.array([0.0, 0.0, 1.0])), noise, noise)
+        for at, before in ((5.0, up), (8.0, down))
+    ]
+    evidence = replace(
+        evidence_of("static", "A1"), resets=((0, told[0]), (1, told[1])), scores={"doubt": np.full((1, 1), 50.0)}
+    )
+    first, *_ = RANGE_RESET.guesses(evidence)
+    (effect,) = first.effects
+    assert isinstance(effect, RangeReset)
+    assert effect.range == 1.0
+    assert effect.offset == pytest.approx((0.0, 0.0, 0.3))
+
+
+def test_another_range_for_a_while() -> None:
+    """2 g in the place of 4 g in two logs, as the recorder noticed: twice the counts, and 20 mg more; behind the second
+    rows are lost while the chip is set up again, and others by themselves.
+    """
+    before, noise = np.array([100.0, -200.0, 2000.0]), np.full(3, 3.0)
+    within, felt = 2 * (before + 0.02 * 2048), 4 * noise  # twice of the doubled one
+    told = (Reset(4.9, 5.0, 5.1, before, within, noise, felt), Reset(7.8, 8.0, 8.2, before, within, noise, felt))
+    evidence = replace(
+        evidence_of("static", "A1"),
+        resets=((0, told[0]), (3, told[1])),
+        holes=(Span(3, 8.2, 0.3), Span(0, 30.0, 0.1)),
+        scores={"doubt": np.full((1, 1), 50.0)},
+    )
+    first, second = RANGE_RESET.guesses(evidence)
+    reset, lost = first.effects
+    assert isinstance(reset, RangeReset)
+    assert isinstance(lost, DroppedSamples)
+    assert (reset.range, reset.runs, reset.moments_s) == (2.0, (0.0, 3.0), (5.0, 8.0))
+    assert reset.lengths_s == pytest.approx((0.1, 0.2))
+    assert reset.doubts_s == pytest.approx((0.1, 0.2))
+    assert reset.offset == pytest.approx((0.02,) * 3)
+    assert reset.noise_share == pytest.approx((2.0,) * 3)
+    assert (lost.runs, lost.moments_s, lost.lengths_s) == ((3.0,), (8.2,), (0.3,))
+    assert reset.blanks_s == (0.0, 0.0)
+    assert first.whole
+    assert first.name == "range_reset"
+    assert second.rarity > first.rarity > 0
+    assert not list(RANGE_RESET.guesses(replace(evidence, scores={})))
+    brief = told[0]._replace(noise_within=np.full(3, np.nan), blank_s=0.01)
+    found = next(iter(RANGE_RESET.guesses(replace(evidence, resets=((0, brief),))))).effects[0]
+    assert isinstance(found, RangeReset)
+    assert (found.blanks_s, found.noise_share) == ((0.01,), (1.0, 1.0, 1.0))

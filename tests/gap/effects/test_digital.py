@@ -1,0 +1,256 @@
+"""quantisation, saturation, stale_samples, glitches, stuck, odr_error: guessed from codes, repeats and tails."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.gap.inference.effects import glitches, odr_error, quantisation, saturation, stale_samples, stuck
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.glitches import Glitches
+from imuarray.simulate.effects.odr_error import OdrError
+from imuarray.simulate.effects.quantisation import Quantisation
+from imuarray.simulate.effects.saturation import Saturation
+from imuarray.simulate.effects.stale_samples import StaleSamples
+from imuarray.simulate.effects.stuck import Stuck
+from tests.gap.effects.evidence_of import evidence_of
+
+ALL = (quantisation, saturation, stale_samples, glitches, stuck, odr_error)
+
+
+def shown(kind: str, sensor: str, *effects: Effect) -> Evidence:
+    return evidence_of(kind, sensor, {sensor: effects})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["static", "tumble", "motion"])
+@pytest.mark.parametrize("sensor", ["A1", "G1"])
+def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
+    assert not [trial for module in ALL for trial in module.guesses(evidence_of(kind, sensor))]
+
+
+@pytest.mark.parametrize(
+    ("kind", "sensor", "step"), [("static", "A1", 2.0), ("static", "A1", 4.0), ("tumble", "G1", 16.0)]
+)
+def test_quantisation(kind: str, sensor: str, step: float) -> None:
+    (trial,) = quantisation.guesses(shown(kind, sensor, Quantisation(step)))
+    assert trial == Hypothesis((Quantisation(step),))
+
+
+def test_a_step_that_is_no_power_of_two_comes_first() -> None:
+    first, second = quantisation.guesses(shown("static", "A1", Quantisation(6.0)))
+    assert first == Hypothesis((Quantisation(6.0),))
+    assert second == Hypothesis((Quantisation(2.0),))
+
+
+def test_glitches_do_not_hide_a_step() -> None:
+    """A bus that floats now and then gives -1, which is no multiple of 4."""
+    (trial,) = quantisation.guesses(shown("static", "A1", Quantisation(4.0), Glitches(0.0005, kind="word")))
+    assert trial == Hypothesis((Quantisation(4.0),))
+
+
+def test_a_step_that_the_model_has_and_the_sensor_has_not() -> None:
+    evidence = evidence_of("static", "A1", modelled=(Quantisation(4.0),))
+    assert list(quantisation.guesses(evidence)) == [Hypothesis((), removed="quantisation")]
+
+
+@pytest.mark.parametrize(
+    ("kind", "sensor", "limit"), [("static", "A1", 1.02), ("motion", "A1", 1.2), ("motion", "G1", 30.0)]
+)
+def test_saturation(kind: str, sensor: str, limit: float) -> None:
+    """To a count, into which it is rounded."""
+    evidence = shown(kind, sensor, Saturation(limit))
+    trial = next(iter(saturation.guesses(evidence)))
+    (found,) = trial.effects
+    assert isinstance(found, Saturation)
+    assert found.limit == pytest.approx(limit, abs=1 / evidence.header.sensitivity)
+    assert trial.free == ("limit",)
+
+
+@pytest.mark.parametrize("probability", [0.02, 0.05, 0.3])
+def test_stale_samples(probability: float) -> None:
+    """6000 rows: 120 repetitions scatter by a tenth."""
+    (trial,) = stale_samples.guesses(shown("static", "A1", StaleSamples(probability)))
+    (found,) = trial.effects
+    assert isinstance(found, StaleSamples)
+    assert found.probability == pytest.approx(probability, rel=0.35)
+
+
+@pytest.mark.parametrize(("probability", "amplitude"), [(0.002, 0.05), (0.01, 0.1), (0.01, 0.5)])
+def test_spikes(probability: float, amplitude: float) -> None:
+    trial = next(iter(glitches.guesses(shown("static", "A1", Glitches(probability, amplitude)))))
+    (found,) = trial.effects
+    assert isinstance(found, Glitches)
+    assert found.kind == "spike"
+    assert found.probability == pytest.approx(probability, rel=0.5)
+    assert found.amplitude == pytest.approx(amplitude, rel=0.1)
+
+
+def test_few_spikes_are_told_one_by_one() -> None:
+    """A row and a half of its 1/100 s before and after; the noise of the reading and of half of each neighbour's."""
+    hit = Glitches(runs=(0.0, 0.0), moments_s=(12.3, 40.0), jumps=(0.0, 0.5, 0.0, -2.0, 0.0, 0.0))
+    *_, trial = glitches.guesses(shown("static", "A1", hit))
+    (found,) = trial.effects
+    assert isinstance(found, Glitches)
+    assert trial.needs_both
+    assert found.runs == (0.0, 0.0)
+    np.testing.assert_allclose(sorted(found.moments_s), hit.moments_s, atol=0.015)
+    np.testing.assert_allclose(sorted(found.jumps), sorted(hit.jumps), atol=0.02)
+
+
+def test_torn_words() -> None:
+    """z rests at 2112.5 counts, in the middle between two codes of 33 times 64: half of its neighbours differ in the
+    high byte (six bits of a BMA180 travel in the low one, BMA-60). The other axes stay where they are.
+    """
+    trials = glitches.guesses(shown("static", "A1", Bias((0.0, 0.0, 0.01152)), Glitches(0.05, kind="torn")))
+    (torn,) = [trial for trial in trials if isinstance(trial.effects[0], Glitches) and trial.effects[0].kind == "torn"]
+    assert torn.free == ("probability",)
+    assert torn.effects[0].probability == pytest.approx(0.05, rel=0.5)  # type: ignore[attr-defined]
+
+
+def test_words_of_a_floating_bus() -> None:
+    trial = next(iter(glitches.guesses(shown("static", "G1", Glitches(0.005, kind="word")))))
+    (found,) = trial.effects
+    assert isinstance(found, Glitches)
+    assert found.kind == "word"
+    assert found.probability == pytest.approx(0.005, rel=0.5)
+
+
+def test_stuck_for_a_second() -> None:
+    """To a row."""
+    (trial,) = stuck.guesses(shown("static", "A1", Stuck(30.0, 1.0)))
+    (found,) = trial.effects
+    assert isinstance(found, Stuck)
+    assert (found.onset_s, found.duration_s) == pytest.approx((30.0, 1.0), abs=0.02)
+    assert trial.free == ()  # factors of an onset would be seconds
+
+
+def test_stuck_over_a_turn_between_faces() -> None:
+    """Faces last from 11 to 21 s and from 22 to 32 s: one piece, though no phase covers the turn."""
+    (trial,) = stuck.guesses(shown("tumble", "G1", Stuck(15.0, 10.0)))
+    (found,) = trial.effects
+    assert isinstance(found, Stuck)
+    assert (found.onset_s, found.duration_s) == pytest.approx((15.0, 10.0), abs=0.05)
+
+
+def test_stuck_for_ever() -> None:
+    (trial,) = stuck.guesses(shown("static", "A1", Stuck(40.0)))
+    (found,) = trial.effects
+    assert isinstance(found, Stuck)
+    assert found.onset_s == pytest.approx(40.0, abs=0.02)
+    assert found.duration_s == math.inf
+    assert trial.free == ()
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 90.0])
+def test_a_chip_slower_than_the_poll(rate_hz: float) -> None:
+    *_, trial = odr_error.guesses(shown("static", "G1", OdrError(rate_hz)))
+    (found,) = trial.effects
+    assert isinstance(found, OdrError)
+    assert found.rate_hz == pytest.approx(rate_hz, rel=0.01)
+    assert trial.free == ("rate_hz",)
+
+
+def test_a_chip_that_is_slower_than_it_is_set_to_and_faster_than_the_poll() -> None:
+    """130 Hz polled at 100 Hz: half a period is 3.8 ms, that of the set 800 Hz 0.6 ms."""
+    evidence = evidence_of(("static", "motion"), "G1", {"G1": (OdrError(130.0),)})
+    (trial,) = odr_error.guesses(evidence)
+    (found,) = trial.effects
+    assert isinstance(found, OdrError)
+    assert found.clock_ratio * 800.0 == pytest.approx(130.0, rel=0.1)
+    assert trial.free == ("clock_ratio",)
+    only = evidence_of(("static", "motion"), "A1", {"A1": (OdrError(130.0),)})
+    (other,) = odr_error.guesses(only)  # of a BMA180, which has one rate (BMA-93)
+    assert trial.rarity > other.rarity > 0
+
+
+def test_even_codes_of_an_adxl345() -> None:
+    """Its lowest bit is always 0 from 1600 Hz on (ADX-47); at 100 Hz it is not."""
+    evidence = shown("static", "A1", Quantisation(2.0))
+    slow = replace(evidence, header=replace(evidence.header, chip="adxl345", rate_hz=400.0))
+    assert [trial.effects[0] for trial in odr_error.guesses(slow)] == [OdrError(1600.0), OdrError(3200.0)]
+
+
+def test_odd_codes_of_an_adxl345_that_should_be_fast() -> None:
+    evidence = evidence_of("static", "A1")
+    header = replace(evidence.header, chip="adxl345", rate_hz=3200.0)
+    fast = replace(evidence, header=header, scores={**evidence.scores, "odd_codes": np.full((1, 3), 50.0)})
+    assert [trial.effects[0] for trial in odr_error.guesses(fast)] == [OdrError(800.0), OdrError(400.0)]
+
+
+def test_noise_of_twice_the_size_is_four_times_the_bandwidth() -> None:
+    """Of 10, 20, 40, 75, 150, 300, 600, 1200 Hz (BMA-81 ... BMA-88), 150 configured."""
+    evidence = evidence_of("static", "A1")
+    apart = {**evidence.values, "noise": evidence.expected["noise"] + math.log(2.0)}
+    loud = replace(evidence, values=apart, scores={**evidence.scores, "noise": np.full((1, 3), 20.0)})
+    assert [trial.effects[0] for trial in odr_error.guesses(loud)] == [OdrError(bandwidth_hz=600.0)]
+
+
+@pytest.mark.parametrize(
+    ("module", "effect"),
+    [
+        (stale_samples, StaleSamples(0.1)),
+        (stuck, Stuck(30.0, 1.0)),
+        (glitches, Glitches(0.01, 0.1)),
+        (saturation, Saturation(1.0)),
+        (odr_error, OdrError(50.0)),
+    ],
+)
+def test_what_the_model_has_and_the_sensor_has_not_goes(module: object, effect: Effect) -> None:
+    evidence = evidence_of("static", "A1", modelled=(effect,))
+    assert list(module.guesses(evidence)) == [Hypothesis((), removed=effect.name)]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("bit", [2, 3])
+def test_a_bit_that_is_never_set(bit: int) -> None:
+    """An accelerometer's noise of some counts leaps over the stretch that would have it set; what comes out is half a
+    stretch too low on average, by which the fit's bias is wrong.
+    """
+    evidence = shown("static", "A1", Quantisation(dead_bits=float(1 << bit)))
+    as_fitted, behind = quantisation.guesses(evidence)
+    assert as_fitted == Hypothesis((Quantisation(dead_bits=float(1 << bit)),))
+    assert behind.effects == as_fitted.effects
+    assert behind.fitted is not None
+    half = (1 << bit) / 2 / evidence.header.sensitivity
+    assert np.median(np.subtract(behind.fitted.offset, evidence.fitted.offset)) == pytest.approx(half, rel=0.3)
+
+
+@pytest.mark.parametrize(("carry", "missing"), [(16, 7), (16, 4), (8, 3), (32, 10)])
+def test_codes_that_are_missing_before_every_carry(carry: int, missing: int) -> None:
+    trials = list(quantisation.guesses(shown("static", "A1", _missing(carry, missing))))
+    assert [trial.effects for trial in trials] == [(_missing(carry, missing),)] * 2
+
+
+def test_most_codes_are_missing() -> None:
+    """Two of 16 come, which looks like two of four, or of eight, and like bits that are dead."""
+    trials = list(quantisation.guesses(shown("static", "A1", _missing(16, 14))))
+    assert [trial.effects for trial in trials][-2:] == [(_missing(16, 14),)] * 2
+
+
+def _missing(carry: int, missing: int) -> Quantisation:
+    return Quantisation(carry_lsb=float(carry), missing_lsb=float(missing))
+
+
+def test_a_bit_that_is_never_set_in_motion() -> None:
+    """At rest no axis gets near it."""
+    assert not list(quantisation.guesses(shown("static", "G1", Quantisation(dead_bits=128.0))))
+    first = next(iter(quantisation.guesses(shown("motion", "G1", Quantisation(dead_bits=128.0)))))
+    assert first == Hypothesis((Quantisation(dead_bits=128.0),))
+
+
+def test_held_again_and_again() -> None:
+    """Half a second in every five or so: 10 holds, give or take 3, in the minute or two that are looked at."""
+    found = [
+        effect
+        for trial in stuck.guesses(shown("tumble", "G1", Stuck(duration_s=0.5, every_s=4.0)))
+        for effect in trial.effects
+    ]
+    again = [effect for effect in found if isinstance(effect, Stuck) and math.isfinite(effect.every_s)]
+    assert again[0].duration_s == pytest.approx(0.5, rel=0.2)
+    assert 1.5 < again[0].every_s < 10

@@ -1,0 +1,112 @@
+"""Holds and losses that are told one by one: what is guessed from a recording happens to its simulation again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.inference.effects import dropped_samples, glitches, stuck
+from imuarray.gap.inference.evidence import Evidence, ScoredStatistics, evidence_of
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.recording.recordings import Recording, recording_of
+from imuarray.gap.recording.repeated_rows import held_in
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.log import open_log
+from imuarray.log.format import LOST_BEFORE, STALE
+from imuarray.simulate import Simulation
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.glitches import Glitches
+from imuarray.simulate.effects.stuck import Stuck
+from imuarray.simulate.motion.hand_shake import HandShake
+from imuarray.simulate.record import write_log
+from tests.gap.made import BASE, simulation
+
+TORN_S = (8.004, 13.004, 21.004)
+TORN_G = 128 / 2048
+
+DONE: dict[str, tuple[Effect, ...]] = {
+    "A1": (Glitches(runs=(0.0,) * 3, moments_s=TORN_S, jumps=(TORN_G, 0.0, 0.0) * 3),),
+    "A2": (DroppedSamples(0.004, 2.0),),
+    "G1": (Stuck(duration_s=0.2, every_s=4.0, kind="new"),),
+    "G2": (Stuck(duration_s=0.2, every_s=4.0),),
+}
+
+Made = tuple[Simulation, Recording, Bench, Campaign]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Made]:
+    path = tmp_path_factory.mktemp("log") / "log.h5"
+    origin = simulation(HandShake(peak_g=1.0, peak_dps=100.0, still_s=5, motion_s=20), DONE, seed=4)
+    write_log(origin, path)
+    with open_log(path) as log:
+        recording = recording_of(log)
+        bench, campaign = prepared([recording], None, 0)
+        yield origin, recording, bench, campaign
+
+
+def shown(made: Made, sensor: str) -> Evidence:
+    """With everything odd: nothing is as the model makes it, which repeats no row."""
+    *_, bench, campaign = made
+    places = bench.columns((sensor,), cross=True)
+    nothing = np.zeros(len(places))
+    parts = bench.held_out[places].tolist()
+    scored = ScoredStatistics([bench.keys[at] for at in places], parts, nothing, nothing, nothing + 50.0)
+    return evidence_of(bench, bench.split.both(campaign), sensor, scored, SensorModel(bench.base.fitted[sensor]), ())
+
+
+def again(made: Made, sensor: str, effect: Effect) -> Simulation:
+    """The recording's plan, with that effect and other noise."""
+    _, recording, *_ = made
+    plan, motion = recording.experiment
+    return Simulation(plan, motion, {**BASE, sensor: (*BASE[sensor], effect)}, seed=77)
+
+
+def _flagged(status: npt.ArrayLike, flag: int) -> npt.NDArray[np.bool_]:
+    return np.asarray(np.asarray(status) & flag != 0)
+
+
+@pytest.mark.parametrize(("sensor", "kind"), [("G1", "new"), ("G2", "stale")])
+def test_rows_that_are_held(made: Made, sensor: str, kind: str) -> None:
+    """By a noise of some counts three rows are not equal by chance; the flag is as it was."""
+    found = [trial for trial in stuck.guesses(shown(made, sensor)) if trial.whole]
+    (trial,) = found
+    (effect,) = trial.effects
+    assert isinstance(effect, Stuck)
+    assert effect.kind == kind
+    assert trial.rarity == len(effect.moments_s) > 0  # two numbers each, of which either part tells half
+    _, recording, _, campaign = made
+    simulated = again(made, sensor, effect).sensors[sensor]
+    block = simulated.block(0, simulated.rows)
+    there, real = held_in([block]), campaign.logs[0].events[sensor].held
+    np.testing.assert_array_equal(there.begin_ns, real.begin_ns)
+    np.testing.assert_array_equal(there.end_ns, real.end_ns)
+    assert (_flagged(block.status, STALE) == _flagged(recording.log[sensor].status[:], STALE)).all()
+
+
+def test_rows_that_are_lost(made: Made) -> None:
+    """All that are missing between the first and the last that came, and no others."""
+    (trial,) = [trial for trial in dropped_samples.guesses(shown(made, "A2")) if trial.whole]
+    (effect,) = trial.effects
+    _, recording, *_ = made
+    simulated = again(made, "A2", effect).sensors["A2"]
+    block = simulated.block(0, simulated.rows)
+    np.testing.assert_array_equal(block.time, recording.log["A2"].time[:])
+    assert (_flagged(block.status, LOST_BEFORE) == _flagged(recording.log["A2"].status[:], LOST_BEFORE)).all()
+    assert len(block.time) < simulated.rows
+
+
+def test_readings_that_are_torn_in_motion(made: Made) -> None:
+    """By two of the high byte of a BMA180 (BMA-60), which the shaking hides from who looks at neighbours alone."""
+    (trial,) = [trial for trial in glitches.guesses(shown(made, "A1")) if trial.whole]
+    (effect,) = trial.effects
+    assert isinstance(effect, Glitches)
+    found = sorted(zip(effect.moments_s, effect.jumps[::3], strict=True))
+    assert [moment_s for moment_s, _ in found] == pytest.approx(TORN_S, abs=0.015)
+    assert [jump for _, jump in found] == [TORN_G] * 3

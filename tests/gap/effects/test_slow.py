@@ -1,0 +1,173 @@
+"""Slow processes are guessed at the size at which they were simulated. A minute holds few of their times, so that even
+the best estimate scatters: factors of 2 to 4, at fixed seeds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from imuarray.gap.inference.effects.bias_instability import BIAS_INSTABILITY
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.effects.common_mode import COMMON_MODE
+from imuarray.gap.inference.effects.popcorn_noise import POPCORN_NOISE
+from imuarray.gap.inference.effects.random_walk import RANDOM_WALK
+from imuarray.gap.inference.effects.slow import allan_of, gauss_markov, slower, wander_of, within
+from imuarray.simulate.effects.bias_instability import BiasInstability
+from imuarray.simulate.effects.common_mode import CommonMode
+from imuarray.simulate.effects.popcorn_noise import PopcornNoise
+from imuarray.simulate.effects.random_walk import RandomWalk
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from tests.gap.effects.evidence_of import evidence_of
+
+
+def is_near(found: float, put_in: float, factor: float) -> bool:
+    return 1 / factor < found / put_in < factor
+
+
+@pytest.mark.parametrize("x", [1e-5, 0.01, 0.7, 3.0, 40.0])
+def test_the_law_of_allan_variances(x: float) -> None:
+    """Half the mean square of the difference of two neighbouring means of a process with autocovariance exp(-|t|)."""
+
+    def mean_product(apart: float) -> float:
+        """Of means over [0, x] and [apart, apart + x]."""
+        whole, _ = quad(lambda t: (x - abs(t)) * np.exp(-abs(apart + t)), -x, x, points=[0.0, -apart], epsabs=1e-14)
+        return whole / x**2
+
+    assert float(gauss_markov(np.array([x]), 1.0)[0]) == pytest.approx(mean_product(0.0) - mean_product(x), rel=1e-4)
+
+
+def test_the_variance_in_a_stretch() -> None:
+    """1 - the variance of the mean, 2 (x - 1 + exp(-x)) / x^2: all in long stretches, a walk's in short."""
+    assert within(1e6, 1.0) == pytest.approx(1.0, abs=1e-5)
+    assert within(1e-4, 1.0) == pytest.approx(1e-4 / 3, rel=1e-3)
+    assert within(2.0, 1.0) == pytest.approx(1 - 2 * (1 + np.exp(-2)) / 4)
+
+
+@pytest.mark.parametrize(("rms", "time_constant_s"), [(0.05, 0.2), (0.04, 3.0), (0.05, 10.0)])
+def test_a_wander(rms: float, time_constant_s: float) -> None:
+    evidence = evidence_of("static", "G1", {"G1": (BiasInstability((rms,) * 3, time_constant_s),)}, seed=2)
+    first, *_ = (trial.effects[0] for trial in BIAS_INSTABILITY.guesses(evidence))
+    assert isinstance(first, BiasInstability)
+    assert is_near(float(np.mean(first.rms)), rms, 1.5)
+    assert is_near(first.time_constant_s, time_constant_s, 2.5)
+
+
+@pytest.mark.slow
+def test_a_wander_that_is_as_slow_as_a_run() -> None:
+    """Runs are 20 s long: their levels say how large it is, what goes on within them how slow."""
+    evidence = evidence_of("turn-on", "G1", {"G1": (BiasInstability((0.2,) * 3, 60.0),)}, seed=4)
+    found = [trial.effects[0] for trial in BIAS_INSTABILITY.guesses(evidence)]
+    assert any(
+        isinstance(one, BiasInstability)
+        and is_near(float(np.mean(one.rms)), 0.2, 1.5)
+        and is_near(one.time_constant_s, 60.0, 2.0)
+        for one in found
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_walk(seed: int) -> None:
+    evidence = evidence_of("static", "G1", {"G1": (RandomWalk((0.02, 0.0, 0.02)),)}, seed=seed)
+    first, *_ = (trial.effects[0] for trial in RANDOM_WALK.guesses(evidence))
+    assert isinstance(first, RandomWalk)
+    assert is_near(first.density[0], 0.02, 2.0)
+    assert first.density[1] < 0.003
+    assert is_near(first.density[2], 0.02, 2.0)
+
+
+def test_what_follows_the_temperature_is_no_wander() -> None:
+    """G1's bias has a slope, which the model has too: of a heat pulse the Allan variances are those of white noise,
+    rms^2 over the rows, within the scatter of a few terms.
+    """
+    allan = allan_of(evidence_of("heating", "G1", seed=3))
+    white = allan.variance[0] * allan.time_s[0] / allan.time_s[:, None]
+    warmed = allan.time_s > 0.5
+    assert warmed.any()
+    assert (allan.variance[warmed] < 2 * white[warmed]).all()
+
+
+def test_a_telegraph() -> None:
+    evidence = evidence_of("static", "A1", {"A1": (PopcornNoise((0.01,) * 3, 0.5),)}, seed=1)
+    by_moments, *_, by_jumps = (trial.effects[0] for trial in POPCORN_NOISE.guesses(evidence))
+    for found in (by_moments, by_jumps):
+        assert isinstance(found, PopcornNoise)
+        assert np.mean(found.amplitude) == pytest.approx(0.01, rel=0.2)
+        assert is_near(found.switches_per_s, 0.5, 2.5)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_level_that_is_seldom(side: float) -> None:
+    """A fifth of a minute at the one level, in some twelve stretches: the share within a half of it, the amplitude
+    within a quarter, to the side on which it is.
+    """
+    effect = PopcornNoise((0.0, side * 0.01, 0.0), 0.4, 0.2)
+    evidence = evidence_of("static", "A1", {"A1": (effect,)}, seed=1)
+    trials = [trial for trial in POPCORN_NOISE.guesses(evidence) if "high_share" in trial.free]
+    found = trials[0].effects[0]
+    assert isinstance(found, PopcornNoise)
+    assert found.amplitude[1] == pytest.approx(side * 0.01, rel=0.25)
+    assert found.high_share == pytest.approx(0.2, abs=0.1)
+    assert is_near(found.switches_per_s, 0.4, 2.5)
+
+
+def test_few_jumps() -> None:
+    """0.05 a second on one axis: seed 2 has two of them in a minute."""
+    evidence = evidence_of("static", "A1", {"A1": (PopcornNoise((0.01, 0.0, 0.0), 0.05),)}, seed=2)
+    found = [trial.effects[0] for trial in POPCORN_NOISE.guesses(evidence)]
+    assert any(
+        isinstance(one, PopcornNoise)
+        and one.amplitude[0] == pytest.approx(0.01, rel=0.1)
+        and is_near(one.switches_per_s, 0.05, 2.0)
+        for one in found
+    )
+
+
+def common(trials: list[Hypothesis]) -> CommonMode:
+    assert trials
+    assert all(trial.shared for trial in trials)
+    (effect,) = trials[0].effects
+    assert isinstance(effect, CommonMode)
+    return effect
+
+
+@pytest.mark.parametrize(
+    ("kind", "rms", "time_constant_s"), [("static", 0.003, 2.0), ("static", 0.003, 40.0), ("heating", 0.003, 5.0)]
+)
+def test_a_wander_of_all_units(kind: str, rms: float, time_constant_s: float) -> None:
+    """Slopes over temperature that the units have in common are not taken for it."""
+    both = dict.fromkeys(("A1", "A2"), (CommonMode((rms,) * 3, time_constant_s),))
+    found = common(list(COMMON_MODE.guesses(evidence_of(kind, "A1", both, seed=7))))
+    assert is_near(float(np.mean(found.rms)), rms, 2.0)
+    assert is_near(found.time_constant_s, time_constant_s, 4.0)
+
+
+def test_all_of_a_wander_may_be_shared() -> None:
+    """A few values say little of a covariance: sizes of the sensor's own wander are tried too, as large as it is."""
+    both = dict.fromkeys(("A1", "A2"), (CommonMode((0.003,) * 3, 2.0),))
+    evidence = evidence_of("static", "A1", both, seed=7)
+    wander = wander_of(evidence)
+    assert wander is not None
+    apart = slower(evidence, wander)
+    effects = [effect for trial in COMMON_MODE.guesses(evidence) for effect in trial.effects]
+    assert CommonMode(tuple(apart.rms.tolist()), apart.time_constant_s) in effects
+
+
+def test_a_change_between_two_logs_that_all_units_share() -> None:
+    """All of it is shared, or with what the other unit lacks beside it."""
+    shared = (CommonMode((0.01,) * 3, 1e6),)
+    (trial,) = COMMON_MODE.guesses(evidence_of(("static", "static"), "A1", {"A1": shared, "A2": shared}, seed=5))
+    assert trial.whole
+    assert trial.needs_both
+    assert [effect.name for effect in trial.effects] == ["common_mode"]
+    own = (*shared, TurnOnBias((0.004,) * 3))
+    alone, both = COMMON_MODE.guesses(evidence_of(("static", "static"), "A1", {"A1": own, "A2": shared}, seed=5))
+    assert alone.effects == both.effects[:1]
+    assert [effect.name for effect in both.effects] == ["common_mode", "turn_on_bias"]
+
+
+def test_nothing_wanders() -> None:
+    evidence = evidence_of("static", "A1", seed=5)
+    for candidate in (BIAS_INSTABILITY, RANDOM_WALK, POPCORN_NOISE, COMMON_MODE):
+        assert list(candidate.guesses(evidence)) == []

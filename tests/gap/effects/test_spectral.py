@@ -1,0 +1,144 @@
+"""What shapes noise within a second: low-pass, lines; and the noise itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.gap.inference.effects.bandwidth import BANDWIDTH
+from imuarray.gap.inference.effects.lines import highest_lines
+from imuarray.gap.inference.effects.quietness import rarity_behind
+from imuarray.gap.inference.effects.tone import TONE
+from imuarray.gap.inference.effects.white_noise import WHITE_NOISE
+from imuarray.gap.model.rest import FittedParameters
+from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.skew import Skew
+from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from tests.gap.effects.evidence_of import evidence_of
+from tests.gap.made import RATE_HZ
+
+
+def tones(kind: str, put_in: Tone, modelled: tuple[Tone, ...] = ()) -> list[Tone]:
+    evidence = evidence_of(kind, "G1", {"G1": (put_in, *modelled)}, seed=7, modelled=modelled)
+    trials = [trial for trial in TONE.guesses(evidence) if trial.action == "add"]
+    return [effect for trial in trials for effect in trial.effects if isinstance(effect, Tone)]
+
+
+@pytest.mark.parametrize("cutoff_hz", [5.0, 15.0, 30.0])
+def test_a_cutoff(cutoff_hz: float) -> None:
+    evidence = evidence_of("static", "G1", {"G1": (Bandwidth(cutoff_hz),)}, seed=7)
+    first, *_ = (trial.effects[0] for trial in BANDWIDTH.guesses(evidence))
+    assert isinstance(first, Bandwidth)
+    assert first.cutoff_hz == pytest.approx(cutoff_hz, rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_a_filter_on_the_signal_is_tried_where_motion_comes_late(share: float) -> None:
+    evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(5.0, share),)}, seed=7)
+    found = [one for trial in BANDWIDTH.guesses(evidence) for one in trial.effects if isinstance(one, Bandwidth)]
+    assert {one.share for one in found} == {0.0, share}
+    assert [one for one in found if one.poles == 1][-1].cutoff_hz == pytest.approx(5.0, rel=0.1)
+
+
+def test_a_filter_of_two_poles() -> None:
+    """Lag 1 of 100 rows a second: exp(-a t) (cos a t + sin a t), a t = sqrt(2) pi 15 / 100."""
+    evidence = evidence_of("static", "G1", {"G1": (Bandwidth(15.0, poles=2.0),)}, seed=7)
+    found = [one for trial in BANDWIDTH.guesses(evidence) for one in trial.effects if isinstance(one, Bandwidth)]
+    (two,) = (one for one in found if one.poles == 2)
+    assert two.cutoff_hz == pytest.approx(15.0, rel=0.1)
+
+
+def test_a_filter_too_fast_for_the_rows_is_guessed_by_its_delay() -> None:
+    """60 Hz: 3.8 ms, and a correlation of -0.04 from row to row."""
+    evidence = evidence_of(("static", "motion"), "G1", {"G1": (Bandwidth(60.0, 1.0, 2.0),)}, seed=7)
+    trial = list(BANDWIDTH.guesses(evidence))[-1]
+    (found,) = trial.effects
+    assert isinstance(found, Bandwidth)
+    assert (found.share, found.poles) == (1.0, 2.0)
+    assert found.cutoff_hz == pytest.approx(60.0, rel=0.3)
+    early = evidence_of(("static", "motion"), "G1", {"G1": (Skew(-0.004),)}, seed=7)
+    assert not [one for one in BANDWIDTH.guesses(early) if one.effects[0] == replace(found, cutoff_hz=60.0)]
+
+
+def test_who_is_quieter_than_printed_has_a_filter() -> None:
+    """30 mdps in 1 Hz are 0.18 dps rms in 35 Hz; two poles at 3.15 Hz pass 3.5 Hz, which leaves a third of that."""
+    evidence = evidence_of("static", "G1", seed=5)
+    header = replace(evidence.header, chip="l3g4200d", rate_hz=800.0, bandwidth_hz=35.0)
+    usual, quiet = (
+        replace(evidence, header=header, fitted=FittedParameters((rms,) * 3, *((0.0, 0.0, 0.0),) * 2))
+        for rms in (0.03 * 35**0.5, 0.03 * 3.5**0.5)
+    )
+    assert rarity_behind(usual, 3.15) == pytest.approx(-rarity_behind(quiet, 3.15), abs=0.01)
+    assert rarity_behind(quiet, 3.15) < -3  # 20 to 1
+    assert rarity_behind(quiet, 500.0) == 0  # passes all that the chip's own filter does
+    unknown = replace(quiet, header=replace(header, bandwidth_hz=0.0))
+    assert rarity_behind(unknown, 3.15) == 0
+
+
+def test_a_line() -> None:
+    """6000 rows: the amplitude's standard error is sqrt(2 / 6000) of the noise, 0.001 dps."""
+    first, *_ = tones("static", Tone((0.0, 0.02, 0.0), 13.7))
+    assert first.frequency_hz == pytest.approx(13.7, abs=0.02)
+    assert first.amplitude == pytest.approx((0.0, 0.02, 0.0), abs=0.004)
+
+
+@pytest.mark.slow
+def test_a_line_beyond_half_the_rate_is_guessed_where_it_shows() -> None:
+    first, *_ = tones("turn-on", Tone((0.0, 0.03, 0.01), 63.7))
+    rate_hz = RATE_HZ
+    assert first.frequency_hz == pytest.approx(rate_hz - 63.7, abs=0.1)
+    assert first.amplitude[1] == pytest.approx(0.03, rel=0.2)
+
+
+def test_mains_are_recognised_by_their_alias() -> None:
+    """60 Hz shows at 40 Hz of 100 rows a second."""
+    first, *_ = tones("static", Tone((0.03,) * 3, 60.0))
+    assert first.frequency_hz == 60.0
+
+
+def test_a_line_that_the_model_has_is_not_found_again() -> None:
+    known = Tone((0.04,) * 3, 21.0)
+    first, *_ = tones("static", Tone((0.02,) * 3, 13.7), (known,))
+    assert first.frequency_hz == pytest.approx(13.7, abs=0.02)
+    trials = list(TONE.guesses(evidence_of("static", "G1", {"G1": (known,)}, seed=7, modelled=(known,))))
+    assert [trial.action for trial in trials if trial.action == "remove"] == ["remove"]
+
+
+def test_a_line_that_drifts() -> None:
+    """From 13 Hz on by 0.04 Hz/s while the box lies on six faces; how far others begin from there, nobody can see."""
+    put_in = Tone((0.0, 0.05, 0.0), 13.0, drift_hz_per_h=144.0)
+    (drifting,) = (tone for tone in tones("tumble", put_in) if tone.drift_hz_per_h)
+    assert drifting.frequency_hz == pytest.approx(13.0, abs=0.3)
+    assert drifting.drift_hz_per_h == pytest.approx(144.0, rel=0.2)
+    assert drifting.amplitude == pytest.approx((0.0, 0.05, 0.0), rel=0.2, abs=0.01)
+    assert drifting.frequency_spread_hz > 0
+    assert all(tone.drift_hz_per_h == 0 for tone in tones("tumble", replace(put_in, drift_hz_per_h=0.0)))
+
+
+def test_a_phase_of_one_code_has_no_line() -> None:
+    """As of a converter of which codes are missing: all of its spectrum is 0."""
+    (seen,) = evidence_of("static", "A1", seed=5).still
+    silent = replace(seen.raw.spectrum, density=np.zeros_like(seen.raw.spectrum.density))
+    assert list(highest_lines(silent, 3)) == []
+
+
+def test_nothing_is_shaped() -> None:
+    evidence = evidence_of("static", "A1", seed=5)
+    for candidate in (BANDWIDTH, TONE, WHITE_NOISE):
+        assert list(candidate.guesses(evidence)) == []
+
+
+def test_noise_of_a_sensor_that_was_never_at_rest() -> None:
+    """In 20 s of motion; what others, as noisy, don't explain: sqrt(2) of the noise at most."""
+    seen = evidence_of("motion", "A1", seed=5)
+    nothing = FittedParameters(*((0.0, 0.0, 0.0),) * 3)
+    lost = np.log(seen.noise / nothing.noise(seen.header))
+    values = {**seen.values, "motion_residual": seen.values["motion_residual"] + 2 * lost}
+    scores = {**seen.scores, "motion_residual": np.full((1, 3), 50.0)}
+    (trial,) = WHITE_NOISE.guesses(replace(seen, fitted=nothing, values=values, scores=scores))
+    (effect,) = trial.effects
+    assert isinstance(effect, WhiteNoise)
+    assert np.all((np.array(effect.rms) > 0.002) & (np.array(effect.rms) < 0.2))

@@ -1,0 +1,163 @@
+"""clock_error, jitter, dropped_samples, skew: guessed from motion beside other sensors, and from gaps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.gap.inference.effects import clock_error, dropped_samples, jitter, skew
+from imuarray.gap.inference.effects.candidate import Hypothesis
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.recording.events import Host
+from imuarray.gap.recording.host_lag import HostLag
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.clock_error import ClockError
+from imuarray.simulate.effects.dropped_samples import DroppedSamples
+from imuarray.simulate.effects.jitter import Jitter
+from imuarray.simulate.effects.skew import Skew
+from tests.gap.effects.evidence_of import evidence_of
+
+ALL = (clock_error, dropped_samples, jitter, skew)
+
+
+def shown(kind: str, sensor: str, effect: Effect) -> Evidence:
+    return evidence_of(kind, sensor, {sensor: (effect,)})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["static", "motion"])
+@pytest.mark.parametrize("sensor", ["A1", "G1"])
+def test_nothing_is_guessed_without_a_trace(kind: str, sensor: str) -> None:
+    assert not [trial for module in ALL for trial in module.guesses(evidence_of(kind, sensor))]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "delay_s"), [("G1", 0.002), ("G1", 0.005), ("A1", -0.02), ("A1", 0.1), ("G1", -0.08)]
+)
+def test_skew(sensor: str, delay_s: float) -> None:
+    """A tenth of a second is most of half a period of the fastest part of the motion, 6 Hz."""
+    trial = next(iter(skew.guesses(shown("motion", sensor, Skew(delay_s)))))
+    (found,) = trial.effects
+    assert isinstance(found, Skew)
+    assert found.delay_s == pytest.approx(delay_s, rel=0.4)
+    assert trial.free == ("delay_s",)
+    assert (trial.rarity > 0) == (delay_s < 0)  # readings come before their stamps
+
+
+@pytest.mark.parametrize(("sensor", "error_ppm"), [("A1", 2000.0), ("G1", -1000.0), ("G1", 300.0)])
+def test_clock_error(sensor: str, error_ppm: float) -> None:
+    (trial,) = clock_error.guesses(shown("motion", sensor, ClockError(error_ppm)))
+    (found,) = trial.effects
+    assert isinstance(found, ClockError)
+    assert found.error_ppm == pytest.approx(error_ppm, rel=0.3)
+    assert trial.free == ("error_ppm",)
+
+
+def test_the_clock_of_the_host() -> None:
+    """All sensors 4 ms behind at the epoch, and by 1 ms a second more (a fast clock: -1000 ppm); or by a rate that
+    settles within 30 s, 0.001 (t - 30 s (1 - exp(-t / 30 s))). A sensor whose own oscillator is slow is as late all the
+    time, and asks for no clock.
+    """
+    at_s = np.linspace(5, 100, 12)
+    bare = evidence_of("static", "A1")
+    assert not _of_the_host(bare, at_s, 0.004 + 3e-4 * np.cos(at_s))
+    (steady,) = _of_the_host(bare, at_s, 0.004 + 1e-3 * at_s)
+    (constant,) = steady.effects
+    assert steady.everywhere
+    assert isinstance(constant, ClockError)
+    assert (constant.error_ppm, constant.warm_up_ppm) == (pytest.approx(-1000.0), 0.0)
+    _, settling = _of_the_host(bare, at_s, 0.004 + 1e-3 * (at_s + 30 * np.expm1(-at_s / 30)))
+    (warm,) = settling.effects
+    assert isinstance(warm, ClockError)
+    assert (warm.error_ppm, warm.warm_up_ppm) == (pytest.approx(-1000.0, rel=0.05), pytest.approx(1000.0, rel=0.05))
+    assert warm.warm_up_s == pytest.approx(30.0, rel=0.1)
+    assert not _of_the_host(bare, at_s[:2], 0.01 * at_s[:2])
+
+
+def _of_the_host(evidence: Evidence, at_s: npt.NDArray[np.float64], lag_s: npt.NDArray[np.float64]) -> list[Hypothesis]:
+    """What is guessed of lags that are known to 0.2 ms."""
+    lags = tuple(HostLag(at, lag, 2e-4) for at, lag in zip(at_s.tolist(), lag_s.tolist(), strict=True))
+    return list(clock_error.guesses(replace(evidence, hosts=(Host(behind=lags),))))
+
+
+def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:
+    """At 10 000 ppm the sensor is a seventh of a second off in the middle of the motion, about a period."""
+    trials = list(clock_error.guesses(shown("motion", "G1", ClockError(-10000.0))))
+    assert 2 <= len(trials) <= 4
+    found = [effect.error_ppm for trial in trials for effect in trial.effects if isinstance(effect, ClockError)]
+    assert any(0.5 < error / -10000 < 2 for error in found)
+
+
+@pytest.mark.parametrize(("sensor", "rms_s"), [("G1", 0.001), ("G1", 0.004), ("A1", 0.002)])
+def test_jitter(sensor: str, rms_s: float) -> None:
+    trial = next(iter(jitter.guesses(shown("motion", sensor, Jitter(rms_s)))))
+    (found,) = trial.effects
+    assert isinstance(found, Jitter)
+    assert found.rms_s == pytest.approx(rms_s, rel=0.5)
+    assert trial.free == ("rms_s",)
+
+
+def test_a_host_that_was_late() -> None:
+    """As the times of all rows tell: 40 of 1000 waited, half of it 3 ms; in every sensor, all of it before the transfer
+    or, more rarely, behind it. Without an odd statistic nobody asks for a reason.
+    """
+    odd = shown("motion", "G1", Jitter(0.004))
+    host = (Host(600, 30, 30 * 9e-6, 1), Host(400, 10, 10 * 9e-6))
+    before, behind = (trial for trial in jitter.guesses(replace(odd, hosts=host)) if trial.everywhere)
+    for trial, told in ((before, 1.0), (behind, -1.0)):
+        (effect,) = trial.effects
+        assert isinstance(effect, Jitter)
+        assert (effect.rms_s, effect.share, effect.told) == (pytest.approx(0.003), 0.04, told)
+    assert before.shared
+    assert before.rarity < behind.rarity
+    assert not any(trial.everywhere for trial in jitter.guesses(replace(odd, hosts=(Host(1000),))))
+    assert not list(jitter.guesses(replace(odd, hosts=host, scores={})))
+
+
+def test_rows_that_are_late_are_repeated() -> None:
+    """Rows every 10 ms of a chip that makes a reading as often: what is late by w is repeated with the probability
+    w / 10 ms, and for exponential w of mean m with m / 10 ms (1 - e^(-10 ms / m)). 5 ms of a tenth make 4.3 %, and
+    sqrt(2 0.1) 5 ms of all; if nothing is told of that, they are late by a row.
+    """
+    (trial,) = jitter.late(0.1 * 0.5 * (1 - math.exp(-2)), math.sqrt(0.2) * 5e-3, 0.01, 100.0)
+    (found,) = trial.effects
+    assert isinstance(found, Jitter)
+    assert found.rms_s == pytest.approx(math.sqrt(2) * 5e-3, rel=0.1)
+    assert found.share == pytest.approx(0.1, rel=0.1)
+    assert trial.free == ("rms_s", "share")
+    ((untold,),) = (one.effects for one in jitter.late(0.02, 0.0, 0.01, 100.0))
+    assert isinstance(untold, Jitter)
+    assert untold.rms_s == pytest.approx(math.sqrt(2) * 0.01, rel=0.1)
+    assert untold.share == pytest.approx(0.02 / (1 - math.exp(-1)), rel=0.1)
+    assert not list(jitter.late(0.02, 0.0, 0.01, 0.0))  # a chip without a rate answers with what is now
+
+
+@pytest.mark.parametrize(("probability", "burst_rows"), [(0.03, 3.0), (0.1, 1.0), (0.2, 10.0), (0.3, 30.0)])
+def test_dropped_samples(probability: float, burst_rows: float) -> None:
+    """6000 rows: 60 to 600 bursts, whose share scatters by up to a third."""
+    evidence = shown("static", "A1", DroppedSamples(probability, burst_rows))
+    (trial,) = dropped_samples.guesses(evidence)
+    (found,) = trial.effects
+    assert isinstance(found, DroppedSamples)
+    assert 1 / 2 < found.burst_rows / burst_rows < 2
+    lost = 1 - evidence.seen[0].raw.rows / 6000
+    assert found.probability == pytest.approx(lost, abs=0.01)
+    assert trial.free == (("probability", "burst_rows") if burst_rows > 1 else ("probability",))
+
+
+@pytest.mark.parametrize(
+    ("module", "effect", "kind"),
+    [
+        (skew, Skew(0.01), "motion"),
+        (clock_error, ClockError(500.0), "motion"),
+        (jitter, Jitter(0.001), "motion"),
+        (dropped_samples, DroppedSamples(0.1), "static"),
+    ],
+)
+def test_what_the_model_has_and_the_sensor_has_not_goes(module: object, effect: Effect, kind: str) -> None:
+    evidence = evidence_of(kind, "A1", modelled=(effect,))
+    assert list(module.guesses(evidence)) == [Hypothesis((), removed=effect.name)]  # type: ignore[attr-defined]

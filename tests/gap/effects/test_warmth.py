@@ -1,0 +1,71 @@
+"""What a heated sensor shows beside the straight line over temperature that is fitted; and thermometers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imuarray.gap.inference.effects.levels import levels
+from imuarray.gap.inference.effects.thermal_bias import THERMAL_BIAS
+from imuarray.gap.inference.effects.thermal_lag import THERMAL_LAG
+from imuarray.gap.inference.effects.thermal_lag import lagged as temperature_behind
+from imuarray.gap.inference.effects.thermal_scale import THERMAL_SCALE
+from imuarray.gap.inference.effects.thermometer import THERMOMETER
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.thermal_lag import ThermalLag
+from imuarray.simulate.effects.thermal_scale import ThermalScale
+from imuarray.simulate.effects.thermometer import Thermometer
+from tests.gap.effects.evidence_of import TWO_FACES, evidence_of
+
+
+def test_a_square() -> None:
+    evidence = evidence_of("heating", "G1", {"G1": (ThermalBias(quadratic=(0.001, 0.001, -0.0005)),)}, seed=7)
+    (trial,) = THERMAL_BIAS.guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, ThermalBias)
+    assert effect.quadratic == pytest.approx((0.001, 0.001, -0.0005), rel=0.1)
+    assert np.add(effect.slope, evidence.fitted.slope) == pytest.approx((0.05, 0.05, 0.05), abs=0.002)  # at 25 degC
+    assert trial.free == ("quadratic",)
+
+
+@pytest.mark.parametrize(("sensor", "time_constant_s"), [("G1", 1.0), ("G1", 10.0), ("A1", 3.0)])
+def test_a_lag(sensor: str, time_constant_s: float) -> None:
+    evidence = evidence_of("heating", sensor, {sensor: (ThermalLag(time_constant_s),)}, seed=7)
+    first, *_ = (trial.effects[0] for trial in THERMAL_LAG.guesses(evidence))
+    assert isinstance(first, ThermalLag)
+    assert first.time_constant_s == pytest.approx(time_constant_s, rel=0.3)
+
+
+def test_the_lagged_temperature() -> None:
+    """Behind a slow ramp by its slope times the time constant, once that has passed."""
+    found = levels(evidence_of("heating", "A1", seed=7))
+    slope = np.gradient(found.degc, found.time_s)
+    steady = (np.abs(np.gradient(slope)) < 0.02 * np.abs(slope).max()) & (found.time_s > 3.0)
+    behind = found.degc - temperature_behind(found, 0.2)
+    assert steady.sum() > 20
+    np.testing.assert_allclose(behind[steady], 0.2 * slope[steady], atol=0.02 * np.abs(slope).max())
+
+
+@pytest.mark.slow
+def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
+    """On one face it is a slope of the bias, which is fitted."""
+    put_in = {"A1": (ThermalScale((1e-3,) * 3),)}
+    assert list(THERMAL_SCALE.guesses(evidence_of("heating", "A1", put_in, seed=7))) == []
+    (trial,) = THERMAL_SCALE.guesses(evidence_of(TWO_FACES, "A1", put_in, seed=3))
+    (effect,) = trial.effects
+    assert isinstance(effect, ThermalScale)
+    assert effect.slope == pytest.approx((0.0, 0.0, 1e-3), rel=0.1)
+
+
+def test_a_thermometer() -> None:
+    evidence = evidence_of("static", "A1", {"A1": (Thermometer(3.0, 1.0),)}, seed=7)
+    (trial,) = THERMOMETER.guesses(evidence)
+    (effect,) = trial.effects
+    assert isinstance(effect, Thermometer)
+    assert (effect.offset_degc, effect.rms_degc) == (pytest.approx(3.0, abs=0.1), pytest.approx(1.0, rel=0.1))
+
+
+def test_nothing_follows_temperature() -> None:
+    evidence = evidence_of("heating", "G1", seed=5)
+    for candidate in (THERMAL_BIAS, THERMAL_LAG, THERMAL_SCALE, THERMOMETER):
+        assert list(candidate.guesses(evidence)) == []
