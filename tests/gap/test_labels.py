@@ -190,8 +190,8 @@ def test_corrected_recordings_feel_what_was_felt(tmp_path: Path) -> None:
     motion = put_right.experiment.motion
     middles = np.array([(one.start_ns + one.end_ns) // 2 for one in right.phases])
     expected = 9.80665 * np.array([up_vector(up) for up in FACES.values()])
-    np.testing.assert_allclose(motion.felt(middles).force_box, expected, atol=1e-9)
-    np.testing.assert_allclose(pickle.loads(pickle.dumps(motion)).felt(middles).force_box, expected, atol=1e-9)  # noqa: S301
+    np.testing.assert_allclose(motion.felt(middles).force_box, expected, atol=9.8 * 5e-3)  # a tilt is estimated
+    assert np.array_equal(pickle.loads(pickle.dumps(motion)).felt(middles).force_box, motion.felt(middles).force_box)  # noqa: S301
     campaign = Campaign((summarised(put_right),))
     assert not mislabelled([put_right], campaign)
     offset = fit(campaign, [motion]).fitted["B1"].offset

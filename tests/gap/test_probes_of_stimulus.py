@@ -43,14 +43,12 @@ def test_temperature() -> None:
     curved = heated((100.0, 20.0, 3.0, 0.0))
     np.testing.assert_allclose(value("thermal_square", curved), 3.0 / SCALE, rtol=1e-2)
     np.testing.assert_allclose(value("thermal_change", curved), 0.0, atol=5.0 / SCALE)
-    np.testing.assert_allclose(value("thermometer_offset", straight), 1.5, atol=0.05)
 
 
 def test_nothing_is_said_of_temperature_where_it_does_not_change() -> None:
     phase = summary(block(gaussian(rows=3000)))
     for name in ("thermal_slope", "thermal_square", "thermal_change", "thermal_residual", "thermal_noise"):
         assert np.isnan(value(name, [phase])).all()
-    assert np.isnan(value("thermometer_offset", [phase]))
 
 
 def test_noise_that_grows_with_temperature() -> None:

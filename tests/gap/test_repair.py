@@ -99,6 +99,7 @@ def test_found_effects_are_in_the_file() -> None:
         "scale",
         "g_sensitivity",
         "bias",
+        "turn_on_bias",
         "thermal_bias",
         "tone",
         "white_noise",
@@ -112,7 +113,7 @@ def test_found_effects_are_in_the_file() -> None:
         {"amplitude_dps": (0.0, 0.05, 0.0), "frequency_hz": 31.0},
     )
     assert part.range == 250.0
-    assert not {"white_noise", "bias", "thermal_bias"} & {kind for part in model.designs for kind in part.effects}
+    assert not {"white_noise", "bias"} & {kind for part in model.designs for kind in part.effects}
 
 
 def test_a_model_keeps_what_is_not_fitted() -> None:
@@ -159,7 +160,16 @@ def test_a_chip_that_nobody_knows_says_its_unit() -> None:
     for one in (accelerometer, gyro):
         kinds = [effect.name for effect in model.effects(one, Streams(2))]
         felt = ["g_sensitivity"] if one is gyro else []
-        assert kinds == ["own_clock", "misalignment", "scale", *felt, "bias", "thermal_bias", "white_noise"]
+        assert kinds == [
+            "own_clock",
+            "misalignment",
+            "scale",
+            *felt,
+            "bias",
+            "turn_on_bias",
+            "thermal_bias",
+            "white_noise",
+        ]
 
 
 def test_texts_and_figures_without_number_survive() -> None:

@@ -39,7 +39,14 @@ def test_figures_are_of_the_chip_at_its_range() -> None:
     model = usual_model(HEADERS.values())
     assert recipes(model, HEADERS["A1"])["scale"] == ({"error": Spread(sigma=0.01, limit=0.02)},)
     assert recipes(model, HEADERS["A2"])["scale"] == ({"error": Spread(sigma=0.0075, limit=0.015)},)
-    assert recipes(model, HEADERS["G1"]).keys() == {"own_clock", "scale", "misalignment", "g_sensitivity"}
+    assert recipes(model, HEADERS["G1"]).keys() == {
+        "own_clock",
+        "scale",
+        "misalignment",
+        "g_sensitivity",
+        "turn_on_bias",
+        "thermal_bias",
+    }
     for one in HEADERS.values():
         assert recipes(model, one)["misalignment"] == ({"angles_deg": Spread(sigma=0.7)},)
         ((clock,),) = (recipes(model, one)["own_clock"],)  # type: ignore[misc]

@@ -161,8 +161,6 @@ MARGINS: Mapping[str, Rule] = MappingProxyType(
         "thermal_change": level(_WARMING_DEGC / COASTING_S),
         "thermal_residual": fixed(_VARIANCE),
         "thermal_noise": fixed(_VARIANCE / _WARMING_DEGC),
-        "thermometer_offset": fixed(SHARE * _WARMING_DEGC),
-        "thermometer_noise": fixed(_GENEROUS),
         "force_own": level(),
         "force_next": level(),
         "force_after": level(),

@@ -1,6 +1,7 @@
 """The base model: what a simulation has before anything is blamed, its few parameters fitted to a campaign's summaries.
 
-Every sensor has `white_noise`, `bias` and a linear `thermal_bias`, fitted; `scale`, `misalignment` and a gyroscope's
+Every sensor has `white_noise`, `bias`, a linear `thermal_bias` and, within tolerance, its response to specific force
+fitted; `scale`, `misalignment` and a gyroscope's
 `g_sensitivity` are drawn anew for every replicate from their populations (`imuarray.gap.model.populations`), since no
 log in one attitude tells them from a bias. The phase of `own_clock` is drawn for every log, since it is another one
 after every boot and no log at rest tells it.
@@ -17,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.model.gravity import Forces, estimated_forces, forces_left
-from imuarray.gap.model.populations import usual_model
+from imuarray.gap.model.populations import CLOCK_SIGMA, TOLERANCE_SIGMAS, is_usual, response_tolerance, usual_model
 from imuarray.gap.model.rest import FittedParameters, Rest, felt, fitted_to
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
 from imuarray.gap.statistics.catalogue import (
@@ -67,17 +68,29 @@ class Base:
         return {name: (*drawn[name], *fitted.effects()) for name, fitted in self.fitted.items()}
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
-        """What isn't fitted: neither noise, bias nor slope, but the curve of a bias over temperature."""
+        """What isn't fitted: neither noise nor bias; of a bias over temperature the curve, and the slope where the
+        recording's temperatures don't tell it.
+
+        Parts of even replicates have data clocks in step with the polls and the same bias at each power-on, those of
+        odd ones clocks that are off and biases that scatter: a recording may be like either.
+        """
         units = Streams(replicate_seed(self.seed, replicate))
-        return {name: self._drawn(self.headers[name], units) for name in self.fitted}
+        return {name: self._drawn(self.headers[name], units, replicate) for name in self.fitted}
 
     @cached_property
     def _usual(self) -> Model:
         return usual_model(self.headers.values())
 
-    def _drawn(self, header: SensorHeader, units: Streams) -> tuple[Effect, ...]:
-        effects = tuple(_unfitted((self.model or self._usual).effects(header, units)))
-        return effects if any(effect.name == OwnClock.name for effect in effects) else (_IN_STEP, *effects)
+    def _drawn(self, header: SensorHeader, units: Streams, replicate: int) -> tuple[Effect, ...]:
+        is_slope_known = self.fitted[header.name].is_slope_known
+        effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
+        if not any(isinstance(effect, OwnClock) for effect in effects):
+            effects = (_IN_STEP, *effects)
+        if replicate % 2 == 0:
+            return tuple(effect for effect in effects if not is_usual(effect, header.unit))
+        deviate = float(units.of_unit(header.name, OwnClock.name, "rate_error").standard_normal())
+        slow = CLOCK_SIGMA * min(max(deviate, -TOLERANCE_SIGMAS), TOLERANCE_SIGMAS)
+        return tuple(_with_rate_error(effect, slow) for effect in effects)
 
 
 def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = None, seed: int = 0) -> Base:
@@ -91,7 +104,8 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     """
     headers, forces = headers_in(campaign), estimated_forces(campaign, motions)
     fitted = {
-        name: fitted_to(header, list(_at_rest(campaign, motions, forces, name))) for name, header in headers.items()
+        name: fitted_to(header, list(_at_rest(campaign, motions, forces, name)), response_tolerance(header))
+        for name, header in headers.items()
     }
     return Base(headers, fitted, model, seed)
 
@@ -164,24 +178,41 @@ def _at_rest(campaign: Campaign, motions: Sequence[Motion], forces: Forces, sens
             part = summary.segments
             held = part.rows > 0
             if held.any():
-                gravity = felt(summary, motion, forces.get((number, phase.phase.start_ns)))
-                alone = part.mean / summary.header.sensitivity - gravity
+                stimulus = felt(summary, motion, forces.get((number, phase.phase.start_ns)))
+                alone = part.mean / summary.header.sensitivity - stimulus.felt
                 group = (number, phase.phase.up or phase.phase.name)
-                yield Rest(group, part.rows[held], part.temperature_degc[held], alone[held], part.steady_variance[held])
+                force = np.average(stimulus.force[held], axis=0, weights=part.rows[held])
+                yield Rest(
+                    group,
+                    part.rows[held],
+                    part.temperature_degc[held],
+                    alone[held],
+                    part.steady_variance[held],
+                    np.asarray(force),
+                )
 
 
 def _left(phase: PhaseSummary, motion: Motion, force_box: npt.NDArray[np.float64] | None, base: Base) -> PhaseSummary:
     sensors = {}
     for name, summary in phase.sensors.items():
-        predicted = felt(summary, motion, force_box) + base.fitted[name].adds(summary)
+        predicted = base.fitted[name].predicted(summary, felt(summary, motion, force_box))
         mean = summary.segments.mean - predicted * summary.header.sensitivity
         sensors[name] = replace(summary, segments=replace(summary.segments, mean=mean))
     return replace(phase, sensors=sensors)
 
 
-def _unfitted(effects: Iterable[Effect]) -> Iterator[Effect]:
+def _with_rate_error(effect: Effect, rate_error: float) -> Effect:
+    """A clock of which nobody knows the rate and the phase is off by so much; others, and other effects, stay."""
+    if isinstance(effect, OwnClock) and not effect.rate_error and math.isnan(effect.phase_deg):
+        return replace(effect, rate_error=rate_error)
+    return effect
+
+
+def _unfitted(effects: Iterable[Effect], is_slope_known: bool) -> Iterator[Effect]:
     for effect in effects:
-        if isinstance(effect, ThermalBias) and any(effect.quadratic):
+        if isinstance(effect, ThermalBias) and not is_slope_known:
+            yield effect
+        elif isinstance(effect, ThermalBias) and any(effect.quadratic):
             yield replace(effect, slope=(0.0, 0.0, 0.0))
         elif effect.name not in _FITTED:
             yield effect

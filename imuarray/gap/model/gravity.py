@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.axes import UP_AXES, up_vector
 from imuarray.gap.recording.attitude import array_mean, directions, ups_of
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.probes.level import mean
@@ -32,7 +33,7 @@ def estimated_forces(campaign: Campaign, motions: Sequence[Motion]) -> Forces:
     if not any(rest.known is None for rest in rests):
         return {}
     readings = _readings([rest.accelerometers for rest in rests], lambda summary: mean(summary))
-    known_g = np.array([np.full(3, np.nan) if rest.known is None else rest.known for rest in rests])
+    known_g = np.array([rest.nominal if rest.known is None else rest.known for rest in rests])
     return _forces(rests, ups_of(array_mean(readings), known_g).up_box)
 
 
@@ -45,11 +46,14 @@ def forces_left(campaign: Campaign, motions: Sequence[Motion], less: Callable[[S
 
 
 class _Rest(NamedTuple):
-    """A phase at rest: where it is, its accelerometers by name, and what is felt (3,) in g (None: not known)."""
+    """A phase at rest: where it is, its accelerometers by name, what is felt (3,) in g (None: not known), and what is
+    felt on the noted face if that is not tilted (nan: none is noted).
+    """
 
     place: tuple[int, int]
     accelerometers: Mapping[str, Summary]
     known: Floats | None
+    nominal: Floats
 
 
 def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
@@ -64,7 +68,8 @@ def _rests(campaign: Campaign, motions: Sequence[Motion]) -> Iterator[_Rest]:
                 continue
             is_estimated = isinstance(motion, Posed) and motion.is_estimated(part.phase)
             known = None if is_estimated else _mean_force_g(motion, part.phase)
-            yield _Rest((number, part.phase.start_ns), there, known)
+            nominal = np.array(up_vector(part.phase.up)) if part.phase.up in UP_AXES else np.full(3, np.nan)
+            yield _Rest((number, part.phase.start_ns), there, known, nominal)
 
 
 def _mean_force_g(motion: Motion, phase: Phase) -> Floats:

@@ -1,9 +1,15 @@
-"""What one sensor's phases at rest say of it: noise, offset, slope with temperature."""
+"""What one sensor's phases at rest say of it: noise, offset, slope with temperature, response to specific force.
+
+Offset, slope and response are nuisance parameters: a data sheet leaves them to the part. Offset and slope are free. The
+response (scale error and misalignment of an accelerometer, g-sensitivity of a gyroscope) is profiled within the chip's
+tolerance: what lies within is no difference between simulator and recording, what lies beyond stays in the residuals.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +23,10 @@ from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.signal import Triple
-from imuarray.units import SI_PER_UNIT
+from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
+Matrix = tuple[Triple, Triple, Triple]
 
 REFERENCE_DEGC = 25.0
 """Biases hold here, as those of the data sheets do."""
@@ -33,6 +40,12 @@ _LEAST_DEGC = 1.0
 _ADDED, _LARGEST = 0.3, 64.0
 """Share of a variance that has to be left if something was added to it; largest change of one that was scaled."""
 
+_PASSES = 4
+"""Rounds in which components of the response that reach their tolerance are held there while the others are fitted."""
+
+NO_RESPONSE = ((0.0, 0.0, 0.0),) * 3
+"""The response of a part that follows its nominal axes and scale exactly."""
+
 _TOLD = 0.02
 """Two variances so far apart, as a share of the larger one, tell what a simulation makes of a third."""
 
@@ -42,12 +55,18 @@ _COLUMN = {"specific_force": "force_box", "angular_rate": "rate_box", "magnetic_
 @dataclass(frozen=True)
 class FittedParameters:
     """One sensor's parameters in its unit along its own axes: `rms` without that of rounding, `offset` at 25 degC,
-    `slope` per degC; all zero for one that never was at rest.
+    `slope` per degC; all zero for one that never was at rest. `response`: what each axis (row) adds for each unit of
+    specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per g for others,
+    within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether temperatures
+    differed enough.
     """
 
     rms: Triple
     offset: Triple
     slope: Triple
+    response: Matrix = NO_RESPONSE
+    raw_response: Matrix = NO_RESPONSE
+    is_slope_known: bool = False
 
     def effects(self) -> tuple[Effect, ...]:
         """As the simulator has them."""
@@ -68,10 +87,11 @@ class FittedParameters:
         gain = np.where(is_added, 1.0, gain)
         offset = np.subtract(wanted.offset, np.mean([one.offset for one in came], axis=0)) / np.sqrt(gain)
         slope = np.subtract(wanted.slope, np.mean([one.slope for one in came], axis=0)) / np.sqrt(gain)
-        return FittedParameters(
-            _triple(np.sqrt(np.maximum(squares, 0.0))),
-            _triple(np.add(self.offset, offset)),
-            _triple(np.add(self.slope, slope)),
+        return replace(
+            self,
+            rms=_triple(np.sqrt(np.maximum(squares, 0.0))),
+            offset=_triple(np.add(self.offset, offset)),
+            slope=_triple(np.add(self.slope, slope)),
         )
 
     def between(
@@ -97,23 +117,36 @@ class FittedParameters:
         """(3,) standard deviation of readings, rounding included."""
         return np.asarray(np.sqrt(np.square(self.rms) + rounding_lsb2(header) / header.sensitivity**2))
 
-    def adds(self, summary: Summary) -> Floats:
-        """(s, 3) what the sensor adds to what is felt in each segment, in its unit."""
-        warm = (summary.segments.temperature_degc - REFERENCE_DEGC)[:, None]
-        return np.asarray(np.array(self.offset) + warm * np.array(self.slope))
+    def predicted(self, summary: Summary, stimulus: Stimulus) -> Floats:
+        """(s, 3) reading of each segment, in the sensor's unit."""
+        return np.asarray(stimulus.felt + self._biases(summary) + stimulus.force @ np.array(self.response).T)
 
     def felt_by(self, summary: Summary) -> Floats:
-        """(3,) mean of the readings without what the sensor adds."""
+        """(3,) mean specific force along an accelerometer's axes by these parameters, in its unit."""
+        return self.by_response(self.unbiased(summary))
+
+    def unbiased(self, summary: Summary) -> Floats:
+        """(3,) mean of the readings without offset and slope."""
         part = summary.segments
         held = part.rows > 0
-        apart = part.mean[held] / summary.header.sensitivity - self.adds(summary)[held]
-        return np.asarray(np.average(apart, axis=0, weights=part.rows[held]))
+        levels = part.mean[held] / summary.header.sensitivity - self._biases(summary)[held]
+        return np.asarray(np.average(levels, axis=0, weights=part.rows[held]))
+
+    def by_response(self, readings: Floats) -> Floats:
+        """(3,) specific force of which an accelerometer without bias makes these readings."""
+        return np.asarray(np.linalg.solve(np.eye(3) + np.array(self.response), readings))
+
+    def _biases(self, summary: Summary) -> Floats:
+        """(s, 3) offset and slope."""
+        warm = (summary.segments.temperature_degc - REFERENCE_DEGC)[:, None]
+        return np.asarray(np.array(self.offset) + warm * np.array(self.slope))
 
 
 @dataclass(frozen=True)
 class Rest:
     """The segments of one phase at rest that hold rows: (s,) rows, temperatures; (s, 3) readings less what is felt, in
-    the sensor's unit, and their variances in counts. Phases of one `group` are of one log and face, or pose.
+    the sensor's unit, and their variances in counts; `force` (3,) the mean specific force along the axes, as `Stimulus`
+    has it. Phases of one `group` are of one log and face, or pose.
     """
 
     group: tuple[int, str]
@@ -121,24 +154,42 @@ class Rest:
     degc: Floats
     apart: Floats
     variance: Floats
+    force: Floats
 
 
-def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Floats:
-    """(s, 3) what the nominal axes feel at the segments' mean times, in the sensor's unit; the force is `force_box`
-    (3,), if that is given.
+class Stimulus(NamedTuple):
+    """(s, 3) along a sensor's nominal axes in each segment: what it measures (`felt`), in its unit, and the specific
+    `force`, in the unit of an accelerometer, in g for others.
     """
-    if force_box is not None and summary.header.quantity == "specific_force":
-        return _along(np.broadcast_to(force_box, (len(summary.segments.rows), 3)), summary.header)
-    kept: dict[str, tuple[Motion, Floats]] = vars(summary)  # a fit asks, and who takes off what it predicts
+
+    felt: Floats
+    force: Floats
+
+
+def felt(summary: Summary, motion: Motion, force_box: Floats | None) -> Stimulus:
+    """What the nominal axes feel at the segments' mean times; the force is `force_box` (3,) in m/s^2, if given."""
+    kept: dict[str, tuple[Motion, Stimulus]] = vars(summary)  # a fit asks, and the residual of the same summary
     if "felt" not in kept or kept["felt"][0] is not motion:
         kept["felt"] = (motion, _felt(summary, motion))
-    return kept["felt"][1]
+    known = kept["felt"][1]
+    if force_box is None:
+        return known
+    along = np.broadcast_to(force_box @ np.array(summary.header.orientation), known.force.shape)
+    if summary.header.quantity == "specific_force":
+        force = along / SI_PER_UNIT[summary.header.unit]
+        return Stimulus(force, force)
+    return known._replace(force=along / STANDARD_GRAVITY)
 
 
-def _felt(summary: Summary, motion: Motion) -> Floats:
-    part = summary.segments
+def _felt(summary: Summary, motion: Motion) -> Stimulus:
+    part, header = summary.segments, summary.header
     at_ns = np.rint(np.where(part.rows > 0, part.time_s, 0.0) * 1e9).astype(np.int64)
-    return _along(np.asarray(getattr(motion.felt(at_ns), _COLUMN[summary.header.quantity]), float), summary.header)
+    moment = motion.felt(at_ns)
+    measured = _along(np.asarray(getattr(moment, _COLUMN[header.quantity]), float), header)
+    if header.quantity == "specific_force":
+        return Stimulus(measured, measured)
+    force = np.asarray(moment.force_box, float) @ np.array(header.orientation) / STANDARD_GRAVITY
+    return Stimulus(measured, force)
 
 
 def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
@@ -146,19 +197,66 @@ def _along(vectors_box: Floats, header: SensorHeader) -> Floats:
     return np.asarray(vectors_box @ np.array(header.orientation) * unit)
 
 
-def fitted_to(header: SensorHeader, phases: Sequence[Rest]) -> FittedParameters:
-    """What the phases of one sensor say: noise is the median of their segments' variances; offset the mean of readings
-    less what is felt, faces weighted alike; slope that over temperature. All zero without phases.
+def fitted_to(header: SensorHeader, phases: Sequence[Rest], tolerance: Floats) -> FittedParameters:
+    """What the phases of one sensor say: noise is the median of their segments' variances; slope that of the readings
+    less what is felt over temperature; offset and response explain the rest, faces weighted alike. `tolerance` (3, 3)
+    bounds the response. All zero without phases.
     """
     if not phases:
         return FittedParameters(*((0.0, 0.0, 0.0),) * 3)
     slope = _slope(phases)
-    warm = [phase.apart - (phase.degc - REFERENCE_DEGC)[:, None] * slope for phase in phases]
-    faces: dict[str, list[Floats]] = {}
-    for phase, apart in zip(phases, warm, strict=True):
-        faces.setdefault(phase.group[1], []).append(np.average(apart, axis=0, weights=phase.rows))
-    offset = np.mean([np.mean(means, axis=0) for means in faces.values()], axis=0)
-    return FittedParameters(_triple(_rms_lsb(header, phases) / header.sensitivity), _triple(offset), slope)
+    faces: dict[str, list[tuple[Floats, Floats]]] = {}
+    for phase in phases:
+        level = phase.apart - (phase.degc - REFERENCE_DEGC)[:, None] * (slope or (0.0, 0.0, 0.0))
+        faces.setdefault(phase.group[1], []).append((np.average(level, axis=0, weights=phase.rows), phase.force))
+    levels, forces = (
+        np.array([np.mean([pair[at] for pair in pairs], axis=0) for pairs in faces.values()]) for at in (0, 1)
+    )
+    rms = _rms_lsb(header, phases)
+    noise = np.sqrt(np.square(rms) + rounding_lsb2(header)) / header.sensitivity
+    raw, response = response_of(levels, forces, noise, tolerance)
+    offset = np.mean(levels - forces @ response.T, axis=0)
+    return FittedParameters(
+        _triple(rms / header.sensitivity),
+        _triple(offset),
+        slope or (0.0, 0.0, 0.0),
+        _matrix(response),
+        _matrix(raw),
+        slope is not None,
+    )
+
+
+def response_of(levels: Floats, forces: Floats, noise: Floats, tolerance: Floats) -> tuple[Floats, Floats]:
+    """(3, 3) response to specific force without bounds, and within `tolerance` (3, 3), from levels (f, 3) on f faces
+    whose forces are (f, 3).
+
+    Least squares about the faces' mean with a normal prior of the tolerance, by the `noise` (3,) of single readings: a
+    direction in which no two faces differ has no response. A component that reaches its tolerance is held there while
+    the others are fitted again (an active set).
+    """
+    nothing = np.zeros((3, 3))
+    if len(levels) < 2 or not tolerance.any():
+        return nothing, nothing
+    force, level = forces - forces.mean(axis=0), levels - levels.mean(axis=0)
+    raw, bounded = np.zeros((3, 3)), np.zeros((3, 3))
+    for axis in range(3):
+        bound = tolerance[axis]
+        normal = force.T @ force / noise[axis] ** 2
+        wanted = force.T @ level[:, axis] / noise[axis] ** 2
+        free = bound > 0
+        for number in range(_PASSES):
+            held = np.where(free, 0.0, bounded[axis])
+            prior = np.diag(1 / bound[free] ** 2)
+            solved = np.linalg.solve(normal[np.ix_(free, free)] + prior, (wanted - normal @ held)[free])
+            bounded[axis, free] = solved
+            if number == 0:
+                raw[axis] = bounded[axis]
+            beyond = free & (np.abs(bounded[axis]) > bound)
+            bounded[axis] = np.clip(bounded[axis], -bound, bound)
+            free &= ~beyond
+            if not beyond.any() or not free.any():
+                break
+    return raw, bounded
 
 
 def _rms_lsb(header: SensorHeader, phases: Sequence[Rest]) -> Floats:
@@ -177,8 +275,8 @@ def _rms_lsb(header: SensorHeader, phases: Sequence[Rest]) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.median(unbiased, axis=0) - rounding_lsb2(header), 0.0)))
 
 
-def _slope(phases: Sequence[Rest]) -> Triple:
-    """Per degC; 0 where no face of a log was at temperatures that differ enough."""
+def _slope(phases: Sequence[Rest]) -> Triple | None:
+    """Per degC; None where no face of a log was at temperatures that differ enough."""
     products, squares = np.zeros(3), 0.0
     for group in dict.fromkeys(phase.group for phase in phases):
         members = [phase for phase in phases if phase.group == group]
@@ -189,7 +287,7 @@ def _slope(phases: Sequence[Rest]) -> Triple:
             warm = degc - np.average(degc, weights=rows)
             products += (rows * warm) @ apart
             squares += float(rows @ warm**2)
-    return _triple(products / squares) if squares > 0 else (0.0, 0.0, 0.0)
+    return _triple(products / squares) if squares > 0 else None
 
 
 def rounding_lsb2(header: SensorHeader) -> float:
@@ -200,3 +298,8 @@ def rounding_lsb2(header: SensorHeader) -> float:
 def _triple(values: Floats) -> Triple:
     x, y, z = values.tolist()
     return x, y, z
+
+
+def _matrix(values: Floats) -> Matrix:
+    x, y, z = values
+    return _triple(x), _triple(y), _triple(z)

@@ -24,6 +24,9 @@ Up = tuple[float, float, float]
 _SHORT = 0.25
 """A static stretch of less than this share of the longest says little, and often is a hand that holds the box."""
 
+MOST_TILT_DEG = 5.0
+"""A box that is said to stand on a face leans no further: a nuisance quantity. Beyond, the label is doubted."""
+
 _SAME_COSINE = np.cos(np.radians(10))
 """Poses nearer to each other than that are of one face."""
 
@@ -78,29 +81,38 @@ def _between(log: Log, still: Sequence[Phase]) -> Iterator[Phase]:
 
 
 def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tuple[Attitude, ...], list[str]]:
-    """How the box lay in the phases at rest, and notes on how that is known; nothing where `motion` follows a track."""
+    """How the box lay in the phases at rest, and notes on how that is known; nothing where `motion` follows a track.
+
+    A table is not level and a box is not square: a face that is noted is tilted as the array's accelerometers say, if
+    that is within `MOST_TILT_DEG` of it.
+    """
     still = [phase for phase in phases if is_at_rest(phase)]
     if motion.source != "phases":
         return (), []
     noted = [up_vector(phase.up) if phase.up else None for phase in still]
     free = noted.count(None)
     accelerometers = [sensor for sensor in log.of("specific_force") if len(sensor) and sensor.sensitivity]
-    if not free or not accelerometers:
+    if not accelerometers or (not free and len(set(noted)) == 1):  # on one face a tilt is a bias
         ups = [up or (0.0, 0.0, 1.0) for up in noted]
         notes = ["No accelerometer tells which axis was up: where no phase says so, +Z is assumed."] if free else []
         return tuple(Attitude(phase, up, estimated=False) for phase, up in zip(still, ups, strict=True)), notes
     readings = np.array([[_mean_g(sensor, phase) for sensor in accelerometers] for phase in still])
     known = np.array([(np.nan,) * 3 if up is None else up for up in noted])
-    found = ups_of(array_mean(readings), known).up_box.tolist()
-    attitudes = [
-        Attitude(phase, up or (estimate[0], estimate[1], estimate[2]), estimated=up is None)
-        for phase, up, estimate in zip(still, noted, found, strict=True)
-    ]
+    estimates = ups_of(array_mean(readings), known).up_box.tolist()
+    attitudes = [_attitude(*item) for item in zip(still, noted, estimates, strict=True)]
     note = (
         f"Which axis was up is not noted in {free} of {len(still)} phases at rest: it is estimated from all "
         "accelerometers, whose common error is told from it only as far as the attitudes differ."
     )
-    return tuple(attitudes), [note]
+    return tuple(attitudes), [note] if free else []
+
+
+def _attitude(phase: Phase, noted: Up | None, estimate: Sequence[float]) -> Attitude:
+    """As estimated, unless a face is noted that is further off than a tilt."""
+    x, y, z = estimate
+    if noted is not None and np.dot(noted, estimate) < np.cos(np.radians(MOST_TILT_DEG)):
+        return Attitude(phase, noted, estimated=False)
+    return Attitude(phase, (x, y, z), estimated=True)
 
 
 def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:

@@ -24,7 +24,7 @@ FORM = 0.05
 exactly the form that the simulator gives it."""
 
 STRANGE = 100.0
-"""Score of a statistic that is there on one side only."""
+"""Scores are cut off here; a hypothesis under which a recorded statistic has no value is charged as much."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +42,18 @@ class SyntheticLikelihood:
     width: Floats | None = None
 
     def scores(self, values: Floats) -> Floats:
-        """(..., n) signed distances in standard deviations, at most `STRANGE`; nan where nothing can be said."""
-        apart = np.clip((values - self.location) / self.scale, -STRANGE, STRANGE)
-        strange = np.where(np.isfinite(values), self.never, self.always)
-        return np.asarray(np.where(strange, STRANGE, apart))
+        """(..., n) signed distances in standard deviations, at most `STRANGE`; nan where one side has no value: what is
+        missing is not different.
+        """
+        return np.asarray(np.clip((values - self.location) / self.scale, -STRANGE, STRANGE))
 
     def log_density(self, values: Floats, moved: Floats | None = None) -> Floats:
-        """(n,) of each statistic, 0 where nothing can be said; `moved` (n,) is how far the model's own effects moved
-        it, of which the form may be wrong.
+        """(n,) of each statistic, 0 where the recording or the model has no value; `moved` (n,) is how far the model's
+        own effects moved it, of which the form may be wrong. A model under which a recorded statistic vanishes pays.
         """
         form = np.zeros_like(values) if moved is None else FORM * np.nan_to_num(np.abs(moved))
         scale = np.hypot(np.where(np.isfinite(self.scale), self.scale, 1.0), form)
-        strange = np.where(np.isfinite(values), self.never, self.always)
+        strange = np.isfinite(values) & self.never
         density = _student(values - self.location, scale)
         if self.branches is not None and self.width is not None:
             width = np.hypot(np.where(np.isfinite(self.width), self.width, 1.0), form)

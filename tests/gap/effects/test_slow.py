@@ -168,6 +168,6 @@ def test_a_change_between_two_logs_that_all_units_share() -> None:
 
 
 def test_nothing_wanders() -> None:
-    evidence = evidence_of("static", "A1", seed=5)
+    evidence = evidence_of("static", "A1", seed=9)
     for candidate in (BIAS_INSTABILITY, RANDOM_WALK, POPCORN_NOISE, COMMON_MODE):
         assert list(candidate.guesses(evidence)) == []

@@ -1,4 +1,4 @@
-"""What a heated sensor shows beside the straight line over temperature that is fitted; and thermometers."""
+"""What a heated sensor shows beside the straight line over temperature that is fitted."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from imuarray.gap.inference.effects.thermal_bias import THERMAL_BIAS
 from imuarray.gap.inference.effects.thermal_lag import THERMAL_LAG
 from imuarray.gap.inference.effects.thermal_lag import lagged as temperature_behind
 from imuarray.gap.inference.effects.thermal_scale import THERMAL_SCALE
-from imuarray.gap.inference.effects.thermometer import THERMOMETER
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.thermal_lag import ThermalLag
 from imuarray.simulate.effects.thermal_scale import ThermalScale
-from imuarray.simulate.effects.thermometer import Thermometer
 from tests.gap.effects.evidence_of import TWO_FACES, evidence_of
 
 
@@ -57,15 +55,7 @@ def test_a_scale_that_follows_temperature_needs_two_faces() -> None:
     assert effect.slope == pytest.approx((0.0, 0.0, 1e-3), rel=0.1)
 
 
-def test_a_thermometer() -> None:
-    evidence = evidence_of("static", "A1", {"A1": (Thermometer(3.0, 1.0),)}, seed=7)
-    (trial,) = THERMOMETER.guesses(evidence)
-    (effect,) = trial.effects
-    assert isinstance(effect, Thermometer)
-    assert (effect.offset_degc, effect.rms_degc) == (pytest.approx(3.0, abs=0.1), pytest.approx(1.0, rel=0.1))
-
-
 def test_nothing_follows_temperature() -> None:
     evidence = evidence_of("heating", "G1", seed=5)
-    for candidate in (THERMAL_BIAS, THERMAL_LAG, THERMAL_SCALE, THERMOMETER):
+    for candidate in (THERMAL_BIAS, THERMAL_LAG, THERMAL_SCALE):
         assert list(candidate.guesses(evidence)) == []

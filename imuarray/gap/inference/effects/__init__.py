@@ -34,7 +34,6 @@ from imuarray.gap.inference.effects.stuck import STUCK
 from imuarray.gap.inference.effects.thermal_bias import THERMAL_BIAS
 from imuarray.gap.inference.effects.thermal_lag import THERMAL_LAG
 from imuarray.gap.inference.effects.thermal_scale import THERMAL_SCALE
-from imuarray.gap.inference.effects.thermometer import THERMOMETER
 from imuarray.gap.inference.effects.tone import TONE
 from imuarray.gap.inference.effects.turn_on_bias import TURN_ON_BIAS
 from imuarray.gap.inference.effects.white_noise import WHITE_NOISE
@@ -70,7 +69,6 @@ CANDIDATES: Mapping[str, Candidate] = MappingProxyType(
         "range_reset": RANGE_RESET,
         "quantisation": QUANTISATION,
         "saturation": SATURATION,
-        "thermometer": THERMOMETER,
         "stale_samples": STALE_SAMPLES,
         "glitches": GLITCHES,
         "stuck": STUCK,

@@ -48,7 +48,8 @@ def _from_faces(evidence: Evidence) -> Floats | None:
     felt = found.felt_g[known] - found.felt_g[known].mean(axis=0)
     if not felt.any():
         return None
-    return np.asarray(np.linalg.lstsq(felt, found.mean[known], rcond=1e-6)[0].T)
+    beyond = np.linalg.lstsq(felt, found.mean[known], rcond=1e-6)[0].T
+    return np.asarray(beyond + np.where(beyond != 0, evidence.fitted.response, 0.0))
 
 
 def _from_motion(evidence: Evidence) -> Floats | None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from imuarray.gap.inference.effects.candidate import Hypothesis
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.model.populations import is_usual
 
 ORDINARY = frozenset({"white_noise", "bias", "thermal_bias", "scale", "misalignment", "g_sensitivity", "own_clock"})
 """What every sensor has: fitted, or drawn from a population."""
@@ -35,4 +36,6 @@ def with_removal(
 
 
 def _has(evidence: Evidence, name: str) -> bool:
-    return name not in ORDINARY and any(effect.name == name for effect in evidence.effects)
+    return name not in ORDINARY and any(
+        effect.name == name and not is_usual(effect, evidence.header.unit) for effect in evidence.effects
+    )

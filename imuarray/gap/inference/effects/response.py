@@ -64,8 +64,8 @@ def _of_faces(evidence: Evidence) -> Response | None:
     faces: dict[tuple[float, ...], list[Floats]] = {}
     for seen in evidence.still:
         if seen.raw.rows:
-            read = evidence.fitted.felt_by(seen.raw)
-            felt = read - mean(seen.left)
+            read = evidence.fitted.unbiased(seen.raw)
+            felt = evidence.fitted.by_response(read - mean(seen.left))
             faces.setdefault(tuple(np.round(felt, 1).tolist()), []).append(np.array([felt, read]))
     if len(faces) < 2:
         return None

@@ -39,7 +39,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     found = levels(evidence)
     if not len(found.degc) or not is_warmed(found):
         return
-    if not evidence.is_odd(*TRACES, "thermometer_offset", beyond=BEYOND):
+    if not evidence.is_odd(*TRACES, beyond=BEYOND):
         return
     best_s, slow_s = _best(found), _from_change(evidence)
     if best_s > 0:

@@ -76,8 +76,6 @@ PROBES: Mapping[str, PhaseProbe | LogProbe | CrossProbe | ArrayProbe | RunsProbe
         "thermal_change": temperature.CHANGE_PROBE,
         "thermal_residual": temperature.RESIDUAL,
         "thermal_noise": temperature.NOISE_SLOPE,
-        "thermometer_offset": temperature.THERMOMETER_OFFSET,
-        "thermometer_noise": temperature.THERMOMETER_NOISE,
         "force_own": force.OWN,
         "force_next": force.NEXT,
         "force_after": force.AFTER,

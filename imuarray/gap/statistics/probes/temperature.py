@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe, log
 from imuarray.gap.statistics.summary import Summary
-from imuarray.simulate.converters import THERMOMETERS
 
 _LEAST_DEGC = 1.0
 """A smaller span of temperatures says nothing of a slope."""
@@ -50,25 +49,6 @@ def noise_slope(phases: Sequence[Summary]) -> Floats:
     return np.asarray(warm @ np.log(part.variance[held]) / (warm @ warm))
 
 
-def thermometer_offset(phases: Sequence[Summary]) -> Floats:
-    """What the chip's thermometer shows on average, by the data sheet, less the reference; one number."""
-    converter = THERMOMETERS.get(phases[0].header.chip)
-    part = _Joined(phases)
-    held = np.isfinite(part.thermometer)
-    if converter is None or not held.any():
-        return np.array(np.nan)
-    shown, rows = part.thermometer[held] / converter.lsb_per_degc + converter.zero_degc, part.rows[held]
-    return np.asarray(rows @ (shown - part.degc[held]) / rows.sum())
-
-
-def thermometer_noise(phases: Sequence[Summary]) -> Floats:
-    """Log of the variance of the thermometer's counts within segments and a twelfth of a count; one number."""
-    part = _Joined(phases)
-    held = np.isfinite(part.thermometer)
-    rows = part.rows[held]
-    return log(rows @ part.thermometer_variance[held] / rows.sum() + 1 / 12) if held.any() else np.array(np.nan)
-
-
 class _Joined:
     """The segments of several phases one after the other; a column is joined when it is asked for."""
 
@@ -99,14 +79,6 @@ class _Joined:
     @cached_property
     def variance(self) -> Floats:
         return np.concatenate([part.steady_variance for part in self._parts])
-
-    @cached_property
-    def thermometer(self) -> Floats:
-        return np.concatenate([part.thermometer for part in self._parts])
-
-    @property
-    def thermometer_variance(self) -> Floats:
-        return np.concatenate([part.thermometer_variance for part in self._parts])
 
 
 def _table(phases: Sequence[Summary]) -> tuple[Floats, Floats, Floats] | None:
@@ -141,14 +113,3 @@ CHANGE_PROBE = LogProbe(
 )
 RESIDUAL = LogProbe("temperature", "log of the variance beside the fit", "", ("thermal_lag", "random_walk"), residual)
 NOISE_SLOPE = LogProbe("temperature", "slope of the log variance over temperature", "1/degC", (), noise_slope)
-THERMOMETER_OFFSET = LogProbe(
-    "temperature",
-    "chip's thermometer less the reference",
-    "degC",
-    ("thermometer", "thermal_lag"),
-    thermometer_offset,
-    0.1,
-)
-THERMOMETER_NOISE = LogProbe(
-    "temperature", "log of the variance of the thermometer's counts", "", ("thermometer",), thermometer_noise, 0.1
-)

@@ -1,0 +1,122 @@
+"""Nuisance quantities as a recording tells them, each beside the tolerance that the data sheet leaves to the part.
+
+They explain no gap: the fit takes them out, or the replicates draw them. What lies beyond its tolerance says that a
+part is out of specification, which is another statement than that the simulator lacks an effect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from imuarray.gap.model.base_model import Base
+from imuarray.gap.model.populations import (
+    offset_tolerance,
+    response_tolerance,
+    slope_tolerance,
+    thermometer_tolerance_degc,
+)
+from imuarray.gap.model.rest import FittedParameters
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.catalogue import AXES
+from imuarray.gap.statistics.summary import Summary
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.converters import THERMOMETERS
+
+
+class NuisanceEstimate(NamedTuple):
+    """One quantity of one sensor, on one `axis` ("" for the whole sensor, "xy" for axis x leaning towards y).
+
+    `value` and `tolerance` in `unit`, a tolerance of nan where the data sheet prints none; `source` says where that is
+    from.
+    """
+
+    quantity: str
+    sensor: str
+    axis: str
+    value: float
+    unit: str
+    tolerance: float
+    source: str
+
+    @property
+    def pull(self) -> float:
+        """The value in tolerances; nan without one."""
+        return self.value / self.tolerance if self.tolerance > 0 else math.nan
+
+
+def nuisance_estimates(campaign: Campaign, base: Base, *, has_reference: bool) -> tuple[NuisanceEstimate, ...]:
+    """Of all sensors of a campaign to which `base` was fitted; zeros of chip thermometers only if the campaign
+    `has_reference` to compare them with.
+    """
+    return tuple(
+        estimate
+        for name, header in base.headers.items()
+        for estimate in (
+            *_of_part(header, base.fitted[name]),
+            *(_of_thermometer(campaign, header) if has_reference else ()),
+        )
+    )
+
+
+def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[NuisanceEstimate]:
+    for axis, value, tolerance in zip(AXES, fitted.offset, offset_tolerance(header), strict=True):
+        if math.isfinite(tolerance):
+            yield NuisanceEstimate("bias", header.name, axis, value, header.unit, tolerance, _SHEET)
+    if fitted.is_slope_known:
+        unit = f"{header.unit}/degC"
+        for axis, value, tolerance in zip(AXES, fitted.slope, slope_tolerance(header), strict=True):
+            yield NuisanceEstimate("thermal slope of the bias", header.name, axis, value, unit, tolerance, _SHEET)
+    tolerances = response_tolerance(header)
+    for row, (axis, values) in enumerate(zip(AXES, fitted.raw_response, strict=True)):
+        for column, value in enumerate(values):
+            if value:
+                yield _response(header, axis, AXES[column], value, float(tolerances[row, column]))
+
+
+def _response(header: SensorHeader, axis: str, along: str, value: float, tolerance: float) -> NuisanceEstimate:
+    """One component of the response to specific force."""
+    if header.quantity != "specific_force":
+        unit = f"{header.unit}/g"
+        return NuisanceEstimate("g-sensitivity", header.name, axis + along, value, unit, tolerance, _USUAL)
+    if axis == along:
+        return NuisanceEstimate("scale factor error", header.name, axis, value, "", tolerance, _SHEET)
+    angle_deg, limit_deg = (math.degrees(math.asin(min(max(sine, -1.0), 1.0))) for sine in (value, tolerance))
+    return NuisanceEstimate("misalignment", header.name, axis + along, angle_deg, "deg", limit_deg, _USUAL)
+
+
+def _of_thermometer(campaign: Campaign, header: SensorHeader) -> Iterator[NuisanceEstimate]:
+    """The zero of the chip's own thermometer beside the reference."""
+    converter, zero = THERMOMETERS.get(header.chip), thermometer_zero_degc(_rests(campaign, header.name))
+    if converter is not None and math.isfinite(zero):
+        tolerance = thermometer_tolerance_degc(header)
+        yield NuisanceEstimate("zero of the chip's thermometer", header.name, "", zero, "degC", tolerance, _SHEET)
+
+
+def thermometer_zero_degc(phases: Sequence[Summary]) -> float:
+    """What a chip's thermometer shows on average by its data sheet (BMA-64, L3G-60), less the reference; nan if it has
+    none.
+    """
+    converter = THERMOMETERS.get(phases[0].header.chip) if phases else None
+    if converter is None:
+        return math.nan
+    counts, rows, degc = (
+        np.concatenate([np.asarray(getattr(phase.segments, name), float) for phase in phases])
+        for name in ("thermometer", "rows", "temperature_degc")
+    )
+    held = np.isfinite(counts) & np.isfinite(degc) & (rows > 0)
+    if not held.any():
+        return math.nan
+    shown = counts[held] / converter.lsb_per_degc + converter.zero_degc
+    return float(np.average(shown - degc[held], weights=rows[held]))
+
+
+def _rests(campaign: Campaign, sensor: str) -> list[Summary]:
+    return [phase for log in campaign.logs for phase in log.still(sensor)]
+
+
+_SHEET = "data sheet"
+_USUAL = "usual for such parts"
