@@ -31,11 +31,9 @@ output_option = click.option(
 @output_option
 @click.option("--replica", is_flag=True, help="simulate its experiments and compare every statistic, with z scores")
 @click.option(
-    "--gap", is_flag=True, help="what the data sheets' array lacks of its tables, and which effects explain it"
+    "--gap", is_flag=True, help="list what of its tables the data sheets do not foretell, and the likely causes"
 )
-@click.option(
-    "--seed", type=click.IntRange(0, 2**63), default=1, show_default=True, help="of the replica, or the gap's intervals"
-)
+@click.option("--seed", type=click.IntRange(0, 2**63), default=1, show_default=True, help="of the replica")
 @json_option
 @force_option
 def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: bool, force: bool) -> None:
@@ -53,7 +51,7 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
         _replica(seed, output, as_json, force)
         return
     if gap:
-        _gap(seed, output, as_json, force)
+        _gap(output, as_json, force)
         return
     from imuarray.paper import recompute, render_text
     from imuarray.paper.files import as_json as to_json
@@ -83,23 +81,22 @@ def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None
         click.echo(render_text(found), nl=False)
 
 
-def _gap(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
-    """What explains the difference between the data sheets and the paper's tables."""
+def _gap(output: Path | None, as_json: bool, force: bool) -> None:
+    """What of the paper's tables the data sheets do not foretell."""
     import json
 
-    from imuarray.paper.gap import diagnose, render_text
+    from imuarray.paper import findings
 
     if output:
         prepare_folder(output, (_GAP_FILE,), force)
-    found = diagnose(seed)
-    result = found.as_json()
+    result = findings.as_json()
     if output:
         text = json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         write_text(output / _GAP_FILE, text, force=True)
     if as_json:
         print_json(result)
     else:
-        click.echo(render_text(found), nl=False)
+        click.echo(findings.render_text(), nl=False)
     if output:
         click.echo(f"{output}: {_GAP_FILE} written", err=True)
 

@@ -26,9 +26,8 @@ import numpy.typing as npt
 from imuarray.axes import orientation_of
 from imuarray.paper.accelerometers import READINGS
 from imuarray.paper.orientation import as_text, believed_axes
-from imuarray.paper.room import DEGC, FACES_DEGC
 from imuarray.paper.startup import bias_states, boot_faults
-from imuarray.paper.tables import BMA180_LSB_PER_G, Row, design_of, number_in, physical, row_of, table
+from imuarray.paper.tables import BMA180_LSB_PER_G, DEGC, FACES_DEGC, Row, design_of, number_in, physical, row_of, table
 from imuarray.paper.wander import WINDOW_S, expected_scatter, variance_of_mean
 
 Floats = npt.NDArray[np.float64]

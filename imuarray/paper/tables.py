@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from functools import cache
 from importlib.resources import files
+from types import MappingProxyType
 
 Row = Mapping[str, str]
 """One printed row: column name to printed text."""
@@ -50,6 +51,25 @@ BMA180_LSB_PER_G: dict[str, Decimal] = {
     "16g": Decimal(512),
 }
 """The BMA180's seven ranges, +-range to counts per g (BMA-70 ... BMA-76); it powers up at 2 g."""
+
+FACES_DEGC = (26.23803, 26.45391, 26.47834, 26.42805, 26.49729, 26.49944, 26.68422)
+"""Row "Indep. Temp" of Table 10, which the BMP180 beside the sensors read: means over the faces in the order in which
+they were up, the repeated first one last. The CSV files hold the rows of the sensors only.
+"""
+DEGC: Mapping[tuple[int, str], float] = MappingProxyType(
+    {
+        (10, "std_lsb"): 0.251412,
+        (11, "runs_mean"): 24.505,
+        (11, "runs_std"): 0.030,
+        (11, "runs_std_of_means"): 0.131,
+        (11, "runs_range_of_means"): 0.473,
+        (11, "cont_mean"): 23.817,
+        (11, "cont_std"): 0.019,
+        (11, "cont_std_of_means"): 0.086,
+        (11, "cont_range_of_means"): 0.193,
+    }
+)
+"""The same row of Tables 10 and 11 by table and the column's name in the CSV files, degC."""
 
 
 @cache

@@ -26,8 +26,7 @@ from imuarray.paper.model_units import (
     unit_of,
     units,
 )
-from imuarray.paper.room import FACES_DEGC
-from imuarray.paper.tables import row_of, table
+from imuarray.paper.tables import FACES_DEGC, row_of, table
 from imuarray.paper.wander import covariance_of_means, expected_scatter, variance_of_mean
 from imuarray.simulate.model import parse_model
 from imuarray.simulate.streams import Streams

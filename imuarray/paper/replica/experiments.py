@@ -23,9 +23,8 @@ from imuarray.array import ArrayConfig, load_array
 from imuarray.paper.model_units import high_rate_degc
 from imuarray.paper.noise import HIGH_RATE_HZ, logging_rate
 from imuarray.paper.replica.windows import Kept, Line, Series, Triad, Window, blocks, line, windows
-from imuarray.paper.room import DEGC, FACES_DEGC
 from imuarray.paper.startup import bias_states, boot_faults
-from imuarray.paper.tables import number_in, table
+from imuarray.paper.tables import DEGC, FACES_DEGC, number_in, table
 from imuarray.paper.wander import PARTS, WINDOW_S
 from imuarray.shipped import configs
 from imuarray.simulate.model import Model, load_model

@@ -15,9 +15,8 @@ import numpy.typing as npt
 
 from imuarray.paper.accelerometers import READINGS
 from imuarray.paper.model_units import REFERENCE_DEGC, Unit, gyro3_other_state_lsb, runs_of, unit_of
-from imuarray.paper.room import DEGC, FACES_DEGC
 from imuarray.paper.startup import bias_states, boot_faults
-from imuarray.paper.tables import design_of, number_in, row_of, table
+from imuarray.paper.tables import DEGC, FACES_DEGC, design_of, number_in, row_of, table
 from imuarray.paper.wander import PARTS, WINDOW_S, covariance_of_means, variance_of_mean
 
 Floats = npt.NDArray[np.float64]
