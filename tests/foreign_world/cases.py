@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from tests.foreign_world.chain import Act, record
-from tests.foreign_world.effects import ALL, DESIGN_NAMES, EFFECTS, UNKNOWN, Effect, Placement, When
+from tests.foreign_world.deeds import Placement, When
+from tests.foreign_world.effects import ALL, DESIGN_NAMES, EFFECTS, UNKNOWN, Effect
 from tests.foreign_world.logfile import write_log
 from tests.foreign_world.parts import SI, Sensor, stream
 from tests.foreign_world.severity import limit
@@ -169,15 +170,16 @@ def occurrence(world: World, name: str, place: Placement, severity: float) -> Oc
     smallest = limit(world, effect, place)
     if smallest is None:
         return Occurrence(name, place, effect.start, None, None)
-    size = max(severity * smallest, effect.least)
+    sensor = next(s for s in world.sensors if s.name == place.sensors[0])
+    size = max(severity * smallest, effect.least(sensor))
     if not is_sane(world, effect, place, size):
         return None
     return Occurrence(name, place, size, smallest, size / smallest)
 
 
 def is_sane(world: World, effect: Effect, place: Placement, size: float) -> bool:
-    """Whether a real array could have the effect at this size: none larger than a fifth of a sensor's range, no delay of
-    a second, no displacement of a third of a metre, no clock off by a percent.
+    """Whether a real array could have the effect at this size: none larger than a fifth of a sensor's range, no delay
+    of half a second, no displacement of a third of a metre, no clock off by a percent.
     """
     sensor = next(s for s in world.sensors if s.name == place.sensors[0])
     if effect.unit == "SI":

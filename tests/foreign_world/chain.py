@@ -32,8 +32,9 @@ class Signal:
     """What is known of one sensor in one log at a stage.
 
     On the chip's clock (m samples): `time` s of the log, `temperature` of the element, `force` and `rate` (m, 3) SI in
-    the sensor's axes, `value` (m, 3) SI. On rows (n): `poll` true moments s, `stamp` times to be logged s, `sample`
-    index of the chip's sample, `hold` samples for which the register stays as it is, `analogue` (n, 3) counts before rounding, `codes` (n, 3), `keep` (n,).
+    the sensor's axes, `value` (m, 3) SI, `chip_codes` (m, 3), and `hold`, the samples for which the register stays
+    as it is. On rows (n): `stamp` times to be logged s, `poll` true moments s, `sample` index of the chip's sample,
+    `analogue` (n, 3) counts before rounding, `codes` (n, 3), `keep` (n,).
     """
 
     world: World
@@ -45,7 +46,6 @@ class Signal:
     temperature: Array
     force: Array
     rate: Array
-    acceleration: Array
     magnetic: Array
     value: Array = field(default_factory=lambda: np.zeros((0, 3)))
     chip_codes: Array = field(default_factory=lambda: np.zeros((0, 3)))
@@ -156,7 +156,6 @@ def begin(world: World, sensor: Sensor, log: int) -> Signal:
         temperature,
         force=at_chip(force),
         rate=at_chip(stimulus.rate) if is_gyro else zero,
-        acceleration=zero,
         magnetic=at_chip(stimulus.field) if is_mag else zero,
     )
 
@@ -175,7 +174,7 @@ def lagged(values: Array, step: float, constant: float) -> Array:
 
 
 def element(signal: Signal) -> None:
-    """Scale factor, misalignment, nonlinearity, bias, their slopes with temperature, and the scatter between turn-ons."""
+    """Scale factor, misalignment, nonlinearity, bias, slopes with temperature, and the scatter between turn-ons."""
     part, full_scale = signal.part, signal.part.extra["full_scale"]
     warmth = (signal.temperature - 25.0)[:, None]
     value = signal.felt @ part.matrix.T
@@ -234,7 +233,7 @@ def code_span(sensor: Sensor) -> tuple[int, int]:
 
 
 def schedule(signal: Signal) -> None:
-    """When the host reads: frames on its own clock, late by some microseconds, on a busy board by milliseconds at times.
+    """When the host reads: frames on its own clock, some microseconds late, on a busy board milliseconds at times.
 
     All sensors of a frame share its delay.
     """
@@ -274,12 +273,12 @@ def thermometer(signal: Signal) -> Array:
     if kind == "bma180":  # BMA-63: 0.5 K per code, code 0 at 24 degC; the part's zero is off by up to 5 K
         kelvin = (warm - 24.0) * (1 + part.thermometer_slope) + part.thermometer_zero_k
         kelvin = kelvin + rng.normal(0, part.thermometer_noise_k, len(warm))
-        return np.clip(np.rint(kelvin / 0.5), -128, 127)
+        return np.asarray(np.clip(np.rint(kelvin / 0.5), -128, 127), float)
     second = np.floor(signal.poll + MARGIN_S).astype(int)  # L3G-60: falls by 1 per kelvin, refreshed once a second
     first = np.searchsorted(signal.poll, second - MARGIN_S)
     noise = rng.normal(0, part.thermometer_noise_k, int(second[-1]) + 1)
     falling = part.thermometer_zero_k - warm[np.minimum(first, len(warm) - 1)] * (1 + part.thermometer_slope)
-    return np.clip(np.rint(falling + noise[second]), -128, 127)
+    return np.asarray(np.clip(np.rint(falling + noise[second]), -128, 127), float)
 
 
 def output_rms(sensor: Sensor, part: Part) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tests.foreign_world.chain import Signal, code_span
-from tests.foreign_world.parts import Array, Sensor, stream
+from tests.foreign_world.parts import Array, Sensor, stream, typical
 from tests.foreign_world.world import Experiment, World, track_times
 
 STALE, SATURATED = 1, 4
@@ -127,6 +127,7 @@ def write_barometer(file: h5py.File, experiment: Experiment, rng: np.random.Gene
     seconds = np.arange(0.5, experiment.stimulus.duration_s)
     box = np.interp(seconds, experiment.stimulus.time_s, experiment.stimulus.temperature)
     guess = np.arange(20500, 40000)
+    box = box + typical(rng, 1.0)  # BMP-74
     ut = guess[np.clip(np.searchsorted(degrees(guess), box), 0, len(guess) - 1)]
     air = rng.uniform(96000, 103000) + np.cumsum(rng.normal(0, 0.3, len(ut))) + rng.normal(0, 6, len(ut))
     ups = np.arange(20000, 60000)

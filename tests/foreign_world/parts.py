@@ -1,8 +1,8 @@
 """Facts of the chips and the draw of a part within its data sheet's tolerance.
 
-All numbers are from the data sheets' tables (identifiers such as BMA-64 in comments). Where a data sheet gives a typical
-value only, a part is drawn from a normal distribution whose sigma is half of it, truncated at it (DEC-51). Inside,
-specific force is in m/s2, angular rate in rad/s, magnetic flux density in gauss.
+All numbers are from the data sheets' tables (identifiers such as BMA-64 in comments). Where a data sheet gives a
+typical value only, a part is drawn from a normal distribution whose sigma is half of it, truncated at it (DEC-51).
+Inside, specific force is in m/s2, angular rate in rad/s, magnetic flux density in gauss.
 """
 
 from __future__ import annotations
@@ -90,11 +90,13 @@ CHIPS = {
 
 L3G_BANDWIDTHS = {100: (12.5, 25), 200: (12.5, 25, 50, 70), 400: (20, 25, 50, 110), 800: (30, 35, 50, 110)}
 """L3G-30 to L3G-33."""
-BMA_SCALE_TOLERANCE = {1: 0.02, 1.5: 0.02, 2: 0.015, 3: 0.02, 4: 0.02, 8: 0.025, 16: 0.03}
+BMA_SCALE_TOLERANCE: dict[float, float] = {1: 0.02, 1.5: 0.02, 2: 0.015, 3: 0.02, 4: 0.02, 8: 0.025, 16: 0.03}
 """BMA-70 to BMA-76."""
-BMA_NONLINEARITY = {1: 0.0015, 1.5: 0.0015, 2: 0.0015, 3: 0.0025, 4: 0.0025, 8: 0.0075, 16: 0.0075}
+BMA_NONLINEARITY: dict[float, float] = {1: 0.0015, 1.5: 0.0015, 2: 0.0015, 3: 0.0025, 4: 0.0025, 8: 0.0075, 16: 0.0075}
 """Share of full scale (BMA-117)."""
-L3G_ZERO_DPS = {250: 10, 500: 15, 2000: 75}
+BMA_WIDE_NOISE = {3.0: 1.15, 4.0: 1.3, 8.0: 1.9, 16.0: 2.7}
+"""Noise above that at 2 g: from 15.7 to 19.3 mg rms at 16 g in the paper (PAP-05); between them interpolated."""
+L3G_ZERO_DPS = {250.0: 10.0, 500.0: 15.0, 2000.0: 75.0}
 """L3G-70."""
 HMC_NOISE_GAUSS = 0.002
 """HMC-53, one average."""
@@ -133,8 +135,7 @@ class Sensor:
         """3x3, box = orientation @ sensor: column j is the box axis along which the sensor's axis j points."""
         matrix = np.zeros((3, 3))
         for j in range(3):
-            sign, letter = self.axes[2 * j : 2 * j + 2]
-            matrix["XYZ".index(letter), j] = 1 if sign == "+" else -1
+            matrix["XYZ".index(self.axes[2 * j + 1]), j] = 1 if self.axes[2 * j] == "+" else -1
         return matrix
 
     @property
@@ -145,8 +146,11 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Part:
-    """The true parameters of one part, in SI and in the sensor's axes. `clock_error` is relative; densities are
-    one-sided per square root of hertz; `matrix` holds the directions of the element's axes (identity where all is right); `quadratic` and `cubic` are deviations at full scale as shares of it.
+    """The true parameters of one part, in SI and in the sensor's axes.
+
+    `scale` and `clock_error` are relative; `matrix` holds the directions of the element's axes (identity where all is
+    right); `quadratic` and `cubic` are deviations at full scale as shares of it; `noise_density` is one-sided, per
+    square root of hertz; `turn_on_sigma` is the scatter of the bias between turn-ons, which no data sheet states.
     """
 
     scale: Array
@@ -204,7 +208,8 @@ def rotation(axis: Array, angle: Any) -> Array:
 
 def white_rms(sensor: Sensor) -> Array:
     """Typical rms noise of the chip's output (3,), SI, from the data sheet's density and the filter's bandwidth."""
-    return typical_density(sensor) * np.sqrt(noise_bandwidth(sensor, 2))
+    rms: Array = typical_density(sensor) * np.sqrt(noise_bandwidth(sensor, 2))
+    return rms
 
 
 def noise_bandwidth(sensor: Sensor, order: int) -> float:
@@ -217,8 +222,7 @@ def noise_bandwidth(sensor: Sensor, order: int) -> float:
 def typical_density(sensor: Sensor) -> Array:
     """Typical one-sided noise density (3,), SI per square root of hertz."""
     if sensor.chip == "bma180":  # BMA-110; above 2 g nothing is given and the paper measured more (PAP-05)
-        wide = {3: 1.15, 4: 1.3, 8: 1.9, 16: 2.7}.get(sensor.range, 1.0)
-        return np.full(3, 150e-6 * G * wide)
+        return np.full(3, 150e-6 * G * BMA_WIDE_NOISE.get(sensor.range, 1.0))
     if sensor.chip == "adxl345":  # ADX-67, ADX-68: rms in codes, quantisation taken out
         rms = np.sqrt(np.array([0.75, 0.75, 1.1]) ** 2 - 1 / 12) * np.sqrt(max(sensor.rate_hz, 100) / 100)
         density: Array = rms / sensor.counts_per_si / np.sqrt(sensor.rate_hz / 2)

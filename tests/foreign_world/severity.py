@@ -1,14 +1,16 @@
 """How large an effect has to be to be seen: a matched detection limit from the noise of the case itself.
 
-The effect's trace d (n, 3) is the difference, before rounding, of the rows recorded with the effect and without it, from
-the same random streams. What the parts' tolerances can explain is taken out of it first: least squares over all logs on
-a constant per log, the chip's temperature, and the three true inputs (scale factor, misalignment).
+The effect's trace d (n, 3) is the difference, before rounding, of the rows recorded with the effect and without it,
+from the same random streams. What the parts' tolerances can explain is taken out of it first: least squares over all
+logs on a constant per log, the chip's temperature, and the three true inputs (scale factor, misalignment).
 
 `matched`: a detector that knows the trace has a signal-to-noise ratio of sqrt(sum(d**2) * u / sigma**2), with sigma the
-noise of a row in closed form (density, filter, rounding) and u the share of independent rows, min(1, 2 * noise bandwidth
-/ poll rate). `energy`: of a random trace only the power can be known; octave by octave of the spectrum, with m bins and
-a ratio r of the trace's power to the noise's, the ratio is sqrt(sum(m * r**2)). `spectrum`: the same with r the relative
-change of the whole noise's power. The limit is the size at which this ratio is `THRESHOLD`.
+noise of a row in closed form (density, filter, rounding) and u the share of independent rows, which is
+min(1, 2 * noise bandwidth / poll rate). `energy`: of a random trace only the power can be known; octave by octave of
+the spectrum, with m bins and a ratio r of the trace's power to the noise's, the ratio is sqrt(sum(m * r**2)).
+`spectrum`: the same with r the relative change of the noise's power. The limit is the size at which this ratio is
+`THRESHOLD`. `tolerance`: the limit is the part's tolerance; `count`: a number of events; `fixed`: there is no size.
+A case's size is so many limits, but never less than what the data sheets allow (`Effect.least`).
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from tests.foreign_world.chain import Signal, output_rms, record
-from tests.foreign_world.effects import Effect, Placement
+from tests.foreign_world.deeds import Placement
+from tests.foreign_world.effects import Effect
 from tests.foreign_world.parts import Array, noise_bandwidth
 from tests.foreign_world.world import World
 

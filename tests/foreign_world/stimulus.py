@@ -25,8 +25,8 @@ class Phase:
 
 @dataclass(frozen=True)
 class Stimulus:
-    """What the box feels, box frame, on a grid of `GRID_HZ`: specific force (n, 3) m/s2 and its angular rate (n, 3) rad/s,
-    angular acceleration, magnetic field in gauss, temperature of the box in degC.
+    """What the box feels, box frame, on a grid of `GRID_HZ`: specific force (n, 3) m/s2, angular rate (n, 3) rad/s,
+    angular acceleration (n, 3), magnetic field (n, 3) gauss, temperature of the box (n,) degC.
     """
 
     time_s: Array
@@ -169,7 +169,8 @@ def table_profile(rng: Generator, duration_s: float, peak: float) -> Array:
 def smooth_step(share: Array) -> Array:
     """0 before 0, 1 after 1, smooth between."""
     share = np.clip(share, 0, 1)
-    return share * share * (3 - 2 * share)
+    smooth: Array = share * share * (3 - 2 * share)
+    return smooth
 
 
 def room_temperature(rng: Generator, start: float, rows: int, draughty: bool) -> Array:
@@ -182,11 +183,12 @@ def room_temperature(rng: Generator, start: float, rows: int, draughty: bool) ->
         for moment in rng.uniform(0, time[-1], rng.poisson(time[-1] / 150)):
             age = np.maximum(time - moment, 0)
             swing -= rng.uniform(0.1, 0.4) * (np.exp(-age / 90) - np.exp(-age / 20))
-    return start + swing
+    temperature: Array = start + swing
+    return temperature
 
 
 def heating(rng: Generator, rows: int, rise: float, phases: tuple[float, float]) -> Array:
-    """Rise of temperature (rows,): none until the first moment, a ramp or exponential until the second, then a decay."""
+    """Rise of temperature (rows,): none until the first moment, ramp or exponential until the second, then decay."""
     time = np.arange(rows) / GRID_HZ
     begin, end = phases
     if rng.random() < 0.5:
@@ -195,4 +197,5 @@ def heating(rng: Generator, rows: int, rise: float, phases: tuple[float, float])
         constant = (end - begin) * rng.uniform(0.3, 0.6)
         up = (1 - np.exp(-np.clip(time - begin, 0, end - begin) / constant)) / (1 - np.exp(-(end - begin) / constant))
     decay: Array = np.exp(-np.maximum(time - end, 0) / rng.uniform(100, 300))
-    return rise * up * decay
+    risen: Array = rise * up * decay
+    return risen
