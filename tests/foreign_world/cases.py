@@ -242,7 +242,11 @@ def truth_of(case: Case, half: str, seed: int, index: int) -> dict[str, Any]:
         "experiments": sorted(world.kinds),
         "sensors": {s.name: s.chip for s in world.sensors},
         "seconds": round(world.duration_s, 1),
-        "strata": world.strata | {"largest_position_mm": max(max(map(abs, s.position_mm)) for s in world.sensors)},
+        "strata": world.strata
+        | {
+            "largest_position_mm": max(max(map(abs, s.position_mm)) for s in world.sensors),
+            "power_cycles": len({e.power_cycle for e in world.experiments}),
+        },
         "recorder": asdict(world.recorder),
         "site": asdict(world.site),
         "parts": parts,

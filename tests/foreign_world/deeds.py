@@ -179,7 +179,7 @@ def creep(signal: Signal, place: Placement) -> Array:
 
 def warmth(signal: Signal) -> Array:
     """Temperature over that of the log's beginning, in units of `KELVIN`."""
-    return (signal.temperature - signal.temperature[0]) / KELVIN
+    return np.asarray((signal.temperature - signal.temperature[0]) / KELVIN, float)
 
 
 def thermal_quadratic(signal: Signal, place: Placement) -> Array:

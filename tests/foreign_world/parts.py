@@ -261,7 +261,7 @@ def draw_part(rng: Generator, sensor: Sensor, *, second_order: bool, supply_3v3:
         scale = truncated(rng, 0.01, 0.025, 3)  # L3G-75: nothing is given
         bias = typical(rng, L3G_ZERO_DPS[sensor.range] * DPS, 3)
         bias_slope = typical(rng, (0.04 if sensor.range == 2000 else 0.03) * DPS, 3)  # L3G-71
-        nonlinearity, mounting, turn_on = 0.002, 1.0 * DPS, 0.05 * DPS * (4 if sensor.range == 2000 else 1)  # L3G-73
+        nonlinearity, mounting, turn_on = 0.002, 1.0 * DPS, 0.05 * DPS * (2 if sensor.range == 2000 else 1)  # L3G-73
         thermal_scale = 0.02 / 60  # L3G-72: 2 % from 25 to 85 degC
     else:
         scale, bias, bias_slope = typical(rng, 0.05, 3), typical(rng, 0.02, 3), zero3

@@ -118,6 +118,8 @@ def draw_world(key: str) -> World:
     track = str(rng.choice(["", "reference", "truth"], p=[0.45, 0.45, 0.10]))
     kinds = draw_plan(rng, bool(track))
     sensors = draw_array(rng)
+    if "heating" in kinds and not track and not any(sensor.facts.thermometer for sensor in sensors):
+        kinds = tuple(kind for kind in kinds if kind != "heating") or ("static",)  # nobody heats what nothing measures
     frame_rate = draw_frame_rate(rng, len(sensors), kinds)
     sensors = tuple(
         replace(
@@ -137,19 +139,19 @@ def draw_world(key: str) -> World:
         clock_error=float(rng.uniform(-20e-6, 20e-6)),
         has_status=not foreign,
         labels_phases=bool(rng.random() < 0.85),
-        has_thermometers=bool(rng.random() < 0.75),
+        has_thermometers=bool(rng.random() < 0.75) or "heating" in kinds,
         track=track,
         track_rate_hz=float(rng.choice([50, 100])),
         source="simulated" if track == "truth" else "imported" if foreign else str(rng.choice(["i2c", "serial"])),
     )
-    strata = {
+    strata: dict[str, Any] = {
         "second_order": bool(rng.random() < 0.35),
         "supply_3v3": bool(rng.random() < 0.15),
         "busy_board": busy,
         "draughty_room": bool(rng.random() < 0.3),
         "cold_start": bool(rng.random() < 0.3),
     }
-    l3g_order = int(rng.choice([1, 2]))
+    l3g_order = strata["l3g4200d_filter_order"] = int(rng.choice([1, 2]))
     parts = {
         sensor.name: draw_part(
             stream(key, "part", sensor.name),
