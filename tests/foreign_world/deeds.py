@@ -166,7 +166,7 @@ def supply(signal: Signal, place: Placement) -> Array:
         kernel /= np.sqrt(np.sum(kernel**2))
         return np.asarray(np.convolve(rng.normal(size=rows + len(kernel) - 1), kernel, "valid"), float)
 
-    return coarse(signal, make, place) * signal.rms[0]
+    return np.asarray(coarse(signal, make, place) * signal.rms[0], float)
 
 
 def constant(signal: Signal, place: Placement) -> Array:
