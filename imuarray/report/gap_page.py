@@ -54,11 +54,13 @@ def gap_sections(diagnosis: Diagnosis, *, drawn: bool) -> tuple[Section, ...]:
     return (
         _map(diagnosis.map, drawn=drawn),
         _causes(diagnosis),
+        _pulls(diagnosis),
         _shrinks(diagnosis, drawn=drawn),
         curves_section(diagnosis.overlays, drawn=drawn),
         _where(diagnosis),
         _unexplained(diagnosis),
         _unshown(diagnosis),
+        _missing(diagnosis),
         _next(diagnosis),
         _judged(diagnosis),
         _recorded(diagnosis),
@@ -126,6 +128,20 @@ def _causes(diagnosis: Diagnosis) -> Section:
     )
     each = tables.each_table(diagnosis.causes)
     return Section("Causes", words, [tables.causes_table(diagnosis.causes), *([each] if each else [])])
+
+
+def _pulls(diagnosis: Diagnosis) -> Section:
+    title, pulls = "Parts and their specification", diagnosis.pulls
+    if not pulls:
+        return Section(title, "No quantity was compared with a tolerance of a data sheet.")
+    outside = sum(pull.is_out_of_specification for pull in pulls)
+    words = (
+        "Quantities that a data sheet leaves to the part, fitted to the recordings. None of them is a cause by itself. "
+        f"{outside} of {len(pulls)} are out of specification."
+    )
+    if len(pulls) > tables.MOST_ROWS:
+        words += f" The worst {tables.MOST_ROWS} are shown."
+    return Section(title, words, [tables.pulls_table(pulls)])
 
 
 def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
@@ -213,6 +229,16 @@ def _unshown(diagnosis: Diagnosis) -> Section:
         return Section(title, "Nothing that the library holds was out of reach of these recordings.")
     words = "Effects that may be there all the same: these recordings can't show them, those named on the right would."
     return Section(title, words, [tables.unshown_table(diagnosis.unshown)])
+
+
+def _missing(diagnosis: Diagnosis) -> Section:
+    title = "What is missing"
+    if not diagnosis.missing:
+        return Section(title, "Nothing: both the recordings and the simulator had what every statistic needs.")
+    words = (
+        "What a recording or the simulator lacks is not a difference; the statistics that need it were not compared."
+    )
+    return Section(title, words, [tables.missing_table(diagnosis.missing)])
 
 
 def _next(diagnosis: Diagnosis) -> Section:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imuarray.errors import MissingExtraError
-from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Judged, Map, Overlay, Unobservable, Where
+from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Judged, Map, Overlay, Pull, Unobservable, Where
 from imuarray.gap.findings.text import NOTHING, chance, closed_text, number, parameters_text, places_text, scored, share
 from imuarray.gap.model.use import Figure, Use
 from imuarray.report.gap_figures import outside
@@ -114,6 +114,30 @@ def unshown_table(unshown: Sequence[Unobservable]) -> Table:
     """What can't be told, of which sensors, and what to record."""
     rows = [[one.effect, ", ".join(one.sensors) or "all", one.record] for one in unshown]
     return Table(["what", "sensors", "record"], rows, "What these recordings can't show.", (1, 2))
+
+
+def pulls_table(pulls: Sequence[Pull]) -> Table:
+    """The first `MOST_ROWS` quantities by the size of their pull; pulls beyond a tolerance are marked."""
+    rows = [
+        [
+            f"{pull.sensor} {pull.axis}".rstrip(),
+            pull.quantity,
+            number(pull.value),
+            number(pull.tolerance),
+            pull.unit,
+            marked(f"{pull.pull:+.2f}") if pull.is_out_of_specification else f"{pull.pull:+.2f}",
+            pull.source,
+        ]
+        for pull in sorted(pulls, key=lambda pull: -abs(pull.pull))[:MOST_ROWS]
+    ]
+    heading = ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"]
+    caption = "Worst first; the pull is the deviation from the nominal value in tolerances, marked beyond one."
+    return Table(heading, rows, caption, (1, 4, 6))
+
+
+def missing_table(missing: Sequence[str]) -> Table:
+    """What is missing, a row each."""
+    return Table(["", "missing"], [[str(place), phrase] for place, phrase in enumerate(missing, 1)], "Missing.", (1,))
 
 
 def judged_table(judged: Sequence[Judged]) -> Table:

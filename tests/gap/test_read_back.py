@@ -39,6 +39,8 @@ def test_all_that_json_holds_comes_back() -> None:
         (("gap", "before"), 1e300, "gap.before: '1e"),
         (("map", "before"), [[10**400]], "rows of numbers"),
         (("causes", 0, "parameters"), {"a": [10**400]}, "parameters: '1000"),
+        (("pulls", 0, "pull"), "far", "pulls.pull: 'far'"),
+        (("missing",), "much", "missing: a list is wanted"),
         (("sentence",), "\ud800", "sentence: .*: half a character"),
         (("causes", 0, "parameters"), {"\ud800": 1}, "parameters: .*: half a character"),
     ],
@@ -58,6 +60,18 @@ def test_what_is_missing_is_named() -> None:
     del found["cannot_tell"]
     with pytest.raises(LogError, match="cannot_tell is missing"):
         diagnosis_of(found)
+
+
+def test_files_of_earlier_versions_have_no_pulls_and_nothing_missing() -> None:
+    found = table()
+    del found["pulls"], found["missing"]
+    earlier = diagnosis_of(found)
+    assert (earlier.pulls, earlier.missing) == ((), ())
+
+
+def test_json_says_which_parts_are_out_of_specification() -> None:
+    assert [pull["is_out_of_specification"] for pull in table()["pulls"]] == [False, True, True]
+    assert diagnosis_of(table()).pulls == made().pulls
 
 
 _JSON = st.recursive(

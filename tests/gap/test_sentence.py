@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from imuarray.gap.findings.diagnosis import Cause, Gap, Where
+from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Where
 from imuarray.gap.findings.sentence import meaning, sentence_of
 from imuarray.gap.model.use import Figure, Use
 from imuarray.simulate.effects import EFFECTS
@@ -41,6 +41,14 @@ def use(sensor: str, real: float, before: float, after: float) -> Use:
 def test_no_gap() -> None:
     said = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (use("G1", 1.0, 2.0, 1.0),))
     assert said == "The recordings look like what the simulator makes of them: no statistic is beyond chance."
+
+
+def test_parts_out_of_specification_are_said_with_and_without_a_gap() -> None:
+    pulls = [Pull("scale", "A1", axis, 1.02, "", 0.03, pull, "BMA-20") for axis, pull in (("x", 0.7), ("y", -1.4))]
+    said = "A1 y: scale is 1.4 tolerances off: this part is out of specification."
+    same = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (), pulls)
+    assert same == f"The recordings look like what the simulator makes of them: no statistic is beyond chance. {said}"
+    assert sentence_of("explained", GAP, [cause()], [where()], [], [], pulls).endswith(f"on held-out data. {said}")
 
 
 def test_one_cause() -> None:

@@ -18,9 +18,10 @@ from imuarray.gap.findings.text import (
     parameters_text,
     scored,
     share,
+    specification_text,
     text_of,
 )
-from tests.report.made_diagnosis import CAUSES, made, made_unexplained, made_without_gap, where
+from tests.report.made_diagnosis import CAUSES, PULLS, made, made_unexplained, made_without_gap, where
 
 
 def test_everything_is_said_in_order() -> None:
@@ -31,8 +32,10 @@ def test_everything_is_said_in_order() -> None:
         "Gap      14 standard deviations (rms) before, 2.9 after, 1.0 where nothing is wrong: 86 % (75 to 94) closed",
         "Unknown  31 %",
         "Causes, most probable first",
+        "Parts out of specification, worst first",
         "Where it differs: 55 statistics, the worst 6",
         "Can't be told from these recordings",
+        "Missing, and therefore not compared",
         "Next experiment: Heat the array",
     )
     places = [text.index(head) for head in heads]
@@ -66,11 +69,37 @@ def test_the_worst_of_each_statistic_stand_in_columns() -> None:
     assert len(ends) == 1
 
 
+def test_only_parts_out_of_specification_are_listed_worst_first() -> None:
+    lines = text_of(made()).splitlines()
+    start = next(place for place, line in enumerate(lines) if line.startswith("Parts out of specification"))
+    assert [line.split() for line in lines[start + 1 : start + 5]] == [
+        ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"],
+        ["Gyro1", "data", "rate", "102", "1", "Hz", "+2.5", "L3G-12"],
+        ["BMA2", "z", "scale", "0.964", "0.03", "-1.2", "BMA-20"],
+        [],
+    ]
+
+
+@pytest.mark.parametrize(("pull", "outside"), [(0.99, False), (1.0, False), (-1.01, True), (3.0, True), (nan, False)])
+def test_a_part_is_out_of_specification_beyond_one_tolerance(pull: float, outside: bool) -> None:
+    assert replace(PULLS[0], pull=pull).is_out_of_specification == outside
+
+
+def test_a_part_out_of_specification_in_a_sentence() -> None:
+    said = "BMA2 z: scale is 1.2 tolerances off: this part is out of specification"
+    assert specification_text(PULLS[2]) == said
+    assert specification_text(PULLS[1]).startswith("Gyro1: data rate is 2.5 tolerances off")
+
+
+def test_what_is_missing_is_listed() -> None:
+    assert "not compared\n  no chip thermometer in tumble.h5\n  no reference temp" in text_of(made())
+
+
 def test_no_gap() -> None:
     text = text_of(made_without_gap())
     assert "Verdict  no gap (chance alone: p = 0.41)" in text
     assert "Gap      1.0 standard deviations (rms), 1.0 where nothing is wrong: nothing to close" in text
-    for absent in ("Causes", "Where it differs", "Unknown", "Next experiment"):
+    for absent in ("Causes", "Where it differs", "Unknown", "Next experiment", "specification", "Missing"):
         assert absent not in text
 
 
@@ -88,6 +117,8 @@ def test_no_text_steers_the_terminal_or_breaks_the_width(name: str, real: float,
         where=(replace(where(0, 1.0), sensor=name, phase=name, unit=name, real=real, significance=score),),
         causes=(replace(CAUSES[0], effect=name, sensors=(name,) * 9, parameters={name: name}),),
         next_experiment=name,
+        pulls=(replace(PULLS[1], sensor=name, quantity=name, unit=name, source=name, value=real, tolerance=score),),
+        missing=(name,),
     )
     lines = text_of(hostile).split("\n")
     assert all(line.isprintable() for line in lines)

@@ -17,6 +17,7 @@ from imuarray.gap.findings.diagnosis import (
     Judged,
     Map,
     Overlay,
+    Pull,
     RecordingSummary,
     Unobservable,
     Where,
@@ -133,6 +134,12 @@ JUDGED = (
     Judged("scale", "replace", ("ADXL1",), 0.1, None, False),
 )
 
+PULLS = (
+    Pull("scale", "BMA1", "x", 1.004, "", 0.03, 0.133, "BMA-20"),
+    Pull("data rate", "Gyro1", "", 102.5, "Hz", 1.0, 2.5, "L3G-12"),
+    Pull("scale", "BMA2", "z", 0.964, "", 0.03, -1.2, "BMA-20"),
+)
+
 
 def made() -> Diagnosis:
     """Partly explained: four causes, one of a wrong plan; 55 statistics that differ."""
@@ -178,6 +185,8 @@ def made() -> Diagnosis:
         replicates=400,
         model="datasheet",
         software="imuarray 0.1.0",
+        missing=("no chip thermometer in tumble.h5", "no reference temperature in tumble.h5"),
+        pulls=PULLS,
     )  # fmt: skip
 
 
@@ -200,6 +209,8 @@ def made_without_gap() -> Diagnosis:
         map=Map(SENSORS, DOMAINS, np.where(np.isnan(empty), 1.3, 0), np.where(np.isnan(empty), 1.3, 0), 4.2),
         overlays=(),
         notes=(),
+        missing=(),
+        pulls=(),
     )
 
 

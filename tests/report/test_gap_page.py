@@ -40,11 +40,13 @@ EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png> $\\
 ORDER = [
     "Where the gap is",
     "Causes",
+    "Parts and their specification",
     "How far it shrinks",
     "Curves: real, before and after",
     "Where it differs",
     "What is unexplained",
     "What can't be told",
+    "What is missing",
     "Next experiment",
     "Candidates that were looked at",
     "Recordings, and how it was done",
@@ -131,6 +133,8 @@ def evil() -> Diagnosis:
         ),
         unexplained=(replace(where(1, 5.0), sensor=EVIL),),
         next_experiment=EVIL,
+        pulls=tuple(replace(pull, sensor=EVIL, quantity=EVIL, unit=EVIL, source=EVIL) for pull in diagnosis.pulls),
+        missing=(EVIL,),
         unshown=tuple(replace(one, effect=EVIL, sensors=(EVIL,), record=EVIL) for one in diagnosis.unshown),
         uses=tuple(replace(one, name=EVIL, sensor=EVIL, unit=EVIL) for one in diagnosis.uses),
         judged=tuple(replace(one, effect=EVIL, sensors=(EVIL,)) for one in diagnosis.judged),
@@ -187,6 +191,21 @@ def test_every_cause_with_what_is_known_of_it(page: Page) -> None:
     assert rows["bias"][2:] == ["BMA1, BMA2 (z)", "offset 0, 0, 12.3 mg (BMA1; others below)", "–", "–", "metadata"]
     each = [row for row in page.rows["Causes"] if len(row) == 3]
     assert each[1:] == [["BMA1", "bias", "offset 0, 0, 12.3 mg"], ["BMA2", "bias", "offset 0, 0, -45.6 mg"]]
+
+
+def test_parts_are_listed_with_their_pulls(page: Page) -> None:
+    assert page.rows["Parts and their specification"] == [
+        ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"],
+        ["Gyro1", "data rate", "102", "1", "Hz", "+2.50", "L3G-12"],
+        ["BMA2 z", "scale", "0.964", "0.03", "", "-1.20", "BMA-20"],
+        ["BMA1 x", "scale", "1", "0.03", "", "+0.13", "BMA-20"],
+    ]
+    assert {"+2.50", "-1.20"} <= set(page.marked)
+    assert "2 of 3 are out of specification" in page.words["Parts and their specification"]
+
+
+def test_what_is_missing_has_a_table(page: Page) -> None:
+    assert [row[1] for row in page.rows["What is missing"]] == ["missing", *made().missing]
 
 
 def test_how_far_it_shrinks(page: Page) -> None:

@@ -140,6 +140,28 @@ class Unobservable:
 
 
 @dataclass(frozen=True)
+class Pull:
+    """A quantity that the data sheet leaves to the part: its fitted `value` in `unit`, the `tolerance` that the data
+    sheet allows to either side in the same unit, and the `pull`, the deviation from the nominal value in tolerances.
+    `axis` is "" for all axes; `source` names where the tolerance is printed, such as "BMA-64".
+    """
+
+    quantity: str
+    sensor: str
+    axis: str
+    value: float
+    unit: str
+    tolerance: float
+    pull: float
+    source: str
+
+    @property
+    def is_out_of_specification(self) -> bool:
+        """Whether the part deviates by more than its tolerance."""
+        return abs(self.pull) > 1
+
+
+@dataclass(frozen=True)
 class Map:
     """Largest size of score for each sensor (rows) and domain (columns), before and after; nan where nothing is said,
     `limit` is what chance reaches in one of twenty campaigns.
@@ -192,6 +214,14 @@ class Diagnosis:
     repaired: Model | None = None
     """The base model with the causes in it."""
 
+    missing: tuple[str, ...] = ()
+    """Statistics that could not be compared because a recording or the simulator lacks what they need, in phrases such
+    as "no chip thermometer in bench.h5".
+    """
+
+    pulls: tuple[Pull, ...] = ()
+    """The quantities that data sheets leave to the part, against their tolerances. None of them is a cause."""
+
     def as_json(self) -> dict[str, Any]:
         """As one JSON object; numbers that aren't finite are null."""
         plain = {
@@ -205,6 +235,8 @@ class Diagnosis:
             "unexplained": self.unexplained,
             "next_experiment": self.next_experiment,
             "cannot_tell": self.unshown,
+            "missing": self.missing,
+            "pulls": [{**_plain(pull), "is_out_of_specification": pull.is_out_of_specification} for pull in self.pulls],
             "uses": self.uses,
             "judged": self.judged,
             "map": self.map,

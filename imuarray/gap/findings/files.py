@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from math import nan
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -32,6 +32,8 @@ def diagnosis_of(table: object, where: str = "gap.json") -> Diagnosis:
             values[item.name] = _NOT_KEPT[item.name]
             continue
         key = _NAMES.get(item.name, item.name)
+        if key not in table and item.default is not MISSING:
+            continue  # files of earlier versions lack it
         if key not in table:
             raise LogError(f"{where}: no diagnosis: {key} is missing")
         values[item.name] = _read(table[key], hints[item.name], f"{where}: {key}", _DEPTH)

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from inspect import cleandoc
 
-from imuarray.gap.findings.diagnosis import Cause, Gap, Verdict, Where, is_told_by_both
-from imuarray.gap.findings.text import closed_text, parameters_text, places_text
+from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where, is_told_by_both
+from imuarray.gap.findings.text import closed_text, parameters_text, places_text, specification_text
 from imuarray.gap.model.use import Use
 from imuarray.simulate.effects import EFFECTS
 
@@ -19,10 +19,13 @@ def sentence_of(
     where: Sequence[Where],
     unexplained: Sequence[Where],
     uses: Sequence[Use],
+    pulls: Sequence[Pull] = (),
 ) -> str:
-    """What was found, why, and how far it is closed."""
+    """What was found, why, how far it is closed, and which parts are out of specification."""
+    outside = [f"{specification_text(pull)}." for pull in pulls if pull.is_out_of_specification]
     if verdict == "no gap":
-        return "The recordings look like what the simulator makes of them: no statistic is beyond chance."
+        alike = "The recordings look like what the simulator makes of them: no statistic is beyond chance."
+        return " ".join([alike, *outside])
     worst = where[0]
     place = f"{worst.sensor}{' ' + worst.axis if worst.axis else ''}"
     parts = [f"The recordings differ from the simulator, most in {worst.domain.replace('_', ' ')} of {place}."]
@@ -39,7 +42,7 @@ def sentence_of(
             f"Not explained: {left.about}, {left.sensor}{' ' + left.axis if left.axis else ''}"
             f"{' in ' + left.phase if left.phase else ''}."
         )
-    return " ".join(parts)
+    return " ".join([*parts, *outside])
 
 
 def meaning(effect: str) -> str:

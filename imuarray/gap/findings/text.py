@@ -11,7 +11,7 @@ from textwrap import wrap
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Interval, Unobservable, Where
+from imuarray.gap.findings.diagnosis import Cause, Diagnosis, Gap, Interval, Pull, Unobservable, Where
 
 WIDTH = 120
 NOTHING = "–"
@@ -38,13 +38,17 @@ _WITH_UNIT = re.compile(rf"(?P<name>.*?[^_])(?:_(?P<over>{_LONGEST_FIRST}))?(?:_
 
 
 def text_of(diagnosis: Diagnosis) -> str:
-    """What a terminal shows: sentence, gap, causes, the worst statistics, what can't be told and what to do next."""
+    """What a terminal shows: sentence, gap, causes, parts out of specification, the worst statistics, what can't be
+    told, what is missing and what to do next.
+    """
     parts = (
         wrap(_printable(diagnosis.sentence), WIDTH),
         list(_verdict(diagnosis)),
         list(_causes(diagnosis)),
+        list(_pulls(diagnosis.pulls)),
         list(_where(diagnosis.where)),
         list(_unshown(diagnosis.unshown)),
+        list(_missing(diagnosis.missing)),
         _hanging("Next experiment: ", diagnosis.next_experiment) if diagnosis.next_experiment else [],
     )
     return "\n\n".join("\n".join(lines) for lines in parts if lines) + "\n"
@@ -108,6 +112,12 @@ def places_text(cause: Cause) -> str:
     """Sensors, and the axes if not all: "Gyro1, Gyro2 (x, z)"."""
     axes = f" ({', '.join(cause.axes)})" if cause.axes else ""
     return f"{', '.join(cause.sensors) or 'all sensors'}{axes}"
+
+
+def specification_text(pull: Pull) -> str:
+    """A part that is out of specification in a sentence: "Gyro1 x: scale is 1.8 tolerances off: ..."."""
+    place = f"{pull.sensor} {pull.axis}".rstrip()
+    return f"{place}: {pull.quantity} is {number(abs(pull.pull), 2)} tolerances off: this part is out of specification"
 
 
 def _parameter(key: str, value: Any) -> str:
@@ -195,6 +205,35 @@ def _unshown(unshown: Sequence[Unobservable]) -> Iterator[str]:
     for one in unshown:
         sensors = f" of {', '.join(one.sensors)}" if one.sensors else ""
         yield from _hanging(f"  {_printable(one.effect)}", f"{sensors}: record {one.record}", "    ")
+
+
+def _pulls(pulls: Sequence[Pull]) -> Iterator[str]:
+    """The parts that are out of specification, worst first."""
+    outside = sorted((pull for pull in pulls if pull.is_out_of_specification), key=lambda pull: -abs(pull.pull))
+    if not outside:
+        return
+    yield "Parts out of specification, worst first"
+    heading = ["sensor", "quantity", "value", "tolerance", "unit", "pull", "source"]
+    rows = [
+        [
+            f"{pull.sensor} {pull.axis}".rstrip(),
+            pull.quantity,
+            number(pull.value),
+            number(pull.tolerance),
+            pull.unit,
+            f"{pull.pull:+.1f}",
+            pull.source,
+        ]
+        for pull in outside
+    ]
+    yield from _aligned([heading, *rows], (2, 3, 5), (16, 28, 10, 10, 14, 8, 20))
+
+
+def _missing(missing: Sequence[str]) -> Iterator[str]:
+    if missing:
+        yield "Missing, and therefore not compared"
+    for phrase in missing:
+        yield from _hanging("  ", phrase)
 
 
 def _aligned(rows: Sequence[Sequence[str]], right: Collection[int], most: Sequence[int]) -> Iterator[str]:
