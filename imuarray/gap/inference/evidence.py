@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from imuarray.gap.statistics.campaign import runs_in
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.runs import Runs
-from imuarray.gap.statistics.split import Side
+from imuarray.gap.statistics.split import Side, Split
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
@@ -62,7 +63,7 @@ class Evidence:
     that were due were lost, `held` where rows (so many each) repeat the one before, in whatever phase or none, `lone`
     which of its readings stand alone, by logs, in each phase in which the box moves; `hosts` is what
     the times of all sensors of a log tell of the host that read them, `resets` are stretches, by logs, in which the
-    recorder found the chip set otherwise.
+    recorder found the chip set otherwise. `rows_of`: the log of each row of a probe, -1 for those of several logs.
     """
 
     header: SensorHeader
@@ -79,6 +80,33 @@ class Evidence:
     lone: tuple[tuple[int, Outliers], ...] = ()
     hosts: tuple[Host, ...] = ()
     resets: tuple[tuple[int, Reset], ...] = ()
+    rows_of: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+
+    def within(self, logs: Collection[int]) -> Evidence:
+        """What these logs show alone, of their numbers in the campaign; what several logs show together is left out."""
+        chosen = {probe: [at in logs for at in own] for probe, own in self.rows_of.items()}
+        values, expected, scores = (
+            {probe: rows[chosen[probe]] for probe, rows in table.items() if any(chosen.get(probe, ()))}
+            for table in (self.values, self.expected, self.scores)
+        )
+        return replace(
+            self,
+            seen=tuple(one for one in self.seen if one.log in logs),
+            values=values,
+            expected=expected,
+            scores=scores,
+            runs=None,
+            holes=tuple(hole for hole in self.holes if hole.log in logs),
+            held=tuple((span, rows) for span, rows in self.held if span.log in logs),
+            lone=tuple((log, lone) for log, lone in self.lone if log in logs),
+            resets=tuple((log, reset) for log, reset in self.resets if log in logs),
+            rows_of={probe: tuple(at for at in own if at in logs) for probe, own in self.rows_of.items()},
+        )
+
+    @property
+    def furthest(self) -> float:
+        """The size of the score that is farthest from 0, of all probes."""
+        return max((float(np.nan_to_num(np.abs(rows)).max(initial=0.0)) for rows in self.scores.values()), default=0.0)
 
     @property
     def still(self) -> tuple[PhaseEvidence, ...]:
@@ -164,7 +192,45 @@ def evidence_of(
         tuple((log, lone) for log, own in events for lone in own.lone),
         tuple(own.host for _, own in events),
         tuple((log, reset) for log, own in events for reset in own.resets),
+        _logs_by_probe(scored, bench.split),
     )
+
+
+VIEWS = 4
+"""So many parts of the evidence at most are looked at on their own: more say the same again."""
+
+_SAYS = 3.0
+"""A part in which no statistic lies so many standard deviations from what the model makes suggests nothing."""
+
+SAME_RATE = 1.1
+"""Logs are of one rate if their rows are as many a second, but for that factor."""
+
+
+def views(evidence: Evidence) -> Iterator[Evidence]:
+    """The evidence of all logs; then of the logs of each rate, of each kind, and of single logs, those parts first in
+    which something is further from what the model makes. An effect that shows at one rate, or in one log, is none in
+    the median over all.
+    """
+    yield evidence
+    logs = sorted({one.log for one in evidence.seen})
+    parts = [
+        *_grouped(logs, [round(math.log(_rows_per_s(evidence, log), SAME_RATE)) for log in logs]),
+        *_grouped(logs, [next(one.kind for one in evidence.seen if one.log == log) for log in logs]),
+        *((log,) for log in logs),
+    ]
+    alone = {part: evidence.within(part) for part in dict.fromkeys(parts) if len(part) < len(logs)}
+    ranked = sorted(alone.values(), key=lambda one: -one.furthest)
+    yield from (one for one in ranked[:VIEWS] if one.furthest > _SAYS)
+
+
+def _grouped(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, ...]]:
+    for value in dict.fromkeys(by):
+        yield tuple(log for log, own in zip(logs, by, strict=True) if own == value)
+
+
+def _rows_per_s(evidence: Evidence, log: int) -> float:
+    """Usual rate in one log."""
+    return replace(evidence, seen=tuple(one for one in evidence.seen if one.log == log)).rows_per_s
 
 
 def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
@@ -191,6 +257,16 @@ class ScoredStatistics(NamedTuple):
     values: Floats
     expected: Floats
     scores: Floats
+
+
+def _logs_by_probe(scored: ScoredStatistics, split: Split) -> dict[str, tuple[int, ...]]:
+    """The number in the campaign of the log of each row of `_by_probe`; a key's own counts the logs of its part."""
+    numbers = [[at for at, phases in enumerate(split.phases(out)) if phases] for out in (False, True)]
+    rows: dict[str, dict[tuple[bool, int, str, int], int]] = {}
+    for key, out in zip(scored.keys, scored.held_out, strict=True):
+        log = key.log if key.log < 0 else numbers[out][key.log]
+        rows.setdefault(key.probe, {})[out, key.log, key.phase, key.phase_number] = log
+    return {probe: tuple(found.values()) for probe, found in rows.items()}
 
 
 def _by_probe(scored: ScoredStatistics, values: Floats) -> dict[str, Floats]:

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.inference.effects import Candidate, Hypothesis
-from imuarray.gap.inference.evidence import Evidence
-from imuarray.gap.inference.parameters import factors_of
+from imuarray.gap.inference.evidence import Evidence, views
+from imuarray.gap.inference.parameters import distinct, factors_of
 from imuarray.gap.inference.refinement import FittedHypothesis, looks, refine
 from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, Unit, UnitState, compared, gains_of, touched_by
 from imuarray.gap.model.bench import Bench, StatisticValues
@@ -103,8 +103,11 @@ class Round:
 
 
 def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[Hypothesis]:
-    """All trials that one sensor suggests."""
-    return [trial for candidate in candidates.values() for trial in candidate.guesses(evidence)]
+    """All trials that one sensor suggests, by all logs and by parts of them, those that are alike once."""
+    found = [
+        trial for part in views(evidence) for candidate in candidates.values() for trial in candidate.guesses(part)
+    ]
+    return distinct(found)
 
 
 def placebo_of(evidence: Evidence) -> Hypothesis:

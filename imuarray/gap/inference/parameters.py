@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
@@ -13,6 +14,9 @@ from imuarray.gap.inference.effects import Hypothesis
 from imuarray.simulate.effect import Effect
 
 Floats = npt.NDArray[np.float64]
+
+_SAME_FREE, _SAME = 0.2, 0.01
+"""Share by which a number that is refined, and one that is not, may differ in two trials that are the same."""
 
 
 class Factor(NamedTuple):
@@ -64,6 +68,40 @@ def _scaled(effect: Effect, factor: Factor, by: float, limits: Mapping[str, tupl
         return replace(effect, **{factor.name: changed})
     except ValueError:
         return effect
+
+
+def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
+    """Without trials that begin so near an earlier one that a refinement of either would end at the same place."""
+    kept: dict[tuple[object, ...], list[tuple[Floats, Floats]]] = {}
+    found = []
+    for trial in trials:
+        told = (trial.removed, trial.shared, trial.sensor, trial.others, trial.everywhere, trial.whole, trial.free)
+        numbers, reach = _numbers(trial)
+        alike = kept.setdefault((trial.form, told, trial.fitted, len(numbers)), [])
+        if not any(_near(numbers, other, np.minimum(reach, own)) for other, own in alike):
+            alike.append((numbers, reach))
+            found.append(trial)
+    return found
+
+
+def _numbers(trial: Hypothesis) -> tuple[Floats, Floats]:
+    """All numbers and texts of the effects, and by what share of itself each may differ to be the same."""
+    numbers: list[float] = []
+    reach: list[float] = []
+    for effect in (*trial.effects, *trial.opposite):
+        for item in fields(effect):
+            value = getattr(effect, item.name)
+            several = value if isinstance(value, tuple) else (value,)
+            plain = [float(zlib.crc32(one.encode())) if isinstance(one, str) else float(one) for one in several]
+            numbers += plain
+            reach += [_SAME_FREE if item.name in trial.free else _SAME] * len(plain)
+    return np.array(numbers), np.array(reach)
+
+
+def _near(one: Floats, other: Floats, reach: Floats) -> bool:
+    same = (one == other) | (np.isnan(one) & np.isnan(other))
+    with np.errstate(invalid="ignore"):
+        return bool((same | (np.abs(one - other) <= reach * np.fmin(np.abs(one), np.abs(other)))).all())
 
 
 def active_axes(trial: Hypothesis) -> list[int]:

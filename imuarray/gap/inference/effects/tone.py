@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import theilslopes
 
+from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
-from imuarray.gap.inference.effects.lines import highest_lines, pooled
+from imuarray.gap.inference.effects.lines import HALF_WIDTH, highest_lines, pooled
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.evidence import SAME_RATE, Evidence, PhaseEvidence
 from imuarray.simulate.effects.tone import Tone
 
 Floats = npt.NDArray[np.float64]
@@ -34,6 +37,12 @@ _DRIFTS, _SCATTER = 0.75, 0.25
 
 _BETWEEN = 2.0
 
+_ALIASES = 4
+"""Lines are looked for up to so many times the rate of the rows: chips pass less and less of what lies beyond."""
+
+_SEEN = 4.0
+"""Standard deviations by which another rate shows a line, for it to say which alias it is."""
+
 
 class _Sighting(NamedTuple):
     """The highest line of one phase at rest: in which log, at `time_s` of it, `power` and `height` (3,)."""
@@ -46,6 +55,40 @@ class _Sighting(NamedTuple):
     height: Floats
 
 
+@dataclass(frozen=True)
+class _Rate:
+    """The phases at rest with so many rows a second."""
+
+    rows_per_s: float
+    seen: tuple[PhaseEvidence, ...]
+
+    @property
+    def spectra(self) -> list[Spectrum]:
+        """Those with any segment."""
+        return [one.raw.spectrum for one in self.seen if one.raw.spectrum.segments]
+
+    def height(self, hertz: float) -> float:
+        """How far a line of that frequency stands above what is beside it, in standard deviations, where rows of this
+        rate show it.
+        """
+        spectrum = pooled(self.spectra)
+        if spectrum is None:
+            return 0.0
+        at = round(_shown_hz(hertz, self.rows_per_s) * spectrum.segment_rows / self.rows_per_s)
+        near = [line for line in highest_lines(spectrum, _LINES) if abs(line.bin - at) <= HALF_WIDTH]
+        return max((float(line.height.max()) for line in near), default=0.0)
+
+
+def _rates(evidence: Evidence) -> list[_Rate]:
+    """The rates at which the sensor was read, the fastest first."""
+    logs = dict.fromkeys(one.log for one in evidence.still)
+    by_rate: dict[int, list[int]] = {}
+    for log in logs:
+        by_rate.setdefault(round(math.log(evidence.within([log]).rows_per_s, SAME_RATE)), []).append(log)
+    parts = [evidence.within(logs) for _, logs in sorted(by_rate.items(), reverse=True)]
+    return [_Rate(part.rows_per_s, part.still) for part in parts]
+
+
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """The two highest lines of the mean spectrum at rest, at the frequency at which rows show them; at that of the
     mains if it is where rows show these. One that is elsewhere in each phase, by its course.
@@ -56,17 +99,21 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
-    spectrum = pooled([one.raw.spectrum for one in evidence.still])
-    if spectrum is None:
-        return
     known = [effect for effect in evidence.effects if isinstance(effect, Tone)]
-    bin_hz = evidence.rows_per_s / spectrum.segment_rows
-    places = [_shown_hz(effect.frequency_hz, evidence.rows_per_s) / bin_hz for effect in known]
-    for line in highest_lines(spectrum, _LINES, places):
-        amplitude = _amplitude(evidence, line.power, line.height)
-        yield Hypothesis((Tone(amplitude, _true_hz(line.bin * bin_hz, bin_hz, evidence.rows_per_s)),), ("amplitude",))
+    rates = _rates(evidence)
+    for rate in rates:
+        spectrum = pooled([one.raw.spectrum for one in rate.seen])
+        if spectrum is None:
+            continue
+        bin_hz = rate.rows_per_s / spectrum.segment_rows
+        places = [_shown_hz(effect.frequency_hz, rate.rows_per_s) / bin_hz for effect in known]
+        for line in highest_lines(spectrum, _LINES, places):
+            amplitude = _amplitude(evidence, line.power, line.height)
+            for hertz in _true_hz(line.bin * bin_hz, bin_hz, rate, rates):
+                yield Hypothesis((Tone(amplitude, hertz),), ("amplitude",))
     if not any(effect.drift_hz_per_h for effect in known):
-        yield from _drifting(evidence, [place * bin_hz for place in places])
+        shown = [_shown_hz(effect.frequency_hz, evidence.rows_per_s) for effect in known]
+        yield from _drifting(evidence, shown)
 
 
 def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]:
@@ -121,10 +168,24 @@ def _shown_hz(hertz: float, rows_per_s: float) -> float:
     return abs(hertz - rows_per_s * round(hertz / rows_per_s))
 
 
-def _true_hz(shown_hz: float, bin_hz: float, rows_per_s: float) -> float:
-    """That of the mains if it shows in the same bin, else what is shown."""
-    alike = [hertz for hertz in _MAINS_HZ if abs(_shown_hz(hertz, rows_per_s) - shown_hz) < bin_hz]
-    return alike[0] if alike and alike[0] > rows_per_s / 2 else shown_hz
+def _true_hz(shown_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate]) -> Iterator[float]:
+    """Where rows show a line; and if others are read at another rate, the alias that these show as well, best of all.
+    That of the mains if it shows in the same bin.
+    """
+    aliases = [
+        hertz
+        for turn in range(_ALIASES + 1)
+        for hertz in (turn * rate.rows_per_s - shown_hz, turn * rate.rows_per_s + shown_hz)
+        if hertz > 0
+    ]
+    others = [other for other in rates if other is not rate and len(other.spectra)]
+    if others:
+        heights = [sum(other.height(hertz) for other in others) for hertz in aliases]
+        best = int(np.argmax(heights))
+        if heights[best] > _SEEN and aliases[best] != shown_hz:
+            yield aliases[best]
+    mains = [hertz for hertz in _MAINS_HZ if abs(_shown_hz(hertz, rate.rows_per_s) - shown_hz) < bin_hz]
+    yield mains[0] if mains and mains[0] > rate.rows_per_s / 2 else shown_hz
 
 
 TONE = Candidate(
