@@ -107,7 +107,7 @@ class Tally:
     def update(self, *blocks: Block) -> None:
         """The next rows of each replicate, at least one."""
         time = blocks[0].time
-        counts = np.concatenate([block.counts.T for block in blocks])
+        counts = np.ascontiguousarray(np.concatenate([block.counts.T for block in blocks]))
         apart = counts.astype(np.float64)
         if self._rows == 0:
             self._origin = np.rint(apart.mean(axis=1))
