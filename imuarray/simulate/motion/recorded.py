@@ -174,8 +174,11 @@ class Recorded:
 
     def _block(self, number: int) -> _Block:
         blocks = self._blocks
-        found = blocks.pop(number, None) or self._read(number)
-        blocks[number] = found
+        found = blocks.pop(number, None)
+        if found is not None:
+            blocks[number] = found
+            return found
+        blocks[number] = found = self._read(number)
         while len(blocks) > _KEPT and sum(block.bytes for block in blocks.values()) > _KEPT_BYTES:
             del blocks[next(iter(blocks))]
         return found

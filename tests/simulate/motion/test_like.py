@@ -97,7 +97,9 @@ def test_only_a_few_blocks_are_in_memory(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(recorded_module, "BLOCK", 64)
     read: list[int] = []
     whole = recorded_module.Recorded._read
-    monkeypatch.setattr(recorded_module.Recorded, "_read", lambda own, number: read.append(number) or whole(own, number))
+    monkeypatch.setattr(
+        recorded_module.Recorded, "_read", lambda own, number: read.append(number) or whole(own, number)
+    )
     rows = np.arange(0, 10 * S, 5_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
         for kept_bytes, kept in ((0, 4), (1 << 20, 32)):
