@@ -44,8 +44,8 @@ class Cross:
     `slow` (s, p) means of the segments (nan for one without enough windows in which all sensors read); `fast` (p, p)
     mean product of two columns less their segments' means, over `windows` windows. `turning` (p, p) is the mean product
     of the first column and the change of the second, half of that from the window before to the one after less
-    its mean in the segment, and `changes` (p, p) that of two changes; without these (`CrossTally`) both are nan, and the
-    `KINEMATIC` columns 0.
+    its mean in the segment, and `changes` (p, p) that of two changes; without these (`CrossTally`) both are nan, and
+    the `KINEMATIC` columns 0.
     """
 
     sensors: tuple[SensorHeader, ...]

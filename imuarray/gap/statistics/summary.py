@@ -130,9 +130,10 @@ class Tally:
         self._arch.update((steps * steps).T)
         self._haar.update(apart)
         self._intervals.update(time)
-        for block, repeats, status in zip(blocks, self._repeats, self._status, strict=True):
-            repeats.update(block.counts)
-            status.update(block.status, block.counts)
+        columns = counts.reshape(len(blocks), 3, -1).swapaxes(1, 2)
+        for block, own, repeats, status in zip(blocks, columns, self._repeats, self._status, strict=True):
+            repeats.update(own)
+            status.update(block.status, own)
         for at, lone in enumerate(self._lone if self._with_lone else ()):
             lone.update(time, apart[3 * at : 3 * at + 3])
 

@@ -79,8 +79,8 @@ class Recorded:
     """`columns` (n,) or (n, 3) at `time` (n,) ns, joined by cubic pieces whose slope at a row comes from the rows
     before and after it (three-point formula; from one at the ends): values and slopes without jumps.
 
-    Only a few blocks of rows are in memory at any time, up to `_KEPT_BYTES`. `where` stands in the LogError for rows that aren't finite or
-    whose times don't increase.
+    Only a few blocks of rows are in memory at any time, up to `_KEPT_BYTES`. `where` stands in the LogError for rows
+    that aren't finite or whose times don't increase.
     """
 
     time: NamedColumn
