@@ -67,7 +67,7 @@ class RepeatTally:
             self._far_equal += int(np.count_nonzero(_alike(rows[far:], rows[far - APART : -APART])))
         self._find_runs(self._rows + begin - known + np.flatnonzero(~equal))
         self._rows += len(counts)
-        self._before = rows[-APART:].copy()
+        self._before = rows[-APART:].copy(order="K")
 
     def end_run(self) -> None:
         """A gap: the next row isn't compared with the one before."""

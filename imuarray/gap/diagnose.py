@@ -46,7 +46,9 @@ from imuarray.simulate.model import Model
 Floats = npt.NDArray[np.float64]
 
 REPLICATES = 100
-"""Of the base model: they say how statistics scatter, and how far chance goes."""
+"""Of the base model at most: they say how statistics scatter, and how far chance goes. Fewer are simulated of a
+recording that is well within it (`imuarray.gap.inference.comparison.ENOUGH`).
+"""
 
 REPAIRED = 32
 """Replicates of the model with its causes in."""

@@ -31,6 +31,9 @@ _BURST_CLOCKS = {"adxl345": 99, "bma180": 90, "l3g4200d": 99, "bmp180": 0, "hmc5
 _SOON = 1.1
 """A slow chip is left out of a frame if the next one, with a margin for the way there and back, is soon enough."""
 _SINGLE = 1024
+_PIECE, _PIECES = 16384, 16
+"""Rows of a recorded sensor whose stamps are read at once, and so many times as many that are kept: 2 MB."""
+
 _HOLE = 1.5
 """Times the usual interval: a shorter one has no room for another row."""
 
@@ -105,8 +108,14 @@ class Recorded:
         self.rows_per_s = (self.rows - 1) * 1e9 / span_ns if span_ns else max(sensor.rate_hz, 1.0)
 
     def stamps(self, start: int, stop: int) -> Integers:
-        """As they stand in the log."""
-        return self._one(start) if stop - start == 1 else np.asarray(self._time[start:stop], np.int64)
+        """As they stand in the log; read-only."""
+        if stop - start == 1:
+            return self._one(start)
+        first, last = start // _PIECE, max(stop - 1, start) // _PIECE
+        if first == last:
+            return self._piece(first)[start - first * _PIECE : stop - first * _PIECE]
+        parts = [self._piece(number) for number in range(first, last + 1)]
+        return np.concatenate(parts)[start - first * _PIECE : stop - first * _PIECE]
 
     def __getstate__(self) -> dict[str, object]:
         return {name: getattr(self, name) for name in ("_sensor", "rows", "rows_per_s")}
@@ -114,6 +123,16 @@ class Recorded:
     @cached_property
     def _time(self) -> NamedColumn:
         return self._sensor.time
+
+    @cached_property
+    def _piece(self) -> Callable[[int], Integers]:
+        """(p,) the stamps of one piece: replicates of a log read them again and again."""
+        return lru_cache(maxsize=_PIECES)(self._read)
+
+    def _read(self, number: int) -> Integers:
+        stamps = np.array(self._time[number * _PIECE : (number + 1) * _PIECE], np.int64)
+        stamps.flags.writeable = False
+        return stamps
 
     @cached_property
     def _one(self) -> Callable[[int], Integers]:

@@ -6,18 +6,24 @@ import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.stats import binom
 
+from imuarray.gap.diagnose import REPLICATES
 from imuarray.gap.findings.verdict import StatisticReport, where_of
-from imuarray.gap.inference.comparison import Comparison, compared_with_base, settled
+from imuarray.gap.inference.comparison import ENOUGH, Comparison, compared_with_base, settled
+from imuarray.gap.inference.localisation import LEVEL
 from imuarray.gap.model.base_model import fit
-from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.workers import processes, runner
 from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.statistics.pairs import Pairs, pairs_of
 from imuarray.gap.statistics.synthetic_likelihood import likeness_of
 from imuarray.simulate import parse_model
 from imuarray.simulate.effect import Effect
@@ -27,7 +33,7 @@ from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.tumble import Tumble
-from tests.gap.made import BASE
+from tests.gap.made import BASE, header
 from tests.gap.test_bench import SHORT, Run, prepared
 
 Floats = npt.NDArray[np.float64]
@@ -196,3 +202,70 @@ def test_processes_change_no_bit() -> None:
         together = compared_with_base(bench, campaign, runner(bench, pool), 40)
     np.testing.assert_array_equal(together.chance, alone.chance)
     assert together.located == alone.located
+
+
+class Chances:
+    """A bench whose statistics are normal numbers: those of the recording, moved by so many standard deviations, and of
+    each replicate.
+    """
+
+    keys = tuple(
+        Key(0, "G1", axis, "static", 0, "level", probe) for probe in ("mean", "noise", "wander") for axis in "xyz"
+    )
+    resolutions = np.zeros(9)
+    base = SimpleNamespace(headers={"G1": header("G1")}, fitted={})
+
+    def __init__(self, seed: int, moved: float = 0.0) -> None:
+        self._drawn = np.random.default_rng(seed).normal(size=(201, 9))
+        self._drawn[0] += moved
+        self.asked: list[int] = []
+
+    def pairs(self) -> Pairs:
+        return pairs_of(self.keys, [False] * 9)
+
+    def models(self) -> dict[str, Any]:
+        return {}
+
+    def observed(self, campaign: object, sensors: object) -> StatisticValues:
+        return StatisticValues(self._drawn[0], {})
+
+    def run(self, job: object, items: Sequence[Sequence[tuple[object, int]]]) -> list[list[StatisticValues]]:
+        self.asked += [number for group in items for _, number in group]
+        return [[StatisticValues(self._drawn[1 + number], {}) for _, number in group] for group in items]
+
+
+def sequential(seed: int, moved: float = 0.0, replicates: int = 100) -> tuple[float, int]:
+    """The p-value, and by how many replicates it was found."""
+    bench = Chances(seed, moved)
+    found = compared_with_base(cast(Bench, bench), cast(Campaign, None), bench.run, replicates)
+    assert bench.asked == list(range(len(found.replicates)))  # each once
+    return found.located.p, len(found.replicates)
+
+
+def test_p_is_uniform_though_most_comparisons_end_early() -> None:
+    """Of 300 recordings without a gap at most a share a is found at p <= a, within three standard errors; three of four
+    end after 40 replicates (52 of them on average: 40 + 24 / 4 + 36 * 15 / 100).
+    """
+    found = np.array([sequential(seed) for seed in range(300)])
+    for level in (0.05, 0.1, 0.2, 0.4, 0.8):
+        assert np.mean(found[:, 0] <= level) <= level + 3 * np.sqrt(level * (1 - level) / 300)
+    assert np.mean(found[:, 1] == 40) == pytest.approx(0.75, abs=0.09)
+    assert found[:, 1].mean() == pytest.approx(51.4, abs=5.0)
+
+
+def test_what_is_strange_is_compared_with_all_replicates() -> None:
+    """5 standard deviations in each statistic; and where 40 are all, these."""
+    for seed in range(5):
+        p, replicates = sequential(seed, 5.0)
+        assert (p, replicates) == (pytest.approx(1 / 101), 100)
+    assert sequential(0, replicates=40)[1] == 40
+
+
+def test_limits_of_a_sequential_test_never_rise() -> None:
+    """Upon which its p-value stands; and a gap, p <= 0.05, is never far from one that went on."""
+    assert sorted(ENOUGH) == list(ENOUGH)
+    limits = list(ENOUGH.values())
+    assert limits == sorted(limits, reverse=True)
+    given_up = [binom.sf(limit * (count + 1) - 1, count, LEVEL) for count, limit in ENOUGH.items()]
+    assert sum(given_up) < 0.005
+    assert max(ENOUGH) < REPLICATES

@@ -51,7 +51,7 @@ def test_moments_are_those_of_a_plain_loop(pieces: int) -> None:
     segments = line.reshape(50, 8, 6)
     apart = (segments - segments.mean(axis=1, keepdims=True)).reshape(400, 6)
     assert found.windows == 400
-    np.testing.assert_allclose(found.slow[:, :6], segments.mean(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(found.slow[:, :6], segments.mean(axis=1), rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(found.fast[:6, :6], apart.T @ apart / 400, rtol=1e-9)
     inside = apart.reshape(50, 8, 6)
     changes = (inside[:, 2:] - inside[:, :-2]) / 2

@@ -1,8 +1,8 @@
 """The same job for many items, side by side: in threads, in processes, or on other machines.
 
 A job's fixed part (what was recorded, what it is compared with) is large beside an item, which is a number. It goes to
-a process with every item, as plain data, and is put in the place of the one that is already there: whatever a process
-opened or worked out for the first item serves for the others.
+a process with every item as bytes, which are read only by a process that doesn't have it yet: whatever a process opened
+or worked out for the first item serves for the others.
 
 Matrices are small here: threads of the linear algebra library (BLAS) would wake for nothing, and where several
 processes each have as many as there are cores, wait for each other. Processes started here have one thread each.
@@ -11,10 +11,11 @@ processes each have as many as there are cores, wait for each other. Processes s
 from __future__ import annotations
 
 import os
+import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from functools import partial
+from functools import cached_property, partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from threading import Lock, Thread
 from time import sleep
@@ -99,15 +100,19 @@ class _Sent(Generic[Item, Result]):
     def __call__(self, item: Item) -> Result:
         return self._job(item)
 
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Callable[[Item], Result]]]:
-        return _kept, (self._name, self._job)
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, bytes]]:
+        return _kept, (self._name, self._pickled)
+
+    @cached_property
+    def _pickled(self) -> bytes:
+        return pickle.dumps(self._job)
 
 
-def _kept(name: str, job: Callable[[Item], Result]) -> Callable[[Item], Result]:
-    """The job of this name that came first; nothing of the ones before it is kept."""
+def _kept(name: str, pickled: bytes) -> Callable[[Any], Any]:
+    """The job of this name as it came first; nothing of the ones before it is kept."""
     if name not in _LATEST:
         _LATEST.clear()
-        _LATEST[name] = job
+        _LATEST[name] = pickle.loads(pickled)  # noqa: S301
     return _LATEST[name]
 
 

@@ -115,22 +115,29 @@ def _summarise_phases(
     temperature: Temperature,
     layout: Layout | None,
 ) -> list[PhaseSummary]:
-    """Of each replicate: short phases together, long ones one after the other, of which little has to be kept."""
-    chosen = layout or layout_of(replicates[0], phase)
+    """Of each replicate: short phases together, long ones one after the other, of which little has to be kept. Phases
+    with a `layout` are simulated ones, of which only what statistics need is worked out.
+    """
+    chosen, recorded = layout or layout_of(replicates[0], phase), layout is None
     rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
     at_once = max(CHUNK // max(rows, 1), 1)
     found: list[PhaseSummary] = []
     for first in range(0, len(replicates), at_once):
         some = replicates[first : first + at_once]
         if len(some) > 1:
-            found += _together(some, phase, number, temperature, chosen)
+            found += _together(some, phase, number, temperature, chosen, recorded)
         else:
-            found.append(_in_one_pass(some[0], phase, number, temperature, chosen))
+            found.append(_in_one_pass(some[0], phase, number, temperature, chosen, recorded))
     return found
 
 
 def _together(
-    replicates: Sequence[Mapping[str, Source]], phase: Phase, number: int, temperature: Temperature, layout: Layout
+    replicates: Sequence[Mapping[str, Source]],
+    phase: Phase,
+    number: int,
+    temperature: Temperature,
+    layout: Layout,
+    recorded: bool,
 ) -> list[PhaseSummary]:
     """Sensor by sensor, all replicates side by side where their rows have the same times."""
     blocks = [
@@ -141,13 +148,13 @@ def _together(
         new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].known]
         for some in _simultaneous([one[name] for one in blocks], new):
             header = replicates[0][name].header
-            tallied = _tallied(header, phase, grid, [blocks[at][name] for at in some], temperature)
+            tallied = _tallied(header, phase, grid, [blocks[at][name] for at in some], temperature, recorded)
             for at, summary in zip(some, tallied, strict=True):
                 replicates[at][name].known[phase, grid] = summary
     crosses: dict[int, Cross | None] = {}
     for some in _simultaneous([list(chain(*one.values())) for one in blocks], range(len(replicates))):
         crosses.update(
-            zip(some, _crossed(replicates[some[0]], [blocks[at] for at in some], phase, layout), strict=True)
+            zip(some, _crossed(replicates[some[0]], [blocks[at] for at in some], phase, layout, recorded), strict=True)
         )
     return [
         PhaseSummary(
@@ -181,20 +188,29 @@ def _have_same_times(one: Block, other: Block) -> bool:
 
 
 def _tallied(
-    header: SensorHeader, phase: Phase, grid: Grid, replicates: Sequence[Sequence[Block]], temperature: Temperature
+    header: SensorHeader,
+    phase: Phase,
+    grid: Grid,
+    replicates: Sequence[Sequence[Block]],
+    temperature: Temperature,
+    recorded: bool,
 ) -> list[Summary]:
     """Summaries of replicates whose blocks have the same times."""
-    tally = Tally(header, phase, grid, len(replicates))
+    tally = Tally(header, phase, grid, len(replicates), lone=recorded)
     for blocks in zip(*replicates, strict=True):
         tally.update(*blocks)
     return tally.results(temperature)
 
 
 def _crossed(
-    sources: Mapping[str, Source], blocks: Sequence[Mapping[str, Sequence[Block]]], phase: Phase, layout: Layout
+    sources: Mapping[str, Source],
+    blocks: Sequence[Mapping[str, Sequence[Block]]],
+    phase: Phase,
+    layout: Layout,
+    recorded: bool,
 ) -> Sequence[Cross | None]:
     """What inertial sensors have in common, of replicates whose blocks have the same times."""
-    cross = _cross(sources, phase, layout.window_ns, len(blocks))
+    cross = _cross(sources, phase, layout.window_ns, len(blocks), recorded=recorded)
     if cross is None:
         return [None] * len(blocks)
     waiting = {
@@ -206,11 +222,16 @@ def _crossed(
 
 
 def _in_one_pass(
-    sources: Mapping[str, Source], phase: Phase, number: int, temperature: Temperature, layout: Layout
+    sources: Mapping[str, Source],
+    phase: Phase,
+    number: int,
+    temperature: Temperature,
+    layout: Layout,
+    recorded: bool,
 ) -> PhaseSummary:
     """All sensors side by side, a block at a time."""
-    tallies = {name: Tally(source.header, phase, layout.grids[name]) for name, source in sources.items()}
-    cross = _cross(sources, phase, layout.window_ns)
+    tallies = {name: Tally(source.header, phase, layout.grids[name], lone=recorded) for name, source in sources.items()}
+    cross = _cross(sources, phase, layout.window_ns, recorded=recorded)
     waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
     for name, blocks in _in_turn(waiting, phase):
         if blocks is not None:
@@ -253,7 +274,10 @@ def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
     return runs_of([phase for (phase,) in phases]) if all(phases) else None
 
 
-def _cross(sources: Mapping[str, Source], phase: Phase, window: int, replicates: int = 1) -> CrossTally | None:
+def _cross(
+    sources: Mapping[str, Source], phase: Phase, window: int, replicates: int = 1, *, recorded: bool
+) -> CrossTally | None:
     there = [source for source in sources.values() if source.rows(phase.start_ns, phase.end_ns)]
     headers = [source.header for source in there if source.header.quantity in INERTIAL]
-    return CrossTally(headers, phase, window, replicates) if len(headers) > 1 else None
+    changes = recorded or not is_at_rest(phase)
+    return CrossTally(headers, phase, window, replicates, changes=changes) if len(headers) > 1 else None

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +44,8 @@ class Cross:
     `slow` (s, p) means of the segments (nan for one without enough windows in which all sensors read); `fast` (p, p)
     mean product of two columns less their segments' means, over `windows` windows. `turning` (p, p) is the mean product
     of the first column and the change of the second, half of that from the window before to the one after less
-    its mean in the segment, and `changes` (p, p) that of two changes.
+    its mean in the segment, and `changes` (p, p) that of two changes; without these (`CrossTally`) both are nan, and
+    the `KINEMATIC` columns 0.
     """
 
     sensors: tuple[SensorHeader, ...]
@@ -101,10 +103,19 @@ def window_ns(rates_hz: Sequence[float]) -> int:
 
 class CrossTally:
     """Takes the blocks of several sensors of one phase, of each in order; keeps what not all have reached. Of so many
-    `replicates` at once, whose rows have the same times.
+    `replicates` at once, whose rows have the same times. `changes`: with what statistics of a moving box are made of;
+    those of a box at rest do without, for half of the time.
     """
 
-    def __init__(self, sensors: Sequence[SensorHeader], phase: Phase, window_ns: int, replicates: int = 1) -> None:
+    def __init__(
+        self,
+        sensors: Sequence[SensorHeader],
+        phase: Phase,
+        window_ns: int,
+        replicates: int = 1,
+        *,
+        changes: bool = True,
+    ) -> None:
         self._sensors, self._phase, self._window_ns = tuple(sensors), phase, window_ns
         self._last = (phase.end_ns - phase.start_ns) // window_ns
         self._length = max(_SEGMENT_WINDOWS, -(-self._last // SEGMENTS))
@@ -116,8 +127,9 @@ class CrossTally:
             if sensor.quantity == "angular_rate"
         ]
         columns = 3 * len(sensors) + KINEMATIC
-        self._sums = np.zeros((self._length, replicates, len(sensors), 3))
-        self._rows = np.zeros((self._length, len(sensors)))
+        self._with_changes = changes
+        self._sums = np.zeros((replicates, len(sensors), 3, self._length))
+        self._rows = np.zeros((len(sensors), self._length))
         self._reached = np.zeros(len(sensors), np.int64)
         self._base, self._windows, self._inner_windows = 0, 0, 0
         self._slow: list[Floats] = []
@@ -132,14 +144,15 @@ class CrossTally:
         """The next rows of one sensor in each replicate, at least one."""
         place, since_ns = self._places[sensor], blocks[0].time - self._phase.start_ns
         first, last = int(since_ns[0]) // self._window_ns, int(since_ns[-1]) // self._window_ns
-        starts = np.searchsorted(since_ns, np.arange(first, last + 1) * self._window_ns)
-        rows = np.concatenate([starts[1:], [len(since_ns)]]) - starts
-        filled = rows > 0
+        windows = since_ns // self._window_ns
+        starts = np.concatenate([[0], (windows[1:] != windows[:-1]).nonzero()[0] + 1])
         self._make_room(last)
-        at = first - self._base + np.flatnonzero(filled)
-        counts = np.array([block.counts.T for block in blocks], float)
-        self._sums[at, :, place] += np.add.reduceat(counts, starts[filled], axis=2).transpose(2, 0, 1)
-        self._rows[at, place] += rows[filled]
+        at: Any = windows[starts] - self._base
+        if len(at) == last - first + 1:
+            at = slice(first - self._base, last - self._base + 1)  # no window is empty
+        counts = np.ascontiguousarray([block.counts.T for block in blocks], float)
+        self._sums[:, place, :, at] += np.add.reduceat(counts, starts, axis=2)
+        self._rows[place, at] += np.concatenate([starts[1:], [len(since_ns)]]) - starts
         self._reached[place] = last
         self._work(int(self._reached.min()))
 
@@ -166,6 +179,8 @@ class CrossTally:
         with np.errstate(invalid="ignore"):
             fast = self._fast / np.float64(self._windows)
             turning, changes = np.array([self._turning, self._changes]) / np.float64(self._inner_windows)
+        if not self._with_changes:
+            turning, changes = np.full((2, *fast.shape), np.nan)
         slow = np.concatenate([np.zeros((len(fast), 0, fast.shape[2])), *self._slow], axis=1)
         window_s = self._window_ns * 1e-9
         return [
@@ -174,11 +189,11 @@ class CrossTally:
         ]
 
     def _make_room(self, window: int) -> None:
-        missing = window - self._base + 1 - len(self._rows)
+        missing = window - self._base + 1 - self._rows.shape[1]
         if missing > 0:
-            more = max(missing, len(self._rows))
-            self._sums = np.concatenate([self._sums, np.zeros((more, *self._sums.shape[1:]))])
-            self._rows = np.concatenate([self._rows, np.zeros((more, self._rows.shape[1]))])
+            more = max(missing, self._rows.shape[1])
+            self._sums = np.concatenate([self._sums, np.zeros((*self._sums.shape[:3], more))], axis=3)
+            self._rows = np.concatenate([self._rows, np.zeros((len(self._rows), more))], axis=1)
 
     def _work(self, reached: int) -> None:
         """Adds up the segments that end up to window `reached`, which isn't complete itself."""
@@ -187,63 +202,71 @@ class CrossTally:
             return
         done = count * self._length
         self._make_room(self._base + done - 1)
-        sums, rows = (held[:done].reshape(count, self._length, *held.shape[1:]) for held in (self._sums, self._rows))
-        self._add(sums, rows)
+        self._add(*(held[..., :done].reshape(*held.shape[:-1], count, -1) for held in (self._sums, self._rows)))
         for held in (self._sums, self._rows):
-            held[:-done] = held[done:].copy()
-            held[-done:] = 0
+            held[..., :-done] = held[..., done:].copy()
+            held[..., -done:] = 0
         self._base += done
 
     def _add(self, sums: Floats, rows: Floats) -> None:
-        """Segments: sums (s, w, r, m, 3), rows (s, w, m). Windows in which not all sensors read count for nothing."""
-        full = np.asarray((rows > 0).all(axis=2))
+        """Segments: sums (r, m, 3, s, w), rows (m, s, w). Windows in which not all sensors read count for nothing."""
+        full = np.asarray((rows > 0).all(axis=0))
         told = np.count_nonzero(full, axis=1) >= _SEGMENT_WINDOWS // 2
-        slow = np.full((len(self._fast), len(full), self._fast.shape[2]), np.nan)
+        columns = self._fast.shape[2]
+        slow = np.full((len(self._fast), len(full), columns), np.nan)
         self._slow.append(slow)
         if not told.any():
             return
-        full = full[told]
+        if not told.all():
+            sums, rows, full = sums[..., told, :], rows[:, told], full[told]
         with np.errstate(invalid="ignore"):
-            readings = sums[told] / rows[told, :, None, :, None] * self._scale[:, None]
-        readings = _filled(np.ascontiguousarray(np.moveaxis(readings, 2, 0)), full)
-        line = np.concatenate([readings.reshape(*readings.shape[:3], -1), self._kinematic(readings)], axis=3)
-        line, slow[:, told] = _centred(line, full)
-        inner = full[:, :-2] & full[:, 1:-1] & full[:, 2:]
-        changes, _ = _centred((line[:, :, 2:] - line[:, :, :-2]) / 2, inner)
-        parts = (line, line[:, :, 1:-1], changes)
-        flat, between, changes = (part.reshape(len(part), -1, part.shape[3]) for part in parts)
-        self._fast += flat.swapaxes(1, 2) @ flat
-        self._turning += between.swapaxes(1, 2) @ changes
-        self._changes += changes.swapaxes(1, 2) @ changes
+            readings = sums / rows[:, None]
+        readings *= self._scale[:, None, None, None]
+        readings = _filled(readings, full)
+        line = readings.reshape(len(readings), -1, *full.shape)
+        if self._with_changes:
+            line = np.concatenate([line, self._kinematic(readings)], axis=1)
+        line, means = _centred(line, full)
+        slow[:, told, : means.shape[1]] = means.swapaxes(1, 2)
+        slow[:, told, means.shape[1] :] = 0.0
+        flat = line.reshape(*line.shape[:2], -1)
+        self._fast[:, : flat.shape[1], : flat.shape[1]] += flat @ flat.swapaxes(1, 2)
         self._windows += int(np.count_nonzero(full))
+        if not self._with_changes:
+            return
+        inner = full[:, :-2] & full[:, 1:-1] & full[:, 2:]
+        changes, _ = _centred((line[..., 2:] - line[..., :-2]) / 2, inner)
+        between, changes = (part.reshape(*part.shape[:2], -1) for part in (line[..., 1:-1], changes))
+        self._turning += between @ changes.swapaxes(1, 2)
+        self._changes += changes @ changes.swapaxes(1, 2)
         self._inner_windows += int(np.count_nonzero(inner))
 
     def _kinematic(self, readings: Floats) -> Floats:
-        """(r, s, w, 9) products xx, xy, xz, yy, yz, zz of the mean rate in the box, and its change per second."""
+        """(r, 9, s, w) products xx, xy, xz, yy, yz, zz of the mean rate in the box, and its change per second."""
         if not self._gyroscopes:
-            return np.zeros((*readings.shape[:3], KINEMATIC))
-        rate = np.mean([unit * readings[:, :, :, place] @ turn for place, unit, turn in self._gyroscopes], axis=0)
+            return np.zeros((len(readings), KINEMATIC, *readings.shape[3:]))
+        turned = [np.einsum("ab,rasw->rbsw", turn, unit * readings[:, at]) for at, unit, turn in self._gyroscopes]
+        rate = np.mean(turned, axis=0)
         first, second = _PRODUCTS
-        acceleration = np.gradient(rate, self._window_ns * 1e-9, axis=2)
-        return np.concatenate([rate[..., first] * rate[..., second], acceleration], axis=3)
+        acceleration = np.gradient(rate, self._window_ns * 1e-9, axis=3)
+        return np.concatenate([rate[:, first] * rate[:, second], acceleration], axis=1)
 
 
 def _filled(readings: Floats, full: Bools) -> Floats:
-    """Readings (r, s, w, m, 3) with the segment's mean in windows that aren't full (s, w)."""
+    """Readings (r, m, 3, s, w) with the segment's mean in windows that aren't full (s, w)."""
     if full.all():
         return readings
-    held = full[:, :, None, None]
-    mean = np.mean(readings, axis=2, where=held, keepdims=True)
-    return np.where(held, readings, mean)
+    mean = np.mean(readings, axis=4, where=full, keepdims=True)
+    return np.where(full, readings, mean)
 
 
 def _centred(line: Floats, held: Bools) -> tuple[Floats, Floats]:
-    """Columns (r, s, w, p) less their means (r, s, p) over the windows that are held (s, w), and these; 0 in the
+    """Columns (r, p, s, w) less their means (r, p, s) over the windows that are held (s, w), and these; 0 in the
     others.
     """
     if held.all():
-        mean = line.mean(axis=2)
-        return line - mean[:, :, None], mean
+        mean = line.mean(axis=3)
+        return line - mean[..., None], mean
     count = np.maximum(np.count_nonzero(held, axis=1), 1)
-    mean = (line * held[:, :, None]).sum(axis=2) / count[:, None]
-    return (line - mean[:, :, None]) * held[:, :, None], mean
+    mean = (line * held).sum(axis=3) / count
+    return (line - mean[..., None]) * held, mean

@@ -1,5 +1,6 @@
 """Allan variances at octaves, and how long the tails of differences of means are, for a fixed price: four starts in an
-averaging time, one running sum, three axes at once.
+averaging time, three axes at once. Sums over two, four, ... rows are sums of pairs of those before: whole numbers stay
+exact.
 
 As `imuarray.characterise.allan_stream`, which also says how sure its values are; here nothing but the values is wanted,
 thousands of times, and a curve's identification of noise types would cost more than short series themselves.
@@ -15,8 +16,8 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-_DISTANCES = (1, 2, 4)
-"""At rows themselves; every coarser running sum, of half as many values, is looked at at the last distance alone."""
+_FINE = 4
+"""At so many octaves sums of 1 and 2 rows are looked at, block by block; at the others sums of 4."""
 
 
 class Haar(NamedTuple):
@@ -35,22 +36,25 @@ FINEST = 3
 
 
 class HaarTally:
-    """Adds up squared second differences of the running sums of `columns` series, at the first `octaves` octaves."""
+    """Adds up squared differences of neighbouring means of `columns` series, at the first `octaves` octaves (4 or
+    more).
+    """
 
     def __init__(self, octaves: int, columns: int = 3) -> None:
-        self._levels = [_Level(columns, _DISTANCES)]
-        self._levels += [_Level(columns, _DISTANCES[-1:]) for _ in range(octaves - 3)]
+        self._rows, self._twos = _Level(columns, (1, 2, 4)), _Level(columns, (4,))
+        self._fours = _Coarse(columns, octaves - _FINE)
         self._squares, self._fourths, self._terms = *np.zeros((2, octaves, columns)), [0] * octaves
-        self._total = np.zeros((columns, 1))
-        self._is_begun = False
 
     def update(self, values: Floats) -> None:
         """The next values (k, n), best about an origin near them."""
-        phase = np.concatenate([self._total, values], axis=1)
-        np.cumsum(phase, axis=1, out=phase)
-        self._total = phase[:, -1:].copy()
-        self._feed(phase[:, 1:] if self._is_begun else phase)
-        self._is_begun = True
+        sums = values
+        for number, level in enumerate((self._rows, self._twos)):
+            line = level.line(sums)
+            for distance, differences in level.differences(line):
+                self._add(number + distance.bit_length() - 1, differences)
+            sums = level.coarser(line)
+        for number, differences in self._fours.differences(sums):
+            self._add(_FINE + number, differences)
 
     def result(self) -> Haar:
         """The variances of all values so far."""
@@ -62,43 +66,75 @@ class HaarTally:
         np.divide(self._fourths * np.maximum(terms, 1)[:, None], self._squares**2, out=kurtosis, where=known)
         return Haar(self._squares / scale[:, None], terms, kurtosis)
 
-    def _feed(self, phase: Floats) -> None:
-        for number, level in enumerate(self._levels):
-            for distance, differences in level.second_differences(phase):
-                octave = number + distance.bit_length() - 1
-                if octave < len(self._terms):
-                    if octave < FINEST:
-                        self._squares[octave] += np.einsum("kn,kn->k", differences, differences)
-                    else:
-                        np.multiply(differences, differences, out=differences)
-                        self._squares[octave] += differences.sum(axis=1)
-                        self._fourths[octave] += np.einsum("kn,kn->k", differences, differences)
-                    self._terms[octave] += differences.shape[1]
-            phase = level.coarser(phase)
-            if phase.shape[1] == 0:
-                return
+    def _add(self, octave: int, differences: Floats) -> None:
+        self._terms[octave] += differences.shape[1]
+        if octave < FINEST:
+            self._squares[octave] += np.einsum("kn,kn->k", differences, differences)
+            return
+        np.multiply(differences, differences, out=differences)
+        self._squares[octave] += np.add.reduce(differences, axis=1)
+        self._fourths[octave] += np.einsum("kn,kn->k", differences, differences)
 
 
 class _Level:
-    """A running sum at one stride: what its second differences reach back to, and where its next even value is."""
+    """Sums over so many rows, one after the other: those before that differences reach back to, and where the next pair
+    of them begins.
+    """
 
     def __init__(self, columns: int, distances: tuple[int, ...]) -> None:
-        self._distances, self._odd = distances, 0
+        self._distances, self._new, self._paired = distances, 0, 0
         self._kept: Floats = np.zeros((columns, 0))
 
-    def second_differences(self, phase: Floats) -> Iterator[tuple[int, Floats]]:
-        """Of each distance (k, m) those that end in `phase` (k, n)."""
-        known, reach = self._kept.shape[1], 2 * self._distances[-1]
-        line = np.concatenate([self._kept, phase], axis=1) if known else phase
+    def line(self, sums: Floats) -> Floats:
+        """What is kept, and the next sums (k, n)."""
+        self._new, reach = self._kept.shape[1], 2 * self._distances[-1] - 1
+        line = np.concatenate([self._kept, sums], axis=1) if self._new else sums
         self._kept = line[:, -reach:].copy()
-        for distance in self._distances:
-            reached = line[:, max(known - 2 * distance, 0) :]
-            if reached.shape[1] > 2 * distance:
-                first = reached[:, distance:] - reached[:, :-distance]
-                yield distance, first[:, distance:] - first[:, :-distance]
+        return line
 
-    def coarser(self, phase: Floats) -> Floats:
-        """Every second value, over all blocks."""
-        taken = phase[:, self._odd :: 2]
-        self._odd = (self._odd + phase.shape[1]) % 2
-        return taken
+    def differences(self, line: Floats) -> Iterator[tuple[int, Floats]]:
+        """Of each distance (k, m) those of the sums of as many neighbours that end in what is new of a line."""
+        window, length = line, 1
+        for distance in (1, 2, 4):
+            if distance > length:
+                window, length = window[:, length:] + window[:, :-length], distance
+            if distance in self._distances:
+                first = max(self._new - 2 * distance + 1, 0)
+                if window.shape[1] - first > distance:
+                    yield distance, window[:, first + distance :] - window[:, first:-distance]
+
+    def coarser(self, line: Floats) -> Floats:
+        """The sums of pairs, over all blocks."""
+        begin = self._new - self._paired
+        pairs = (line.shape[1] - begin) // 2
+        self._paired = line.shape[1] - begin - 2 * pairs
+        stop = begin + 2 * pairs
+        return np.asarray(line[:, begin:stop:2] + line[:, begin + 1 : stop : 2])
+
+
+class _Coarse:
+    """Sums over 4 rows, of which so many octaves have windows of 4, 8, 16, ...: few values, which a running sum of all
+    serves with fewer calls than sums of pairs.
+    """
+
+    def __init__(self, columns: int, octaves: int) -> None:
+        self._running: Floats = np.zeros((columns, 1))
+        self._next = [0] * octaves
+
+    def differences(self, sums: Floats) -> Iterator[tuple[int, Floats]]:
+        """Of each octave (k, m) those of windows that end in the next sums (k, n); they begin at every quarter."""
+        own = np.cumsum(sums, axis=1)
+        own += self._running[:, -1:]
+        line = np.concatenate([self._running, own], axis=1)
+        for octave, first in enumerate(self._next):
+            stride = 1 << octave
+            count = (line.shape[1] - 1 - first) // stride - 7
+            if count > 0:
+                self._next[octave] = first + count * stride
+                end = self._next[octave] - stride + 1
+                middle = line[:, first + 4 * stride : end + 4 * stride : stride]
+                second = line[:, first + 8 * stride : end + 8 * stride : stride] - middle
+                yield octave, second - (middle - line[:, first:end:stride])
+        done = min(self._next, default=line.shape[1] - 1)
+        self._next = [first - done for first in self._next]
+        self._running = line[:, done:].copy()

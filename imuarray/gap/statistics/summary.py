@@ -61,7 +61,8 @@ class Summary:
     `segments` of time; `codes` and `steps` (sizes of the differences of neighbours), a histogram per axis; `spectrum`
     in squared counts per cycle per row; `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared
     differences of neighbours at lags 0 ... 3; `allan` at octaves; `intervals` of time, joint `repeats` of all axes,
-    rows with each of the log's `flags`, `words`: rows in which all axes read -1, or all 0, and `lone` readings.
+    rows with each of the log's `flags`, `words`: rows in which all axes read -1, or all 0, and of a recording its
+    `lone` readings.
     """
 
     header: SensorHeader
@@ -85,10 +86,13 @@ class Summary:
 
 class Tally:
     """Takes the blocks of one sensor in one phase; of so many `replicates` at once, whose rows have the same times:
-    most of the time that few rows take is what every call of NumPy costs.
+    most of the time that few rows take is what every call of NumPy costs. `lone`: with lone readings, which no
+    statistic is made of.
     """
 
-    def __init__(self, header: SensorHeader, phase: Phase, grid: Grid, replicates: int = 1) -> None:
+    def __init__(
+        self, header: SensorHeader, phase: Phase, grid: Grid, replicates: int = 1, *, lone: bool = True
+    ) -> None:
         self._header, self._phase, self._grid = header, phase, grid
         columns = 3 * replicates
         self._segments = SegmentTally(phase.start_ns, phase.end_ns, grid.segments, replicates)
@@ -100,6 +104,7 @@ class Tally:
         self._repeats = [RepeatTally() for _ in range(replicates)]
         self._status = [StatusTally() for _ in range(replicates)]
         self._lone = [OutlierTally() for _ in range(replicates)]
+        self._with_lone = lone
         self._origin, self._rows = np.zeros(columns), 0
         self._alternating = np.zeros(columns)
         self._last = np.zeros((columns, 0))
@@ -107,7 +112,7 @@ class Tally:
     def update(self, *blocks: Block) -> None:
         """The next rows of each replicate, at least one."""
         time = blocks[0].time
-        counts = np.concatenate([block.counts.T for block in blocks])
+        counts = np.ascontiguousarray(np.concatenate([block.counts.T for block in blocks]))
         apart = counts.astype(np.float64)
         if self._rows == 0:
             self._origin = np.rint(apart.mean(axis=1))
@@ -125,10 +130,11 @@ class Tally:
         self._arch.update((steps * steps).T)
         self._haar.update(apart)
         self._intervals.update(time)
-        for block, repeats, status in zip(blocks, self._repeats, self._status, strict=True):
-            repeats.update(block.counts)
-            status.update(block.status, block.counts)
-        for at, lone in enumerate(self._lone):
+        columns = counts.reshape(len(blocks), 3, -1).swapaxes(1, 2)
+        for block, own, repeats, status in zip(blocks, columns, self._repeats, self._status, strict=True):
+            repeats.update(own)
+            status.update(block.status, own)
+        for at, lone in enumerate(self._lone if self._with_lone else ()):
             lone.update(time, apart[3 * at : 3 * at + 3])
 
     def result(self, temperature: Temperature) -> Summary:

@@ -53,7 +53,7 @@ class OwnClock(Effect):
     def _phase(self, at: Place) -> float:
         if not math.isnan(self.phase_deg):
             return self.phase_deg / 360
-        return at.boot_generator(self.name).uniform()
+        return at.kept((self.name, "phase", at.copy), lambda: float(at.boot_generator(self.name).uniform()))
 
 
 def _is_polled(at: Place) -> bool:

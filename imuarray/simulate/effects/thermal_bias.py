@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
+
 from imuarray.simulate.effect import Effect, per_axis, require, scalar
 from imuarray.simulate.signal import Analog, Place, Triple, per_row
 
@@ -34,5 +36,7 @@ class ThermalBias(Effect):
             return analog
         value = analog.value
         warmer = (analog.temperature_degc - self.reference_degc).astype(value.dtype)[:, None]
+        if not any(self.quadratic):
+            return replace(analog, value=value + warmer @ np.array([self.slope], value.dtype))
         slope = per_row(self.slope, value) + warmer * per_row(self.quadratic, value)
         return replace(analog, value=value + warmer * slope)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -21,24 +21,57 @@ BLOCK = 16384
 """Rows per block; a whole number of the log's chunks."""
 
 _KEPT = 4
+"""So many blocks are kept, whatever they hold."""
+
+_MANY = 256
+"""Fewer times are found by a search."""
+
+_KEPT_BYTES = 1 << 24
+"""More blocks are kept up to so many bytes: replicates of a log read it again and again. Two hours of a temperature at
+28 Hz take 6 MB, and as much again for a box that lies still.
+"""
 
 
 class _Block(NamedTuple):
-    """Rows at times (k,) ns, the last row the first of the next block, and the k - 1 cubic pieces between them: their
-    lengths (k - 1,) in s and `pieces` (4, c, k - 1), p0 + x (p1 + x (p2 + x p3)) for a column where 0 <= x <= 1.
-
-    `moves` (k,): how many of the pieces before a row are not constant. A lone row has one piece, constant.
+    """Rows at times (k,) ns, the last row the first of the next block, and the k - 1 cubic pieces between them, p0 + x
+    (p1 + x (p2 + x p3)) for a column where 0 <= x <= 1: p0 of all is `start` (c, k - 1). `moves` (k,): how many of the
+    pieces before a row are not constant; of these m pieces alone the lengths `length_s` (m,) and `curve` (3, c, m), p1,
+    p2, p3, are kept. A lone row has one piece, constant.
     """
 
     time_ns: Integers
-    length_s: Floats
-    pieces: Floats
+    start: Floats
     moves: Integers
+    length_s: Floats
+    curve: Floats
 
-    def row_before(self, time_ns: Integers | int) -> npt.NDArray[np.intp]:
+    @property
+    def bytes(self) -> int:
+        """How much memory it takes; a broadcast row takes none."""
+        arrays = (self.time_ns, self.moves, self.length_s, self.curve)
+        return sum(array.nbytes for array in arrays) + (self.start.nbytes if self.start.strides[1] else 0)
+
+    def row_before(self, time_ns: Integers) -> npt.NDArray[np.intp]:
         """The number of the piece in which a time within the block lies."""
-        found = np.searchsorted(self.time_ns, time_ns, side="right") - 1
-        return np.clip(found, 0, self.pieces.shape[2] - 1)
+        found = self._evenly(time_ns)
+        if found is None:
+            found = np.searchsorted(self.time_ns, time_ns, side="right") - 1
+        return np.clip(found, 0, self.start.shape[1] - 1)
+
+    def _evenly(self, time_ns: Integers) -> npt.NDArray[np.intp] | None:
+        """The same, if the rows are so even that dividing finds it: five times as fast as a search."""
+        last = len(self.time_ns) - 1
+        if last < 1 or len(time_ns) < _MANY:
+            return None
+        step_ns = (self.time_ns[-1] - self.time_ns[0]) / last
+        found = ((time_ns - self.time_ns[0]) / step_ns).astype(np.intp)
+        if found.min() < 0 or found.max() >= last:
+            np.clip(found, 0, last - 1, out=found)
+        found += time_ns >= self.time_ns.take(found + 1)
+        if found.max() >= last:
+            return None
+        is_right = (self.time_ns.take(found) <= time_ns) & (time_ns < self.time_ns.take(found + 1))
+        return found if is_right.all() else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +79,8 @@ class Recorded:
     """`columns` (n,) or (n, 3) at `time` (n,) ns, joined by cubic pieces whose slope at a row comes from the rows
     before and after it (three-point formula; from one at the ends): values and slopes without jumps.
 
-    Only a few blocks of rows are in memory at any time. `where` stands in the LogError for rows that aren't finite or
-    whose times don't increase.
+    Only a few blocks of rows are in memory at any time, up to `_KEPT_BYTES`. `where` stands in the LogError for rows
+    that aren't finite or whose times don't increase.
     """
 
     time: NamedColumn
@@ -86,7 +119,7 @@ class Recorded:
             begin, end = block.row_before(ends).tolist()
             if block.moves[end + 1] > block.moves[begin]:
                 return None
-        value = block.pieces[0, :, end] + 0.0
+        value = block.start[:, end] + 0.0
         return np.broadcast_to(value, (len(within), len(value)))
 
     def _joined(self, within: Integers, worked_out: Callable[[_Block, Integers], Floats], of_each: int) -> Floats:
@@ -135,8 +168,20 @@ class Recorded:
         return np.array([self.time[row] for row in rows], np.int64)
 
     @cached_property
-    def _block(self) -> Callable[[int], _Block]:
-        return lru_cache(maxsize=_KEPT)(self._read)
+    def _blocks(self) -> dict[int, _Block]:
+        """Those in memory, the one that was asked for last at the end."""
+        return {}
+
+    def _block(self, number: int) -> _Block:
+        blocks = self._blocks
+        found = blocks.pop(number, None)
+        if found is not None:
+            blocks[number] = found
+            return found
+        blocks[number] = found = self._read(number)
+        while len(blocks) > _KEPT and sum(block.bytes for block in blocks.values()) > _KEPT_BYTES:
+            del blocks[next(iter(blocks))]
+        return found
 
     def _read(self, number: int) -> _Block:
         """One block, with a row more on either side while slopes are taken."""
@@ -174,22 +219,29 @@ def _slopes(time_ns: Integers, rows: Floats) -> Floats:
 def _between(time_ns: Integers, rows: Floats, slopes: Floats) -> _Block:
     """The cubic pieces (Hermite) between rows (k, c) with these slopes per s."""
     if len(rows) == 1:
-        alone = np.concatenate([rows.T[None], np.zeros((3, rows.shape[1], 1))])
-        return _Block(time_ns, np.ones(1), alone, np.zeros(2, np.int64))
+        return _Block(time_ns, rows.T.copy(), np.zeros(2, np.int64), np.zeros(0), np.zeros((3, rows.shape[1], 0)))
     length_s = np.diff(time_ns) * 1e-9
     start, rise = rows[:-1].T, rows[1:].T - rows[:-1].T
     begin, end = slopes[:-1].T * length_s, slopes[1:].T * length_s
-    square, cube = 3 * rise - 2 * begin - end, begin + end - 2 * rise
     moving = ((rise != 0) | (begin != 0) | (end != 0)).any(axis=0)
-    return _Block(time_ns, length_s, np.stack([start, begin, square, cube]), np.concatenate([[0], np.cumsum(moving)]))
+    moves = np.concatenate([[0], np.cumsum(moving)])
+    if not moving.any():
+        still = np.broadcast_to(start[:, :1].copy(), start.shape)
+        return _Block(time_ns, still, moves, np.zeros(0), np.zeros((3, len(start), 0)))
+    rise, begin, end = rise[:, moving], begin[:, moving], end[:, moving]
+    curve = np.stack([begin, 3 * rise - 2 * begin - end, begin + end - 2 * rise])
+    return _Block(time_ns, np.ascontiguousarray(start), moves, length_s[moving], curve)
 
 
 def _values(block: _Block, time_ns: Integers) -> Floats:
     """(c, n) at times within the block."""
     row = block.row_before(time_ns)
-    start: Floats = block.pieces[0].take(row, axis=1)
-    moving = np.flatnonzero(block.moves[1:].take(row) > block.moves.take(row))
-    if len(moving):
+    start: Floats = block.start.take(row, axis=1)
+    moving = _moving(block, row)
+    if len(moving) == len(row) and len(row):
+        x, _, (begin, square, cube) = _pieces(block, time_ns, row)
+        start += x * (begin + x * (square + x * cube))
+    elif len(moving):
         x, _, (begin, square, cube) = _pieces(block, time_ns[moving], row[moving])
         start[:, moving] += x * (begin + x * (square + x * cube))
     return start
@@ -198,10 +250,10 @@ def _values(block: _Block, time_ns: Integers) -> Floats:
 def _values_and_slopes(block: _Block, time_ns: Integers) -> Floats:
     """(2 c, n) values, and their derivatives per s below."""
     row = block.row_before(time_ns)
-    moving = np.flatnonzero(block.moves[1:].take(row) > block.moves.take(row))
-    columns = len(block.pieces[0])
+    moving = _moving(block, row)
+    columns = len(block.start)
     found = np.zeros((2 * columns, len(row)))
-    block.pieces[0].take(row, axis=1, out=found[:columns], mode="clip")
+    block.start.take(row, axis=1, out=found[:columns], mode="clip")
     if len(moving):
         x, length_s, (begin, square, cube) = _pieces(block, time_ns[moving], row[moving])
         found[:columns, moving] += x * (begin + x * (square + x * cube))
@@ -209,7 +261,15 @@ def _values_and_slopes(block: _Block, time_ns: Integers) -> Floats:
     return found
 
 
+def _moving(block: _Block, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """Which of these pieces are not constant."""
+    return np.flatnonzero(block.moves.take(row + 1) > block.moves.take(row))
+
+
 def _pieces(block: _Block, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
-    """(n,) where in their pieces the times lie, 0 to 1; (n,) the lengths of these in s; (3, c, n) p1, p2, p3."""
-    length_s = block.length_s[row]
-    return ((time_ns - block.time_ns[row]) * 1e-9) / length_s, length_s, block.pieces[1:].take(row, axis=2)
+    """(n,) where in their pieces, none of which is constant, the times lie, 0 to 1; (n,) the lengths of these in s;
+    (3, c, n) p1, p2, p3.
+    """
+    piece = block.moves.take(row)
+    length_s = block.length_s.take(piece)
+    return ((time_ns - block.time_ns.take(row)) * 1e-9) / length_s, length_s, block.curve.take(piece, axis=2)

@@ -95,15 +95,21 @@ def test_results_do_not_depend_on_blocks_nor_on_what_was_asked(tmp_path: Path, m
 
 def test_only_a_few_blocks_are_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorded_module, "BLOCK", 64)
+    read: list[int] = []
+    whole = recorded_module.Recorded._read
+    monkeypatch.setattr(
+        recorded_module.Recorded, "_read", lambda own, number: read.append(number) or whole(own, number)
+    )
     rows = np.arange(0, 10 * S, 5_000_000)
     with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
-        motion = LikeLog(log)
-        motion.felt(rows)
-        moving = motion._moving
-        assert moving is not None
-        cache = moving._block.cache_info()  # type: ignore[attr-defined]
-        assert cache.currsize == 4
-        assert cache.misses == 32  # 2000 rows in blocks of 64, each read once
+        for kept_bytes, kept in ((0, 4), (1 << 20, 32)):
+            monkeypatch.setattr(recorded_module, "_KEPT_BYTES", kept_bytes)
+            read.clear()
+            moving = LikeLog(log)._moving
+            assert moving is not None
+            moving.at(rows)
+            assert read == list(range(32))  # 2000 rows in blocks of 64, each read once
+            assert sorted(moving._blocks) == list(range(32 - kept, 32))
 
 
 def test_before_the_first_row_and_after_the_last(tmp_path: Path) -> None:
