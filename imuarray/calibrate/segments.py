@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.calibrate.model import Described
 from imuarray.errors import CalibrationError, LogError
 from imuarray.log import Log, SensorLog
 from imuarray.log.column import NamedColumn
@@ -31,6 +32,22 @@ CHIP_DEGC: dict[str, tuple[float, float]] = {
 
 WITHOUT_ZERO = ("l3g4200d",)
 """Chips whose thermometer tells changes only (L3G-60)."""
+
+
+def degc_of(sensor: Described) -> tuple[float, float] | None:
+    """Degrees at count 0, and degrees per count, of a sensor's own thermometer: as its log says, else as the data sheet
+    of its chip does; None if it has none, or neither says it.
+    """
+    has_thermometer = sensor.temperature_counts is not None if isinstance(sensor, SensorLog) else sensor.has_temperature
+    if not has_thermometer:
+        return None
+    scale = sensor.thermometer
+    return CHIP_DEGC.get(sensor.chip) if scale is None else (scale.zero_degc, 1 / scale.lsb_per_degc)
+
+
+def has_zero(sensor: Described) -> bool:
+    """Whether its thermometer tells degrees, and not only by how many these change."""
+    return sensor.thermometer is not None or sensor.chip not in WITHOUT_ZERO
 
 
 @dataclass(frozen=True)
@@ -139,13 +156,20 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> Thermometer |
     return _chip_thermometer(log, sensor, width_s)
 
 
+def chip_thermometer(log: Log, width_s: float) -> Thermometer | None:
+    """The thermometer of the first chip that has one whose zero is known, averaged over `width_s`; None without any."""
+    for sensor in log.sensors.values():
+        if sensor.is_triad and len(sensor) and degc_of(sensor) is not None and has_zero(sensor):
+            return _chip_thermometer(log, sensor, width_s)
+    return None
+
+
 def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Thermometer | None:
-    others = sorted(log.sensors.values(), key=lambda other: (other.name != sensor.name, other.chip in WITHOUT_ZERO))
+    others = sorted(log.sensors.values(), key=lambda other: (other.name != sensor.name, not has_zero(other)))
     for other in others:
-        column = other.temperature_counts
-        if column is not None and other.chip in CHIP_DEGC and len(other):
-            kind = "relative" if other.chip in WITHOUT_ZERO else "chip"
-            return _read(kind, other.time, column, *CHIP_DEGC[other.chip], width_s)
+        column, degc = other.temperature_counts, degc_of(other)
+        if column is not None and degc is not None and len(other):
+            return _read("chip" if has_zero(other) else "relative", other.time, column, *degc, width_s)
     return None
 
 

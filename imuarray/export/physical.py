@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate import Calibration, SensorCalibration
-from imuarray.calibrate.segments import CHIP_DEGC, WITHOUT_ZERO, Thermometer
+from imuarray.calibrate.segments import Thermometer, degc_of, has_zero
 from imuarray.errors import LogError
 from imuarray.export.tables import Column
 from imuarray.fuse.thermal import element_temperatures
@@ -67,9 +67,10 @@ def _temperature(sensor: SensorLog) -> tuple[Column, ...]:
     column = sensor.temperature_counts
     if column is None:
         return ()
-    if sensor.chip not in CHIP_DEGC or sensor.chip in WITHOUT_ZERO:
+    degc = degc_of(sensor)
+    if degc is None or not has_zero(sensor):
         return (Column("temperature_counts", "<i2", "counts", (), lambda rows: np.asarray(column[rows])),)
-    zero, step = CHIP_DEGC[sensor.chip]
+    zero, step = degc
     return (Column("temperature", "<f8", "degC", (), lambda rows: zero + step * np.asarray(column[rows], float)),)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
-from imuarray.calibrate.segments import CHIP_DEGC, WITHOUT_ZERO
+from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.fuse.align import Warmth
 from imuarray.fuse.frames import Floats, Times
@@ -197,8 +197,8 @@ def running_temperatures(
 def _source(everything: Sequence[Described], sensor: Described) -> Described | None:
     """Whose thermometer is the best one for a sensor."""
     barometers = [other for other in everything if other.quantity == "pressure" and _compensates(other)]
-    chips = [other for other in everything if other.chip in CHIP_DEGC and _has_thermometer(other)]
-    chips.sort(key=lambda other: (other.name != sensor.name, other.chip in WITHOUT_ZERO))
+    chips = [other for other in everything if degc_of(other) is not None]
+    chips.sort(key=lambda other: (other.name != sensor.name, not has_zero(other)))
     return next(iter([*barometers, *chips]), None)
 
 
@@ -206,7 +206,7 @@ def _kind(source: Described) -> str:
     """The kind of its thermometer, one of `stability.THERMOMETERS`."""
     if source.quantity == "pressure":
         return "barometer"
-    return "relative" if source.chip in WITHOUT_ZERO else "chip"
+    return "chip" if has_zero(source) else "relative"
 
 
 def _compensates(sensor: Described) -> bool:
@@ -215,15 +215,14 @@ def _compensates(sensor: Described) -> bool:
     )
 
 
-def _has_thermometer(sensor: Described) -> bool:
-    return sensor.temperature_counts is not None if isinstance(sensor, SensorLog) else sensor.has_temperature
-
-
 def _feed(thermometer: RunningThermometer, source: Described) -> Callable[[Block], None]:
     """What adds the temperatures of a sensor's rows."""
     if source.quantity == "pressure":
         return lambda block: thermometer.add(block.time, np.asarray(block.compensated["temperature"], float))
-    zero, step = CHIP_DEGC[source.chip]
+    degc = degc_of(source)
+    if degc is None:
+        raise ValueError(f"{source.name}: nobody knows what the counts of its thermometer mean")
+    zero, step = degc
 
     def add(block: Block) -> None:
         if block.temperature_counts is not None:

@@ -6,6 +6,7 @@ of `FORMATS`; everything that is a text table needs no code but a map (`imuarray
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -21,6 +22,9 @@ FORMATS: Mapping[str, str] = MappingProxyType({"mimu4444": "imuarray.importers.m
 
 NO_WALL_TIME = "1970-01-01T00:00:00.000000Z"
 """Epoch of a log whose source names no wall time; such a log says so in an event of kind "imported"."""
+
+_GZIP = b"\x1f\x8b"
+"""First bytes of what gzip has packed (RFC 1952)."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,13 @@ def open_source(source: str | PathLike[str], output: str | PathLike[str]) -> Bin
         file.close()
         raise SourceError(f"{path}: is the output too; a log never replaces what it was made from")
     return file
+
+
+def unpacked(file: BinaryIO) -> BinaryIO:
+    """An open file, or what is in it if gzip (RFC 1952) has packed it."""
+    begin = file.read(len(_GZIP))
+    file.seek(0)
+    return cast(BinaryIO, gzip.GzipFile(fileobj=file)) if begin == _GZIP else file
 
 
 def unreadable(path: Path, error: OSError) -> SourceError:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import math
+import zlib
 from collections.abc import Iterator, Sequence
 from decimal import Decimal, InvalidOperation
+from gzip import BadGzipFile
 from itertools import islice
 from typing import BinaryIO, NamedTuple
 
@@ -55,7 +57,7 @@ class Table:
     def _lines(self) -> Iterator[str]:
         """The lines that hold cells."""
         comment = self._layout.comment
-        while line := self._text.readline(LINE_CHARACTERS + 1):
+        while line := self._read_line():
             self.line += 1
             if len(line) > LINE_CHARACTERS:
                 raise SourceError(
@@ -64,6 +66,13 @@ class Table:
             line = line.strip(" \r\n")
             if self.line > self._layout.skip_rows and line and not (comment and line.startswith(comment)):
                 yield line
+
+    def _read_line(self) -> str:
+        """The next line, or its beginning if it is longer than any of a table; "" at the end of the file."""
+        try:
+            return self._text.readline(LINE_CHARACTERS + 1)
+        except (BadGzipFile, EOFError, zlib.error) as error:
+            raise SourceError(f"{self.source}: behind line {self.line}: packed by gzip and damaged: {error}") from None
 
     def _row(self) -> list[str]:
         """The next row; [] at the end of the file."""

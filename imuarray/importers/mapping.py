@@ -6,6 +6,7 @@
     [time]      column = "t"  unit = "s" | "ms" | "us" | "ns"     or     rate_hz = 100
     [[sensor]]  name  chip  quantity  columns = [x, y, z]  range  unit  sensitivity
                 values = "counts" | "physical"   axes = "+X+Y+Z"   position_mm = [x, y, z]   temperature_column
+                thermometer = { zero_degc, lsb_per_degc }
     [[phase]]   name  rows = [first, last]
 
 A column is a name (then the first row is a header) or an index counted from 0. Phases count data rows
@@ -69,9 +70,24 @@ class TimeTable(BaseModel):
         return self
 
 
+class ThermometerTable(BaseModel):
+    """What the counts of `temperature_column` mean: `zero_degc` + counts / `lsb_per_degc`."""
+
+    model_config = _STRICT
+    zero_degc: Annotated[float, Field(ge=-1e6, le=1e6)]
+    lsb_per_degc: Annotated[float, Field(ge=-1e6, le=1e6)]
+
+    @model_validator(mode="after")
+    def _changes(self) -> Self:
+        if self.lsb_per_degc == 0:
+            raise ValueError("lsb_per_degc 0: a thermometer's counts change with the temperature")
+        return self
+
+
 class SensorTable(BaseModel):
     """`[[sensor]]`: three columns that are one triad. `sensitivity` is in counts per `unit`; `values` says whether the
-    columns hold counts or numbers in `unit`, which are turned into counts.
+    columns hold counts or numbers in `unit`, which are turned into counts. `thermometer` is said where a chip's data
+    sheet is not known to this package, or a unit has been calibrated.
     """
 
     model_config = _STRICT
@@ -86,6 +102,7 @@ class SensorTable(BaseModel):
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
     temperature_column: Column | None = None
+    thermometer: ThermometerTable | None = None
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -93,6 +110,8 @@ class SensorTable(BaseModel):
             raise ValueError(f"unit {self.unit!r}: allowed for {self.quantity} is {UNITS[self.quantity]}")
         if len(set(self.columns)) < 3:
             raise ValueError(f"columns {self.columns}: each column comes once")
+        if self.thermometer is not None and self.temperature_column is None:
+            raise ValueError("thermometer goes with temperature_column, of which it says what the counts mean")
         orientation_of(self.axes)
         return self
 

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import ConfigError, SourceError
-from imuarray.importers import NO_WALL_TIME, Summary, open_source
+from imuarray.importers import NO_WALL_TIME, Summary, open_source, unpacked
 from imuarray.importers.cells import INT16, ROWS, Block, Table, counts, nanoseconds
 from imuarray.importers.mapping import NS_PER_UNIT, PhaseTable, SensorTable, TableMap, load_map
 from imuarray.log import Block as LogBlock
 from imuarray.log import LogWriter
-from imuarray.log.format import SATURATED, Event, Phase, SensorHeader
+from imuarray.log.format import SATURATED, Event, Phase, SensorHeader, ThermometerScale
 
 Times = npt.NDArray[np.int64]
 
@@ -30,7 +30,7 @@ def import_table(
     progress: Callable[[int], None] = lambda done: None,
     block_rows: int = ROWS,
 ) -> Summary:
-    """Write the table `source`, as the map at `map_path` describes it, to the log `output`.
+    """Write the table `source`, packed by gzip or not, as the map at `map_path` describes it, to the log `output`.
 
     Raises ConfigError for the map, SourceError for the table (file, line, column), OutputExistsError, LogError.
     """
@@ -41,7 +41,7 @@ def import_table(
         LogWriter(output, headers, source="imported", epoch=NO_WALL_TIME, force=force) as log,
     ):
         named = any(isinstance(column, str) for column in table_map.columns())
-        table = Table(file, str(source), table_map.file, named)
+        table = Table(unpacked(file), str(source), table_map.file, named)
         where = {column: table.index(column) for column in table_map.columns()}
         rows = _Rows(log, table_map, where)
         for block in table.blocks(block_rows):
@@ -53,6 +53,7 @@ def import_table(
 
 def _header(sensor: SensorTable, table_map: TableMap) -> SensorHeader:
     x, y, z = sensor.position_mm
+    thermometer = sensor.thermometer
     return SensorHeader(
         name=sensor.name,
         chip=sensor.chip,
@@ -64,6 +65,7 @@ def _header(sensor: SensorTable, table_map: TableMap) -> SensorHeader:
         axes=sensor.axes,
         position_mm=(x, y, z),
         has_temperature=sensor.temperature_column is not None,
+        extra={} if thermometer is None else ThermometerScale(**thermometer.model_dump()).attributes,
     )
 
 

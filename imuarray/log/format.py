@@ -48,6 +48,9 @@ FLAGS: Mapping[str, int] = {
 MOST_SENSORS = 512
 """Of a log: an array of a hundred six-axis chips has two hundred."""
 
+THERMOMETER_ATTRIBUTES = ("thermometer_zero_degc", "thermometer_lsb_per_degc")
+"""Attributes of a sensor whose log says itself what its `temperature_counts` mean; both or none."""
+
 SOURCES = ("i2c", "serial", "emulated", "simulated", "imported", "replay")
 
 LONG_NAME: Mapping[str, str] = {
@@ -60,6 +63,18 @@ LONG_NAME: Mapping[str, str] = {
 
 TRIADS = ("specific_force", "angular_rate", "magnetic_field")
 """Quantities that have three axes."""
+
+
+class ThermometerScale(NamedTuple):
+    """What the counts of a chip's own thermometer mean: `zero_degc` + counts / `lsb_per_degc`."""
+
+    zero_degc: float
+    lsb_per_degc: float
+
+    @property
+    def attributes(self) -> Mapping[str, float]:
+        """As they stand in a log, and in the `extra` of a header."""
+        return dict(zip(THERMOMETER_ATTRIBUTES, self, strict=True))
 
 
 class Phase(NamedTuple):
@@ -121,6 +136,14 @@ class SensorHeader:
     def orientation(self) -> Matrix:
         """3x3, ``vector_box = orientation @ vector_sensor``."""
         return orientation_of(self.axes)
+
+    @property
+    def thermometer(self) -> ThermometerScale | None:
+        """What the counts of its thermometer mean, if the header says it."""
+        zero_degc, lsb_per_degc = (self.extra.get(name) for name in THERMOMETER_ATTRIBUTES)
+        if not isinstance(zero_degc, int | float) or not isinstance(lsb_per_degc, int | float) or not lsb_per_degc:
+            return None
+        return ThermometerScale(float(zero_degc), float(lsb_per_degc))
 
     @property
     def is_triad(self) -> bool:

@@ -54,4 +54,5 @@ def recorded_header(sensor: SensorLog) -> SensorHeader:
         columns=columns,
         has_temperature=sensor.temperature_counts is not None,
         compensated=("temperature", "pressure") if sensor.quantity == "pressure" else (),
+        extra={} if sensor.thermometer is None else sensor.thermometer.attributes,
     )

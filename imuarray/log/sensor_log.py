@@ -15,7 +15,7 @@ import numpy.typing as npt
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.column import DATASET, UNREADABLE, LiveGroup, NamedColumn
-from imuarray.log.format import FLAGS, TRIADS
+from imuarray.log.format import FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, ThermometerScale
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 
 _EDGE_ROWS = 4096
@@ -54,6 +54,8 @@ class SensorLog:
         self.bandwidth_hz = self._number("bandwidth_hz", 0.0)
         self.delay_ns = round(self._number("delay_ns", 0.0))
         self.axes = self._text("axes")
+        zero_degc, lsb_per_degc = (self._number(name, 0.0) for name in THERMOMETER_ATTRIBUTES)
+        self.thermometer = ThermometerScale(zero_degc, lsb_per_degc) if lsb_per_degc else None
         self.position_mm = self._numbers("position_mm", np.zeros(3))
         self.orientation = self._orientation()
         self._check_columns()

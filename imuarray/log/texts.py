@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from imuarray.log.format import THERMOMETER_ATTRIBUTES
 from imuarray.log.guard import DAMAGE, read_texts
 
 CHECK_SUMS = "text_crc32"
 """The root attribute: a CRC-32 for each of `PARTS`."""
 
 _LOG = ("format", "epoch", "source", "config", "software", "Conventions", "NX_class")
-_SENSOR = ("chip", "quantity", "unit", "axes", "columns", "NX_class")
+_SENSOR = ("chip", "quantity", "unit", "axes", "columns", "NX_class", *THERMOMETER_ATTRIBUTES)
 _TABLES: Mapping[str, Sequence[str]] = {
     "phases": ("start", "end", "name", "up"),
     "events": ("time", "sensor", "kind", "message"),

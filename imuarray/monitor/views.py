@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.calibrate.segments import CHIP_DEGC
+from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 from imuarray.log import SensorLog
 from imuarray.log.format import FLAGS
@@ -107,11 +107,12 @@ def _temperature(sensor: SensorLog, window: Window, last: slice) -> tuple[float 
     """The mean of the last rows in degC, and whether its zero is unknown; None without a thermometer."""
     if "temperature" in window.rows:
         return _finite_mean(window.rows["temperature"][last]), False
-    if "temperature_counts" not in window.rows or sensor.chip not in CHIP_DEGC:
+    degc = degc_of(sensor)
+    if "temperature_counts" not in window.rows or degc is None:
         return None, False
-    zero, step = CHIP_DEGC[sensor.chip]
+    zero, step = degc
     mean = _finite_mean(window.rows["temperature_counts"][last])
-    return None if mean is None else zero + step * mean, zero == 0.0
+    return None if mean is None else zero + step * mean, not has_zero(sensor)
 
 
 def _finite_mean(rows: Any) -> float | None:

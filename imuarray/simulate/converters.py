@@ -38,17 +38,19 @@ class CodeSpan:
 
 @dataclass(frozen=True)
 class Thermometer:
-    """counts = (temperature - zero_degc) * lsb_per_degc, eight bits."""
+    """counts = (temperature - zero_degc) * lsb_per_degc, in so many `bits`."""
 
     zero_degc: float
     lsb_per_degc: float
+    bits: int = 8
 
     def counts(self, temperature_degc: Floats) -> Counts:
         """The codes (n,) at these temperatures."""
         if temperature_degc.strides == (0,):  # it never changes: one row stands for all
             return np.broadcast_to(self.counts(temperature_degc[:1].copy()), temperature_degc.shape)
         codes = np.rint((temperature_degc - self.zero_degc) * self.lsb_per_degc)
-        return np.asarray(np.clip(codes, -128, 127), np.int32)
+        beyond = 1 << (self.bits - 1)
+        return np.asarray(np.clip(codes, -beyond, beyond - 1), np.int32)
 
 
 THERMOMETERS: Mapping[str, Thermometer] = MappingProxyType(
@@ -57,6 +59,19 @@ THERMOMETERS: Mapping[str, Thermometer] = MappingProxyType(
         "l3g4200d": Thermometer(47.0, -1.0),  # falls by 1 per degC; its zero is a part's own, this one is ours (L3G-60)
     }
 )
+
+_COUNT_BITS = 16
+"""Of the column `temperature_counts`: a log says of no thermometer how many bits it has."""
+
+
+def thermometer_of(header: SensorHeader) -> Thermometer | None:
+    """The chip's own thermometer, as its header says or else its data sheet; None if it has none, or nobody knows what
+    its counts mean.
+    """
+    if not header.has_temperature:
+        return None
+    scale = header.thermometer
+    return THERMOMETERS.get(header.chip) if scale is None else Thermometer(*scale, bits=_COUNT_BITS)
 
 
 def even_step(chip: str, rate_hz: float) -> int:

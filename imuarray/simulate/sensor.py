@@ -20,7 +20,7 @@ from imuarray.axes import Matrix
 from imuarray.barometer import EXAMPLE_WORDS, compensate, uncompensated
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
 from imuarray.log.writer import Block
-from imuarray.simulate.converters import THERMOMETERS, code_span, converted, held, latest_reading
+from imuarray.simulate.converters import code_span, converted, held, latest_reading, thermometer_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE
 from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Floats, Instants, Integers, Motion, Place, per_row
@@ -202,7 +202,7 @@ class SimulatedSensor:
         )
 
     def _coded(self, analog: Analog, phase: float) -> Codes:
-        thermometer = THERMOMETERS.get(self.header.chip) if self.header.has_temperature else None
+        thermometer = thermometer_of(self.header)
         temperature = None if thermometer is None else thermometer.counts(analog.thermometer_degc)
         counts = converted(analog, self._span)
         codes = Codes(analog.first, analog.instant_ns, counts, temperature, np.ones(len(counts), bool))

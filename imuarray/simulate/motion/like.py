@@ -6,12 +6,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.axes import UP_AXES
+from imuarray.calibrate.segments import chip_thermometer
 from imuarray.errors import LogError
 from imuarray.log.format import Phase
 from imuarray.log.reader import Log
@@ -24,6 +25,13 @@ from imuarray.simulate.motion.timeline import FOREVER_NS
 Floats = npt.NDArray[np.floating[Any]]
 
 ROOM_DEGC = 25.0
+
+CHIP_S = 10.0
+"""Over so long the readings of a chip's own thermometer are averaged: its steps and its noise are no change of the
+temperature, and what heats a chip takes longer.
+"""
+
+TemperatureSource = Literal["truth", "reference", "barometer", "chip", "nothing"]
 
 _FEW = 256
 """What was felt at so few instants is kept: the same ones, scattered over a phase, are asked for again and again."""
@@ -40,8 +48,8 @@ class LikeLog:
     the first, on the first; +Z if none is named); then turns and shaking are missing from it, and tilts too.
 
     The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included, else
-    25 degC. The field is the earth's on that face, also while the box moves; the pressure is that of height 0. The log
-    stays open. LogError for a phase whose `up` is no box axis, or rows that can't be meant.
+    what a chip's own thermometer measured, averaged over `CHIP_S`, if its zero is known, else 25 degC. The field is
+    the earth's on that face, also while the box moves; the pressure is that of height 0. The log stays open. LogError for a phase whose `up` is no box axis, or rows that can't be meant.
     """
 
     log: Log
@@ -68,6 +76,11 @@ class LikeLog:
         """Where force and rate come from: "truth", "reference" or "phases"."""
         return self._track[0]
 
+    @property
+    def temperature_source(self) -> TemperatureSource:
+        """What tells the temperature; "nothing": it is taken to be 25 degC."""
+        return self._warming[0]
+
     def felt(self, time_ns: Integers) -> Felt:
         """What the log's rows say, or its phases; read-only, of few instants."""
         if len(time_ns) > _FEW:
@@ -80,7 +93,7 @@ class LikeLog:
 
     def unchanged_until_ns(self, at_ns: int) -> int:
         """Until when it shows what it shows at `at_ns`."""
-        if self._moving is not None or self._warming is not None:
+        if self._moving is not None or self._warming[1] is not None:
             return at_ns
         later = self._starts_ns[self._starts_ns > at_ns]
         return int(later[0]) if len(later) else FOREVER_NS
@@ -99,7 +112,8 @@ class LikeLog:
 
     def _on_faces(self, time_ns: Integers) -> Felt:
         """The box at rest, at the temperature of the moment."""
-        degc = ROOM_DEGC if self._warming is None else self._warming.values_at(time_ns)[:, 0]
+        warming = self._warming[1]
+        degc = ROOM_DEGC if warming is None else warming.values_at(time_ns)[:, 0]
         ends = np.array([time_ns.min(), time_ns.max()]) if len(time_ns) else np.zeros(1, np.int64)
         first, last = self._face_at(ends)[[0, -1]].tolist()
         if first == last:
@@ -148,13 +162,19 @@ class LikeLog:
         return Recorded(track.time, (track.specific_force, track.angular_rate), f"{self.log.path}, {name}")
 
     @cached_property
-    def _warming(self) -> Recorded | None:
-        """Temperature, if anything tells it."""
-        for name, track in (("truth", self.log.truth), ("reference", self.log.reference)):
+    def _warming(self) -> tuple[TemperatureSource, Recorded | None]:
+        """What tells the temperature, and the temperature."""
+        tracks: tuple[tuple[TemperatureSource, Track | None], ...]
+        tracks = ("truth", self.log.truth), ("reference", self.log.reference)
+        for name, track in tracks:
             if track is not None and track.temperature is not None and len(track.time):
-                return Recorded(track.time, (track.temperature,), f"{self.log.path}, {name}")
+                return name, Recorded(track.time, (track.temperature,), f"{self.log.path}, {name}")
         for sensor in self.log.of("pressure"):
             with suppress(LogError):  # a barometer that was imported without
                 if len(sensor):
-                    return Recorded(sensor.time, (sensor.compensated("temperature"),), sensor.where)
-        return None
+                    return "barometer", Recorded(sensor.time, (sensor.compensated("temperature"),), sensor.where)
+        chip = chip_thermometer(self.log, CHIP_S)
+        if chip is None:
+            return "nothing", None
+        time_ns = np.rint(chip.time_s * 1e9).astype(np.int64)
+        return "chip", Recorded(time_ns, (chip.degc,), f"{self.log.path}, temperature_counts")

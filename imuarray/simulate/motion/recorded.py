@@ -83,8 +83,8 @@ class Recorded:
     that aren't finite or whose times don't increase.
     """
 
-    time: NamedColumn
-    columns: tuple[NamedColumn, ...]
+    time: NamedColumn | Integers
+    columns: tuple[NamedColumn | npt.NDArray[np.float64], ...]
     where: str
 
     def at(self, time_ns: Integers) -> tuple[Floats, Floats]:
