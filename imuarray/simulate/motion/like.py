@@ -49,7 +49,8 @@ class LikeLog:
 
     The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included, else
     what a chip's own thermometer measured, averaged over `CHIP_S`, if its zero is known, else 25 degC. The field is
-    the earth's on that face, also while the box moves; the pressure is that of height 0. The log stays open. LogError for a phase whose `up` is no box axis, or rows that can't be meant.
+    the earth's on that face, also while the box moves; the pressure is that of height 0. The log stays
+    open. LogError for a phase whose `up` is no box axis, or rows that can't be meant.
     """
 
     log: Log
