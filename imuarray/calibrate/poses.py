@@ -2,13 +2,14 @@
 
 A log whose phases name the faces (`z_up`, `x_down`, ...) says itself where they are. Any other log is searched:
 windows of half a second in which the accelerometers hardly move and no gyroscope turns, joined as long as their means
-agree.
+agree. In a log without accelerometers its gyroscopes tell, or else its magnetometers (`find_rests`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,21 @@ SAME_POSE_G = 0.02
 TURNING_DPS = 0.5
 """Windows in which the gyroscopes read so much more than when the box is still belong to no pose: the slow beginning
 and end of a turn, and turns about the vertical, are not felt by accelerometers."""
+
+BRIDGED_S = 5.0
+"""A shorter time in which nothing was read does not end a pose, if the box lies behind it as it lay before: a recorder
+that stalls says nothing of the box, and nobody turns it by hand and puts it back within hundredths of a g in that time.
+"""
+
+_LEAST_ROWS = 4
+"""Of a sensor that is read so seldom that half a second holds fewer, windows are as long as that."""
+
+_SAME_POSE: Mapping[str, float] = MappingProxyType(
+    {"specific_force": SAME_POSE_G, "angular_rate": TURNING_DPS, "magnetic_field": 0.02}
+)
+"""By how much the means of neighbouring windows of one pose differ at most, in the unit of the quantity that tells the
+poses. Two degrees of a turn change the earth's field along an axis by 0.02 gauss.
+"""
 
 _CLIPPED_SHARE = 1e-3
 """A mean of readings whose tail is cut off is wrong by more than its standard error long before it looks wrong."""
@@ -116,31 +132,48 @@ def read_pose(sensor: SensorLog, pose: Pose) -> Reading:
 
 def find_poses(log: Log, only: Collection[str] = ()) -> list[Pose]:
     """Static stretches of a log that names none, found by its accelerometers, and its gyroscopes if it has any (`only`
-    these, if any are named); first and last window cut off.
+    these, if any are named); first and last window cut off. CalibrationError without accelerometers, and for a log that
+    is too short.
     """
     sensors = _rows_of(log, "specific_force", only)
     if not sensors:
         raise CalibrationError(f"{log.path}: no accelerometer, so nothing tells when the box stood still")
+    return _rests(log, sensors, only)
+
+
+def find_rests(log: Log) -> list[Pose]:
+    """`find_poses`, in a log without accelerometers by its gyroscopes, else by its magnetometers; CalibrationError."""
+    sensors = next(filter(None, (_rows_of(log, quantity, ()) for quantity in _SAME_POSE)), [])
+    if not sensors:
+        raise CalibrationError(f"{log.path}: no sensor with three axes, so nothing tells when the box stood still")
+    return _rests(log, sensors, ())
+
+
+def _rests(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> list[Pose]:
+    """Static stretches as these sensors tell them, which measure the same, and the gyroscopes."""
+    width_ns = max(_WIDTH_NS, round(_LEAST_ROWS * 1e9 * max(_length_s(sensor) / len(sensor) for sensor in sensors)))
     begin = max(int(sensor.time[0]) for sensor in sensors)
     end = min(int(sensor.time[len(sensor) - 1]) for sensor in sensors)
-    count = max(0, (end - begin) // _WIDTH_NS)
+    count = max(0, (end - begin) // width_ns)
     if count < 4:
         raise CalibrationError(
             f"{sensors[0].where}: {(end - begin) * 1e-9:.1f} s of data, too short to hold several poses"
         )
-    starts_ns = begin + _WIDTH_NS * np.arange(count)
-    mean_g, std_g = _windows(sensors, begin, count)
+    starts_ns = begin + width_ns * np.arange(count)
+    mean, std = _windows(sensors, begin, count, width_ns)
     # Most logs are still for a good part of the time: the quiet quarter of the windows shows the noise at rest.
-    known = np.isfinite(std_g)
-    still = known & (std_g <= 2.5 * np.quantile(std_g[known], 0.25)) if known.any() else known
-    still &= ~_turning(_rows_of(log, "angular_rate", only), starts_ns, still)
-    jump = np.abs(np.diff(mean_g, axis=0)).max(axis=1) > SAME_POSE_G
-    edges = np.flatnonzero(jump | (still[1:] != still[:-1])) + 1
+    known = np.isfinite(std)
+    still = known & (std <= 2.5 * np.quantile(std[known], 0.25)) if known.any() else known
+    still &= ~_turning(_rows_of(log, "angular_rate", only), starts_ns, still, width_ns)
+    read = np.flatnonzero(known)
+    jump = np.abs(np.diff(mean[read], axis=0)).max(axis=1) > _SAME_POSE[sensors[0].quantity]
+    jump |= np.diff(read) * width_ns > BRIDGED_S * 1e9 + width_ns
+    edges = np.flatnonzero(jump | (still[read][1:] != still[read][:-1])) + 1
     poses: list[Pose] = []
-    for run in np.split(np.arange(len(still)), edges):
-        if still[run[0]] and len(run) * WINDOW_S >= MIN_POSE_S:
-            margin_ns = _WIDTH_NS if len(run) >= 5 else 0
-            start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + _WIDTH_NS
+    for run in np.split(read, edges):
+        if len(run) and still[run[0]] and len(run) * width_ns >= MIN_POSE_S * 1e9:
+            margin_ns = width_ns if len(run) >= 5 else 0
+            start_ns, end_ns = int(starts_ns[run[0]]), int(starts_ns[run[-1]]) + width_ns
             poses.append(Pose(Phase(start_ns + margin_ns, end_ns - margin_ns, f"pose {len(poses) + 1}"), None, log))
     return poses
 
@@ -151,7 +184,10 @@ def _rows_of(log: Log, quantity: str, only: Collection[str]) -> list[SensorLog]:
 
 
 def _turning(
-    gyroscopes: Sequence[SensorLog], starts_ns: npt.NDArray[np.int64], still: npt.NDArray[np.bool_]
+    gyroscopes: Sequence[SensorLog],
+    starts_ns: npt.NDArray[np.int64],
+    still: npt.NDArray[np.bool_],
+    width_ns: int,
 ) -> npt.NDArray[np.bool_]:
     """(w,) whether the gyroscopes turn in a window: they read otherwise than in the median of the `still` ones.
 
@@ -159,9 +195,9 @@ def _turning(
     """
     if not gyroscopes or not still.any():
         return np.zeros(len(starts_ns), bool)
-    mean_dps, std_dps = _windows(gyroscopes, int(starts_ns[0]), len(starts_ns))
+    mean_dps, std_dps = _windows(gyroscopes, int(starts_ns[0]), len(starts_ns), width_ns)
     usual = np.median(mean_dps[still], axis=0)
-    rows = max(1.0, WINDOW_S * min(len(sensor) / _length_s(sensor) for sensor in gyroscopes))
+    rows = max(1.0, width_ns * 1e-9 * min(len(sensor) / _length_s(sensor) for sensor in gyroscopes))
     noise = float(np.median(std_dps[still])) / np.sqrt(rows)
     off = np.abs(mean_dps - usual).max(axis=1)
     return np.asarray(np.isfinite(std_dps) & (off > TURNING_DPS + 5 * np.nan_to_num(noise, posinf=0.0)))
@@ -171,7 +207,7 @@ def _length_s(sensor: SensorLog) -> float:
     return max((int(sensor.time[len(sensor) - 1]) - int(sensor.time[0])) * 1e-9, 1e-9)
 
 
-def _windows(sensors: Sequence[SensorLog], begin: int, count: int) -> tuple[Floats, Floats]:
+def _windows(sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int) -> tuple[Floats, Floats]:
     """Mean (w, 3) and largest standard deviation (w,) of every window from `begin` (ns), in the sensors' unit, averaged
     over the sensors.
 
@@ -181,7 +217,7 @@ def _windows(sensors: Sequence[SensorLog], begin: int, count: int) -> tuple[Floa
     for sensor in sensors:
         sums, squares, rows = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
         for block in sensor.blocks():
-            window = (np.asarray(sensor.time[block]) - begin) // _WIDTH_NS
+            window = (np.asarray(sensor.time[block]) - begin) // width_ns
             inside = (window >= 0) & (window < count)
             value = np.asarray(sensor.counts[block], float)[inside] / sensor.sensitivity @ sensor.orientation.T
             np.add.at(sums, window[inside], value)

@@ -10,10 +10,11 @@ import numpy.typing as npt
 import pytest
 from scipy.stats import chi2
 
-from imuarray.calibrate.poses import Pose, find_poses, named_faces, read_pose
+from imuarray.calibrate.poses import Pose, find_poses, find_rests, named_faces, read_pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
-from imuarray.log.format import Phase
+from imuarray.log.format import Phase, SensorHeader
+from imuarray.units import Quantity
 from tests.calibrate.conftest import EPOCH, Floats, Part, WriteLog, accelerometer, directions, gyroscope, skewed
 
 RATE_HZ = 100.0
@@ -142,6 +143,55 @@ def test_an_accelerometer_that_read_nothing_does_not_hide_the_poses(write_log: W
         assert len(poses) == 14
         with pytest.raises(CalibrationError, match="sensor A1: no sound readings in phase 'pose 1'"):
             read_pose(log["A1"], poses[0])
+
+
+def test_a_recorder_that_stalls_does_not_end_a_pose(tmp_path: Path) -> None:
+    """51 rows at 17 ms, then nothing for 2.8 s, again and again, in one attitude: one pose, as long as the log."""
+    felt = np.tile([0.0, 0.0, 1.0], (51 * 40, 1))
+    row = np.arange(len(felt), dtype=np.int64)
+    time = row * 17_000_000 + row // 51 * 2_800_000_000
+    part, path = two_sensors()[0], tmp_path / "stalls.h5"
+    with LogWriter(path, [part.header], source="simulated", epoch=EPOCH) as writer:
+        counts = part.read(felt, np.random.default_rng(1))
+        writer.append(part.header.name, Block(time, counts, np.zeros(len(time), np.uint16)))
+    with open_log(path) as log:
+        (pose,) = find_poses(log)
+    assert (pose.phase.end_ns - pose.phase.start_ns) * 1e-9 == pytest.approx(40 * 51 * 0.017 + 39 * 2.8, abs=3.0)
+
+
+@pytest.mark.parametrize(("silent_s", "poses"), [(4.0, 1), (8.0, 2)])
+def test_a_longer_silence_ends_a_pose(tmp_path: Path, silent_s: float, poses: int) -> None:
+    """Five seconds (`BRIDGED_S`) are the most in which nobody can have turned the box and put it back."""
+    row = np.arange(2000, dtype=np.int64)
+    time = row * 10_000_000 + np.where(row >= 1000, round(silent_s * 1e9), 0)
+    part, path = two_sensors()[0], tmp_path / "silence.h5"
+    with LogWriter(path, [part.header], source="simulated", epoch=EPOCH) as writer:
+        counts = part.read(np.tile([0.0, 0.0, 1.0], (2000, 1)), np.random.default_rng(1))
+        writer.append(part.header.name, Block(time, counts, np.zeros(2000, np.uint16)))
+    with open_log(path) as log:
+        assert len(find_poses(log)) == poses
+
+
+@pytest.mark.parametrize(("unit", "moved"), [("dps", 30.0), ("gauss", 0.4)])
+def test_without_accelerometers_gyroscopes_or_magnetometers_tell_the_rests(
+    tmp_path: Path, unit: str, moved: float
+) -> None:
+    """20 s still, 4 s in which every axis goes to and fro, 20 s still; read four times a second by the slowest."""
+    sensitivity, rate_hz = {"dps": (100.0, 50.0), "gauss": (1000.0, 4.0)}[unit]
+    quantity: Quantity = "angular_rate" if unit == "dps" else "magnetic_field"
+    header = SensorHeader("S", "unheard_of", quantity, unit, 1000.0, sensitivity)
+    seconds = np.arange(round(44 * rate_hz)) / rate_hz
+    moving = (seconds >= 20) & (seconds < 24)
+    felt = np.where(moving[:, None], moved * np.sin(2 * np.pi * seconds)[:, None], 0.1) * np.ones(3)
+    counts = np.rint(felt * sensitivity + np.random.default_rng(5).normal(0, 3, felt.shape)).astype(np.int16)
+    path = tmp_path / "rests.h5"
+    with LogWriter(path, [header], source="imported", epoch=EPOCH) as writer:
+        writer.append("S", Block(np.rint(seconds * 1e9).astype(np.int64), counts, np.zeros(len(seconds), np.uint16)))
+    with open_log(path) as log:
+        found = [(pose.phase.start_ns * 1e-9, pose.phase.end_ns * 1e-9) for pose in find_rests(log)]
+        with pytest.raises(CalibrationError, match="no accelerometer"):
+            find_poses(log)
+    assert found == [pytest.approx((0, 20), abs=2.6), pytest.approx((24, 44), abs=2.6)]
 
 
 def test_named_faces_are_those_with_an_up_and_a_face_for_a_name(write_log: WriteLog) -> None:
