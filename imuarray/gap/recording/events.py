@@ -14,7 +14,7 @@ from imuarray.gap.recording.neighbours import lone_beside
 from imuarray.gap.recording.outliers import Outliers
 from imuarray.gap.recording.repeated_rows import NOWHERE, RepeatedRows, held_in
 from imuarray.gap.recording.resets import Reset, resets_in
-from imuarray.gap.recording.source import RecordedSource
+from imuarray.gap.recording.source import recorded_source
 from imuarray.log import Log
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
@@ -82,7 +82,7 @@ def _events(log: Log, name: str, line: Timeline, moving: Sequence[Phase], known:
     others = [log[other] for other in known if other != name and log[other].quantity == sensor.quantity]
     own = line.own if isinstance(line, Awaited) else line
     return Events(
-        held_in(RecordedSource(sensor).blocks(0, _END_NS)),
+        held_in(recorded_source(sensor, line).blocks(0, _END_NS)),
         tuple(lone_beside(sensor, others, phase) for phase in moving),
         tuple(own.holes()) if isinstance(own, Filled) else (),
         host,

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.axes import up_vector
-from imuarray.calibrate.poses import MIN_POSE_S, find_poses
+from imuarray.calibrate.poses import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, ups_of
@@ -59,7 +59,7 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
 def _found_poses(log: Log) -> tuple[list[Phase], list[str]]:
     """Static stretches that no phase names, without the shortest."""
     try:
-        found = [pose.phase for pose in find_poses(log)]
+        found = [pose.phase for pose in find_rests(log)]
     except CalibrationError:
         return [], []
     lengths = [phase.end_ns - phase.start_ns for phase in found]
@@ -146,8 +146,13 @@ def _sides(phases: Sequence[Phase], attitudes: Sequence[Attitude]) -> int:
     return len(apart)
 
 
-def unknown_temperature(log: Log) -> list[str]:
-    """A note, if nothing tells the temperature."""
-    tracks = [track for track in (log.truth, log.reference) if track is not None]
-    known = any(track.temperature is not None for track in tracks) or any(len(one) for one in log.of("pressure"))
-    return [] if known else ["No reference tells the temperature: 25 degC is assumed all the time."]
+def temperature_notes(motion: LikeLog) -> list[str]:
+    """A note, if no reference tells the temperature."""
+    if motion.temperature_source == "nothing":
+        return ["No reference tells the temperature: 25 degC is assumed all the time."]
+    if motion.temperature_source == "chip":
+        return [
+            "No reference tells the temperature: it is taken from a chip's own thermometer, which may be some degrees "
+            "off and is warmer than the air. So no thermometer is compared with another one."
+        ]
+    return []

@@ -7,7 +7,7 @@ says nothing, static poses are found and their attitudes estimated from the acce
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -15,19 +15,20 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
-from imuarray.gap.recording.phases import attitudes_of, kind_of, phases_of, unknown_temperature
-from imuarray.gap.recording.source import RecordedSource, Source
+from imuarray.gap.recording.field import fields_of
+from imuarray.gap.recording.phases import attitudes_of, is_at_rest, kind_of, phases_of, temperature_notes
+from imuarray.gap.recording.row_timing import RowTiming, even_rows, notes_of, row_timing
+from imuarray.gap.recording.source import Source, recorded_source
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
-from imuarray.simulate.converters import THERMOMETERS
+from imuarray.simulate.converters import thermometer_of
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Posed
 from imuarray.simulate.simulation import Plan, plan_like
-from imuarray.simulate.timeline import filled
+from imuarray.simulate.timeline import Timeline, filled
 from imuarray.simulate.waits import awaited
-from imuarray.units import INERTIAL
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -60,19 +61,24 @@ class Recording:
 
 
 def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
-    """One log, of its inertial sensors or `only` those named.
+    """One log, of its triads or `only` those named.
 
     LogError for a sensor that it doesn't have, and for a log in which nothing can be compared.
     """
     chosen, left_out = _chosen(log, only)
-    plan = plan_like(log, chosen)
-    lines = awaited({name: filled(log[name]) for name in plan.sensors}, log.sensors)
-    sensors = {name: (_without_strange_thermometer(header), lines[name]) for name, (header, _) in plan.sensors.items()}
     motion = LikeLog(log)
     phases, skipped = phases_of(log, motion)
+    chosen, unknown = _without_unknown_field(log, chosen, phases)
+    plan = plan_like(log, chosen)
+    timings = {name: row_timing(log[name]) for name in plan.sensors}
+    lines = _timelines(log, timings)
+    is_compared = motion.temperature_source != "chip"
+    sensors = {name: (_with_known(header, is_compared), lines[name]) for name, (header, _) in plan.sensors.items()}
     attitudes, assumed = attitudes_of(log, phases, motion)
-    notes = (*left_out, *skipped, *assumed, *unknown_temperature(log))
-    posed = Posed(attitudes, motion) if any(attitude.estimated for attitude in attitudes) else motion
+    notes = (*left_out, *unknown, *skipped, *assumed, *temperature_notes(motion), *notes_of(timings.items()))
+    fields = fields_of([log[name] for name in chosen], phases)
+    motion = replace(motion, fields=fields)
+    posed = Posed(attitudes, motion, fields) if any(attitude.estimated for attitude in attitudes) else motion
     experiment = Experiment(replace(plan, sensors=sensors), posed)
     return Recording(log.path.name, log, kind_of(phases, attitudes), phases, experiment, notes)
 
@@ -87,9 +93,7 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
     first: dict[str, SensorLog] = {}
     if all(log.epoch for log in logs):
         logs = sorted(logs, key=lambda log: log.epoch)
-    names = dict.fromkeys(
-        only or (name for log in logs for name, sensor in log.sensors.items() if _is_inertial(sensor))
-    )
+    names = dict.fromkeys(only or (name for log in logs for name, sensor in log.sensors.items() if sensor.is_triad))
     for name in names:
         if not any(name in log.sensors for log in logs):
             raise LogError(f"{logs[0].path}: no sensor {name!r}, nor in any other log")
@@ -115,17 +119,19 @@ def temperature_of(motion: Motion) -> Temperature:
 
 
 def sources_of(recording: Recording) -> dict[str, Source]:
-    """Its sensors' rows, as a simulation of it has them: without the counts of thermometers whose scale is unknown."""
+    """Its sensors' rows, as a simulation of it has them: without the counts of thermometers whose scale is unknown, or
+    that are all that tells the temperature; those that came in bursts at the times at which they were read.
+    """
     sources: dict[str, Source] = {}
-    for name, (header, _) in recording.experiment.plan.sensors.items():
-        source = RecordedSource(recording.log[name])
+    for name, (header, line) in recording.experiment.plan.sensors.items():
+        source = recorded_source(recording.log[name], line)
         strange = source.header.has_temperature and not header.has_temperature
         sources[name] = _NoThermometer(source) if strange else source
     return sources
 
 
 class _NoThermometer:
-    """A source without the counts of a thermometer of which nobody knows what they mean."""
+    """A source without the counts of a thermometer that can't be compared."""
 
     def __init__(self, source: Source) -> None:
         self.header = replace(source.header, has_temperature=False)
@@ -141,19 +147,39 @@ class _NoThermometer:
 
 def _chosen(log: Log, only: Collection[str]) -> tuple[list[str], list[str]]:
     """Names of sensors, and notes on those left out."""
-    wanted = [log[name] for name in only] or [sensor for sensor in log.sensors.values() if _is_inertial(sensor)]
+    wanted = [log[name] for name in only] or [sensor for sensor in log.sensors.values() if sensor.is_triad]
     for sensor in wanted:
         if not sensor.is_triad:
             raise LogError(f"{sensor.where}: {sensor.quantity} has no three axes; allowed are triads")
     notes = [f"{sensor.name} is left out: its sensitivity is not known." for sensor in wanted if not sensor.sensitivity]
     chosen = [sensor.name for sensor in wanted if sensor.sensitivity and len(sensor)]
     if not chosen:
-        raise LogError(f"{log.path}: no accelerometer or gyroscope with readings and a known sensitivity")
+        raise LogError(f"{log.path}: no sensor with three axes, readings and a known sensitivity")
     return chosen, notes
 
 
-def _is_inertial(sensor: SensorLog) -> bool:
-    return sensor.quantity in INERTIAL
+def _without_unknown_field(log: Log, names: Sequence[str], phases: Sequence[Phase]) -> tuple[list[str], list[str]]:
+    """Those of the sensors for which it is known what they feel, and notes on others: no log tells the magnetic field
+    while the box moves. LogError if none is left.
+    """
+    if all(map(is_at_rest, phases)):
+        return list(names), []
+    others = [name for name in names if log[name].quantity != "magnetic_field"]
+    if not others:
+        raise LogError(
+            f"{log.path}: nothing tells the magnetic field while the box moves, and no other sensor is there"
+        )
+    magnetometers = [name for name in names if name not in others]
+    return others, [f"{name} is left out: nothing tells the field while the box moves." for name in magnetometers]
+
+
+def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> dict[str, Timeline]:
+    """When each sensor is read."""
+    steady: dict[str, Timeline] = {
+        name: filled(log[name]) for name, timing in timings.items() if timing.kind != "bursts"
+    }
+    even = {name: even_rows(log[name]) for name in timings if name not in steady}
+    return {**(awaited(steady, log.sensors) if steady else {}), **even}
 
 
 def _same(one: SensorLog, other: SensorLog) -> None:
@@ -162,5 +188,6 @@ def _same(one: SensorLog, other: SensorLog) -> None:
             raise LogError(f"{other.where}: {name} is {here}, but {there} in {one.where}")
 
 
-def _without_strange_thermometer(header: SensorHeader) -> SensorHeader:
-    return replace(header, has_temperature=header.has_temperature and header.chip in THERMOMETERS)
+def _with_known(header: SensorHeader, is_compared: bool) -> SensorHeader:
+    """Without a thermometer whose counts mean nothing to anybody, or that can't be `compared` with another one."""
+    return replace(header, has_temperature=is_compared and thermometer_of(header) is not None)

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from imuarray.gap.recording.row_timing import EvenRows
 from imuarray.log import SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.log.headers import recorded_header
@@ -21,6 +22,7 @@ from imuarray.log.writer import Block
 from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK
+from imuarray.simulate.timeline import Timeline
 
 
 class Source(Protocol):
@@ -56,15 +58,42 @@ class RecordedSource:
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         """Slices of the log, which end where its chunks end."""
-        sensor, span = self._sensor, self._sensor.between(start_ns, end_ns)
+        span = self._sensor.between(start_ns, end_ns)
+        return self.slices(span.start, span.stop)
+
+    def slices(self, begin: int, end: int) -> Iterator[Block]:
+        """Rows begin ... end - 1, in the same slices."""
+        sensor = self._sensor
         temperature = sensor.temperature_counts
-        for first, stop in _parts(span.start, span.stop):
+        for first, stop in _parts(begin, end):
             yield Block(
                 np.asarray(sensor.time[first:stop], np.int64),
                 np.asarray(sensor.counts[first:stop], np.int16),
                 np.asarray(sensor.status[first:stop], np.uint16),
                 None if temperature is None else np.asarray(temperature[first:stop], np.int16),
             )
+
+
+class EvenSource:
+    """A sensor of an open log whose rows came in bursts, at the times at which they were read."""
+
+    def __init__(self, sensor: SensorLog, line: EvenRows) -> None:
+        self.header = _header_in(sensor)
+        self.known: dict[Hashable, Any] = {}
+        self._source = RecordedSource(sensor)
+        self._line = line
+
+    def rows(self, start_ns: int, end_ns: int) -> int:
+        """Rows that were read there."""
+        return self._line.row_at(end_ns) - self._line.row_at(start_ns)
+
+    def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
+        """Slices of the log, which end where its chunks end."""
+        first = self._line.row_at(start_ns)
+        for block in self._source.slices(first, self._line.row_at(end_ns)):
+            stop = first + len(block.time)
+            yield block._replace(time=self._line.stamps(first, stop))
+            first = stop
 
 
 class SimulatedSource:
@@ -91,6 +120,11 @@ class SimulatedSource:
         """The first row stamped `at_ns` or later."""
         stamps = self._sensor.timeline.stamps
         return bisect_left(range(self._sensor.rows), at_ns, key=lambda row: int(stamps(row, row + 1)[0]))
+
+
+def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenSource:
+    """The rows of a sensor of an open log, at the times that its timeline gives."""
+    return EvenSource(sensor, line) if isinstance(line, EvenRows) else RecordedSource(sensor)
 
 
 def simulated_sources(simulation: Simulation) -> dict[str, Source]:

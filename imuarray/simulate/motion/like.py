@@ -19,6 +19,7 @@ from imuarray.log.reader import Log
 from imuarray.log.tracks import Track
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting, standing_on
 from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
 from imuarray.simulate.motion.recorded import Recorded
 from imuarray.simulate.motion.timeline import FOREVER_NS
 
@@ -49,11 +50,12 @@ class LikeLog:
 
     The temperature is that of the same rows, else what a barometer of the log measured, noise and offset included, else
     what a chip's own thermometer measured, averaged over `CHIP_S`, if its zero is known, else 25 degC. The field is
-    the earth's on that face, also while the box moves; the pressure is that of height 0. The log stays
-    open. LogError for a phase whose `up` is no box axis, or rows that can't be meant.
+    that of `fields`, if there are any, else the earth's on that face, also while the box moves; the pressure is that
+    of height 0. The log stays open. LogError for a phase whose `up` is no box axis, or rows that can't be meant.
     """
 
     log: Log
+    fields: tuple[PhaseField, ...] = ()
 
     def __post_init__(self) -> None:
         for phase in self.log.phases:
@@ -88,16 +90,16 @@ class LikeLog:
             return self._felt(time_ns)
         return self._remembered(np.asarray(time_ns, np.int64).tobytes())
 
-    def __reduce__(self) -> tuple[type[LikeLog], tuple[Log]]:
-        """Its log alone, which opens itself; what was read of it is not sent."""
-        return LikeLog, (self.log,)
+    def __reduce__(self) -> tuple[type[LikeLog], tuple[Log, tuple[PhaseField, ...]]]:
+        """Its log, which opens itself, and what it was told; what was read of the log is not sent."""
+        return LikeLog, (self.log, self.fields)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
         """Until when it shows what it shows at `at_ns`."""
         if self._moving is not None or self._warming[1] is not None:
             return at_ns
         later = self._starts_ns[self._starts_ns > at_ns]
-        return int(later[0]) if len(later) else FOREVER_NS
+        return min(int(later[0]) if len(later) else FOREVER_NS, field_until_ns(self.fields, at_ns))
 
     @cached_property
     def _remembered(self) -> Callable[[bytes], Felt]:
@@ -106,6 +108,8 @@ class LikeLog:
 
     def _felt(self, time_ns: Integers) -> Felt:
         felt = self._on_faces(time_ns)
+        if self.fields:
+            felt = replace(felt, field_box=field_at(self.fields, time_ns))
         if self._moving is None:
             return felt
         values, slopes = self._moving.at(time_ns)

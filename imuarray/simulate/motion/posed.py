@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, Floats, resting
 from imuarray.simulate.motion.felt import Felt, Integers, Motion
+from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
 from imuarray.simulate.motion.timeline import FOREVER_NS
 from imuarray.simulate.motion.world import Steady
 
@@ -31,12 +32,13 @@ class Attitude(NamedTuple):
 class Posed:
     """The box lies in `attitudes`, phases in order of time; from one to the next it jumps half-way between them, since
     nobody says how it was turned. Temperature and pressure are those of `surroundings`, gravity the standard one; the
-    field is the earth's as after the shortest turn from upright, since up tells no heading. ValueError for no attitude,
-    or a direction that is none.
+    field is that of `fields`, if there are any, else the earth's as after the shortest turn from upright, since up
+    tells no heading. ValueError for no attitude, or a direction that is none.
     """
 
     attitudes: tuple[Attitude, ...]
     surroundings: Motion
+    fields: tuple[PhaseField, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.attitudes:
@@ -72,13 +74,15 @@ class Posed:
                 force_box=(GRAVITY_LEVEL @ self._rotations)[number],
                 field_box=(FIELD_LEVEL @ self._rotations)[number],
             )
+        if self.fields:
+            still = replace(still, field_box=field_at(self.fields, time_ns))
         return replace(still, pressure_pa=around.pressure_pa)
 
     def unchanged_until_ns(self, at_ns: int) -> int:
         """Until when it shows what it shows at `at_ns`."""
         around = self.surroundings
         later = self._turns_ns[self._turns_ns > at_ns]
-        turn_ns = int(later[0]) if len(later) else FOREVER_NS
+        turn_ns = min(int(later[0]) if len(later) else FOREVER_NS, field_until_ns(self.fields, at_ns))
         return min(turn_ns, around.unchanged_until_ns(at_ns)) if isinstance(around, Steady) else at_ns
 
     @cached_property

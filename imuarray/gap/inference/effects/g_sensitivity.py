@@ -29,7 +29,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 def _found(evidence: Evidence) -> Iterator[Hypothesis]:
-    if evidence.header.quantity == "specific_force":
+    if evidence.header.quantity != "angular_rate":
         return
     found = _from_faces(evidence) if evidence.is_odd(*_AT_REST, beyond=_BEYOND) else None
     if found is None and evidence.is_odd(*_IN_MOTION, beyond=_BEYOND):

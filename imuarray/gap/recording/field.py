@@ -1,0 +1,43 @@
+"""The magnetic field in which a box lay, from its own magnetometers: no log tells it, and no two rooms have the same.
+
+So the level that the magnetometers of a log have in common, in each phase at rest, is what is felt there, and says
+nothing of their errors; how they differ, and what they do within a phase, does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.recording.phases import is_at_rest
+from imuarray.gap.recording.source import RecordedSource
+from imuarray.log import SensorLog
+from imuarray.log.format import Phase
+from imuarray.simulate.motion.fields import PhaseField
+
+Floats = npt.NDArray[np.float64]
+
+
+def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[PhaseField, ...]:
+    """The mean of the magnetometers among `sensors` in each of the phases at rest, in the order of time; nothing where
+    there is no magnetometer.
+    """
+    magnetometers = [sensor for sensor in sensors if sensor.quantity == "magnetic_field" and sensor.sensitivity]
+    found = []
+    for phase in filter(is_at_rest, sorted(phases)):
+        means = [mean for sensor in magnetometers if (mean := _mean_box(sensor, phase)) is not None]
+        if means:
+            x, y, z = np.mean(means, axis=0).tolist()
+            found.append(PhaseField(phase.start_ns, (x, y, z)))
+    return tuple(found)
+
+
+def _mean_box(sensor: SensorLog, phase: Phase) -> Floats | None:
+    """(3,) gauss in the box frame; None without readings."""
+    rows, sums = 0, np.zeros(3)
+    for block in RecordedSource(sensor).blocks(phase.start_ns, phase.end_ns):
+        rows += len(block.time)
+        sums += block.counts.sum(axis=0, dtype=float)
+    return np.asarray(sensor.orientation @ sums / (rows * sensor.sensitivity)) if rows else None

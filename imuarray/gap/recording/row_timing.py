@@ -1,0 +1,198 @@
+"""How the rows of a recorded sensor follow each other in time: steadily, with stalls in between, or in bursts.
+
+A recorder that stalls reads nothing for a while, and goes on at the usual pace. A host that is late reads in a burst
+what a chip has kept for it, or stamps what a driver has kept: then times are those of arrival, and not those of the
+readings. The two are told apart by what follows a gap: a burst is as long as the gap before it calls for, what follows
+a stall is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.log import SensorLog
+
+Floats = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+Kind = Literal["steady", "stalls", "bursts"]
+
+GAP = 3.0
+"""An interval that is so many times the usual one (the median) is a gap: a row that was lost, or a poll loop that was
+kept waiting for one more period, is none."""
+
+LEAST_SHARE = 0.05
+"""Of the time that gaps take in all; with less, rows that come late are the ordinary jitter of a host."""
+
+LEAST_GAPS = 8
+"""Fewer have no pattern."""
+
+FOLLOWS = 0.5
+"""Correlation between the length of a gap and the number of rows behind it from which on these are a burst. Without a
+connection, `LEAST_GAPS` have that by chance in one of five logs, a hundred never."""
+
+REGULAR = 0.05
+"""Gaps whose lengths scatter by a smaller share of their median are all as long as each other: then nothing can follow
+their length, and rows are a burst only if they come `HURRY` times as fast as on average."""
+
+HURRY = 10.0
+
+SAME = 0.8
+"""Share of the gaps that come after the same number of rows; with fewer, stalls are told without a period."""
+
+_KNOT_ROWS = 2048
+"""Rows from one mean of arrival times to the next: a host is late by some hundredths of a second, and the mean of so
+many rows by less than a thousandth; oscillators drift more slowly."""
+
+
+@dataclass(frozen=True)
+class RowTiming:
+    """`rows` over `seconds`, `usual_s` apart (the median). `gaps`: how many intervals are longer than `GAP` of it,
+    `gap_s` their median length, `gaps_s` that of all together; `period_rows`: after so many rows most of them come, 0
+    if the number is another each time.
+    """
+
+    kind: Kind
+    rows: int
+    seconds: float
+    usual_s: float
+    gaps: int = 0
+    gap_s: float = 0.0
+    gaps_s: float = 0.0
+    period_rows: int = 0
+
+    @property
+    def rate_hz(self) -> float:
+        """Rows a second over the whole log."""
+        return (self.rows - 1) / self.seconds if self.seconds > 0 else 0.0
+
+    @property
+    def sentence(self) -> str:
+        """What it means for who reads the log; "" of a steady one."""
+        if self.kind == "stalls":
+            after = f" after every {self.period_rows} rows" if self.period_rows else f", {self.gaps} times"
+            return (
+                f"rows stall for {self.gap_s:.3g} s{after}: no rows in {self.gaps_s:.0f} of {self.seconds:.0f} s; "
+                f"between the stalls one comes every {1e3 * self.usual_s:.3g} ms ({1 / self.usual_s:.4g} Hz)"
+            )
+        if self.kind == "bursts":
+            return (
+                f"rows arrive in bursts, {1e3 * self.usual_s:.3g} ms apart behind gaps of {1e3 * self.gap_s:.3g} ms "
+                f"for which they make up: the times are those of arrival at the host. The true rate is "
+                f"{self.rate_hz:.4g} Hz, and rows are taken to have been read at that pace"
+            )
+        return ""
+
+
+def row_timing(sensor: SensorLog) -> RowTiming:
+    """Of all rows of a sensor; its times are read once."""
+    rows = len(sensor)
+    if rows < 2:
+        return RowTiming("steady", rows, 0.0, 0.0)
+    seconds = (int(sensor.time[-1]) - int(sensor.time[0])) * 1e-9
+    usual_s = float(np.median(np.diff(np.asarray(sensor.time[: 1 << 16], np.int64)))) * 1e-9
+    after, length_s = _gaps(sensor, GAP * usual_s)
+    steady = RowTiming("steady", rows, seconds, usual_s)
+    if len(after) < LEAST_GAPS or length_s.sum() < LEAST_SHARE * seconds:
+        return steady
+    behind = np.diff(np.append(after, rows - 1))
+    before = np.diff(after)
+    period_rows = int(np.median(before))
+    is_periodic = np.mean(before == period_rows) >= SAME
+    return RowTiming(
+        "bursts" if _make_up(length_s, behind, seconds / (rows - 1) / usual_s) else "stalls",
+        rows,
+        seconds,
+        usual_s,
+        len(after),
+        float(np.median(length_s)),
+        float(length_s.sum()),
+        period_rows if is_periodic else 0,
+    )
+
+
+def _gaps(sensor: SensorLog, least_s: float) -> tuple[npt.NDArray[np.int64], Floats]:
+    """(k,) the row before each gap, and (k,) its length in s."""
+    after, length_s = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for block in sensor.blocks():
+        first = max(block.start - 1, 0)
+        times_ns = np.asarray(sensor.time[first : block.stop], np.int64)
+        intervals_s = (times_ns[1:] - times_ns[:-1]).astype(float) * 1e-9
+        long = np.flatnonzero(intervals_s > least_s)
+        after.append(first + long)
+        length_s.append(intervals_s[long])
+    return np.concatenate(after), np.concatenate(length_s)
+
+
+def _make_up(length_s: Floats, behind: npt.NDArray[np.int64], hurry: float) -> bool:
+    """Whether the rows behind gaps (k,) make up for these; `hurry`: their usual pace over the mean one."""
+    if np.std(length_s) < REGULAR * np.median(length_s) or not behind.std() > 0:
+        return hurry > HURRY
+    return bool(np.corrcoef(length_s, behind)[0, 1] > FOLLOWS)
+
+
+@dataclass(frozen=True, eq=False)
+class EvenRows:
+    """Rows that came in bursts, at the times at which they were read: evenly between `knots_ns` (k,), the mean times of
+    arrival of stretches whose middle rows are `knot_rows` (k,). A timeline (`imuarray.simulate.timeline`).
+    """
+
+    rows: int
+    knot_rows: Floats
+    knots_ns: Floats
+
+    @property
+    def rows_per_s(self) -> float:
+        """Over the whole log."""
+        return float(1e9 * (self.knot_rows[-1] - self.knot_rows[0]) / (self.knots_ns[-1] - self.knots_ns[0]))
+
+    def stamps(self, start: int, stop: int) -> Times:
+        """(stop - start,) ns since the log's epoch."""
+        return np.asarray(np.rint(self._at(np.arange(start, stop, dtype=float))) + self._origin_ns, np.int64)
+
+    def row_at(self, at_ns: int) -> int:
+        """The first row stamped `at_ns` or later."""
+        low, high = 0, self.rows
+        while high > low:
+            middle = (low + high) // 2
+            low, high = (middle + 1, high) if int(self.stamps(middle, middle + 1)[0]) < at_ns else (low, middle)
+        return low
+
+    @cached_property
+    def _origin_ns(self) -> int:
+        """Subtracted first: a day in ns has more digits than a floating number has."""
+        return int(self.knots_ns[0])
+
+    def _at(self, rows: Floats) -> Floats:
+        """Beyond the first and the last knot as between the two next to it."""
+        knots_ns = self.knots_ns - self._origin_ns
+        piece = np.clip(np.searchsorted(self.knot_rows, rows, side="right") - 1, 0, len(self.knot_rows) - 2)
+        slope = np.diff(knots_ns) / np.diff(self.knot_rows)
+        return np.asarray(knots_ns[piece] + slope[piece] * (rows - self.knot_rows[piece]))
+
+
+def even_rows(sensor: SensorLog) -> EvenRows:
+    """Of a sensor whose rows come in bursts; its times are read once."""
+    rows = len(sensor)
+    stretches = max(2, rows // _KNOT_ROWS)
+    edges = np.arange(stretches + 1) * rows // stretches
+    origin_ns = int(sensor.time[0])
+    means = [
+        float(np.mean(np.asarray(sensor.time[start:stop], np.int64) - origin_ns))
+        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    ]
+    return EvenRows(rows, (edges[:-1] + edges[1:] - 1) / 2, np.array(means) + origin_ns)
+
+
+def notes_of(timings: Iterable[tuple[str, RowTiming]]) -> list[str]:
+    """A sentence for sensors whose rows are not steady; those that share it together."""
+    sensors: dict[str, list[str]] = {}
+    for name, timing in timings:
+        if timing.sentence:
+            sensors.setdefault(timing.sentence, []).append(name)
+    return [f"{', '.join(names)}: {sentence}." for sentence, names in sensors.items()]

@@ -1,0 +1,35 @@
+"""A magnetic field that is known in the box frame, phase by phase, in the place of the earth's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from imuarray.simulate.motion.felt import Floats, Integers
+from imuarray.simulate.motion.timeline import FOREVER_NS
+
+
+class PhaseField(NamedTuple):
+    """From `start_ns` until the next one begins the field is `field_box`, in gauss."""
+
+    start_ns: int
+    field_box: tuple[float, float, float]
+
+
+def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Floats:
+    """(n, 3) gauss at times (n,); one row, broadcast (read-only), where it is the same for all. Before the first of the
+    `fields`, at least one, it is the first.
+    """
+    starts_ns = np.array([field.start_ns for field in fields])
+    number = np.clip(np.searchsorted(starts_ns, time_ns, side="right") - 1, 0, None)
+    box = np.array([field.field_box for field in fields])
+    if len(number) == 0 or (number == number[0]).all():
+        return np.broadcast_to(box[number[0] if len(number) else 0], (len(number), 3))
+    return np.asarray(box[number])
+
+
+def field_until_ns(fields: Sequence[PhaseField], at_ns: int) -> int:
+    """Until when the field is what it is at `at_ns`."""
+    return min((field.start_ns for field in fields[1:] if field.start_ns > at_ns), default=FOREVER_NS)
