@@ -14,7 +14,7 @@ import numpy.typing as npt
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.errors import ConfigError, LogError
 from imuarray.log import Log
-from imuarray.log.format import SensorHeader
+from imuarray.log.format import SATURATED, SensorHeader
 from imuarray.log.headers import header_of, recorded_header
 from imuarray.log.pace import frames_in
 from imuarray.log.writer import Stimulus
@@ -27,6 +27,10 @@ from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Codes, Motion
 from imuarray.simulate.streams import Streams
 from imuarray.simulate.timeline import Polled, Recorded, Timeline, poll
+
+EVERY_FLAG = 0xFFFF
+IMPORTED_FLAGS = SATURATED
+"""Of a log that was imported (`imuarray.importers`): counts alone don't say whether a reading is new."""
 
 _FRAMES_LIKE_HZ = 50.0
 """How often `/truth` is written for a log that is simulated after a recorded one."""
@@ -42,6 +46,8 @@ class Plan:
     config: str = ""
     frame_rate_hz: float = 0.0
     """That was asked for; 0: not known."""
+    flags: int = EVERY_FLAG
+    """Those that the recorder sets: who imports a table knows of no others than `IMPORTED_FLAGS`."""
 
 
 def plan_of(array: ArrayConfig, frame_rate_hz: float, seconds: float) -> Plan:
@@ -68,7 +74,8 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
         raise LogError(f"{log.path}: nothing was read in it")
     end_ns = max(int(sensor.time[-1]) for sensor in chosen.values() if len(sensor))
     period_ns = round(1e9 / _FRAMES_LIKE_HZ)
-    return Plan(sensors, Polled(end_ns // period_ns + 1, period_ns), log.config, log.frame_rate_hz)
+    flags = IMPORTED_FLAGS if log.source == "imported" else EVERY_FLAG
+    return Plan(sensors, Polled(end_ns // period_ns + 1, period_ns), log.config, log.frame_rate_hz, flags)
 
 
 class Simulation:

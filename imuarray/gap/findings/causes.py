@@ -16,9 +16,12 @@ from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.forward_selection import Evaluation, Round
 from imuarray.gap.inference.unit_state import Unit, UnitState
 from imuarray.gap.model.bench import Bench
+from imuarray.gap.model.replication import SensorModel
+from imuarray.gap.model.rest import REFERENCE_DEGC
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.parameters import to_table
 
 TEMPER = 0.3
@@ -132,7 +135,9 @@ def _cause(
     own, others = taken.trial.sensor, taken.trial.others if taken.trial.opposite else ()
     sensors = (own, *others) if own else unit
     effects = dict.fromkeys(sensors, effect) | dict.fromkeys(others, next(iter(taken.trial.opposite), None))
-    each = {name: to_table(one, bench.base.headers[name].unit) if one else {} for name, one in effects.items()}
+    models = taken.standing.models
+    whole = {name: _with_fitted(one, models.get(name)) if one else None for name, one in effects.items()}
+    each = {name: to_table(one, bench.base.headers[name].unit) if one else {} for name, one in whole.items()}
     return Cause(
         taken.trial.name,
         taken.trial.action,
@@ -149,6 +154,14 @@ def _cause(
         taken.trial.needs_both,
         share,
     )
+
+
+def _with_fitted(effect: Effect, model: SensorModel | None) -> Effect:
+    """A `thermal_bias` with the slope that is fitted to every sensor: what it adds to that tells nobody anything."""
+    if model is None or not isinstance(effect, ThermalBias) or effect.reference_degc != REFERENCE_DEGC:
+        return effect
+    x, y, z = np.add(effect.slope, model.fitted.slope).tolist()
+    return replace(effect, slope=(x, y, z))
 
 
 def _deviating(bench: Bench, first: UnitState, then: UnitState, in_either: bool) -> DeviatingStatistics:

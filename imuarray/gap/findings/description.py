@@ -1,4 +1,6 @@
-"""What is not explained, described: where lines lie that the model lacks, and biases that change in all units alike."""
+"""What numbers alone don't say: where lines lie that no cause explains, which ones are aliases, and biases that change
+in all units alike.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.findings.diagnosis import Where
+from imuarray.gap.findings.diagnosis import Cause, Where
+from imuarray.gap.inference.effects.tone import MAINS_HZ, shown_hz
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key
 from imuarray.gap.statistics.probes.spectrum import LINE
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
+from imuarray.simulate.effects.tone import Tone
 from imuarray.units import READABLE
 
 Floats = npt.NDArray[np.float64]
@@ -39,6 +43,35 @@ def lines_left(campaign: Campaign, unexplained: Sequence[Where], names: Sequence
         for sensor, axis in list(axes)[:MOST]
         if (told := list(_by_log(campaign, sensor, AXES.index(axis), names)))
     )
+
+
+def aliases(causes: Sequence[Cause], campaign: Campaign) -> tuple[str, ...]:
+    """A sentence for each line of a cause `tone` whose frequency rows can't show: where they show it, what it is of."""
+    return tuple(
+        f"{sensor}: the line at {shown_hz(hertz, rows_per_s):.4g} Hz is an alias of {_mains(hertz)}, of which "
+        f"{rows_per_s:.4g} rows a second show no more."
+        for cause in causes
+        if cause.effect == Tone.name and cause.action != "remove"
+        for sensor, table in cause.each.items()
+        if (rows_per_s := _rows_per_s(campaign, sensor)) is not None
+        and (hertz := float(table.get("frequency_hz", 0.0))) > rows_per_s / 2
+    )
+
+
+def _mains(hertz: float) -> str:
+    """A frequency, and which multiple of the mains' it is."""
+    for mains_hz in MAINS_HZ:
+        if (number := round(hertz / mains_hz)) * mains_hz == hertz:
+            multiple = "the mains" if number == 1 else f"harmonic {number} of the mains at {mains_hz:g} Hz"
+            return f"{hertz:.4g} Hz, {multiple}"
+    return f"{hertz:.4g} Hz"
+
+
+def _rows_per_s(campaign: Campaign, sensor: str) -> float | None:
+    """Of its usual interval; None if it was never at rest."""
+    summaries = (one for log in campaign.logs for one in log.still(sensor))
+    intervals = [one.intervals.mean_s for one in summaries if one.intervals.count]
+    return float(1 / np.median(intervals)) if intervals else None
 
 
 def changes_alike(

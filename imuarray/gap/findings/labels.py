@@ -252,7 +252,7 @@ def _relabelled(recording: Recording, found: Sequence[WrongLabel]) -> Recording:
     motion = recording.experiment.motion
     of_log = motion.surroundings if isinstance(motion, Posed) else motion
     attitudes = attitudes_of(recording.log, phases, of_log)[0] if isinstance(of_log, LikeLog) else ()
-    lies: Motion = Posed(attitudes, of_log) if attitudes else motion
+    lies: Motion = Posed(attitudes, of_log, of_log.fields) if attitudes and isinstance(of_log, LikeLog) else motion
     experiment = Experiment(recording.experiment.plan, lies)
     notes = (*recording.notes, *(note_of(one).partition(": ")[2] for one in found))
     return replace(recording, kind=kind_of(phases, attitudes), phases=phases, experiment=experiment, notes=notes)

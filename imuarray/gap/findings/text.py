@@ -22,6 +22,9 @@ _COLUMNS = (12, 15, 18, 7, 8, 8, 11, 6, 5, 10)
 _MOST = 9
 """So many numbers of a list are said, as many as a response has."""
 
+_MOST_NOTES = 12
+"""So many notes are shown: of a campaign of many logs each has its own."""
+
 _SMALL_G = 0.1
 """Accelerations below it are written in mg."""
 
@@ -38,8 +41,8 @@ _WITH_UNIT = re.compile(rf"(?P<name>.*?[^_])(?:_(?P<over>{_LONGEST_FIRST}))?(?:_
 
 
 def text_of(diagnosis: Diagnosis) -> str:
-    """What a terminal shows: sentence, gap, causes, parts out of specification, the worst statistics, what can't be
-    told, what is missing and what to do next.
+    """What a terminal shows: sentence, gap, causes, parts out of specification, the worst statistics, notes, what
+    can't be told, what is missing and what to do next.
     """
     parts = (
         wrap(_printable(diagnosis.sentence), WIDTH),
@@ -47,6 +50,7 @@ def text_of(diagnosis: Diagnosis) -> str:
         list(_causes(diagnosis)),
         list(_pulls(diagnosis.pulls)),
         list(_where(diagnosis.where)),
+        list(_notes(diagnosis.notes)),
         list(_unshown(diagnosis.unshown)),
         list(_missing(diagnosis.missing)),
         _hanging("Next experiment: ", diagnosis.next_experiment) if diagnosis.next_experiment else [],
@@ -197,6 +201,15 @@ def _row(one: Where) -> list[str]:
         *values,
         *sizes,
     ]
+
+
+def _notes(notes: Sequence[str]) -> Iterator[str]:
+    if notes:
+        yield "Notes"
+    for note in notes[:_MOST_NOTES]:
+        yield from _hanging("  ", note, "    ")
+    if len(notes) > _MOST_NOTES:
+        yield f"  {len(notes) - _MOST_NOTES} more in gap.json and report.html (-o DIR)"
 
 
 def _unshown(unshown: Sequence[Unobservable]) -> Iterator[str]:

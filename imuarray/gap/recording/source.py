@@ -20,7 +20,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.log.headers import recorded_header
 from imuarray.log.writer import Block
 from imuarray.simulate.sensor import SimulatedSensor
-from imuarray.simulate.simulation import Simulation
+from imuarray.simulate.simulation import EVERY_FLAG, Simulation
 from imuarray.simulate.streams import CHUNK
 from imuarray.simulate.timeline import Timeline
 
@@ -99,8 +99,10 @@ class EvenSource:
 class SimulatedSource:
     """A simulated triad, whose rows are worked out when they are asked for."""
 
-    def __init__(self, sensor: SimulatedSensor) -> None:
+    def __init__(self, sensor: SimulatedSensor, flags: int = EVERY_FLAG) -> None:
+        """`flags` are those that the recorder sets."""
         self.header = sensor.header
+        self._flags = flags
         self.known: dict[Hashable, Any] = {}
         self._sensor = sensor
         self._row_at = lru_cache(maxsize=64)(self._find_row)
@@ -114,7 +116,7 @@ class SimulatedSource:
         for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
             block = self._sensor.block(first, stop)
             if len(block.time):
-                yield block
+                yield block._replace(status=block.status & np.uint16(self._flags))
 
     def _find_row(self, at_ns: int) -> int:
         """The first row stamped `at_ns` or later."""
@@ -130,7 +132,7 @@ def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenS
 def simulated_sources(simulation: Simulation) -> dict[str, Source]:
     """The triads of a simulation, by name."""
     triads = ((name, sensor) for name, sensor in simulation.sensors.items() if isinstance(sensor, SimulatedSensor))
-    return {name: SimulatedSource(sensor) for name, sensor in triads}
+    return {name: SimulatedSource(sensor, simulation.plan.flags) for name, sensor in triads}
 
 
 def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:

@@ -26,7 +26,9 @@ _TRACES = (
     *("fast_own_axes", "fast_box_axes", "fast_between_axes", "fast_other_chips"),
 )
 _BEYOND = 2.7
-_MAINS_HZ = (50.0, 60.0)
+MAINS_HZ = (50.0, 60.0)
+HARMONICS = 3
+"""So many multiples of the mains' frequency are looked for; transformers and rectifiers make the second and third."""
 
 _CLEAR = 2.0
 _LINES = 2
@@ -74,7 +76,7 @@ class _Rate:
         spectrum = pooled(self.spectra)
         if spectrum is None:
             return 0.0
-        at = round(_shown_hz(hertz, self.rows_per_s) * spectrum.segment_rows / self.rows_per_s)
+        at = round(shown_hz(hertz, self.rows_per_s) * spectrum.segment_rows / self.rows_per_s)
         near = [line for line in highest_lines(spectrum, _LINES) if abs(line.bin - at) <= HALF_WIDTH]
         return max((float(line.height.max()) for line in near), default=0.0)
 
@@ -106,13 +108,13 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         if spectrum is None:
             continue
         bin_hz = rate.rows_per_s / spectrum.segment_rows
-        places = [_shown_hz(effect.frequency_hz, rate.rows_per_s) / bin_hz for effect in known]
+        places = [shown_hz(effect.frequency_hz, rate.rows_per_s) / bin_hz for effect in known]
         for line in highest_lines(spectrum, _LINES, places):
             amplitude = _amplitude(evidence, line.power, line.height)
             for hertz in _true_hz(line.bin * bin_hz, bin_hz, rate, rates):
                 yield Hypothesis((Tone(amplitude, hertz),), ("amplitude",))
     if not any(effect.drift_hz_per_h for effect in known):
-        shown = [_shown_hz(effect.frequency_hz, evidence.rows_per_s) for effect in known]
+        shown = [shown_hz(effect.frequency_hz, evidence.rows_per_s) for effect in known]
         yield from _drifting(evidence, shown)
 
 
@@ -163,29 +165,37 @@ def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> tuple[float
     return x, y, z
 
 
-def _shown_hz(hertz: float, rows_per_s: float) -> float:
-    """Where rows show it, 0 to half their rate."""
+def shown_hz(hertz: float, rows_per_s: float) -> float:
+    """Where rows show a line, 0 to half their rate."""
     return abs(hertz - rows_per_s * round(hertz / rows_per_s))
 
 
-def _true_hz(shown_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate]) -> Iterator[float]:
+def _true_hz(seen_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate]) -> Iterator[float]:
     """Where rows show a line; and if others are read at another rate, the alias that these show as well, best of all.
     That of the mains if it shows in the same bin.
     """
     aliases = [
         hertz
         for turn in range(_ALIASES + 1)
-        for hertz in (turn * rate.rows_per_s - shown_hz, turn * rate.rows_per_s + shown_hz)
+        for hertz in (turn * rate.rows_per_s - seen_hz, turn * rate.rows_per_s + seen_hz)
         if hertz > 0
     ]
     others = [other for other in rates if other is not rate and len(other.spectra)]
     if others:
         heights = [sum(other.height(hertz) for other in others) for hertz in aliases]
         best = int(np.argmax(heights))
-        if heights[best] > _SEEN and aliases[best] != shown_hz:
+        if heights[best] > _SEEN and aliases[best] != seen_hz:
             yield aliases[best]
-    mains = [hertz for hertz in _MAINS_HZ if abs(_shown_hz(hertz, rate.rows_per_s) - shown_hz) < bin_hz]
-    yield mains[0] if mains and mains[0] > rate.rows_per_s / 2 else shown_hz
+    yield unaliased_hz(seen_hz, bin_hz, rate.rows_per_s)
+
+
+def unaliased_hz(seen_hz: float, bin_hz: float, rows_per_s: float) -> float:
+    """That of the mains or of its lowest multiple of which this can be an alias, to a bin; else what is seen."""
+    multiples = [number * hertz for number in range(1, HARMONICS + 1) for hertz in MAINS_HZ]
+    if any(abs(hertz - seen_hz) < bin_hz for hertz in multiples):
+        return seen_hz
+    alike = [hertz for hertz in multiples if abs(shown_hz(hertz, rows_per_s) - seen_hz) < bin_hz]
+    return alike[0] if alike else seen_hz
 
 
 TONE = Candidate(
