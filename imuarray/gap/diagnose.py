@@ -12,7 +12,7 @@ import imuarray
 from imuarray.errors import ConfigError
 from imuarray.gap.findings.causes import causes_of, judged_of
 from imuarray.gap.findings.closure import deviating, deviating_in_either
-from imuarray.gap.findings.description import aliases, changes_alike, lines_left
+from imuarray.gap.findings.description import changes_alike, lines_left, lines_shown
 from imuarray.gap.findings.diagnosis import (
     Cause,
     Diagnosis,
@@ -192,7 +192,7 @@ def _said(case: GapCase, candidates: Mapping[str, Candidate], searched: SearchRe
         tuple(map(_recorded, case.recordings)),
         (
             *_described(case, unexplained),
-            *aliases(causes, found.campaign),
+            *lines_shown(found.campaign, where, causes),
             *notes_of(lines, shared),
             *(f"{one.name}: {note}" for one in case.recordings for note in one.notes),
         ),

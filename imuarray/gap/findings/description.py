@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.findings.diagnosis import Cause, Where
-from imuarray.gap.inference.effects.tone import MAINS_HZ, shown_hz
+from imuarray.gap.inference.effects.lines import highest_lines, pooled
+from imuarray.gap.inference.effects.tone import MAINS_HZ, unaliased_hz
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key
 from imuarray.gap.statistics.probes.spectrum import LINE
@@ -30,6 +31,13 @@ _SCORE = 6.0
 _LEAST_UNITS, _SPREAD = 3, 0.5
 """Units of a chip, and their standard deviation over their mean, of which a change counts as shared."""
 
+LINES = 4
+"""So many of a sensor are told."""
+
+_SEARCHED, _APART = 12, 8.0
+"""Peaks that are looked at, and bins between two lines, and from the lowest one to 0: a line that drifts has several
+peaks, and a bias that wanders has some there."""
+
 _FIRST = 4
 _STEADY = 1.5
 """A frequency that changes by fewer bins is steady."""
@@ -45,17 +53,33 @@ def lines_left(campaign: Campaign, unexplained: Sequence[Where], names: Sequence
     )
 
 
-def aliases(causes: Sequence[Cause], campaign: Campaign) -> tuple[str, ...]:
-    """A sentence for each line of a cause `tone` whose frequency rows can't show: where they show it, what it is of."""
-    return tuple(
-        f"{sensor}: the line at {shown_hz(hertz, rows_per_s):.4g} Hz is an alias of {_mains(hertz)}, of which "
-        f"{rows_per_s:.4g} rows a second show no more."
-        for cause in causes
-        if cause.effect == Tone.name and cause.action != "remove"
-        for sensor, table in cause.each.items()
-        if (rows_per_s := _rows_per_s(campaign, sensor)) is not None
-        and (hertz := float(table.get("frequency_hz", 0.0))) > rows_per_s / 2
-    )
+def lines_shown(campaign: Campaign, odd: Sequence[Where], causes: Sequence[Cause]) -> tuple[str, ...]:
+    """A sentence for each sensor of which a line is `odd` or a cause: at which frequencies its mean spectrum at rest
+    has lines, highest first, explained or not, and which of them are aliases of the mains.
+    """
+    told = [name for cause in causes if cause.effect == Tone.name for name in cause.sensors]
+    names = dict.fromkeys([*told, *(one.sensor for one in odd if one.statistic == "line")])
+    sentences = ((name, "; ".join(_lines_of(campaign, name))) for name in list(names)[:MOST])
+    return tuple(f"{name}, lines at rest: {lines}." for name, lines in sentences if lines)
+
+
+def _lines_of(campaign: Campaign, sensor: str) -> Iterator[str]:
+    rows_per_s = _rows_per_s(campaign, sensor)
+    spectrum = pooled([one.spectrum for log in campaign.logs for one in log.still(sensor)])
+    if rows_per_s is None or spectrum is None:
+        return
+    bin_hz = rows_per_s / spectrum.segment_rows
+    seen: list[float] = []
+    for line in highest_lines(spectrum, _SEARCHED):
+        is_line = line.height.max() > _SCORE and line.bin > _APART
+        if not is_line or any(abs(line.bin - other) < _APART for other in seen) or len(seen) == LINES:
+            continue
+        seen.append(line.bin)
+        hertz = line.bin * bin_hz
+        axes = "".join(axis for axis, height in zip(AXES, line.height, strict=True) if height > _SCORE)
+        true_hz = unaliased_hz(hertz, bin_hz, rows_per_s)
+        alias = "" if true_hz == hertz else f", an alias of {_mains(true_hz)} ({rows_per_s:.3g} rows a second)"
+        yield f"{axes} {hertz:.2f} Hz{alias}"
 
 
 def _mains(hertz: float) -> str:
