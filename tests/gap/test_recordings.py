@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from imuarray.gap.model.base_model import fit
 from imuarray.gap.recording.recordings import Recording, recording_of, recordings_of, temperature_of
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.log import Block, LogWriter, Stimulus, open_log
-from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.format import Phase, SensorHeader, ThermometerScale
 from imuarray.simulate import Simulation
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
@@ -31,18 +32,21 @@ FOREIGN = [
 ]
 
 
+COMPASS = SensorHeader("Mag", "unheard_of", "magnetic_field", "gauss", 1.3, 1090.0, axes="-Y+X+Z")
+
+
 def foreign_log(
     path: Path, phases: Sequence[Phase] = (), sensors: Sequence[SensorHeader] = FOREIGN, seconds: int = 12
 ) -> Path:
-    """Flat on a table, 50 Hz, noise of some counts; a thermometer of which nobody knows the scale."""
+    """Flat on a table, 50 Hz, noise of some counts; a thermometer that warms up by 80 counts."""
     rows = 50 * seconds
     time = np.arange(rows, dtype=np.int64) * SECOND // 50
     rng = np.random.default_rng(0)
     with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
         for sensor in sensors:
-            level = [0, 0, 2048] if sensor.quantity == "specific_force" else [0, 0, 0]
+            level = {"specific_force": [0, 0, 2048], "magnetic_field": [300, -40, 500]}.get(sensor.quantity, [0, 0, 0])
             counts = np.rint(rng.normal(level, 5, (rows, 3))).astype(np.int16)
-            warm = np.full(rows, 77, np.int16) if sensor.has_temperature else None
+            warm = np.linspace(0, 80, rows).astype(np.int16) if sensor.has_temperature else None
             log.append(sensor.name, Block(time, counts, np.zeros(rows, np.uint16), warm))
         for phase in phases:
             log.phase(phase)
@@ -143,11 +147,10 @@ def test_a_foreign_chip_is_simulated_without_its_thermometer(tmp_path: Path) -> 
     assert campaign.logs[0].phases[0].layout == made.logs[0].phases[0].layout
 
 
-def test_only_inertial_sensors_unless_others_are_named(tmp_path: Path) -> None:
-    compass = SensorHeader("Mag", "hmc5883", "magnetic_field", "gauss", 1.3, 1090.0)
-    path = foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")], [*FOREIGN, compass])
+def test_all_triads_unless_some_are_named(tmp_path: Path) -> None:
+    path = foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")], [*FOREIGN, COMPASS])
     with open_log(path) as log:
-        assert recording_of(log).experiment.plan.sensors.keys() == {"Acc", "Gyro"}
+        assert recording_of(log).experiment.plan.sensors.keys() == {"Acc", "Gyro", "Mag"}
         assert recording_of(log, ["Mag", "Acc"]).experiment.plan.sensors.keys() == {"Mag", "Acc"}
         with pytest.raises(LogError, match="no sensor 'Nose'"):
             recording_of(log, ["Nose"])
@@ -206,12 +209,107 @@ def test_a_sensor_that_was_set_otherwise_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_log_in_which_nothing_can_be_compared_is_refused(tmp_path: Path) -> None:
-    path = foreign_log(tmp_path / "log.h5", sensors=FOREIGN[1:])
-    with pytest.raises(LogError, match="nothing to compare"):
-        recorded(path)
+    turning = replace(FOREIGN[1], sensitivity=0.5)  # noise of 10 dps
+    with pytest.raises(LogError, match=r"the box is never at rest for 1\.5 s .*at least 3 s at rest are needed"):
+        recorded(foreign_log(tmp_path / "log.h5", sensors=[turning]))
+    with pytest.raises(LogError, match=r"it is 0\.98 s long, and at least 3 s at rest are needed"):
+        recorded(foreign_log(tmp_path / "short.h5", seconds=1))
     unknown = SensorHeader("Acc", "x", "specific_force", "g", 0.0, 0.0)
-    with pytest.raises(LogError, match="no accelerometer or gyroscope with readings and a known sensitivity"):
+    with pytest.raises(LogError, match="no sensor with three axes, readings and a known sensitivity"):
         recorded(foreign_log(tmp_path / "unknown.h5", [phase(0, 9, "static", "+Z")], [unknown]))
+
+
+@pytest.mark.parametrize("sensor", [FOREIGN[1], COMPASS])
+def test_without_accelerometers_others_tell_when_the_box_rests(tmp_path: Path, sensor: SensorHeader) -> None:
+    found = recorded(foreign_log(tmp_path / "log.h5", sensors=[sensor]))
+    assert (found.kind, len(found.phases)) == ("static", 1)
+
+
+def test_logs_of_two_arrays_are_refused(tmp_path: Path) -> None:
+    one = open_log(foreign_log(tmp_path / "one.h5", [phase(0, 9, "static", "+Z")]))
+    other = open_log(foreign_log(tmp_path / "other.h5", [phase(0, 9, "static", "+Z")], [COMPASS]))
+    with pytest.raises(LogError, match=r"one\.h5: no sensor in common with .*other\.h5: logs of two arrays"):
+        recordings_of([one, other])
+    assert len(recordings_of([one, one])) == 2
+
+
+def test_the_field_is_what_magnetometers_read_on_average(tmp_path: Path) -> None:
+    """Two magnetometers along other axes; their mean level in the box is felt, so that it is no error of theirs."""
+    second = replace(COMPASS, name="Mag2", axes="+X+Y+Z")
+    path = foreign_log(tmp_path / "log.h5", [phase(0, 4, "z_up", "+Z"), phase(5, 9, "x_up", "+X")], [COMPASS, second])
+    found = recorded(path)
+    counts = np.array([300.0, -40.0, 500.0])
+    box = (np.array(COMPASS.orientation) @ counts + counts) / 2 / 1090
+    felt = found.experiment.motion.felt(np.array([SECOND, 6 * SECOND]))
+    np.testing.assert_allclose(felt.field_box, [box, box], atol=1e-3)
+    again = pickle.loads(pickle.dumps(found.experiment.motion))  # noqa: S301
+    np.testing.assert_allclose(again.felt(np.array([SECOND])).field_box, [box], atol=1e-3)
+
+
+def test_a_magnetometer_alone_has_no_error_of_level(tmp_path: Path) -> None:
+    found = recorded(foreign_log(tmp_path / "log.h5", sensors=[FOREIGN[0], COMPASS]))
+    bench, _ = prepared([found], None, 0)
+    assert bench.base.fitted["Mag"].offset == pytest.approx((0, 0, 0), abs=1e-3)  # the first half less the whole
+    assert bench.base.fitted["Mag"].rms[0] * 1090 == pytest.approx(5.0, rel=0.2)
+
+
+def test_while_the_box_moves_no_field_is_known(tmp_path: Path) -> None:
+    path = tmp_path / "moving.h5"
+    rows = np.arange(500, dtype=np.int64) * SECOND // 50
+    with LogWriter(path, [*FOREIGN[1:], COMPASS], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        counts = np.rint(np.random.default_rng(0).normal(0, 50, (500, 3))).astype(np.int16)
+        for name in ("Gyro", "Mag"):
+            log.append(name, Block(rows, counts, np.zeros(500, np.uint16)))
+        force = np.tile([0.0, 0.0, 9.8], (500, 1))
+        log.stimulus("reference", Stimulus(rows, force, np.zeros((500, 3)), np.full(500, 20.0)))
+        log.phase(phase(0, 9, "motion"))
+    found = recorded(path)
+    assert found.experiment.plan.sensors.keys() == {"Gyro"}
+    assert "Mag is left out: nothing tells the field while the box moves." in found.notes
+    with pytest.raises(LogError, match="nothing tells the magnetic field while the box moves, and no other"):
+        recording_of(open_log(path), ["Mag"])
+
+
+@pytest.mark.parametrize("name", ["unheard_of", "bma180"])
+def test_a_thermometer_that_the_log_explains_tells_the_temperature(tmp_path: Path, name: str) -> None:
+    """From 36.5 degC at count 0 by 8 counts a degree: 10 degC more after 40 s, each reading the mean of ten seconds."""
+    known = replace(FOREIGN[0], chip=name, extra=ThermometerScale(36.5, 8.0).attributes)
+    path = foreign_log(tmp_path / "log.h5", [phase(0, 39, "static", "+Z")], [known, FOREIGN[1]], seconds=40)
+    found = recorded(path)
+    (note,) = found.notes
+    assert note.startswith("No reference tells the temperature: it is taken from a chip's own thermometer")
+    degc = found.experiment.motion.felt(np.array([0, 5, 20, 39]) * SECOND).temperature_degc
+    assert degc == pytest.approx([36.5 + 1.25, 36.5 + 1.25, 36.5 + 5, 36.5 + 8.75], abs=0.1)
+    assert not found.experiment.plan.sensors["Acc"][0].has_temperature  # there is none to compare it with
+
+
+def test_a_thermometer_is_compared_where_something_else_tells_the_temperature(tmp_path: Path) -> None:
+    known = replace(FOREIGN[0], chip="unheard_of", extra=ThermometerScale(36.5, 8.0).attributes)
+    path = tmp_path / "log.h5"
+    rows = np.arange(600, dtype=np.int64) * SECOND // 50
+    with LogWriter(path, [known], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        counts = np.rint(np.random.default_rng(0).normal([0, 0, 2048], 5, (600, 3))).astype(np.int16)
+        log.append("Acc", Block(rows, counts, np.zeros(600, np.uint16), np.full(600, -84, np.int16)))
+        force = np.tile([0.0, 0.0, 9.80665], (600, 1))
+        log.stimulus("reference", Stimulus(rows, force, np.zeros((600, 3)), np.full(600, 25.0)))
+        log.phase(phase(0, 11, "static", "+Z"))
+    found = recorded(path)
+    assert found.notes == ()
+    bench, campaign = prepared([found], None, 0)
+    made = bench.simulated(bench.models(), 0)
+    shown, expected = (one.logs[0].phases[0].sensors["Acc"].segments.thermometer for one in (campaign, made))
+    assert shown == pytest.approx(np.full(len(shown), -84.0))
+    assert expected == pytest.approx(np.full(len(shown), -92.0))  # (25 - 36.5) * 8
+
+
+def test_flags_that_an_import_cannot_set_are_not_missed(tmp_path: Path) -> None:
+    """A magnetometer that is read 50 times a second, as its simulation would flag where rows repeat."""
+    chip = replace(COMPASS, chip="hmc5883l", sensitivity=100.0)
+    found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static", "+Z")], [chip]))
+    bench, _ = prepared([found], None, 0)
+    quiet = {"Mag": replace(bench.models()["Mag"], fitted=replace(bench.base.fitted["Mag"], rms=(0.0, 0.0, 0.0)))}
+    flags = bench.simulated(quiet, 0).logs[0].phases[0].sensors["Mag"].flags
+    assert flags["stale"] == 0
 
 
 def test_without_accelerometers_the_box_stands_upright(tmp_path: Path) -> None:

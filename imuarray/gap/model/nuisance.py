@@ -24,7 +24,7 @@ from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.converters import THERMOMETERS
+from imuarray.simulate.converters import thermometer_of
 
 
 class NuisanceEstimate(NamedTuple):
@@ -90,7 +90,7 @@ def _response(header: SensorHeader, axis: str, along: str, value: float, toleran
 
 def _of_thermometer(campaign: Campaign, header: SensorHeader) -> Iterator[NuisanceEstimate]:
     """The zero of the chip's own thermometer beside the reference."""
-    converter, zero = THERMOMETERS.get(header.chip), thermometer_zero_degc(_rests(campaign, header.name))
+    converter, zero = thermometer_of(header), thermometer_zero_degc(_rests(campaign, header.name))
     if converter is not None and math.isfinite(zero):
         tolerance = thermometer_tolerance_degc(header)
         yield NuisanceEstimate("zero of the chip's thermometer", header.name, "", zero, "degC", tolerance, _SHEET)
@@ -100,7 +100,7 @@ def thermometer_zero_degc(phases: Sequence[Summary]) -> float:
     """What a chip's thermometer shows on average by its data sheet (BMA-64, L3G-60), less the reference; nan if it has
     none.
     """
-    converter = THERMOMETERS.get(phases[0].header.chip) if phases else None
+    converter = thermometer_of(phases[0].header) if phases else None
     if converter is None:
         return math.nan
     counts, rows, degc = (

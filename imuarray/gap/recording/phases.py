@@ -27,6 +27,10 @@ _SHORT = 0.25
 MOST_TILT_DEG = 5.0
 """A box that is said to stand on a face leans no further: a nuisance quantity. Beyond, the label is doubted."""
 
+NEEDED_S, NEEDED_ROWS = 3.0, 24
+"""So long, and so many rows, a log without phases has to be at rest: a static stretch is found by windows of half a
+second or four rows, of which the first and the last are cut off."""
+
 _SAME_COSINE = np.cos(np.radians(10))
 """Poses nearer to each other than that are of one face."""
 
@@ -52,8 +56,22 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
         moving = list(_between(log, found))
     phases = tuple(sorted([*still, *found, *moving]))
     if not phases:
-        raise LogError(f"{log.path}: nothing to compare: it holds no phase at rest, and nothing says how the box moved")
+        raise LogError(f"{log.path}: nothing to compare: {_lacking(log)}")
     return phases, notes
+
+
+def _lacking(log: Log) -> str:
+    """Why there is nothing, and what is needed."""
+    read = [sensor for sensor in log.sensors.values() if sensor.is_triad and len(sensor)]
+    span_s = max(((int(one.time[-1]) - int(one.time[0])) * 1e-9 for one in read), default=0.0)
+    rate_hz = max((len(one) / span_s for one in read), default=0.0) if span_s > 0 else 0.0
+    needed_s = max(NEEDED_S, NEEDED_ROWS / rate_hz) if rate_hz > 0 else NEEDED_S
+    if span_s < needed_s:
+        return f"it is {span_s:.3g} s long, and at least {needed_s:.3g} s at rest are needed"
+    return (
+        f"the box is never at rest for {MIN_POSE_S:g} s and nothing says how it moved; at least {needed_s:.3g} s at "
+        "rest are needed"
+    )
 
 
 def _found_poses(log: Log) -> tuple[list[Phase], list[str]]:

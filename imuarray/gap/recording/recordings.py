@@ -87,7 +87,8 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
     """Several logs of one array, in the order in which they were recorded if all of them say when; a sensor that one
     lacks is left out there, with a note.
 
-    LogError for one that none has, or that was set otherwise in another log.
+    LogError for one that none has, or that was set otherwise in another log, and for a log that has none in common with
+    the others.
     """
     found: list[Recording] = []
     first: dict[str, SensorLog] = {}
@@ -97,6 +98,7 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
     for name in names:
         if not any(name in log.sensors for log in logs):
             raise LogError(f"{logs[0].path}: no sensor {name!r}, nor in any other log")
+    _of_one_array(logs)
     for log in logs:
         here = [name for name in names if name in log.sensors and len(log[name])]
         for name in here:
@@ -180,6 +182,16 @@ def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> dict[str, Timeline
     }
     even = {name: even_rows(log[name]) for name in timings if name not in steady}
     return {**(awaited(steady, log.sensors) if steady else {}), **even}
+
+
+def _of_one_array(logs: Sequence[Log]) -> None:
+    """LogError for a log of another array: it has no triad of the same name as one in another log."""
+    triads = [{name for name, sensor in log.sensors.items() if sensor.is_triad} for log in logs]
+    for at, (log, own) in enumerate(zip(logs, triads, strict=True)):
+        others = set().union(*triads[:at], *triads[at + 1 :])
+        if len(logs) > 1 and not own & others:
+            rest = logs[0 if at else 1].path
+            raise LogError(f"{log.path}: no sensor in common with {rest}: logs of two arrays are diagnosed one by one")
 
 
 def _same(one: SensorLog, other: SensorLog) -> None:

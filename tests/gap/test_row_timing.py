@@ -1,0 +1,175 @@
+"""Times of rows that stall or come in bursts, made with known lengths and rates, and what is told of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from imuarray.gap.recording.recordings import recording_of, sources_of
+from imuarray.gap.recording.row_timing import (
+    EvenRows,
+    RowTiming,
+    _make_up,
+    even_rows,
+    notes_of,
+    row_timing,
+)
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import Phase, SensorHeader
+
+Times = npt.NDArray[np.int64]
+
+
+def log_with(path: Path, time_s: npt.NDArray[np.float64], counts: npt.NDArray[np.int16] | None = None) -> Path:
+    """A sensor of an unheard-of chip that was read at these times, at rest."""
+    header = SensorHeader("S", "unheard_of", "specific_force", "g", 4.0, 8000.0)
+    if counts is None:
+        noise = np.random.default_rng(4).normal([0, 0, 8000], 9, (len(time_s), 3))
+        counts = np.rint(noise).astype(np.int16)
+    end_ns = round(time_s[-1] * 1e9)
+    with LogWriter(path, [header], source="imported", epoch="1970-01-01T00:00:00Z") as log:
+        log.append("S", Block(np.rint(time_s * 1e9).astype(np.int64), counts, np.zeros(len(counts), np.uint16)))
+        log.phase(Phase(0, end_ns, "static", "+Z"))
+    return path
+
+
+def timing_of(path: Path, time_s: npt.NDArray[np.float64]) -> RowTiming:
+    with open_log(log_with(path, time_s)) as log:
+        return row_timing(log["S"])
+
+
+def stalling(rows: int, every: int, interval_s: float, stall_s: float) -> npt.NDArray[np.float64]:
+    """A row every `interval_s`, and after every so many rows none for `stall_s`."""
+    row = np.arange(rows)
+    stalls = row // every
+    return (row - stalls) * interval_s + stalls * stall_s
+
+
+def bursts(rows: int, rate_hz: float, seed: int = 0) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Times of readings, evenly, and of their arrival at a host that comes by when it can, takes what is there, a
+    reading in a millisecond, and is away for 60 ms on average.
+    """
+    rng = np.random.default_rng(seed)
+    read_s = 1 + np.arange(rows) / rate_hz
+    arrived, now = np.empty(rows), 0.0
+    for row in range(rows):
+        if read_s[row] > now:
+            now = read_s[row] + rng.exponential(0.06)
+        now += 0.001
+        arrived[row] = now
+    return read_s, arrived
+
+
+@pytest.mark.parametrize(("every", "stall_s"), [(51, 2.83), (7, 0.4), (200, 11.0)])
+def test_stalls_after_every_so_many_rows(tmp_path: Path, every: int, stall_s: float) -> None:
+    found = timing_of(tmp_path / "log.h5", stalling(every * 40, every, 0.017, stall_s))
+    assert (found.kind, found.period_rows, found.gaps) == ("stalls", every, 39)
+    assert found.gap_s == pytest.approx(stall_s, rel=1e-6)
+    assert found.gaps_s == pytest.approx(39 * stall_s, rel=1e-6)
+    (note,) = notes_of([("Acc", found), ("Gyro", found)])
+    assert note.startswith(f"Acc, Gyro: rows stall for {stall_s:.3g} s after every {every} rows: no rows in ")
+    assert note.endswith("between the stalls one comes every 17 ms (58.82 Hz).")
+
+
+@pytest.mark.parametrize(("share", "period_rows"), [(0.9, 20), (0.6, 0)])
+def test_stalls_without_a_period(tmp_path: Path, share: float, period_rows: int) -> None:
+    """So many come after 20 rows, the others after 30."""
+    lengths = np.where(np.arange(60) % 10 < round(10 * share), 20, 30)
+    stalls = np.repeat(np.arange(60), lengths)
+    found = timing_of(tmp_path / "log.h5", np.arange(len(stalls)) * 0.01 + stalls * 1.0)
+    assert (found.kind, found.period_rows) == ("stalls", period_rows)
+    assert ("59 times" in found.sentence) == (period_rows == 0)
+
+
+@pytest.mark.parametrize(
+    ("stalls", "stall_s", "kind"),
+    [
+        (60, 0.023, "steady"),  # rows that were lost, and the next one late: 2.3 intervals of 0.01 s
+        (60, 0.045, "stalls"),
+        (6, 2.0, "steady"),
+        (12, 2.0, "stalls"),
+        (20, 0.035, "steady"),  # 3.5 % of the time
+        (20, 0.075, "stalls"),  # 7.5 %
+    ],
+)
+def test_rows_that_are_late_now_and_then_are_no_stall(tmp_path: Path, stalls: int, stall_s: float, kind: str) -> None:
+    rows = 2000 if stalls == 20 else 900
+    assert timing_of(tmp_path / "log.h5", stalling(rows, rows // stalls - 1, 0.01, stall_s)).kind == kind
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 99.3, 400.0])
+def test_bursts_are_told_with_the_rate_of_the_readings(tmp_path: Path, rate_hz: float) -> None:
+    read_s, arrived_s = bursts(12_000, rate_hz)
+    with open_log(log_with(tmp_path / "log.h5", arrived_s)) as log:
+        found, line = row_timing(log["S"]), even_rows(log["S"])
+        assert found.kind == "bursts"
+        assert found.rate_hz == pytest.approx(rate_hz, rel=2e-3)
+        assert f"The true rate is {found.rate_hz:.4g} Hz" in found.sentence
+        even_s = line.stamps(0, 12_000) * 1e-9
+        apart_s = even_s - read_s
+        assert np.ptp(apart_s) < 0.05 < 0.3 < np.ptp(arrived_s - read_s)  # all are late by as much, for who waits
+        assert (np.diff(even_s) > 0).all()
+        np.testing.assert_array_equal(line.stamps(700, 800), line.stamps(0, 800)[700:])
+        assert line.rows_per_s == pytest.approx(rate_hz, rel=2e-3)
+
+
+def test_as_many_rows_each_time_are_a_burst_if_they_hurry(tmp_path: Path) -> None:
+    """A queue of 32 readings, drained at once when it is full, and a recorder that stalls after 32 rows."""
+    drained = stalling(32 * 60, 32, 0.0003, 0.32)
+    assert timing_of(tmp_path / "queue.h5", drained).kind == "bursts"
+    assert timing_of(tmp_path / "stalls.h5", stalling(32 * 60, 32, 0.01, 0.32)).kind == "stalls"
+
+
+def test_what_makes_a_burst() -> None:
+    rng = np.random.default_rng(8)
+    length_s, other = rng.uniform(0.5, 1.5, (2, 4000))
+    standing = (length_s - 1) / length_s.std(), (other - 1) / other.std()
+    for correlation, expected in ((0.4, False), (0.7, True)):
+        mixed = correlation * standing[0] + np.sqrt(1 - correlation**2) * standing[1]
+        assert _make_up(length_s, np.rint(1000 * (10 + mixed)).astype(np.int64), 5.0) == expected
+    behind = np.rint(1000 * (10 + standing[0])).astype(np.int64)
+    for scatter, expected in ((0.035, False), (0.07, True)):  # lengths that are all the same say nothing
+        assert _make_up(1 + scatter * standing[0], behind, 5.0) == expected
+    for hurry, expected in ((7.0, False), (14.0, True)):
+        assert _make_up(np.ones(50), np.full(50, 32), hurry) == expected
+
+
+def test_a_steady_log_is_not_spoken_of(tmp_path: Path) -> None:
+    jitter = np.random.default_rng(2).uniform(0, 0.004, 3000)
+    steady = timing_of(tmp_path / "log.h5", np.arange(3000) * 0.01 + jitter)
+    assert (steady.kind, notes_of([("S", steady)])) == ("steady", [])
+    with open_log(log_with(tmp_path / "short.h5", np.array([0.5]))) as log:
+        assert row_timing(log["S"]).kind == "steady"
+
+
+def test_knots_are_2048_rows_apart(tmp_path: Path) -> None:
+    with open_log(log_with(tmp_path / "log.h5", np.arange(3 * 2048) * 0.01)) as log:
+        line = even_rows(log["S"])
+    assert line.knot_rows.tolist() == [1023.5, 3071.5, 5119.5]
+    assert line.stamps(0, 6144).tolist() == [row * 10_000_000 for row in range(6144)]
+
+
+def test_bursts_are_compared_at_the_times_of_their_readings(tmp_path: Path) -> None:
+    """A line at 20 Hz in the readings stays one, in counts and at its frequency."""
+    read_s, arrived_s = bursts(12_000, 99.3)
+    line = 300 * np.sin(2 * np.pi * 20.0 * read_s)
+    counts = np.rint(np.random.default_rng(4).normal([0, 0, 8000], 9, (12_000, 3)) + line[:, None]).astype(np.int16)
+    with open_log(log_with(tmp_path / "log.h5", arrived_s, counts)) as log:
+        found = recording_of(log)
+        assert any("rows arrive in bursts" in note for note in found.notes)
+        _, timeline = found.experiment.plan.sensors["S"]
+        assert isinstance(timeline, EvenRows)
+        (source,) = sources_of(found).values()
+        begin_ns, end_ns = 20 * 10**9, 100 * 10**9
+        blocks = list(source.blocks(begin_ns, end_ns))
+        assert sum(len(block.time) for block in blocks) == source.rows(begin_ns, end_ns) == pytest.approx(7944, abs=2)
+        times = np.concatenate([block.time for block in blocks])
+        assert begin_ns <= times[0] < times[-1] < end_ns
+        own = np.concatenate([block.counts[:, 0] for block in blocks])
+    wave = np.exp(-2j * np.pi * 20.0 * times * 1e-9)
+    assert 2 * abs(np.mean(own * wave)) == pytest.approx(300, rel=0.1)
+    first = int(np.searchsorted(arrived_s, times[0] * 1e-9 - 0.2))
+    assert own[:100].tolist() in [counts[at : at + 100, 0].tolist() for at in range(first, first + 60)]
