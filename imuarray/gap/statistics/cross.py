@@ -151,7 +151,8 @@ class CrossTally:
         if len(at) == last - first + 1:
             at = slice(first - self._base, last - self._base + 1)  # no window is empty
         counts = np.ascontiguousarray([block.counts.T for block in blocks], float)
-        self._sums[:, place, :, at] += np.add.reduceat(counts, starts, axis=2)
+        sums = self._sums[:, place]  # numbers and a list in one index would change the order of the axes
+        sums[:, :, at] += np.add.reduceat(counts, starts, axis=2)
         self._rows[place, at] += np.concatenate([starts[1:], [len(since_ns)]]) - starts
         self._reached[place] = last
         self._work(int(self._reached.min()))
