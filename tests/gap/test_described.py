@@ -7,8 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from imuarray.gap.findings.description import changes_alike, line_hz, lines_left
+from imuarray.gap.findings.description import changes_alike, line_hz, lines_left, lines_shown
 from imuarray.gap.findings.diagnosis import Where
+from imuarray.gap.inference.effects.tone import unaliased_hz
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.simulate.effects.tone import Tone
 from tests.gap.made import campaign_of, header
@@ -55,3 +56,31 @@ def test_a_change_that_units_share(changes: tuple[float, ...], told: bool) -> No
     assert bool(found) == told
     if told:
         assert "All 3 bma180, z: held-out log 1 lies +8.23 mg" in found[0]
+
+
+def test_lines_are_told_with_their_frequencies() -> None:
+    """One at 20 Hz on one axis, and the mains, which rows at 100 Hz show at 40 Hz and 60 Hz alike: 60 is beyond."""
+    mains = Tone((0.05, 0.0, 0.0), 60.0)
+    campaign = campaign_of("static", {"G1": (LINE, mains)}, seed=3)
+    rate_hz = 1 / campaign.logs[0].still("G1")[0].intervals.mean_s
+    (told,) = lines_shown(campaign, [where("G1", "y")], ())
+    assert told.startswith("G1, lines at rest: ")
+    lines = dict(re.findall(r"([xyz]+) ([\d.]+) Hz", told))
+    assert float(lines["y"]) == pytest.approx(20.0, abs=0.2)
+    assert float(lines["x"]) == pytest.approx(rate_hz - 60, abs=0.2)
+    assert f"Hz, an alias of 60 Hz, the mains ({rate_hz:.3g} rows a second)" in told
+    assert lines_shown(campaign, [where("G2", "y"), where("G1", "y", "lag_1")], ()) == ()
+
+
+@pytest.mark.parametrize(
+    ("seen_hz", "rows_per_s", "true_hz"),
+    [
+        (26.93, 76.93, 50.0),
+        (3.86, 76.93, 150.0),  # the third harmonic, 150 - 2 * 76.93
+        (30.79, 76.93, 30.79),  # the fourth, 3 * 76.93 - 200, is not looked for
+        (50.0, 200.0, 50.0),
+        (24.4, 76.93, 24.4),
+    ],
+)
+def test_which_lines_are_aliases_of_the_mains(seen_hz: float, rows_per_s: float, true_hz: float) -> None:
+    assert unaliased_hz(seen_hz, 0.05, rows_per_s) == true_hz

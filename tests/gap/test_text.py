@@ -43,6 +43,13 @@ def test_everything_is_said_in_order() -> None:
     assert max(map(len, text.splitlines())) <= WIDTH == 120
 
 
+def test_notes_are_shown_up_to_a_dozen() -> None:
+    text = text_of(replace(made(), notes=tuple(f"note {number} " * 20 for number in range(20))))
+    assert "Notes\n  note 0 note 0" in text and "  note 11 note 11" in text
+    assert "note 12" not in text and "  8 more in gap.json and report.html (-o DIR)" in text
+    assert "Notes" not in text_of(replace(made(), notes=()))
+
+
 def test_causes() -> None:
     lines = text_of(made()).splitlines()
     first = next(place for place, line in enumerate(lines) if "thermal_lag" in line and "add" in line)

@@ -53,6 +53,16 @@ def test_the_shortest_map(tmp_path: Path) -> None:
         ("[time]", "[tmie]\n[time]", "tmie: unknown key (did you mean 'time'?); allowed are file, time, sensor, phase"),
         ('unit = "s"', 'unit = "s"\nzone = 1', "time: zone: unknown key; allowed are column, unit, rate_hz"),
         ("range = 16", "", "sensor 1 'A': range: is missing"),
+        (
+            "range = 16",
+            "range = 16\nthermometer = { zero_degc = 1.0, lsb_per_degc = 2.0 }",
+            "sensor 1 'A': thermometer goes with temperature_column",
+        ),
+        (
+            "range = 16",
+            'range = 16\ntemperature_column = "w"\nthermometer = { zero_degc = 1.0, lsb_per_degc = 0.0 }',
+            "sensor 1 'A': thermometer: lsb_per_degc 0",
+        ),
         ("range = 16", "range = -16", "sensor 1 'A': range: Input should be greater than 0"),
         ("range = 16", "range = inf", "sensor 1 'A': range: Input should be a finite number"),
         (

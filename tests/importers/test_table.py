@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import tracemalloc
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,11 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imuarray.calibrate.segments import chip_thermometer, degc_of
+from imuarray.cli import main
 from imuarray.errors import ConfigError, ImuArrayError, OutputExistsError, SourceError
 from imuarray.importers import Summary
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
-from imuarray.log.format import SATURATED
+from imuarray.log.format import SATURATED, ThermometerScale
+from imuarray.simulate.motion.like import LikeLog
 
 SENSOR = """
 [[sensor]]
@@ -67,6 +71,29 @@ def test_a_table_with_a_header(tmp_path: Path) -> None:
         (event,) = log.events
         assert event.kind == "imported"
         assert "data.csv by map.toml; no wall time" in event.message
+
+
+def test_what_the_counts_of_a_thermometer_mean(tmp_path: Path) -> None:
+    """By the map they come into the log, and out of its export again."""
+    said = 'temperature_column = "w"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n'
+    write(tmp_path, "t,x,y,z,w\n0.5,1,-2,3,-340\n0.51,4,5,-6,680\n", NAMED + said)
+    assert main(["export", str(tmp_path / "out.h5"), "-o", str(tmp_path / "out.npz")]) == 0
+    assert main(["import", str(tmp_path / "out.npz"), "-o", str(tmp_path / "again.h5")]) == 0
+    for name in ("out.h5", "again.h5"):
+        with open_log(tmp_path / name) as log:
+            assert log["A"].thermometer == ThermometerScale(36.53, 340.0)
+            assert degc_of(log["A"]) == (36.53, pytest.approx(1 / 340))
+            warm = chip_thermometer(log, 0.005)
+            assert warm is not None and warm.degc == pytest.approx([35.53, 38.53])
+            assert LikeLog(log).temperature_source == "chip"
+
+
+def test_a_table_packed_by_gzip(tmp_path: Path) -> None:
+    packed = gzip.compress(b"t,x,y,z\n" + b"".join(b"%d,1,-2,3\n" % row for row in range(5000)))
+    assert write(tmp_path, packed, NAMED).rows == 5000
+    (tmp_path / "out.h5").unlink()
+    message = refused(tmp_path, packed[:-20], NAMED)
+    assert message.startswith("data.csv: behind line ") and "packed by gzip and damaged" in message
 
 
 @pytest.mark.parametrize(
