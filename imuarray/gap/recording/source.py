@@ -68,10 +68,10 @@ class RecordedSource:
 
 
 class SimulatedSource:
-    """A simulated triad, whose rows are worked out when they are asked for."""
+    """A simulated triad, whose rows are worked out when they are asked for; these `alone`, or whole chunks of them."""
 
-    def __init__(self, sensor: SimulatedSensor) -> None:
-        self.header = sensor.header
+    def __init__(self, sensor: SimulatedSensor, *, alone: bool = False) -> None:
+        self.header, self._alone = sensor.header, alone
         self.known: dict[Hashable, Any] = {}
         self._sensor = sensor
         self._row_at = lru_cache(maxsize=64)(self._find_row)
@@ -83,7 +83,7 @@ class SimulatedSource:
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         """The simulator's own chunks, so that none is worked out twice."""
         for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
-            block = self._sensor.block(first, stop)
+            block = self._sensor.block(first, stop, alone=self._alone)
             if len(block.time):
                 yield block
 
@@ -93,10 +93,10 @@ class SimulatedSource:
         return bisect_left(range(self._sensor.rows), at_ns, key=lambda row: int(stamps(row, row + 1)[0]))
 
 
-def simulated_sources(simulation: Simulation) -> dict[str, Source]:
-    """The triads of a simulation, by name."""
+def simulated_sources(simulation: Simulation, *, alone: bool = False) -> dict[str, Source]:
+    """The triads of a simulation, by name. `alone`: of the rows that are asked for the next ones aren't wanted."""
     triads = ((name, sensor) for name, sensor in simulation.sensors.items() if isinstance(sensor, SimulatedSensor))
-    return {name: SimulatedSource(sensor) for name, sensor in triads}
+    return {name: SimulatedSource(sensor, alone=alone) for name, sensor in triads}
 
 
 def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:
