@@ -29,6 +29,9 @@ from imuarray.simulate.timeline import Timeline
 from imuarray.simulate.waits import Awaited
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
+_WORTH_IT = 1024
+"""Fewer rows than that are cut from their whole chunk, which others will be wanted of."""
+
 OVERSAMPLING = 3
 """Of the barometer: the driver's setting, the quietest (BMP-44)."""
 
@@ -77,11 +80,16 @@ class SimulatedSensor:
         self._acting = tuple(zip(self.effects, self._places(), strict=True))
         self._is_late = any(effect.name == "jitter" for effect in self.effects)
         self._lookback = 1 + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
-        self._chunk = lru_cache(maxsize=4)(self._evaluate)
+        self._is_local = not any(effect.lookback(at) for effect, at in self._acting)
+        self._chunk = lru_cache(maxsize=4)(self._evaluated)
 
-    def block(self, start: int, stop: int) -> Block:
-        """The rows numbered start ... stop - 1 that arrive (fewer than stop - start where readings are dropped)."""
-        parts = [self._arrived(chunk, start, stop) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
+    def block(self, start: int, stop: int, *, alone: bool = False) -> Block:
+        """The rows numbered start ... stop - 1 that arrive (fewer than stop - start where readings are dropped). Of a
+        sensor whose effects don't look back these `alone` can be worked out, if no others of their chunks are wanted:
+        they are the same.
+        """
+        alone = alone and self._is_local
+        parts = [self._arrived(chunk, start, stop, alone) for chunk in range(start // CHUNK, -(-stop // CHUNK))]
         if len(parts) == 1:
             return parts[0]
         time, counts, status, temperature, _ = zip(*parts, strict=True)
@@ -113,9 +121,12 @@ class SimulatedSensor:
         rows = np.concatenate(lost)
         return np.asarray(rows[(rows >= start) & (rows < stop)])
 
-    def _arrived(self, number: int, start: int, stop: int) -> Block:
-        chunk = self._chunk(number, True)
-        begin = number * CHUNK
+    def _arrived(self, number: int, start: int, stop: int, alone: bool) -> Block:
+        begin, end = max(start, number * CHUNK), min(stop, (number + 1) * CHUNK, self.rows)
+        if alone and _WORTH_IT <= end - begin < CHUNK:
+            chunk = self._evaluate(begin, end, True)
+        else:
+            chunk, begin = self._chunk(number, True), number * CHUNK
         rows: Any = slice(max(start - begin, 0), min(stop - begin, len(chunk.kept)))
         if not chunk.kept[rows].all():
             rows = rows.start + np.flatnonzero(chunk.kept[rows])
@@ -138,9 +149,12 @@ class SimulatedSensor:
         rate_hz = self.header.rate_hz
         return math.ceil(self.timeline.rows_per_s / rate_hz) + 1 if 0 < rate_hz < self.timeline.rows_per_s else 0
 
-    def _evaluate(self, number: int, swapped: bool) -> Chunk:
-        """One chunk, with (or, for a neighbour's sake, without) its own channel swap."""
-        begin, end = number * CHUNK, min((number + 1) * CHUNK, self.rows)
+    def _evaluated(self, number: int, swapped: bool) -> Chunk:
+        """One chunk."""
+        return self._evaluate(number * CHUNK, min((number + 1) * CHUNK, self.rows), swapped)
+
+    def _evaluate(self, begin: int, end: int, swapped: bool) -> Chunk:
+        """Rows begin ... end - 1, with (or, for a neighbour's sake, without) the sensor's own channel swap."""
         first = max(0, begin - self._lookback)
         acting = [(effect, at) for effect, at in self._acting if swapped or effect.name != "channel_swap"]
         instants, codes = self._chain(first, end, acting)

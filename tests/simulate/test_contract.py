@@ -12,9 +12,17 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from imuarray.array import parse_array
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
+from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.motion.heating import Heating
+from imuarray.simulate.motion.tumble import Tumble
+from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Place
+from imuarray.simulate.simulation import Simulation, plan_of
 from imuarray.simulate.streams import CHUNK, Stream, Streams
 
 Row = Instants | Felt | Analog | Codes
@@ -285,3 +293,23 @@ def test_any_stretch_alone(bench: Bench, name: str) -> None:
             wanted, found = long[3000:], short[reach:]
             close = np.allclose(found, wanted, rtol=1e-9, atol=1e-12) if found.dtype.kind == "f" else found == wanted
             assert np.all(close), column
+
+
+@pytest.mark.parametrize("name", [None, *EFFECTS])
+def test_rows_that_are_worked_out_alone_are_those_of_their_chunk(name: str | None) -> None:
+    """Of a box that is heated and turned, bit for bit, whether or not the effect lets them be worked out alone."""
+    array = parse_array(
+        '[array]\nname = "a"\n[[sensor]]\nname = "S1"\nchip = "adxl345"\naddress = 0x53\nrange = 16\nrate_hz = 400\n'
+        '[[sensor]]\nname = "S2"\nchip = "adxl345"\naddress = 0x1d\nrange = 16\nrate_hz = 400\n'
+    )
+    effects = (WhiteNoise(0.004), Misalignment((1.0, -2.0, 0.5, 1.0, -1.0, 3.0)), ThermalBias(0.002))
+    effects += (harmful(name),) if name is not None else ()
+    plan = plan_of(array, 100.0, 400.0)
+    cuts = [0, 5000, 7000, 7900, CHUNK + 3000, CHUNK + 4100, 40_000]
+    for motion in (Tumble(50.0, 4.0), Heating(scale=400 / Heating().seconds)):
+        whole, alone = (Simulation(plan, motion, {"S1": effects}, seed=2).sensors["S1"] for _ in range(2))
+        assert isinstance(whole, SimulatedSensor)
+        assert isinstance(alone, SimulatedSensor)
+        for first, stop in itertools.pairwise(cuts):
+            for wanted, found in zip(whole.block(first, stop), alone.block(first, stop, alone=True), strict=True):
+                np.testing.assert_array_equal(found, wanted)

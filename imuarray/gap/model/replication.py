@@ -116,12 +116,17 @@ class Stage:
         found: list[LogSummary] = []
         for first in range(0, len(asked), at_once):
             some = slice(first, first + at_once)
-            replicates = [self._sources(log, *one, own) for one, own in zip(asked[some], effects[some], strict=True)]
+            replicates = [
+                self._sources(log, *one, own, alone=not held_out)
+                for one, own in zip(asked[some], effects[some], strict=True)
+            ]
             found += summarise_logs(kind, replicates, phases, temperature_of(motion), self._layouts(log, held_out))
         return found
 
-    def _sources(self, log: int, models: Models, number: int, effects: Effects) -> dict[str, Source]:
-        """One replicate of a log: these sensors, and where the box moves all others, as many models have in common."""
+    def _sources(self, log: int, models: Models, number: int, effects: Effects, *, alone: bool) -> dict[str, Source]:
+        """One replicate of a log: these sensors, and where the box moves all others, as many models have in common.
+        `alone`: only parts of the log are wanted.
+        """
         plan, motion = self.experiments[log]
         wanted = [name for name in plan.sensors if name in (effects if self._moves[log] else models)]
         swapped = [name for name in wanted if any(effect.name == ChannelSwap.name for effect in effects[name])]
@@ -130,20 +135,20 @@ class Stage:
         return {
             name: array[name]
             if name in swapped
-            else (self._alone if name in models else self._company)(log, name, effects[name], seed)
+            else (self._lone if name in models else self._company)(log, name, effects[name], seed, alone)
             for name in wanted
         }
 
     @cached_property
-    def _company(self) -> Callable[[int, str, tuple[Effect, ...], int], Source]:
-        """`_alone`, the same one as long as it is kept."""
-        return lru_cache(maxsize=_KEPT)(self._alone)
+    def _company(self) -> Callable[[int, str, tuple[Effect, ...], int, bool], Source]:
+        """`_lone`, the same one as long as it is kept."""
+        return lru_cache(maxsize=_KEPT)(self._lone)
 
-    def _alone(self, log: int, name: str, effects: tuple[Effect, ...], seed: int) -> Source:
+    def _lone(self, log: int, name: str, effects: tuple[Effect, ...], seed: int, alone: bool) -> Source:
         """A sensor that needs no other."""
         plan, motion = self.experiments[log]
         own = replace(plan, sensors={name: plan.sensors[name]})
-        return simulated_sources(Simulation(own, motion, {name: effects}, seed=seed, boot=log))[name]
+        return simulated_sources(Simulation(own, motion, {name: effects}, seed=seed, boot=log), alone=alone)[name]
 
     @cached_property
     def _drawn(self) -> Callable[[int], Effects]:

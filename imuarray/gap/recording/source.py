@@ -97,11 +97,11 @@ class EvenSource:
 
 
 class SimulatedSource:
-    """A simulated triad, whose rows are worked out when they are asked for."""
+    """A simulated triad, whose rows are worked out when they are asked for; these `alone`, or whole chunks of them."""
 
-    def __init__(self, sensor: SimulatedSensor, flags: int = EVERY_FLAG) -> None:
+    def __init__(self, sensor: SimulatedSensor, flags: int = EVERY_FLAG, *, alone: bool = False) -> None:
         """`flags` are those that the recorder sets."""
-        self.header = sensor.header
+        self.header, self._alone = sensor.header, alone
         self._flags = flags
         self.known: dict[Hashable, Any] = {}
         self._sensor = sensor
@@ -114,7 +114,7 @@ class SimulatedSource:
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         """The simulator's own chunks, so that none is worked out twice."""
         for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
-            block = self._sensor.block(first, stop)
+            block = self._sensor.block(first, stop, alone=self._alone)
             if len(block.time):
                 yield block._replace(status=block.status & np.uint16(self._flags))
 
@@ -129,10 +129,10 @@ def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenS
     return EvenSource(sensor, line) if isinstance(line, EvenRows) else RecordedSource(sensor)
 
 
-def simulated_sources(simulation: Simulation) -> dict[str, Source]:
-    """The triads of a simulation, by name."""
+def simulated_sources(simulation: Simulation, *, alone: bool = False) -> dict[str, Source]:
+    """The triads of a simulation, by name. `alone`: of the rows that are asked for the next ones aren't wanted."""
     triads = ((name, sensor) for name, sensor in simulation.sensors.items() if isinstance(sensor, SimulatedSensor))
-    return {name: SimulatedSource(sensor, simulation.plan.flags) for name, sensor in triads}
+    return {name: SimulatedSource(sensor, simulation.plan.flags, alone=alone) for name, sensor in triads}
 
 
 def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:

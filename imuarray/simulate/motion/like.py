@@ -38,6 +38,9 @@ _FEW = 256
 """What was felt at so few instants is kept: the same ones, scattered over a phase, are asked for again and again."""
 _KEPT = 512
 
+_LAST = 8
+"""Of more instants what was felt at so many stretches is kept: trials of a model ask for the same ones in turn."""
+
 
 @dataclass(frozen=True, eq=False)
 class LikeLog:
@@ -87,8 +90,24 @@ class LikeLog:
     def felt(self, time_ns: Integers) -> Felt:
         """What the log's rows say, or its phases; read-only, of few instants."""
         if len(time_ns) > _FEW:
-            return self._felt(time_ns)
+            return self._felt_before(time_ns)
         return self._remembered(np.asarray(time_ns, np.int64).tobytes())
+
+    def _felt_before(self, time_ns: Integers) -> Felt:
+        """What is felt at many instants, kept for the next time."""
+        kept, key = self._stretches, (len(time_ns), int(time_ns[0]), int(time_ns[-1]))
+        found = kept.pop(key, None)
+        if found is None or not np.array_equal(found.time_ns, time_ns):
+            found = self._felt(time_ns)
+        kept[key] = found
+        if len(kept) > _LAST:
+            del kept[next(iter(kept))]
+        return found
+
+    @cached_property
+    def _stretches(self) -> dict[tuple[int, int, int], Felt]:
+        """By number, first and last of the instants; the ones that were asked for last at the end."""
+        return {}
 
     def __reduce__(self) -> tuple[type[LikeLog], tuple[Log, tuple[PhaseField, ...]]]:
         """Its log, which opens itself, and what it was told; what was read of the log is not sent."""

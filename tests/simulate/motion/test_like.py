@@ -240,3 +240,16 @@ def test_it_is_sent_as_its_log(tmp_path: Path) -> None:
         again = pickle.loads(pickled)  # noqa: S301
         assert np.array_equal(again.felt(rows).force_box, felt.force_box)
         again.log.close()
+
+
+def test_instants_that_begin_and_end_alike_are_not_taken_for_each_other(tmp_path: Path) -> None:
+    rows = np.arange(0, 10 * S, 5_000_000)
+    asked = np.linspace(0, 9 * S, 1000).astype(np.int64)
+    other = np.concatenate([asked[:1], asked[1:-1] + 1_000_000, asked[-1:]])
+    with Log(write(tmp_path / "log.h5", tracks={"truth": track(rows)})) as log:
+        motion = LikeLog(log)
+        wanted = [LikeLog(log).felt(times).force_box for times in (asked, other)]
+        assert not np.array_equal(*wanted)
+        for _ in range(2):
+            for times, force in zip((asked, other), wanted, strict=True):
+                np.testing.assert_array_equal(motion.felt(times).force_box, force)
