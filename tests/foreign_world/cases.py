@@ -26,7 +26,7 @@ KINDS = ("control", "effect", "unknown", "pair")
 SEVERITY = 5.0
 """Size of an effect in detection limits, unless another is asked for."""
 MOST_SECONDS = 620.0
-MOST_ROWS = 400_000
+MOST_ROWS = 120_000
 """What a case has at most, all logs and sensors together, so that a diagnosis takes little time."""
 MOST_ATTEMPTS = 200
 
