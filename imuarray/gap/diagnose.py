@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,6 +18,7 @@ from imuarray.gap.findings.diagnosis import (
     Cause,
     Diagnosis,
     Gap,
+    Pull,
     RecordingSummary,
     Unobservable,
     Where,
@@ -38,6 +40,7 @@ from imuarray.gap.inference.search import SearchResult, searches
 from imuarray.gap.inference.unit_state import least_scale
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.downstream import uses
+from imuarray.gap.model.nuisance import nuisance_estimates
 from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.recordings import Recording
 from imuarray.gap.statistics.environment import environment_of
@@ -202,6 +205,17 @@ def _said(case: GapCase, candidates: Mapping[str, Candidate], searched: SearchRe
         model,
         f"imuarray {imuarray.__version__}",
         repaired(bench, searched.models, case.model, f"repaired {model}", logs=names),
+        pulls=_pulls(found, case.recordings),
+    )
+
+
+def _pulls(found: Comparison, recordings: Sequence[Recording]) -> tuple[Pull, ...]:
+    """Nuisance quantities of all sensors whose tolerance is known, as the training part tells them."""
+    train = found.bench.split.train(found.campaign)
+    has_reference = all(recording.has_reference_temperature for recording in recordings)
+    estimates = nuisance_estimates(train.campaign, found.bench.base, has_reference=has_reference)
+    return tuple(
+        Pull(*estimate[:-1], estimate.pull, estimate.source) for estimate in estimates if math.isfinite(estimate.pull)
     )
 
 

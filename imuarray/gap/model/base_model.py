@@ -18,7 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.model.gravity import Forces, estimated_forces, forces_left
-from imuarray.gap.model.populations import CLOCK_SIGMA, TOLERANCE_SIGMAS, is_usual, response_tolerance, usual_model
+from imuarray.gap.model.populations import (
+    CLOCK_SIGMA,
+    CUTOFF_TOLERANCE,
+    LEAST_CORRELATION,
+    TOLERANCE_SIGMAS,
+    is_usual,
+    response_tolerance,
+    usual_model,
+)
 from imuarray.gap.model.rest import FittedParameters, Rest, felt, fitted_to
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
 from imuarray.gap.statistics.catalogue import (
@@ -33,7 +41,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.thermal_bias import ThermalBias
-from imuarray.simulate.model import Model
+from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.streams import Streams
 
@@ -107,6 +115,7 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
         name: fitted_to(header, list(_at_rest(campaign, motions, forces, name)), response_tolerance(header))
         for name, header in headers.items()
     }
+    fitted = {name: replace(found, cutoff_hz=_cutoff_hz(campaign, headers[name])) for name, found in fitted.items()}
     return Base(headers, fitted, model, seed)
 
 
@@ -199,6 +208,27 @@ def _left(phase: PhaseSummary, motion: Motion, force_box: npt.NDArray[np.float64
         mean = summary.segments.mean - predicted * summary.header.sensitivity
         sensors[name] = replace(summary, segments=replace(summary.segments, mean=mean))
     return replace(phase, sensors=sensors)
+
+
+def _cutoff_hz(campaign: Campaign, header: SensorHeader) -> float:
+    """Where the chip's own filter cuts the noise off, if rows come fast enough to show it and do: from the correlation
+    of neighbours in all phases at rest, within `CUTOFF_TOLERANCE` of what is configured; else infinite.
+
+    A first-order filter of cutoff f makes a correlation of exp(-2 pi f / rows_per_s).
+    """
+    configured_hz = noise_bandwidth_hz(header)
+    rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
+    if configured_hz <= 0 or not rests:
+        return math.inf
+    rows_per_s = np.array([1 / phase.intervals.mean_s for phase in rests])
+    expected = np.exp(-2 * math.pi * configured_hz / rows_per_s)
+    seen = np.array([phase.correlation[1].mean() for phase in rests])
+    shows = (expected > LEAST_CORRELATION) & np.isfinite(seen)
+    if not shows.any() or np.median(seen[shows] / expected[shows]) < 1 / 2:
+        return math.inf
+    rate, held = rows_per_s[shows], np.clip(seen[shows], LEAST_CORRELATION, 1 - LEAST_CORRELATION)
+    ratio = float(np.median(-np.log(held) * rate / (2 * math.pi))) / configured_hz
+    return configured_hz * min(max(ratio, 1 - CUTOFF_TOLERANCE), 1 + CUTOFF_TOLERANCE)
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:

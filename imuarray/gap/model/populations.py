@@ -45,6 +45,12 @@ THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0
 CLOCK_SIGMA = 0.02
 """Relative error of a chip's data clock where no tolerance is printed: RC oscillators keep a few percent."""
 
+CUTOFF_TOLERANCE = 0.3
+"""Relative: a filter's cutoff follows the chip's clock and the order of the filter, which few data sheets print."""
+
+LEAST_CORRELATION = 0.05
+"""A filter that correlates neighbouring rows less doesn't show."""
+
 TOLERANCE_SIGMAS = 3.0
 """A tolerance is so many standard deviations of a population that has no printed limit."""
 

@@ -160,8 +160,8 @@ class Stage:
         found = {}
         for name, drawn in self._drawn(number).items():
             model = models.get(name) or SensorModel(self.base.fitted[name])
-            kept = (effect for effect in drawn if effect.name not in model.removed)
-            found[name] = (*kept, *model.fitted.effects(), *model.added)
+            kept = (effect for effect in (*drawn, *model.fitted.effects()) if effect.name not in model.removed)
+            found[name] = (*kept, *model.added)
         return found
 
     def _layouts(self, log: int, held_out: bool) -> tuple[Layout, ...]:

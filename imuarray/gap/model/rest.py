@@ -7,6 +7,7 @@ tolerance: what lies within is no difference between simulator and recording, wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bandwidth import Bandwidth
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.white_noise import WhiteNoise
@@ -58,7 +60,7 @@ class FittedParameters:
     `slope` per degC; all zero for one that never was at rest. `response`: what each axis (row) adds for each unit of
     specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per g for others,
     within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether temperatures
-    differed enough.
+    differed enough. `cutoff_hz`: the noise is low-passed there by the chip's own filter (infinite: it is white).
     """
 
     rms: Triple
@@ -67,10 +69,14 @@ class FittedParameters:
     response: Matrix = NO_RESPONSE
     raw_response: Matrix = NO_RESPONSE
     is_slope_known: bool = False
+    cutoff_hz: float = math.inf
 
     def effects(self) -> tuple[Effect, ...]:
         """As the simulator has them."""
-        return WhiteNoise(self.rms), Bias(self.offset), ThermalBias(self.slope, reference_degc=REFERENCE_DEGC)
+        noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
+        if math.isfinite(self.cutoff_hz):
+            noise = (*noise, Bandwidth(self.cutoff_hz))
+        return *noise, Bias(self.offset), ThermalBias(self.slope, reference_degc=REFERENCE_DEGC)
 
     def moved(self, wanted: FittedParameters, came: Sequence[FittedParameters]) -> FittedParameters:
         """These parameters, changed by what fits of their simulations, which `came`, lack on average of `wanted`.

@@ -59,6 +59,11 @@ class Recording:
     experiment: Experiment
     notes: tuple[str, ...] = ()
 
+    @property
+    def has_reference_temperature(self) -> bool:
+        """Whether something beside the chips' own thermometers tells the temperature."""
+        return LikeLog(self.log).temperature_source not in ("chip", "nothing")
+
 
 def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     """One log, of its triads or `only` those named.

@@ -14,8 +14,8 @@ ORDINARY = frozenset({"white_noise", "bias", "thermal_bias", "scale", "misalignm
 
 
 def removals(evidence: Evidence, name: str) -> Iterator[Hypothesis]:
-    """The trial without effects of this kind, if the model has any that isn't ordinary."""
-    if _has(evidence, name):
+    """The trial without effects of this kind, if the model has any that isn't ordinary, nor fitted."""
+    if _has(evidence, name) and not _is_fitted(evidence, name):
         yield Hypothesis((), removed=name)
 
 
@@ -33,6 +33,11 @@ def with_removal(
             yield replace(guess, removed=name)
         if not has or several:
             yield guess
+
+
+def _is_fitted(evidence: Evidence, name: str) -> bool:
+    """Whether the chip's own filter is all that the model has of the kind."""
+    return name in {effect.name for effect in evidence.fitted.effects()}
 
 
 def _has(evidence: Evidence, name: str) -> bool:
