@@ -253,6 +253,23 @@ def test_a_magnetometer_alone_has_no_error_of_level(tmp_path: Path) -> None:
     assert bench.base.fitted["Mag"].rms[0] * 1090 == pytest.approx(5.0, rel=0.2)
 
 
+def test_a_track_of_the_motion_tells_no_field(tmp_path: Path) -> None:
+    """At rest for a while, then turned to and fro, as a reference tells: the magnetometer is compared at rest."""
+    path = tmp_path / "turned.h5"
+    time = np.arange(3000, dtype=np.int64) * SECOND // 50
+    rate = np.where(time[:, None] % (2 * SECOND) < SECOND, 1.0, -1.0) * (time[:, None] > 20 * SECOND) * np.eye(3)[2]
+    noise = np.random.default_rng(0).normal(0, 5, (3000, 3))
+    with LogWriter(path, [*FOREIGN[1:], COMPASS], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        turned = np.rint(noise + np.degrees(rate) * 16.4).astype(np.int16)
+        log.append("Gyro", Block(time, turned, np.zeros(3000, np.uint16)))
+        log.append("Mag", Block(time, np.rint(noise).astype(np.int16), np.zeros(3000, np.uint16)))
+        force = np.tile([0.0, 0.0, 9.80665], (3000, 1))
+        log.stimulus("reference", Stimulus(time, force, rate, np.full(3000, 20.0)))
+        log.phase(phase(0, 19, "static", "+Z"))
+    _, campaign = prepared([recorded(path)], None, 0)
+    assert campaign.logs[0].phases[0].sensors.keys() == {"Gyro", "Mag"}
+
+
 def test_while_the_box_moves_no_field_is_known(tmp_path: Path) -> None:
     path = tmp_path / "moving.h5"
     rows = np.arange(500, dtype=np.int64) * SECOND // 50

@@ -20,6 +20,7 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.timeline import Filled, Timeline
 from imuarray.simulate.waits import Awaited
+from imuarray.units import INERTIAL
 
 _END_NS = np.iinfo(np.int64).max
 
@@ -60,7 +61,8 @@ def events_of(
     """Of the sensors with these timelines; `moving` are the phases in which the box moves, `motion` is what it felt if
     a track of the log tells.
     """
-    lags = behind([log[name] for name in timelines], motion) if motion is not None else ()
+    inertial = [log[name] for name in timelines if log[name].quantity in INERTIAL]  # of a track that tells no field
+    lags = behind(inertial, motion) if motion is not None and inertial else ()
     host = _host(timelines.values())._replace(behind=lags)
     return MappingProxyType(
         {name: _events(log, name, line, moving, timelines, host) for name, line in timelines.items()}
