@@ -59,6 +59,11 @@ class Recording:
     experiment: Experiment
     notes: tuple[str, ...] = ()
 
+    @property
+    def has_reference_temperature(self) -> bool:
+        """Whether something beside the chips' own thermometers tells the temperature."""
+        return LikeLog(self.log).temperature_source not in ("chip", "nothing")
+
 
 def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     """One log, of its triads or `only` those named.
@@ -109,6 +114,22 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
         lacking = tuple(f"{name} is left out: it was not read in this log." for name in names if name not in here)
         found.append(replace(recording, notes=(*lacking, *recording.notes)))
     return tuple(found)
+
+
+def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
+    """LogError in one line if the earlier recordings are of another array: of none of the same sensors, or of sensors
+    that were set otherwise.
+    """
+    sensors = {name: recording.log[name] for recording in earlier for name in recording.experiment.plan.sensors}
+    for recording in recordings:
+        shared = [name for name in recording.experiment.plan.sensors if name in sensors]
+        for name in shared:
+            _same(sensors[name], recording.log[name])
+        if not shared:
+            first = earlier[0].log.path
+            raise LogError(
+                f"{recording.log.path}: no sensor in common with {first}: earlier logs are of the same array"
+            )
 
 
 def temperature_of(motion: Motion) -> Temperature:
