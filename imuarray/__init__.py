@@ -14,18 +14,20 @@ if TYPE_CHECKING:
     from imuarray.array import load_array
     from imuarray.bus import open_bus
     from imuarray.calibrate import load_calibration
+    from imuarray.gap.diagnose import diagnose
     from imuarray.log import open_log
 
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "diagnose": "imuarray.gap.diagnose",
     "load_array": "imuarray.array",
     "load_calibration": "imuarray.calibrate",
     "open_bus": "imuarray.bus",
     "open_log": "imuarray.log",
 }
 
-__all__ = ["__version__", "load_array", "load_calibration", "open_bus", "open_log"]
+__all__ = ["__version__", "diagnose", "load_array", "load_calibration", "open_bus", "open_log"]
 
 
 def __getattr__(name: str) -> Any:

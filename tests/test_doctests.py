@@ -19,6 +19,7 @@ SHOWN = (
     "imuarray.calibrate.load_calibration",
     "imuarray.fuse.evaluate",
     "imuarray.fuse.fuse",
+    "imuarray.gap.diagnose.diagnose",
     "imuarray.log.open_log",
 )
 """What README.md and the scripts in configs/examples begin with."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,6 +53,13 @@ command.add_command(validate)
     help="take these effects out of the library of causes (imuarray simulate --effects lists them)",
 )
 @click.option("--only", default="", metavar="SENSOR,...", help="diagnose only these sensors")
+@click.option(
+    "--against",
+    multiple=True,
+    metavar="EARLIER.h5",
+    type=click.Path(path_type=Path),
+    help="an earlier log of the same array, in the simulator's place: what has changed since then (may be repeated)",
+)
 @click.option("--seed", type=click.IntRange(0, 2**63), default=0, show_default=True, help="keys every draw")
 @click.option(
     "--replicates",
@@ -76,6 +83,7 @@ def diagnose(
     model_name: str | None,
     without: str,
     only: str,
+    against: tuple[Path, ...],
     seed: int,
     replicates: int,
     workers: int,
@@ -87,36 +95,33 @@ def diagnose(
 
     Logs of one array, of any experiments: static, tumble, heating, turn-on, motion. Parameters are fitted to one part
     of them; what is said of causes is judged on the rest. Without --model the simulator has what the data sheets of the
-    chips in the log's configuration say, with noise, bias and temperature slope as fitted.
+    chips in the log's configuration say, with noise, bias and temperature slope as fitted. With --against the question
+    is what has changed since an earlier log: parameters are fitted to that one, and what it shows is no difference.
 
     \b
     imuarray gap diagnose static.h5 tumble.h5 -o gap
+    imuarray gap diagnose today.h5 --against last_year.h5
     """
-    from imuarray.gap.diagnose import diagnose as diagnosed
+    from imuarray import diagnose as diagnose_logs
     from imuarray.gap.diagnose import library
-    from imuarray.gap.model.workers import processes, runner
-    from imuarray.gap.recording.recordings import recordings_of
-    from imuarray.log import open_log
 
     left_out = _names(without)
     library(left_out)
     if output is not None:
         prepare_folder(output, FILES, force)
-    model = _model(model_name)
-    with ExitStack() as stack:
-        opened = [stack.enter_context(open_log(path)) for path in dict.fromkeys(logs)]
-        recordings = recordings_of(opened, _names(only))
-        executor = stack.enter_context(processes(workers)) if workers > 1 else None
-        stages = _Stages()
-        found = diagnosed(
-            recordings,
-            lambda bench: runner(bench, executor, stages.bar),
-            model=model,
-            without=left_out,
-            seed=seed,
-            replicates=replicates,
-            progress=stages.begin,
-        )
+    stages = _Stages()
+    found = diagnose_logs(
+        logs,
+        model=_model(model_name),
+        only=_names(only),
+        against=against,
+        without=left_out,
+        seed=seed,
+        replicates=replicates,
+        workers=workers,
+        progress=stages.begin,
+        bar=stages.bar,
+    )
     if output is not None:
         _write(output, found)
     _say(found, as_json)

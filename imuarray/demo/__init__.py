@@ -20,8 +20,6 @@ from imuarray.errors import OutputExistsError
 from imuarray.fuse import fuse, write_fused
 from imuarray.gap.diagnose import diagnose
 from imuarray.gap.findings.diagnosis import Diagnosis
-from imuarray.gap.model.workers import runner
-from imuarray.gap.recording.recordings import recording_of
 from imuarray.log import open_log
 from imuarray.report import write_page
 from imuarray.report.gap_page import write_gap_page
@@ -96,7 +94,7 @@ def _prepare(folder: Path, force: bool) -> None:
 def _diagnosed(path: Path, seed: int) -> Diagnosis:
     """Some sensors at rest beside what their data sheets say."""
     with open_log(path) as log:
-        return diagnose([recording_of(log, DIAGNOSED)], runner, seed=seed, replicates=_REPLICATES)
+        return diagnose([log], only=DIAGNOSED, seed=seed, replicates=_REPLICATES)
 
 
 def _fuse_heating(path: Path, calibration: Calibration, folder: Path) -> None:

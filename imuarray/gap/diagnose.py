@@ -1,10 +1,14 @@
-"""The whole diagnosis, from recordings to what is said of them."""
+"""The whole diagnosis, from recordings to findings: read, fit and compare, search, verify, report."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import chain
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,41 +16,56 @@ import numpy.typing as npt
 import imuarray
 from imuarray.errors import ConfigError
 from imuarray.gap.findings.causes import causes_of, judged_of
-from imuarray.gap.findings.closure import deviating, deviating_in_either
-from imuarray.gap.findings.description import changes_alike, lines_left, lines_shown
+from imuarray.gap.findings.closure import deviating, deviating_in_either, floor_of, gap_of
+from imuarray.gap.findings.description import (
+    NOTHING_LEFT,
+    Remainder,
+    changes_alike,
+    lines_left,
+    lines_shown,
+    remainder_of,
+)
+from imuarray.gap.findings.deviations import StatisticReport, map_of, where_of
 from imuarray.gap.findings.diagnosis import (
     Cause,
     Diagnosis,
-    Gap,
+    Overlay,
     Pull,
     RecordingSummary,
     Unobservable,
     Where,
-    is_told_by_both,
+    needs_both_parts,
 )
 from imuarray.gap.findings.experiment_design import next_experiment
 from imuarray.gap.findings.labels import WrongLabel, cause_of, corrected, mislabelled
-from imuarray.gap.findings.observability import alike, facts_of, unshown, unsure
+from imuarray.gap.findings.observability import alike, facts_of, missing_in, unshown, unsure
 from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
 from imuarray.gap.findings.overlays import overlays_of
 from imuarray.gap.findings.repair import repaired
 from imuarray.gap.findings.sentence import sentence_of
-from imuarray.gap.findings.unexplained import is_left_single, left_alike, left_single, worst_of
-from imuarray.gap.findings.verdict import StatisticReport, floor_of, gap_of, map_of, unknown_of, verdict_of, where_of
+from imuarray.gap.findings.verdict import Judgement, judge, unknown_probability
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.comparison import Comparison, compared_with_base, observed, prepared
+from imuarray.gap.inference.earlier import beside_earlier, cut_alike
 from imuarray.gap.inference.effects import CANDIDATES, Candidate
 from imuarray.gap.inference.search import SearchResult, searches
 from imuarray.gap.inference.unit_state import least_scale
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.downstream import uses
 from imuarray.gap.model.nuisance import nuisance_estimates
-from imuarray.gap.model.workers import Run
-from imuarray.gap.recording.recordings import Recording
-from imuarray.gap.statistics.environment import environment_of
-from imuarray.simulate.model import Model
+from imuarray.gap.model.workers import Bar, Run, no_bar, processes, runner
+from imuarray.gap.recording.recordings import Recording, recordings_of, refuse_other_array
+from imuarray.gap.statistics.environment import SharedSignal, environment_of
+from imuarray.log import Log, open_log
+from imuarray.log.format import SensorHeader
+from imuarray.simulate.model import Model, load_model
 
 Floats = npt.NDArray[np.float64]
+LogLike = str | PathLike[str] | Log
+"""A path, or an open log."""
+
+Progress = Callable[[str], None]
+"""Hears the name of each stage as it begins."""
 
 REPLICATES = 100
 """Of the base model at most: they say how statistics scatter, and how far chance goes. Fewer are simulated of a
@@ -61,221 +80,394 @@ _FIRST_REPAIRED = 2_000_000
 
 @dataclass(frozen=True)
 class GapCase:
-    """What is diagnosed: the recordings, compared with the base model; those as they were `noted`, if some of their
-    faces were noted wrongly (`wrong`); the model, the seed, and what calls functions of the bench.
+    """What is diagnosed: the recordings, compared with the base model or with `earlier` recordings; the same
+    comparison with the faces `as_noted`, if some were noted wrongly (`wrong_labels`); the model, the seed, and what
+    calls functions of the bench. `missing`: what could not be compared.
     """
 
     recordings: Sequence[Recording]
-    found: Comparison
-    noted: Comparison
-    wrong: tuple[WrongLabel, ...]
+    comparison: Comparison
+    as_noted: Comparison
+    wrong_labels: tuple[WrongLabel, ...]
     model: Model | None
     seed: int
     run: Run
+    earlier: Sequence[Recording] = ()
+    missing: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
-        """The logs'."""
-        return [one.name for one in self.recordings]
+        """The logs' names."""
+        return [recording.name for recording in self.recordings]
+
+    @property
+    def headers(self) -> Mapping[str, SensorHeader]:
+        """What is known of each sensor."""
+        return self.comparison.bench.base.headers
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether the recordings as they were noted differ by more than chance."""
+        return self.as_noted.located.is_gap
+
+    @property
+    def model_name(self) -> str:
+        """What the recordings are compared with."""
+        name = self.model.name if self.model else "data sheets"
+        before = ", ".join(recording.name for recording in self.earlier)
+        return f"{name}, fitted to {before}" if before else name
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The recordings beside the model with all causes in: statistics of its replicates (those of the base model where
+    there are no causes), and what they make of the recordings.
+    """
+
+    replicates: Sequence[StatisticValues]
+    after: Assessment
+
+    @property
+    def values(self) -> Floats:
+        """(b, n) the replicates' statistics."""
+        return np.array([replicate.values for replicate in self.replicates])
 
 
 def diagnose(
-    recordings: Sequence[Recording],
-    run: Callable[[Bench], Run],
+    logs: Iterable[LogLike],
     *,
-    model: Model | None = None,
+    model: Model | str | PathLike[str] | None = None,
+    only: Collection[str] = (),
+    against: Iterable[LogLike] = (),
     without: Collection[str] = (),
     seed: int = 0,
     replicates: int = REPLICATES,
-    progress: Callable[[str], None] = lambda what: None,
+    workers: int = 1,
+    progress: Progress = lambda stage: None,
+    bar: Bar = no_bar,
 ) -> Diagnosis:
-    """Where recordings differ from what the model makes of them, why, and how far that is closed by the causes.
+    """Where recordings of an array differ from what the simulator makes of them, why, and how far causes close that.
 
-    `run` gives, for a bench, what calls its functions (`imuarray.gap.model.workers.runner`). `without` takes effects
-    out of the library of causes; ConfigError for one that isn't in it. `progress` hears what is going on.
+    `logs` are paths, or open logs, which stay open; of any experiments (static, tumble, heating, turn-on, motion), all
+    of one array. `model` is what the simulator has, or the path of a model file; without, it has what the data sheets
+    of the chips say. `only` names the sensors to look at (none: all accelerometers and gyroscopes), `without` effects
+    to leave out of the library of causes.
+
+    `against` are earlier logs of the same array. With these the question is what has changed since then: noise, bias
+    and slope are those of the earlier logs, and what the earlier logs show of a statistic is taken off the new ones
+    (`imuarray.gap.inference.earlier`). Statistics that the earlier logs tell nothing of are not compared.
+
+    `seed` keys every draw: the same logs and seed give the same diagnosis, whatever the number of `workers`, which are
+    processes (a program that asks for several needs the usual ``if __name__ == "__main__":``). `replicates` of the base
+    model tell chance from a gap; 40 are the fewest that do. `progress` hears the name of each stage; `bar` makes what
+    hears how many of its jobs are done.
+
+    LogError for a log that can't be read, in which nothing can be compared, or that is of another array; ConfigError
+    for an effect or a model that isn't known.
+
+    >>> found = diagnose(["run.h5"], only=["Gyro1"], replicates=40)
+    >>> found.verdict in ("no gap", "explained", "partly explained", "unexplained")
+    True
+    >>> [recording.name for recording in found.recorded]
+    ['run.h5']
     """
     candidates = library(without)
-    begin = begun(recordings, run, model=model, seed=seed, replicates=replicates, progress=progress)
-    return explained(begin, candidates, progress)
+    chosen = model if model is None or isinstance(model, Model) else load_model(model)
+    with ExitStack() as stack:
+        recordings, earlier = _read(_opened(logs, stack), _opened(against, stack), only)
+        executor = stack.enter_context(processes(workers)) if workers > 1 else None
+
+        def run_on(bench: Bench) -> Run:
+            return runner(bench, executor, bar)
+
+        case = compare(
+            recordings, run_on, model=chosen, earlier=earlier, seed=seed, replicates=replicates, progress=progress
+        )
+        return explain(case, candidates, progress)
 
 
-def begun(
+def compare(
     recordings: Sequence[Recording],
-    run: Callable[[Bench], Run],
+    run_on: Callable[[Bench], Run],
     *,
     model: Model | None = None,
+    earlier: Sequence[Recording] = (),
     seed: int = 0,
     replicates: int = REPLICATES,
-    progress: Callable[[str], None] = lambda what: None,
+    progress: Progress = lambda stage: None,
 ) -> GapCase:
-    """Where recordings differ from the base model: the part of `diagnose` that needs no library of causes."""
+    """Where recordings differ from the base model, or from `earlier` recordings: the part of `diagnose` that needs no
+    library of causes. `run_on` gives, for a bench, what calls its functions (`imuarray.gap.model.workers.runner`).
+    """
     progress("reading the recordings")
-    bench, campaign = prepared(recordings, model, seed)
-    called = run(bench)
-    progress("simulating the base model")
-    found = noted = compared_with_base(bench, campaign, called, replicates)
-    wrong = mislabelled(recordings, campaign)
-    if wrong:
-        progress("once more, with faces as they lay")
-        recordings = corrected(recordings, wrong)
-        bench, campaign = prepared(recordings, model, seed)
-        called = run(bench)
-        found = compared_with_base(bench, campaign, called, replicates)
-        noted = noted if noted.pairs.keys == found.pairs.keys else found
-    return GapCase(recordings, found, noted, wrong, model, seed, called)
+    case = _compared(recordings, run_on, model, earlier, seed, replicates, progress)
+    wrong_labels = mislabelled(recordings, case.comparison.campaign)
+    if not wrong_labels:
+        return case
+    progress("once more, with faces as they lay")
+    again = _compared(corrected(recordings, wrong_labels), run_on, model, earlier, seed, replicates, progress)
+    is_same = case.comparison.pairs.keys == again.comparison.pairs.keys
+    as_noted = case.comparison if is_same else again.comparison
+    return replace(again, as_noted=as_noted, wrong_labels=wrong_labels)
 
 
-def explained(
-    begin: GapCase,
+def explain(
+    case: GapCase,
     candidates: Mapping[str, Candidate],
-    progress: Callable[[str], None] = lambda what: None,
+    progress: Progress = lambda stage: None,
     known: Collection[str] = (),
     *,
     briefly: bool = False,
 ) -> Diagnosis:
-    """The rest of `diagnose`: the search for causes among `candidates`, and what is said of them. `known`: sensors that
-    are known to have one of them (`imuarray.gap.inference.search.searches`). `briefly`: without curves and without what
-    to record next, for which more is simulated.
+    """The rest of `diagnose`: the search for causes among `candidates`, their verification, and the findings. `known`:
+    sensors that are known to have one of them (`imuarray.gap.inference.search.searches`). `briefly`: without curves and
+    without what to record next, for which more is simulated.
     """
-    found = begin.found
-    if found.located.is_gap:
-        searched = searches(found, candidates, begin.run, progress, known)
-    else:
-        searched = SearchResult({}, found.bench.models())
+    search = _search(case, candidates, progress, known)
     progress("simulating the repaired model")
-    return _said(begin, candidates, searched, briefly)
+    shared = environment_of(case.comparison.campaign) if case.is_gap else ()
+    causes = with_origins(causes_of(case.comparison.bench, search.rounds, case.seed), case.headers, shared)
+    verification = _verify(case, search, causes)
+    return _report(case, candidates, search, causes, shared, verification, briefly)
 
 
 def library(without: Collection[str]) -> dict[str, Candidate]:
-    """The candidates but those left out."""
+    """The candidates but those left out; ConfigError for one that isn't among them."""
     if unknown := sorted(set(without) - set(CANDIDATES)):
         raise ConfigError(f"effect {unknown[0]!r}: allowed are {', '.join(CANDIDATES)}")
-    return {name: one for name, one in CANDIDATES.items() if name not in without}
+    return {name: candidate for name, candidate in CANDIDATES.items() if name not in without}
 
 
-def _said(case: GapCase, candidates: Mapping[str, Candidate], searched: SearchResult, briefly: bool) -> Diagnosis:
-    """Everything that follows from the search."""
-    found, noted, bench, names, run = case.found, case.noted, case.found.bench, case.names, case.run
-    is_gap = noted.located.is_gap
-    shared = environment_of(found.campaign) if is_gap else ()
-    causes = with_origins(causes_of(bench, searched.rounds, case.seed), bench.base.headers, shared)
-    came = _repaired(searched, run) if causes else found.replicates
-    after = _after(found, came) if causes else found.judged
-    lines = lines_of(causes, bench.base.headers)
-    causes = tuple(sorted((*map(cause_of, case.wrong), *causes), key=lambda one: -one.probability))
-    told = StatisticReport(bench, found.campaign, found.pairs, names)
-    untold = _untold(case, candidates, causes, told)
-    causes = alike(causes, untold)
-    as_noted = told if noted is found else StatisticReport(noted.bench, noted.campaign, found.pairs, names)
-    where = where_of(as_noted, noted.judged, noted.located.found, noted.located.found)
-    gap = _gap(case, after, causes)
-    left = left_single(after) if is_gap else []
-    kept_up = left_alike(found, after, came, causes) if is_gap and causes else []
-    single = where_of(told, after, left, {})
-    unexplained = (*single, *where_of(told, after, worst_of(found, after, kept_up, left), {}))
-    is_left = bool(kept_up) or (bool(left) and is_left_single(found, after, came, left, single))
-    verdict = verdict_of(is_gap, gap, after, causes, is_left)
-    in_use = uses(found.real.uses, [one.uses for one in found.replicates], [one.uses for one in came])
-    model = case.model.name if case.model else "data sheets"
+def _opened(logs: Iterable[LogLike], stack: ExitStack) -> list[Log]:
+    """The logs, each once; those that are opened here are closed with the stack."""
+    distinct = dict.fromkeys(log if isinstance(log, Log) else Path(log) for log in logs)
+    return [log if isinstance(log, Log) else stack.enter_context(open_log(log)) for log in distinct]
+
+
+def _read(
+    logs: Sequence[Log], against: Sequence[Log], only: Collection[str]
+) -> tuple[Sequence[Recording], Sequence[Recording]]:
+    """The recordings and the earlier ones, both of the sensors that both have, and in pieces of one length."""
+    recordings = recordings_of(logs, only)
+    if not against:
+        return recordings, ()
+    earlier = recordings_of(against, only)
+    refuse_other_array(recordings, earlier)
+    sensors, known = (dict.fromkeys(chain.from_iterable(map(_sensors, some))) for some in (recordings, earlier))
+    common = [name for name in sensors if name in known]
+    if len(common) < max(len(sensors), len(known)):
+        recordings, earlier = recordings_of(logs, common), recordings_of(against, common)
+        notes = tuple(f"{name} is left out: no earlier log has it." for name in sensors if name not in known)
+        recordings = (replace(recordings[0], notes=(*notes, *recordings[0].notes)), *recordings[1:])
+    return cut_alike(recordings, earlier)
+
+
+def _sensors(recording: Recording) -> Collection[str]:
+    return recording.experiment.plan.sensors
+
+
+def _compared(
+    recordings: Sequence[Recording],
+    run_on: Callable[[Bench], Run],
+    model: Model | None,
+    earlier: Sequence[Recording],
+    seed: int,
+    replicates: int,
+    progress: Progress,
+) -> GapCase:
+    """The recordings with the faces that are noted in them, beside the base model or beside earlier recordings."""
+    bench, campaign = prepared(recordings, model, seed, earlier)
+    said = np.isfinite(bench.measured(campaign, bench.base.fitted).values)
+    domains = [key.domain for key in bench.of_keys(said).keys]
+    missing, before = missing_in(recordings, domains), None
+    if earlier:
+        progress("simulating the earlier recordings")
+        bench, before = beside_earlier(bench, *prepared(earlier, model, seed), run_on, replicates)
+        missing = (*missing, *_without_counterpart(domains, bench))
+    progress("simulating the base model")
+    run = run_on(bench)
+    comparison = compared_with_base(bench, campaign, run, replicates, before)
+    return GapCase(recordings, comparison, comparison, (), model, seed, run, earlier, missing)
+
+
+def _without_counterpart(domains: Sequence[str], bench: Bench) -> tuple[str, ...]:
+    """The domains of which the new recordings tell and the earlier ones don't, in phrases."""
+    known = {key.domain for key in bench.keys}
+    lost = [domain for domain in dict.fromkeys(domains) if domain not in known]
+    return tuple(f"no statistic of {domain.replace('_', ' ')} in the earlier recordings" for domain in lost)
+
+
+def _search(
+    case: GapCase, candidates: Mapping[str, Candidate], progress: Progress, known: Collection[str]
+) -> SearchResult:
+    """The causes of the gap, none where there is none."""
+    comparison = case.comparison
+    if not comparison.located.is_gap:
+        return SearchResult({}, comparison.bench.models())
+    return searches(comparison, candidates, case.run, progress, known)
+
+
+def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Verification:
+    """The recordings beside the model with the causes in."""
+    comparison = case.comparison
+    if not causes:
+        return Verification(comparison.replicates, comparison.judged)
+    numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
+    replicates: Sequence[StatisticValues] = observed(search.models, numbers, case.run)
+    if comparison.earlier is not None:
+        replicates = comparison.earlier.with_scatter(replicates, numbers)
+    floor = np.fmax(comparison.bench.resolutions, least_scale(comparison.judged.likeness))
+    values = np.array([replicate.values for replicate in replicates])
+    return Verification(replicates, assess(comparison.pairs, comparison.real.values, values, floor))
+
+
+def _report(
+    case: GapCase,
+    candidates: Mapping[str, Candidate],
+    search: SearchResult,
+    sensor_causes: Sequence[Cause],
+    shared: Sequence[SharedSignal],
+    verification: Verification,
+    briefly: bool,
+) -> Diagnosis:
+    """All findings: what is left first, since the verdict and the causes depend on it."""
+    comparison, bench = case.comparison, case.comparison.bench
+    report = StatisticReport(bench, comparison.campaign, comparison.pairs, case.names)
+    suspected = (*map(cause_of, case.wrong_labels), *sensor_causes)
+    unobservable = _unobservable(case, candidates, suspected, report)
+    remainder = _remainder(case, verification, suspected, report)
+    verdict, gap, causes, unknown = _judge(case, verification, remainder, alike(suspected, unobservable))
+    where = _where(case, report)
+    in_use = uses(
+        comparison.real.uses,
+        [replicate.uses for replicate in comparison.replicates],
+        [replicate.uses for replicate in verification.replicates],
+    )
+    against, pulls = tuple(recording.name for recording in case.earlier), _pulls(case)
     return Diagnosis(
-        verdict,
-        sentence_of(verdict, gap, causes, where, unexplained, in_use),
-        noted.located.p,
-        gap,
-        where,
-        causes,
-        unknown_of(is_gap, gap, after, max((abs(one.score) / one.furthest for one in kept_up), default=0.0)),
-        unexplained,
-        "" if briefly else next_experiment(bench, searched, causes, unexplained, untold, run),
-        untold,
-        in_use,
-        judged_of(searched.rounds),
-        map_of(found.pairs, noted.judged, after, tuple(bench.base.headers)),
-        () if briefly else overlays_of(bench, found.campaign, where, bench.models(), searched.models, run, names=names),
-        tuple(map(_recorded, case.recordings)),
-        (
-            *_described(case, unexplained),
-            *lines_shown(found.campaign, where, causes),
-            *notes_of(lines, shared),
-            *(f"{one.name}: {note}" for one in case.recordings for note in one.notes),
-        ),
-        bench.split.words,
-        case.seed,
-        len(found.replicates),
-        model,
-        f"imuarray {imuarray.__version__}",
-        repaired(bench, searched.models, case.model, f"repaired {model}", logs=names),
-        pulls=_pulls(found, case.recordings),
+        verdict=verdict,
+        sentence=sentence_of(verdict, gap, causes, where, remainder.where, in_use, pulls, against),
+        p=case.as_noted.located.p,
+        gap=gap,
+        where=where,
+        causes=causes,
+        unknown=unknown,
+        unexplained=remainder.where,
+        next_experiment=""
+        if briefly
+        else next_experiment(bench, search, causes, remainder.where, unobservable, case.run),
+        unshown=unobservable,
+        uses=in_use,
+        judged=judged_of(search.rounds),
+        map=map_of(comparison.pairs, case.as_noted.judged, verification.after, tuple(case.headers)),
+        overlays=() if briefly else _overlays(case, search, where),
+        recorded=tuple(map(_summary, case.recordings)),
+        notes=_notes(case, where, remainder.where, sensor_causes, shared),
+        held_out=bench.split.words,
+        seed=case.seed,
+        replicates=len(comparison.replicates),
+        model=case.model_name,
+        software=f"imuarray {imuarray.__version__}",
+        repaired=repaired(bench, search.models, case.model, f"repaired {case.model_name}", logs=case.names),
+        missing=case.missing,
+        pulls=pulls,
     )
 
 
-def _pulls(found: Comparison, recordings: Sequence[Recording]) -> tuple[Pull, ...]:
-    """Nuisance quantities of all sensors whose tolerance is known, as the training part tells them."""
-    train = found.bench.split.train(found.campaign)
-    has_reference = all(recording.has_reference_temperature for recording in recordings)
-    estimates = nuisance_estimates(train.campaign, found.bench.base, has_reference=has_reference)
+def _judge(case: GapCase, verification: Verification, remainder: Remainder, suspected: Sequence[Cause]) -> Judgement:
+    """The verdict on the suspected causes, and the gap that they close on the held-out part, or where single parts
+    don't show them on both.
+    """
+    pairs, before, after = case.comparison.pairs, case.as_noted.judged, verification.after
+    if needs_both_parts(suspected):
+        counted = deviating_in_either(pairs, before.parts, after.parts)
+    else:
+        counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
+    gap = gap_of(counted, floor_of(counted, before, case.as_noted.chance), case.seed)
+    unknown = unknown_probability(gap.closed, after, remainder.one_sidedness)
+    return judge(gap, suspected, unknown, is_gap=case.is_gap, unlikely=remainder.unlikely)
+
+
+def _remainder(
+    case: GapCase, verification: Verification, suspected: Sequence[Cause], report: StatisticReport
+) -> Remainder:
+    """What the suspected causes leave."""
+    if not case.is_gap:
+        return NOTHING_LEFT
+    return remainder_of(case.comparison, verification.after, verification.values, suspected, report)
+
+
+def _where(case: GapCase, report: StatisticReport) -> tuple[Where, ...]:
+    """Where the recordings as they were noted differ, the worst first."""
+    noted = case.as_noted
+    if noted is not case.comparison:
+        report = StatisticReport(noted.bench, noted.campaign, noted.pairs, case.names)
+    return where_of(report, noted.judged, noted.located.found, noted.located.found)
+
+
+def _unobservable(
+    case: GapCase, candidates: Mapping[str, Candidate], suspected: Sequence[Cause], report: StatisticReport
+) -> tuple[Unobservable, ...]:
+    """Which candidates beside the causes the recordings can't show; without a gap, also where one is not excluded."""
+    comparison, named = case.comparison, {cause.effect for cause in suspected}
+    others = {name: candidate for name, candidate in candidates.items() if name not in named}
+    hidden = unshown(set(comparison.bench.kinds), facts_of(comparison.campaign), others, case.headers)
+    if case.is_gap:
+        return hidden
+    places = range(len(comparison.pairs.keys))
+    uncertain = unsure(
+        np.array([report.scale(at, comparison.judged) for at in places]),
+        np.array([report.margin(at) for at in places]),
+        comparison.pairs.keys,
+        np.array([report.rate_and_length(at)[1] for at in places]),
+        case.headers,
+    )
+    return (*hidden, *uncertain)
+
+
+def _notes(
+    case: GapCase,
+    where: Sequence[Where],
+    unexplained: Sequence[Where],
+    sensor_causes: Sequence[Cause],
+    shared: Sequence[SharedSignal],
+) -> tuple[str, ...]:
+    """Lines of the spectrum that are left, and all that there are; changes of bias from log to log that units of a chip
+    share; what the box felt; what was assumed of each recording.
+    """
+    comparison, bench = case.comparison, case.comparison.bench
+    lines = lines_left(comparison.campaign, unexplained, case.names)
+    changes = changes_alike(bench.keys, comparison.real.values, bench.held_out.tolist(), case.headers)
+    return (
+        *lines,
+        *(changes if case.is_gap else ()),
+        *lines_shown(comparison.campaign, where, sensor_causes),
+        *notes_of(lines_of(sensor_causes, case.headers), shared),
+        *(f"{recording.name}: {note}" for recording in case.recordings for note in recording.notes),
+        *(f"{recording.name} (earlier): {note}" for recording in case.earlier for note in recording.notes),
+    )
+
+
+def _pulls(case: GapCase) -> tuple[Pull, ...]:
+    """Nuisance quantities of all sensors whose tolerance is known, as the part that was fitted to tells them."""
+    comparison = case.comparison
+    train = comparison.bench.split.train(comparison.campaign)
+    has_reference = all(recording.has_reference_temperature for recording in case.recordings)
+    estimates = nuisance_estimates(train.campaign, comparison.bench.base, has_reference=has_reference)
     return tuple(
         Pull(*estimate[:-1], estimate.pull, estimate.source) for estimate in estimates if math.isfinite(estimate.pull)
     )
 
 
-def _after(found: Comparison, came: Sequence[StatisticValues]) -> Assessment:
-    """The recording judged by replicates of the model with the causes in."""
-    floor = np.fmax(found.bench.resolutions, least_scale(found.judged.likeness))
-    return assess(found.pairs, found.real.values, np.array([one.values for one in came]), floor)
+def _overlays(case: GapCase, search: SearchResult, where: Sequence[Where]) -> tuple[Overlay, ...]:
+    """Curves of the recording and of both models."""
+    comparison, bench = case.comparison, case.comparison.bench
+    return overlays_of(bench, comparison.campaign, where, bench.models(), search.models, case.run, names=case.names)
 
 
-def _untold(
-    case: GapCase, candidates: Mapping[str, Candidate], causes: Sequence[Cause], told: StatisticReport
-) -> tuple[Unobservable, ...]:
-    """Which candidates beside the causes the recordings can't show; without a gap, also where one is not excluded."""
-    found, headers = case.found, case.found.bench.base.headers
-    unseen = {name: one for name, one in candidates.items() if name not in {cause.effect for cause in causes}}
-    hidden = unshown(set(found.bench.kinds), facts_of(found.campaign), unseen, headers)
-    return hidden if case.noted.located.is_gap else (*hidden, *_unsure(found, told))
-
-
-def _described(case: GapCase, unexplained: Sequence[Where]) -> tuple[str, ...]:
-    """Lines of the spectrum that are left, and changes of bias from log to log that units of a chip share."""
-    found, bench = case.found, case.found.bench
-    lines = lines_left(found.campaign, unexplained, case.names)
-    if not case.noted.located.is_gap:
-        return lines
-    alike = changes_alike(bench.keys, found.real.values, bench.held_out.tolist(), bench.base.headers)
-    return (*lines, *alike)
-
-
-def _repaired(searched: SearchResult, run: Run) -> list[StatisticValues]:
-    """Replicates with the causes in."""
-    numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
-    return observed(searched.models, numbers, run)
-
-
-def _gap(case: GapCase, after: Assessment, causes: Sequence[Cause]) -> Gap:
-    """How far it is closed, on the held-out part; by causes that single parts don't show on both."""
-    pairs, before = case.found.pairs, case.noted.judged
-    if is_told_by_both(causes):
-        counted = deviating_in_either(pairs, before.parts, after.parts)
-    else:
-        counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
-    gap = gap_of(counted, floor_of(counted, before, case.noted.chance), case.seed)
-    return gap if case.noted.located.is_gap else replace(gap, after=gap.before, closed=None, closed_ci95=None)
-
-
-def _recorded(one: Recording) -> RecordingSummary:
-    sensors = one.experiment.plan.sensors
-    seconds = sum((phase.end_ns - phase.start_ns) * 1e-9 for phase in one.phases)
-    rows = sum(len(one.log[name]) for name in sensors)
-    return RecordingSummary(one.name, one.kind, seconds, len(sensors), len(one.phases), rows)
-
-
-def _unsure(found: Comparison, told: StatisticReport) -> tuple[Unobservable, ...]:
-    """In which domains a difference that matters can't be excluded."""
-    places = range(len(found.pairs.keys))
-    return unsure(
-        np.array([told.scale(at, found.judged) for at in places]),
-        np.array([told.margin(at) for at in places]),
-        found.pairs.keys,
-        np.array([told.size(at)[1] for at in places]),
-        found.bench.base.headers,
-    )
+def _summary(recording: Recording) -> RecordingSummary:
+    """How long it is, and of what."""
+    sensors = _sensors(recording)
+    seconds = sum((phase.end_ns - phase.start_ns) * 1e-9 for phase in recording.phases)
+    rows = sum(len(recording.log[name]) for name in sensors)
+    return RecordingSummary(recording.name, recording.kind, seconds, len(sensors), len(recording.phases), rows)

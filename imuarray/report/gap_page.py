@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Where, is_told_by_both
+from imuarray.gap.findings.diagnosis import Diagnosis, Gap, Map, Where, needs_both_parts
 from imuarray.gap.findings.text import chance, gap_text, number, scored, share
 from imuarray.gap.model.use import Use
 from imuarray.report import gap_tables as tables
@@ -150,7 +150,7 @@ def _shrinks(diagnosis: Diagnosis, *, drawn: bool) -> Section:
     if gap.closed is not None:
         data = (
             "data that told of it"
-            if is_told_by_both(diagnosis.causes)
+            if needs_both_parts(diagnosis.causes)
             else "held-out data, to which nothing was fitted"
         )
         words = (

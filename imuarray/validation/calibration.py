@@ -3,7 +3,7 @@
     python -m imuarray.validation.calibration DIR...
 
 Of development runs, and of sealed ones that have been opened. Printed are how often causes without a rival were right,
-and the rates that make the causes of these runs likeliest (`imuarray.gap.findings.probability_calibration.RATES`), with
+and the rates that make the causes of these runs likeliest (`imuarray.gap.findings.verdict.RATES`), with
 the calibration error and Brier score before and after, and the calibration error that so many causes would show if all
 probabilities were right.
 """
@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import OptimizeResult, minimize
 
-from imuarray.gap.findings.probability_calibration import RATES, Rates, believed
+from imuarray.gap.findings.verdict import RATES, Rates, calibrated_probability
 from imuarray.validation.rates import brier, calibration_error, calibration_error_by_chance, rate
 from imuarray.validation.score_answers import Answer, number, read_run
 from imuarray.validation.score_rows import FULL
@@ -74,7 +74,7 @@ def rates_of(told: Sequence[CauseClaim]) -> Rates:
 
 def chances_of(told: Sequence[CauseClaim], rates: Rates) -> Floats:
     """(k,) probabilities with these rates in the place of those that are used."""
-    return np.array([believed(one.share, one.all_closed, rates) for one in told])
+    return np.array([calibrated_probability(one.share, one.all_closed, rates) for one in told])
 
 
 def _height(found: OptimizeResult) -> float:

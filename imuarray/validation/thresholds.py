@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import imuarray
-from imuarray.gap.findings import causes, probability_calibration, verdict
+from imuarray.gap.findings import causes, verdict
 from imuarray.gap.inference import assessment, forward_selection, localisation, unit_state
 from imuarray.gap.statistics import synthetic_likelihood
 from imuarray.validation import trial
@@ -20,15 +20,16 @@ def frozen() -> dict[str, Any]:
         "nats a parameter costs": forward_selection.COST,
         "wrong form allowed": synthetic_likelihood.FORM,
         "log odds tempered": causes.TEMPER,
-        "right if nothing closes": probability_calibration.RATES.least,
-        "right if all closes": probability_calibration.RATES.most,
-        "power of what closes": probability_calibration.RATES.steep,
-        "power of odds against rivals": probability_calibration.RATES.rivals,
+        "right if nothing closes": verdict.RATES.least,
+        "right if all closes": verdict.RATES.most,
+        "power of what closes": verdict.RATES.steep,
+        "power of odds against rivals": verdict.RATES.rivals,
         "probability to be told": causes.ALTERNATIVE,
         "odds to be confusable": causes.CONFUSABLE,
         "closed to be a cause": causes.LEAST,
         "closed to be explained": verdict.EXPLAINED,
         "closed to be partly explained": verdict.PARTLY,
+        "probability to explain": verdict.EVEN,
         "beyond chance to be left": assessment.MORE,
         "replicates of the base model": trial.REPLICATES,
         "replicates of a trial": unit_state.REPLICATES,

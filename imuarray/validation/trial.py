@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from imuarray.gap.diagnose import GapCase, begun, explained, library
+from imuarray.gap.diagnose import GapCase, compare, explain, library
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.model.populations import usual_model
 from imuarray.gap.model.workers import runner
@@ -46,8 +46,8 @@ def tried(case: Case, folder: Path) -> None:
         opened = [stack.enter_context(open_log(path)) for path in logs]
         recordings = recordings_of(opened)
         model = model_with(case.extra, headers_of(recordings)) if case.extra else None
-        compared = begun(recordings, runner, model=model, replicates=REPLICATES)
-        found = explained(compared, library(case.without), briefly=True).as_json()
+        compared = compare(recordings, runner, model=model, replicates=REPLICATES)
+        found = explain(compared, library(case.without), briefly=True).as_json()
         oracle = _oracle(compared, case, truth) if case.kind in ("single", "pair") else {}
     kept = {key: found[key] for key in _KEPT}
     lists = {key: found[key][:_WORST] for key in ("where", "unexplained")}
@@ -73,9 +73,7 @@ def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str
     be shown that they are there, and blames no others.
     """
     effects = {name for names in case.resembles for name in names}
-    sensors = {
-        name for one in truth["mechanisms"] for name in one["sensors"]
-    } & compared.found.bench.base.headers.keys()
+    sensors = {name for one in truth["mechanisms"] for name in one["sensors"]} & compared.headers.keys()
     candidates = {name: one for name, one in CANDIDATES.items() if name in effects}
-    gap = explained(compared, candidates, known=sorted(sensors), briefly=True).as_json()["gap"]
+    gap = explain(compared, candidates, known=sorted(sensors), briefly=True).as_json()["gap"]
     return {"closed": gap["closed"], "closed_ci95": gap["closed_ci95"]}

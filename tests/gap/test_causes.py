@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from imuarray.gap.findings.causes import TEMPER, causes_of, judged_of, probabilities
 from imuarray.gap.findings.diagnosis import Cause, Judged
-from imuarray.gap.findings.probability_calibration import believed
+from imuarray.gap.findings.verdict import calibrated_probability
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.forward_selection import COST, Evaluation, Round
 from imuarray.gap.inference.refinement import FittedHypothesis
@@ -102,7 +102,7 @@ def test_a_cause_in_full(bench: Bench) -> None:
     assert found.parameters == {"amplitude_dps": [0.0, 0.04, 0.0], "frequency_hz": 17.0}
     assert found.each == {"G1": found.parameters}
     assert found.share == pytest.approx(1 / (1 + math.exp(-15)))
-    assert found.probability == believed(found.share, 1.0)
+    assert found.probability == calibrated_probability(found.share, 1.0)
     assert (found.closed, found.all_closed) == (pytest.approx(1.0), pytest.approx(1.0))
     assert found.closed_ci95 == pytest.approx((1.0, 1.0), abs=0.02)
     assert (found.confusable_with, found.origin, found.gain) == ((), "sensor", nats(15.0) + COST)
@@ -165,8 +165,8 @@ def test_what_leaves_much_of_the_gap_is_less_probable(bench: Bench) -> None:
     )
     assert none == ()
     assert half[0].all_closed == pytest.approx(0.5)
-    assert half[0].probability == believed(half[0].share, half[0].all_closed)
-    assert all_[0].probability == believed(all_[0].share, all_[0].all_closed) > half[0].probability
+    assert half[0].probability == calibrated_probability(half[0].share, half[0].all_closed)
+    assert all_[0].probability == calibrated_probability(all_[0].share, all_[0].all_closed) > half[0].probability
 
 
 def test_rounds_without_a_cause_tell_none(bench: Bench) -> None:
@@ -233,7 +233,7 @@ def test_the_same_in_two_sensors_of_a_chip_is_one_cause(bench: Bench) -> None:
     assert both.gain == pytest.approx(4.0)
     odds = (alone.share / (1 - alone.share)) ** 2
     assert both.share == pytest.approx(odds / (1 + odds))
-    assert both.probability == believed(both.share, 1.0)  # what is in no library is so in both of them
+    assert both.probability == calibrated_probability(both.share, 1.0)  # what is in no library is so in both of them
 
 
 @pytest.mark.parametrize(

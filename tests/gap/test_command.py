@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 
 from imuarray.cli import main
-from imuarray.gap.findings.probability_calibration import RATES
+from imuarray.gap.findings.verdict import RATES
 from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.log import open_log
 from imuarray.simulate import load_model
+from tests.gap.invariants import check_agreement
 
 CONFIG = """
 [array]
@@ -101,6 +102,7 @@ def found(here: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any
     assert main(["gap", "diagnose", *map(str, asked)]) == 0
     assert sorted(path.name for path in (here / "out").iterdir()) == FILES
     read: dict[str, Any] = json.loads((here / "out" / "gap.json").read_text())
+    check_agreement(read)
     return read
 
 
@@ -190,6 +192,7 @@ def test_no_gap(typed: Type) -> None:
     """The seed is one of the 20 of 21 in which chance makes none."""
     code, out, _ = typed("quiet.h5", "--json")
     said = json.loads(out)
+    check_agreement(said)
     assert (code, said["verdict"], said["causes"], said["unknown"]) == (0, "no gap", [], 0.0)
     assert (said["gap"]["closed"], said["gap"]["closed_ci95"]) == (None, None)
 

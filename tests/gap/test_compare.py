@@ -15,7 +15,7 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.gap.diagnose import REPLICATES
-from imuarray.gap.findings.verdict import StatisticReport, where_of
+from imuarray.gap.findings.deviations import StatisticReport, where_of
 from imuarray.gap.inference.comparison import ENOUGH, Comparison, compared_with_base, settled
 from imuarray.gap.inference.localisation import LEVEL
 from imuarray.gap.model.base_model import fit

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -13,21 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.diagnose import REPAIRED
-from imuarray.gap.findings.closure import deviating
+from imuarray.gap.findings.closure import deviating, floor_of, gap_of
+from imuarray.gap.findings.description import beyond_form
+from imuarray.gap.findings.deviations import StatisticReport, map_of, where_of
 from imuarray.gap.findings.diagnosis import Cause, Gap
-from imuarray.gap.findings.verdict import (
-    DOUBT,
-    EXPLAINED,
-    PARTLY,
-    StatisticReport,
-    beyond_form,
-    floor_of,
-    gap_of,
-    map_of,
-    unknown_of,
-    verdict_of,
-    where_of,
-)
+from imuarray.gap.findings.verdict import DOUBT, EVEN, EXPLAINED, PARTLY, Judgement, judge, unknown_probability
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, pairs_of
@@ -35,6 +26,7 @@ from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, li
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
+from tests.gap.invariants import check_agreement
 from tests.gap.test_bench import LINE, prepared
 from tests.gap.test_refine import found_in
 
@@ -100,28 +92,103 @@ def test_p_of_few_replicates_is_not_small() -> None:
     assert assess(PAIRS, real, chance(40, 3), np.zeros(2 * COUNT)).p == pytest.approx(1 / 41)
 
 
+def judged(closed: float | None, chances: Sequence[float], unknown: float = 0.1, left: str = "") -> Judgement:
+    """One cause of G1, the next of G2, and so on; something is left of the sensor `left`."""
+    causes = [replace(CAUSE, sensors=(f"G{at}",), probability=chance) for at, chance in enumerate(chances, 1)]
+    return judge(gap(closed), causes, unknown, is_gap=True, unlikely=[left] if left else [])
+
+
+def test_the_thresholds_of_the_verdict() -> None:
+    """As README.md says them: nine tenths, and as probable as not."""
+    assert (EXPLAINED, PARTLY, EVEN) == (0.9, 0.3, 0.5)
+
+
 @pytest.mark.parametrize(
-    ("closed", "verdict"),
+    ("closed", "chances", "unknown", "left", "verdict"),
     [
-        (1.1, "explained"),
-        (EXPLAINED, "explained"),
-        (EXPLAINED - 0.01, "partly explained"),
-        (PARTLY, "partly explained"),
-        (PARTLY - 0.01, "unexplained"),
-        (-2.0, "unexplained"),
+        (1.0, [0.9], 0.1, "", "explained"),
+        (0.9, [0.5], 0.49, "", "explained"),
+        (0.89, [0.9], 0.1, "", "partly explained"),
+        (0.95, [0.49], 0.1, "", "partly explained"),  # which of several causes is at work can't be told
+        (0.95, [0.9], 0.5, "", "partly explained"),
+        (0.3, [0.1], 0.9, "", "partly explained"),
+        (0.29, [0.9], 0.1, "", "unexplained"),
+        (-2.0, [0.9], 0.1, "", "unexplained"),
+        (1.0, [], 0.1, "", "unexplained"),
+        (0.99, [0.9], 0.1, "G1", "unexplained"),  # two converters in turn: closed by a line, whose noise is none of it
+        (0.99, [0.9, 0.4], 0.1, "G1", "unexplained"),
+        (0.99, [0.9, 0.6], 0.1, "G1", "partly explained"),  # what is left is of another sensor than the second cause
+        (0.99, [0.9], 0.1, "G7", "partly explained"),
+        (0.2, [0.9], 0.1, "G7", "unexplained"),
+        (None, [0.9], 0.1, "", "partly explained"),
+        (None, [0.01], 0.1, "", "unexplained"),
+        (None, [], 0.1, "", "unexplained"),
     ],
 )
-def test_verdicts(closed: float, verdict: str) -> None:
-    assert verdict_of(True, gap(closed), after(2.0), [CAUSE]) == verdict
-    assert verdict_of(True, gap(closed), after(2.0), []) == "unexplained"
-    assert verdict_of(False, gap(closed), after(2.0), []) == "no gap"
+def test_verdicts(closed: float | None, chances: list[float], unknown: float, left: str, verdict: str) -> None:
+    assert judged(closed, chances, unknown, left).verdict == verdict
 
 
-def test_what_is_left_is_not_explained_however_much_is_closed() -> None:
-    """An interleaved converter is closed to 0.99 by a line at half the rate, and its noise is none of a line's."""
-    assert verdict_of(True, gap(0.99), after(20.0), [CAUSE], is_left=True) == "partly explained"
-    assert verdict_of(True, gap(PARTLY - 0.01), after(20.0), [CAUSE], is_left=True) == "unexplained"
-    assert verdict_of(False, gap(0.99), after(2.0), [], is_left=True) == "no gap"
+def test_where_no_known_effect_makes_a_recording_likely_none_is_probable() -> None:
+    found = judged(0.97, [0.98, 0.3], 0.2, "G1")
+    assert (found.verdict, found.unknown) == ("unexplained", 0.5)
+    assert [cause.probability for cause in found.causes] == [0.5, 0.3]
+    surer = judged(0.1, [0.98, 0.3], 0.8)
+    assert (surer.verdict, surer.unknown) == ("unexplained", 0.8)
+    assert [cause.probability for cause in surer.causes] == pytest.approx([0.2, 0.2])
+
+
+def test_a_cause_of_another_sensor_than_what_is_left_comes_first() -> None:
+    """0.1 and less is left to what is outside of the library; something is left of G1, nothing of G2."""
+    found = judged(0.95, [0.98, 0.85], 0.1, "G1")
+    assert found.verdict == "partly explained"
+    assert [(cause.sensors, cause.probability) for cause in found.causes] == [(("G2",), 0.85), (("G1",), 0.5)]
+
+
+def test_a_cause_of_all_sensors_is_not_sound_where_something_is_left() -> None:
+    everywhere = replace(CAUSE, sensors=())
+    assert judge(gap(0.99), [everywhere], 0.1, is_gap=True, unlikely=["G1"]).verdict == "unexplained"
+    assert judge(gap(0.99), [everywhere], 0.1, is_gap=True).verdict == "explained"
+
+
+CHANCES = st.floats(0.0, 1.0)
+CLOSED = st.none() | st.floats(-10.0, 1.0)
+CAUSES = st.lists(st.tuples(CHANCES, st.lists(st.sampled_from("ABCD"), max_size=3, unique=True)), max_size=5)
+
+
+@given(CLOSED, CAUSES, CHANCES, st.booleans(), st.sets(st.sampled_from("ABCD")))
+def test_verdict_closure_and_probabilities_never_contradict_each_other(
+    closed: float | None, given_causes: list[tuple[float, list[str]]], unknown: float, is_gap: bool, left: set[str]
+) -> None:
+    causes = [replace(CAUSE, probability=chance, sensors=tuple(sensors)) for chance, sensors in given_causes]
+    found = judge(gap(closed), causes, unknown, is_gap=is_gap, unlikely=left)
+    unexplained = [] if not is_gap else [{}]
+    sentence = "something outside the library" if found.verdict == "unexplained" else ""
+    check_agreement(
+        {
+            "verdict": found.verdict,
+            "gap": vars(found.gap),
+            "causes": [vars(cause) for cause in found.causes],
+            "unknown": found.unknown,
+            "unexplained": unexplained,
+            "sentence": sentence,
+        }
+    )
+    assert (found.verdict == "no gap") == (not is_gap)
+    for cause in found.causes:
+        if left and (not cause.sensors or left & set(cause.sensors)):
+            assert cause.probability <= 0.5
+    if found.verdict == "explained":
+        assert not left
+    if is_gap:
+        assert found.gap.closed == closed
+        assert len(found.causes) == len(causes)
+
+
+@given(CLOSED, CHANCES, CHANCES, st.booleans())
+def test_no_probability_is_raised(closed: float | None, chance: float, unknown: float, is_left: bool) -> None:
+    found = judged(closed, [chance], unknown, "G1" if is_left else "")
+    assert [cause.probability <= chance for cause in found.causes] == [True]
 
 
 def test_a_cause_may_miss_a_twentieth_of_what_it_moves() -> None:
@@ -141,35 +208,31 @@ def test_a_cause_may_miss_a_twentieth_of_what_it_moves() -> None:
     assert found[3] == pytest.approx(with_it.scores[3], rel=1e-2)
 
 
-def test_where_no_share_is_told_what_is_left_decides() -> None:
-    assert verdict_of(True, gap(None), after(2.0, p=0.5), [CAUSE]) == "explained"
-    assert verdict_of(True, gap(None), after(90.0, p=DOUBT / 2), [CAUSE]) == "partly explained"
-
-
-def test_what_is_left_can_be_doubted() -> None:
-    """Scores of 50 with the causes in."""
-    left = assess(PAIRS, np.full(2 * COUNT, 50.0), chance(REPAIRED, 4), np.zeros(2 * COUNT))
-    assert verdict_of(True, gap(None), left, [CAUSE]) == "partly explained"
-
-
 @given(st.floats(-1, 1.2), st.floats(0.001, 0.2), st.floats(0.1, 99), st.floats(0.1, 10))
 def test_something_unknown_is_the_less_probable_the_more_is_closed(
     closed: float, more: float, largest: float, further: float
 ) -> None:
-    found = unknown_of(True, gap(closed), after(largest))
+    found = unknown_probability(closed, after(largest))
     assert 0 <= found <= 1
-    assert unknown_of(True, gap(closed + more), after(largest)) < found
-    assert unknown_of(True, gap(closed), after(largest + further)) >= found
-    assert unknown_of(False, gap(closed), after(largest)) == 0.0
+    assert unknown_probability(closed + more, after(largest)) < found
+    assert unknown_probability(closed, after(largest + further)) >= found
 
 
 def test_unknown_is_even_at_two_thirds() -> None:
     """With what is left just at the limit of chance."""
-    assert unknown_of(True, gap(0.65), after(4.0)) == pytest.approx(0.5)
-    assert unknown_of(True, gap(1.0), after(4.0)) < 0.2
-    assert unknown_of(True, gap(0.0), after(40.0)) > 0.9
-    assert unknown_of(True, gap(None), after(4.0, p=0.5)) == pytest.approx(unknown_of(True, gap(1.0), after(4.0)))
-    assert unknown_of(True, gap(None), after(4.0, p=1e-3)) == pytest.approx(unknown_of(True, gap(0.0), after(4.0)))
+    assert unknown_probability(0.65, after(4.0)) == pytest.approx(0.5)
+    assert unknown_probability(1.0, after(4.0)) < 0.2
+    assert unknown_probability(0.0, after(40.0)) > 0.9
+    likely, unlikely = (unknown_probability(None, after(4.0, p=p)) for p in (2 * DOUBT, DOUBT / 2))
+    assert likely == pytest.approx(unknown_probability(1.0, after(4.0)))
+    assert unlikely == pytest.approx(unknown_probability(0.0, after(4.0)))
+
+
+def test_what_is_left_has_a_small_p() -> None:
+    """Scores of 50 with the causes in."""
+    left = assess(PAIRS, np.full(2 * COUNT, 50.0), chance(REPAIRED, 4), np.zeros(2 * COUNT))
+    assert left.p < DOUBT
+    assert unknown_probability(None, left) > 0.9
 
 
 def test_the_gap_overall_and_by_domain() -> None:

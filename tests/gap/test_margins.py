@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm, pearson3, t
 
-from imuarray.gap.findings.equivalence_margins import MARGINS, margin, needed, record_words, share, sized, sizes
+from imuarray.gap.findings.deviations import MARGINS, margin, needed, record_words, share, sized, sizes
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.probes import PROBES
 from tests.gap.made import header

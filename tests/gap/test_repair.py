@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from imuarray.array import parse_array
-from imuarray.gap.diagnose import diagnose
+from imuarray.gap.diagnose import compare, explain
 from imuarray.gap.findings.repair import repaired
-from imuarray.gap.inference.effects import CANDIDATES
 from imuarray.gap.inference.forward_selection import Run
 from imuarray.gap.model.base_model import Base
 from imuarray.gap.model.bench import Bench
@@ -213,7 +212,7 @@ def test_a_second_diagnosis_finds_no_gap(tmp_path: Path) -> None:
         benches.append(bench)
         return lambda job, items: [job(bench, item) for item in items]
 
-    first = diagnose(recordings, runs, without=CANDIDATES, seed=1, replicates=40)
+    first = explain(compare(recordings, runs, seed=1, replicates=40), {})
     assert first.where
     assert first.where[0].sensor == "G1"
     (bench,) = benches
@@ -221,6 +220,6 @@ def test_a_second_diagnosis_finds_no_gap(tmp_path: Path) -> None:
     quiet = replace(fitted, rms=(fitted.rms[0], fitted.rms[2], fitted.rms[2]))
     models = {**bench.models(), "G1": SensorModel(quiet, (TONE,))}
     model = again(repaired(bench, models, None, "fixed"))
-    second = diagnose(recordings, runs, model=model, without=CANDIDATES, seed=1, replicates=40)
+    second = explain(compare(recordings, runs, model=model, seed=1, replicates=40), {})
     assert second.verdict == "no gap"
     assert second.model == "fixed"

@@ -91,13 +91,33 @@ def test_no_more_than_four_causes_are_named() -> None:
 
 def test_what_is_not_explained() -> None:
     left = [where(sensor="G2", axis="z", phase="static"), where()]
-    for verdict in ("unexplained", "partly explained"):
-        said = sentence_of(verdict, GAP, [], [where()], left, [])  # type: ignore[arg-type]
-        assert said.endswith("Not explained: mean of the run, G2 z in static.")
-    assert "Not explained" not in sentence_of("explained", GAP, [cause()], [where()], left, [])
-    whole = sentence_of("unexplained", GAP, [], [where()], [where(axis="", phase="")], [])
-    assert whole.endswith("Not explained: mean of the run, G1.")
-    assert "closed" not in whole
+    said = sentence_of("partly explained", GAP, [cause()], [where()], left, [])
+    assert said.endswith("Not explained: mean of the run, G2 z in static.")
+
+
+def test_something_outside_the_library_is_described_by_where_it_shows() -> None:
+    """In which domain, of which axis, how far off, in which phase and log; each axis and domain once."""
+    left = [
+        where(sensor="G2", axis="z", phase="static"),
+        where(sensor="G2", axis="z"),
+        where(domain="spread", phase=""),
+    ]
+    said = sentence_of("unexplained", GAP, [], [where()], left, [])
+    assert said == (
+        "The recordings differ from the simulator, most in run to run of G1 y. Unexplained: something outside the"
+        " library. It shows in run to run of G2 z (mean of the run: +9 standard deviations in static of a.h5); spread"
+        " of G1 y (mean of the run: +9 standard deviations in a.h5)."
+    )
+    nearest = sentence_of("unexplained", GAP, [cause(probability=0.4)], [where()], left, [])
+    assert "No known effect makes these recordings likely; the nearest: G1 (y): tone (a sine" in nearest
+    assert "probability 0.40" in nearest
+
+
+def test_a_comparison_with_an_earlier_recording_says_with_which() -> None:
+    differs = sentence_of("explained", GAP, [cause()], [where()], [], [], against=["before.h5"])
+    assert differs.startswith("The recordings differ from before.h5, most in run to run of G1 y.")
+    same = sentence_of("no gap", Gap(1, 1, 1, None, None), (), (), (), (), against=["before.h5"])
+    assert same == "The recordings look like before.h5: nothing has changed beyond chance."
 
 
 def test_the_figure_of_use_that_changed_most() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from imuarray.gap.findings.closure import DeviatingStatistics, deviating, deviating_in_either
 from imuarray.gap.findings.diagnosis import Cause, Judged, Origin
-from imuarray.gap.findings.probability_calibration import believed
+from imuarray.gap.findings.verdict import calibrated_probability
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.forward_selection import Evaluation, Round
 from imuarray.gap.inference.unit_state import Unit, UnitState
@@ -56,7 +56,9 @@ def probabilities(one: Round, beside: Collection[str] = ()) -> list[float]:
 def causes_of(bench: Bench, rounds: Mapping[Unit, Sequence[Round]], seed: int) -> tuple[Cause, ...]:
     """All causes, most probable first; the same one in several sensors of a chip is told once."""
     single = [cause for unit, own in rounds.items() for cause in _of_unit(bench, unit, own, seed)]
-    merged = [replace(one, probability=believed(one.share, one.all_closed)) for one in _merged(bench, single)]
+    merged = [
+        replace(one, probability=calibrated_probability(one.share, one.all_closed)) for one in _merged(bench, single)
+    ]
     return tuple(sorted(merged, key=lambda cause: (-cause.probability, -cause.gain)))
 
 

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.findings.diagnosis import Interval
+from imuarray.gap.findings.diagnosis import Gap, Interval
+from imuarray.gap.inference.assessment import Assessment
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs
 
@@ -120,6 +121,25 @@ def deviating_in_either(pairs: Pairs, before: Floats, after: Floats) -> Deviatin
     found = [(key, at) for places, keys in parts for key, at in zip(keys, places.tolist(), strict=True) if at >= 0]
     chosen = [(key, at) for key, at in found if abs(np.nan_to_num(before[at])) > BY_ITSELF]
     return _of(tuple(key for key, _ in chosen), np.array([at for _, at in chosen], np.intp), before, after)
+
+
+def gap_of(counted: DeviatingStatistics, floor: float, seed: int) -> Gap:
+    """Overall, and by domain."""
+    whole = counted.shrunk(seed)
+    domains = {}
+    for domain in counted.domains():
+        chosen = np.array([key.domain == domain for key in counted.keys], bool)
+        part = counted.of(chosen).shrunk(seed)
+        domains[domain] = (part.before, part.after, part.closed)
+    return Gap(whole.before, whole.after, floor, whole.closed, whole.interval, domains)
+
+
+def floor_of(counted: DeviatingStatistics, before: Assessment, replicates: Floats) -> float:
+    """Root mean square score of the same statistics where nothing is wrong: the median of replicates."""
+    if len(counted.places) == 0:
+        return 1.0
+    squares = np.nan_to_num(before.likeness.scores(replicates)[:, counted.places]) ** 2
+    return float(np.sqrt(np.median(squares @ counted.weights / counted.weights.sum())))
 
 
 def _of(keys: tuple[Key, ...], places: npt.NDArray[np.intp], before: Floats, after: Floats) -> DeviatingStatistics:

@@ -1,21 +1,28 @@
-"""What numbers alone don't say: where lines lie that no cause explains, which ones are aliases, and biases that change
-in all units alike.
+"""What numbers alone don't say, and what the causes leave: single statistics beyond chance, probes that lie to one side
+everywhere, where lines lie that no cause explains, which ones are aliases, and biases that change in all units alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.gap.findings.deviations import StatisticReport
 from imuarray.gap.findings.diagnosis import Cause, Where
+from imuarray.gap.inference.assessment import MORE, Assessment
+from imuarray.gap.inference.comparison import Comparison
 from imuarray.gap.inference.effects.lines import highest_lines, pooled
 from imuarray.gap.inference.effects.tone import MAINS_HZ, unaliased_hz
+from imuarray.gap.inference.residuals import GroupResidual, overall
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import AXES, Key
+from imuarray.gap.statistics.pairs import Pairs, spread_of
 from imuarray.gap.statistics.probes.spectrum import LINE
 from imuarray.gap.statistics.summary import Summary
+from imuarray.gap.statistics.synthetic_likelihood import FORM
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.tone import Tone
 from imuarray.units import READABLE
@@ -41,6 +48,91 @@ peaks, and a bias that wanders has some there."""
 _FIRST = 4
 _STEADY = 1.5
 """A frequency that changes by fewer bins is steady."""
+
+ONE_SIDED = 2.0
+"""An average is so much beyond any replicate's to be something else: of forty phases it tells what no use would notice,
+as that a telegraph is a little longer in one of its states than the effect has it.
+"""
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What is left with all causes in: the statistics that are beyond chance (`places` of pairs), the worst first, the
+    probes that lie to one side in all phases (`one_sided`), all of it in the terms of a page (`where`), and the sensors
+    of which something is left that matters and that the causes' form doesn't excuse (`unlikely`).
+    """
+
+    places: tuple[int, ...]
+    one_sided: tuple[GroupResidual, ...]
+    where: tuple[Where, ...]
+    unlikely: frozenset[str]
+
+    @property
+    def one_sidedness(self) -> float:
+        """The largest average, in units of the largest of any replicate; 0 without."""
+        return max((abs(one.score) / one.furthest for one in self.one_sided), default=0.0)
+
+
+NOTHING_LEFT = Remainder((), (), (), frozenset())
+"""Where there is no gap."""
+
+
+def remainder_of(
+    comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause], report: StatisticReport
+) -> Remainder:
+    """What the causes leave of a recording, as `after` judges it by replicates of the `repaired` model (b, n)."""
+    sizes = np.nan_to_num(np.abs(after.scores))
+    places = tuple(int(at) for at in np.argsort(-sizes) if sizes[at] > after.limit)
+    single = tuple(report.where(at, after, after.p) for at in places)
+    one_sided = _one_sided(comparison, after, repaired, causes) if causes else ()
+    worst = _worst_places(comparison, after, one_sided, places)
+    where = (*single, *(report.where(at, after, after.p) for at in worst))
+    unlikely = {one.sensor for one in one_sided} | _unlikely(comparison, after, repaired, places, single)
+    return Remainder(places, one_sided, where, frozenset(unlikely))
+
+
+def _unlikely(
+    comparison: Comparison, after: Assessment, repaired: Floats, places: Sequence[int], single: Sequence[Where]
+) -> set[str]:
+    """Sensors of which something that matters is left that the causes' form doesn't excuse, well beyond any
+    replicate's: of a few events one in thirty is a strange one.
+    """
+    scores = beyond_form(comparison.pairs, comparison.judged, after, comparison.real.values, repaired)
+    sizes = np.nan_to_num(np.abs(scores))[list(places)].tolist()
+    is_far = [size > MORE * after.furthest for size in sizes]
+    return {one.sensor for one, far in zip(single, is_far, strict=True) if far and one.size == "material"}
+
+
+def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Floats, replicates: Floats) -> Floats:
+    """(m,) scores of the recording under the model with its causes in, as `after` has them by these `replicates`; but
+    causes may miss what they have moved since `before` by the share by which the form of the right ones may be wrong.
+    """
+    moved = np.nan_to_num(np.abs(after.likeness.location - before.likeness.location))
+    wider = replace(after.likeness, scale=np.hypot(after.likeness.scale, FORM * moved))
+    return np.asarray(pairs.sums(wider.scores(real)) / spread_of(pairs.sums(after.likeness.scores(replicates))))
+
+
+def _one_sided(
+    comparison: Comparison, after: Assessment, repaired: Floats, causes: Sequence[Cause]
+) -> tuple[GroupResidual, ...]:
+    """What sensors with a cause keep to one side of it in all their phases, well beyond any replicate."""
+    concerned = {name for cause in causes for name in cause.sensors}
+    real = comparison.real.values
+    groups = overall(comparison.bench.keys, comparison.judged.likeness, after.likeness, real, repaired)
+    return tuple(one for one in groups if one.sensor in concerned and abs(one.score) > ONE_SIDED * one.furthest)
+
+
+def _worst_places(
+    comparison: Comparison, after: Assessment, one_sided: Sequence[GroupResidual], known: Sequence[int]
+) -> list[int]:
+    """Where each one-sided probe of a sensor shows most, as places of pairs; without what is `known` already."""
+    sizes, keys = np.nan_to_num(np.abs(after.scores)), comparison.pairs.keys
+    worst: dict[tuple[str, str], int] = {}
+    for one in one_sided:
+        own = [at for at, key in enumerate(keys) if (key.sensor, key.probe) == (one.sensor, one.probe)]
+        worst.setdefault((one.sensor, one.probe), max(own, key=lambda at: sizes[at]))
+    named = {(keys[at].sensor, keys[at].probe) for at in known}
+    return [at for place, at in worst.items() if place not in named]
 
 
 def lines_left(campaign: Campaign, unexplained: Sequence[Where], names: Sequence[str]) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ class Where:
     """One statistic that differs: what the recording has, what the simulation has instead, in `unit` ("" for pure
     numbers). `significance` is the difference in standard deviations of chance, `effect_size` the difference in units
     of the least one that matters (`margin`,
-    `imuarray.gap.findings.equivalence_margins`); `axis` and `phase` are "" for all.
+    `imuarray.gap.findings.deviations`); `axis` and `phase` are "" for all.
     """
 
     log: str
@@ -78,7 +78,7 @@ class Cause:
     all_closed: float | None = None
 
 
-def is_told_by_both(causes: Sequence[Cause]) -> bool:
+def needs_both_parts(causes: Sequence[Cause]) -> bool:
     """Whether no cause is left that one part of the campaign tells, so that the other could judge it."""
     return bool(causes) and all(cause.needs_both for cause in causes)
 

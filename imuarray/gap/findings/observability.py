@@ -12,14 +12,16 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.gap.findings.deviations import TWO_SIDED_95, needed, record_words
 from imuarray.gap.findings.diagnosis import Cause, Unobservable
-from imuarray.gap.findings.equivalence_margins import TWO_SIDED_95, needed, record_words
 from imuarray.gap.inference.effects.candidate import Candidate, Kind
 from imuarray.gap.model.downstream import attitude_of
+from imuarray.gap.recording.recordings import Recording
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
+from imuarray.simulate.converters import THERMOMETERS
 
 Floats = npt.NDArray[np.float64]
 Need = Literal["faces", "warmth", "runs", "turns", "warm_faces", "warm_turns"]
@@ -108,6 +110,17 @@ _INSTEAD: Mapping[str, str] = MappingProxyType(
 )
 """By domain, what does more than a longer log."""
 
+_ABSENT: Mapping[str, str] = MappingProxyType(
+    {
+        "temperature": "temperature: no log spans 1 degC",
+        "force": "force: no log has faces",
+        "motion": "motion: no log tells how the box moved",
+        "run_to_run": "runs: there are no several logs of one kind",
+        "cross_sensor": "what sensors share: there are no two of them",
+    }
+)
+"""Domains that some campaigns tell nothing of, and why."""
+
 _TRIAD = 3
 
 
@@ -186,6 +199,24 @@ def unsure(
         )
         for (domain, _), members in places.items()
     )
+
+
+def missing_in(recordings: Sequence[Recording], domains: Collection[str]) -> tuple[str, ...]:
+    """What recordings lack, so that statistics which need it are not compared, in phrases: reference temperatures, chip
+    thermometers, and statistics of others than these `domains`.
+    """
+    found = []
+    for recording in recordings:
+        if not recording.has_reference_temperature:
+            found.append(f"no reference temperature in {recording.name}")
+        headers = [header for header, _ in recording.experiment.plan.sensors.values() if header.chip in THERMOMETERS]
+        without = [header.name for header in headers if not header.has_temperature]
+        if without and len(without) == len(headers):
+            found.append(f"no chip thermometer in {recording.name}")
+        elif without:
+            found.append(f"no chip thermometer of {', '.join(without)} in {recording.name}")
+    found += [f"no statistic of {words}" for domain, words in _ABSENT.items() if domain not in domains]
+    return tuple(found)
 
 
 def alike(causes: Sequence[Cause], hidden: Sequence[Unobservable]) -> tuple[Cause, ...]:

@@ -6,8 +6,9 @@ import sys
 from collections.abc import Sequence
 from inspect import cleandoc
 
-from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where, is_told_by_both
+from imuarray.gap.findings.diagnosis import Cause, Gap, Pull, Verdict, Where, needs_both_parts
 from imuarray.gap.findings.text import closed_text, parameters_text, places_text, specification_text
+from imuarray.gap.findings.verdict import EVEN
 from imuarray.gap.model.use import Use
 from imuarray.simulate.effects import EFFECTS
 
@@ -20,29 +21,53 @@ def sentence_of(
     unexplained: Sequence[Where],
     uses: Sequence[Use],
     pulls: Sequence[Pull] = (),
+    against: Sequence[str] = (),
 ) -> str:
-    """What was found, why, how far it is closed, and which parts are out of specification."""
+    """What was found, why, how far it is closed, and which parts are out of specification; `against` names the earlier
+    recordings with which these were compared.
+    """
     outside = [f"{specification_text(pull)}." for pull in pulls if pull.is_out_of_specification]
+    other = ", ".join(against) or "the simulator"
     if verdict == "no gap":
-        alike = "The recordings look like what the simulator makes of them: no statistic is beyond chance."
+        alike = f"The recordings look like {other}: nothing has changed beyond chance." if against else _ALIKE
         return " ".join([alike, *outside])
     worst = where[0]
-    place = f"{worst.sensor}{' ' + worst.axis if worst.axis else ''}"
-    parts = [f"The recordings differ from the simulator, most in {worst.domain.replace('_', ' ')} of {place}."]
-    likely = [cause for cause in causes if cause.probability >= 0.5] or list(causes[:1])
-    parts += [f"{_named(cause)}." for cause in likely[:_MOST]]
+    parts = [f"The recordings differ from {other}, most in {worst.domain.replace('_', ' ')} of {_place(worst)}."]
+    likely = [cause for cause in causes if cause.probability >= EVEN] or list(causes[:1])
+    named = [f"{_named(cause)}." for cause in likely[:_MOST_CAUSES]]
+    if verdict == "unexplained":
+        parts.append(_unexplained(unexplained or where))
+        parts += ["No known effect makes these recordings likely; the nearest:", *named[:1]] if named else []
+    else:
+        parts += named
     if gap.closed is not None and likely:
         closed = closed_text(gap.closed, gap.closed_ci95)
-        data = "the data that told of it" if is_told_by_both(causes) else "held-out data"
+        data = "the data that told of it" if needs_both_parts(causes) else "held-out data"
         parts.append(f"With {'it' if len(likely) == 1 else 'them'} {closed} of the gap is closed on {data}.")
     parts += list(_in_use(uses, causes))
-    if verdict in ("unexplained", "partly explained") and unexplained:
+    if verdict == "partly explained" and unexplained:
         left = unexplained[0]
-        parts.append(
-            f"Not explained: {left.about}, {left.sensor}{' ' + left.axis if left.axis else ''}"
-            f"{' in ' + left.phase if left.phase else ''}."
-        )
+        parts.append(f"Not explained: {left.about}, {_place(left)}{f' in {left.phase}' if left.phase else ''}.")
     return " ".join([*parts, *outside])
+
+
+def _unexplained(where: Sequence[Where]) -> str:
+    """What something outside the library looks like: in which domain of which axes, how far off, in which log and
+    phase.
+    """
+    places: dict[tuple[str, str, str], Where] = {}
+    for one in where:  # worst first
+        places.setdefault((one.sensor, one.axis, one.domain), one)
+    looks = [
+        f"{one.domain.replace('_', ' ')} of {_place(one)} ({one.about}: {one.significance:+.0f} standard deviations in "
+        f"{' of '.join(filter(None, (one.phase, one.log)))})"
+        for one in list(places.values())[:_MOST_PLACES]
+    ]
+    return f"Unexplained: something outside the library. It shows in {'; '.join(looks)}."
+
+
+def _place(where: Where) -> str:
+    return f"{where.sensor} {where.axis}".rstrip()
 
 
 def meaning(effect: str) -> str:
@@ -53,7 +78,9 @@ def meaning(effect: str) -> str:
     return first.partition(": ")[2].rstrip(".")
 
 
-_MOST = 4
+_ALIKE = "The recordings look like what the simulator makes of them: no statistic is beyond chance."
+_MOST_CAUSES = 4
+_MOST_PLACES = 3
 
 
 def _named(cause: Cause) -> str:

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.gap.inference.assessment import Assessment, assess
+from imuarray.gap.inference.earlier import Earlier
 from imuarray.gap.inference.localisation import Localisation, located
-from imuarray.gap.model.base_model import fit, headers_in
+from imuarray.gap.model.base_model import Base, fit
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.replication import TOGETHER, Models, ReplicateRequest
 from imuarray.gap.model.workers import Run
@@ -39,7 +40,8 @@ than one in two hundred.
 @dataclass(frozen=True)
 class Comparison:
     """The recorded campaign on its bench, beside replicates of the base model: statistics of the recording (`real`)
-    and of the replicates, their pairs, the recording judged by them, and where it is beyond chance.
+    and of the replicates, their pairs, the recording judged by them, and where it is beyond chance. `earlier` are the
+    recordings with which this one is compared, if there are any.
     """
 
     bench: Bench
@@ -49,6 +51,7 @@ class Comparison:
     pairs: Pairs
     judged: Assessment
     located: Localisation
+    earlier: Earlier | None = None
 
     @cached_property
     def chance(self) -> Floats:
@@ -56,21 +59,45 @@ class Comparison:
         return np.array([one.values for one in self.replicates])
 
 
-def prepared(recordings: Sequence[Recording], model: Model | None, seed: int) -> tuple[Bench, Campaign]:
-    """The recordings summarised, the base model fitted to their training part."""
+def prepared(
+    recordings: Sequence[Recording], model: Model | None, seed: int, fitted_to: Sequence[Recording] = ()
+) -> tuple[Bench, Campaign]:
+    """The recordings summarised, the base model fitted to their training part, or to all of other recordings of the
+    same array (`fitted_to`); sensors that these lack are left out.
+    """
     split = split_of([one.kind for one in recordings], [one.phases for one in recordings])
+    campaign = _summarised(recordings, split)
+    experiments = [one.experiment for one in recordings]
+    if fitted_to:
+        base = _base_of(fitted_to, model, seed)
+        campaign = _of_fitted(campaign, base)
+        return replace(bench_of(campaign, split, experiments, base), is_refitted=False), campaign
+    train = split.train(campaign)
+    base = fit(train.campaign, [experiments[at].motion for at in train.logs], model=model, seed=seed)
+    campaign = _of_fitted(campaign, base)
+    bench = bench_of(campaign, split, experiments, base)
+    return (bench if model is None else settled(bench)), campaign
+
+
+def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
+    """All logs, in the phases of the split."""
     logs = []
     for one, phases in zip(recordings, split.phases(), strict=True):
         summary = summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion))
         lines = {name: line for name, (_, line) in one.experiment.plan.sensors.items()}
         moving = [phase for phase in one.phases if not is_at_rest(phase)]
         logs.append(replace(summary, events=events_of(one.log, lines, moving, _tracked(one.experiment.motion))))
-    campaign = _of_both_parts(Campaign(tuple(logs)), split)
-    train = split.train(campaign)
-    motions = [recordings[at].experiment.motion for at in train.logs]
-    base = fit(train.campaign, motions, model=model, seed=seed)
-    bench = bench_of(campaign, split, [one.experiment for one in recordings], base)
-    return (bench if model is None else settled(bench)), campaign
+    return Campaign(tuple(logs))
+
+
+def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) -> Base:
+    """The base model fitted to all of these recordings."""
+    split = split_of([one.kind for one in recordings], [one.phases for one in recordings])
+    campaign, experiments = _summarised(recordings, split), [one.experiment for one in recordings]
+    base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
+    if model is None:
+        return base
+    return settled(bench_of(campaign, split, experiments, base)).base
 
 
 def _tracked(motion: Motion) -> Motion | None:
@@ -78,13 +105,12 @@ def _tracked(motion: Motion) -> Motion | None:
     return motion if isinstance(motion, LikeLog) and motion.source != "phases" else None
 
 
-def _of_both_parts(campaign: Campaign, split: Split) -> Campaign:
-    """Without sensors that only the held-out part has: nothing could be fitted to them."""
-    fitted = set(headers_in(split.train(campaign).campaign))
+def _of_fitted(campaign: Campaign, base: Base) -> Campaign:
+    """Without sensors to which nothing was fitted, such as those that only the held-out part has."""
     logs = []
     for log in campaign.logs:
         phases = [
-            replace(part, sensors={name: one for name, one in part.sensors.items() if name in fitted})
+            replace(part, sensors={name: one for name, one in part.sensors.items() if name in base.fitted})
             for part in log.phases
         ]
         logs.append(replace(log, phases=tuple(phases)))
@@ -104,9 +130,12 @@ def settled(bench: Bench, replicates: int = 8) -> Bench:
     return replace(bench, base=replace(bench.base, fitted=fitted))
 
 
-def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: int) -> Comparison:
-    """Where the recording leaves what the base model makes of it, by so many `replicates`, or fewer where they tell
-    that it is well within chance (`ENOUGH`).
+def compared_with_base(
+    bench: Bench, campaign: Campaign, run: Run, replicates: int, earlier: Earlier | None = None
+) -> Comparison:
+    """Where the recording leaves what the base model makes of it, or what `earlier` recordings and the base model that
+    is fitted to these make of it, by so many `replicates`, or fewer where they tell that it is well within chance
+    (`ENOUGH`).
 
     The p-value is that of a sequential Monte Carlo test, which goes on only as long as the recording is among the
     strangest (Besag and Clifford, Biometrika 78, 1991). It is valid: a recording without a gap is found at p <= a in at
@@ -115,17 +144,20 @@ def compared_with_base(bench: Bench, campaign: Campaign, run: Run, replicates: i
     an exact one, is at most a.
     """
     real, pairs = bench.observed(campaign, bench.base.fitted), bench.pairs()
+    real = real if earlier is None else earlier.without_discrepancy(real)
     came: tuple[StatisticValues, ...] = ()
     looks = [(count, limit) for count, limit in ENOUGH.items() if count < replicates]
     for count, limit in (*looks, (replicates, 0.0)):
-        came += tuple(observed(bench.models(), range(len(came), count), run))
+        numbers = range(len(came), count)
+        more = observed(bench.models(), numbers, run)
+        came += tuple(more) if earlier is None else earlier.with_scatter(more, numbers)
         chance = np.array([one.values for one in came])
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
         where = located(pairs.keys, bench.base.headers, scores[0], scores[1:])
         if where.p > limit:
             break
     whole = replace(assess(pairs, real.values, chance, bench.resolutions, scores[1:]), p=where.p, limit=where.limit)
-    return Comparison(bench, campaign, real, came, pairs, whole, where)
+    return Comparison(bench, campaign, real, came, pairs, whole, where, earlier)
 
 
 def observed(models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:

@@ -64,6 +64,8 @@ class Evidence:
     which of its readings stand alone, by logs, in each phase in which the box moves; `hosts` is what
     the times of all sensors of a log tell of the host that read them, `resets` are stretches, by logs, in which the
     recorder found the chip set otherwise. `rows_of`: the log of each row of a probe, -1 for those of several logs.
+    `is_refitted`: noise, bias and slope are fitted to what is shown here; else they come from an earlier recording, and
+    may have changed since then.
     """
 
     header: SensorHeader
@@ -81,6 +83,7 @@ class Evidence:
     hosts: tuple[Host, ...] = ()
     resets: tuple[tuple[int, Reset], ...] = ()
     rows_of: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    is_refitted: bool = True
 
     def within(self, logs: Collection[int]) -> Evidence:
         """What these logs show alone, of their numbers in the campaign; what several logs show together is left out."""
@@ -193,6 +196,7 @@ def evidence_of(
         tuple(own.host for _, own in events),
         tuple((log, reset) for log, own in events for reset in own.resets),
         _logs_by_probe(scored, bench.split),
+        bench.is_refitted,
     )
 
 

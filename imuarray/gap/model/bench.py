@@ -46,11 +46,14 @@ class StatisticValues:
 class Bench(Stage):
     """The stage of a recorded campaign, and the keys of its statistics: those of the training part, `of_train` of them,
     then those of the held-out part. `resolutions` (n,): the least difference that means anything in each.
+    `is_refitted`: the base model is fitted anew to the training part of every campaign; else all are measured by the
+    parameters that it has, which come from elsewhere.
     """
 
     keys: tuple[Key, ...]
     of_train: int
     resolutions: Floats = field(repr=False)
+    is_refitted: bool = field(default=True, kw_only=True)
 
     @cached_property
     def held_out(self) -> Bools:
@@ -88,15 +91,27 @@ class Bench(Stage):
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
         return [key.log if key.log < 0 else parts[out][key.log] for key, out in sides]
 
+    def of_keys(self, chosen: Bools) -> Bench:
+        """The bench of some of the statistics, (n,)."""
+        keys = tuple(key for key, wanted in zip(self.keys, chosen.tolist(), strict=True) if wanted)
+        of_train = int(np.count_nonzero(chosen[: self.of_train]))
+        return replace(self, keys=keys, of_train=of_train, resolutions=self.resolutions[chosen])
+
     @cached_property
-    def alike(self) -> npt.NDArray[np.str_]:
-        """(n,) probe, axis and kind of log: keys that have these in common scatter alike."""
+    def log_kinds(self) -> tuple[str, ...]:
+        """(n,) the kind of the log of each key, "" of a statistic of several logs."""
         kinds = [
             [kind for kind, own in zip(self.kinds, self.split.phases(held_out), strict=True) if own]
             for held_out in (False, True)
         ]
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
-        return np.array([f"{key.probe} {key.axis} {kinds[out][key.log] if key.log >= 0 else ''}" for key, out in sides])
+        return tuple(kinds[out][key.log] if key.log >= 0 else "" for key, out in sides)
+
+    @cached_property
+    def alike(self) -> npt.NDArray[np.str_]:
+        """(n,) probe, axis and kind of log: keys that have these in common scatter alike."""
+        pairs = zip(self.keys, self.log_kinds, strict=True)
+        return np.array([f"{key.probe} {key.axis} {kind}" for key, kind in pairs])
 
     @cached_property
     def is_of_motion(self) -> Bools:
@@ -167,7 +182,7 @@ class Bench(Stage):
         told = self._told(campaigns[0])
         sides = [self.split.train(campaign) for campaign in campaigns]
         motions = [told[at] for at in sides[0].logs]
-        bases = [fit(side.campaign, motions) for side in sides]
+        bases = [fit(side.campaign, motions) if self.is_refitted else self.base for side in sides]
         values = np.full((len(campaigns), len(self.keys)), np.nan)
         for part in (0, 1) if held_out else (0,):
             if part:

@@ -6,7 +6,7 @@ A replicate is told by its number: the same number draws the same again, whateve
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 from typing import Any
@@ -59,7 +59,8 @@ _KEPT = 64
 @dataclass(frozen=True)
 class Stage:
     """What replicates of a campaign have in common: how its logs were looked at (`kinds`, `layouts` of every phase of
-    the split), how they are split, what happened in them, and the base model.
+    the split), how they are split, what happened in them, and the base model. Their boots are numbered from
+    `first_boot`: stages of one array with other numbers have the same units, and noise of their own.
     """
 
     kinds: tuple[str, ...]
@@ -67,6 +68,7 @@ class Stage:
     layouts: tuple[tuple[Layout, ...], ...]
     experiments: tuple[Experiment, ...]
     base: Base
+    first_boot: int = field(default=0, kw_only=True)
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -131,7 +133,11 @@ class Stage:
         wanted = [name for name in plan.sensors if name in (effects if self._moves[log] else models)]
         swapped = [name for name in wanted if any(effect.name == ChannelSwap.name for effect in effects[name])]
         seed = replicate_seed(self.base.seed, number)
-        array = simulated_sources(Simulation(plan, motion, effects, seed=seed, boot=log)) if swapped else {}
+        array = (
+            simulated_sources(Simulation(plan, motion, effects, seed=seed, boot=self.first_boot + log))
+            if swapped
+            else {}
+        )
         return {
             name: array[name]
             if name in swapped
@@ -148,7 +154,8 @@ class Stage:
         """A sensor that needs no other."""
         plan, motion = self.experiments[log]
         own = replace(plan, sensors={name: plan.sensors[name]})
-        return simulated_sources(Simulation(own, motion, {name: effects}, seed=seed, boot=log), alone=alone)[name]
+        simulation = Simulation(own, motion, {name: effects}, seed=seed, boot=self.first_boot + log)
+        return simulated_sources(simulation, alone=alone)[name]
 
     @cached_property
     def _drawn(self) -> Callable[[int], Effects]:

@@ -66,9 +66,12 @@ class Run(Protocol):
         """The results, in the items' order."""
 
 
-def runner(
-    fixed: object, executor: Executor | None = None, bar: Bar = lambda length: nullcontext(lambda done: None)
-) -> Run:
+def no_bar(length: int) -> AbstractContextManager[Callable[[int], None]]:
+    """A bar that nobody sees."""
+    return nullcontext(lambda done: None)
+
+
+def runner(fixed: object, executor: Executor | None = None, bar: Bar = no_bar) -> Run:
     """What calls functions of modules with `fixed`, which every process gets once, and one item after the other; the
     results in the items' order. `bar` makes, for a number of items, what is told how many are done.
     """

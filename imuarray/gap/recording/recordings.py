@@ -116,6 +116,22 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
     return tuple(found)
 
 
+def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
+    """LogError in one line if the earlier recordings are of another array: of none of the same sensors, or of sensors
+    that were set otherwise.
+    """
+    sensors = {name: recording.log[name] for recording in earlier for name in recording.experiment.plan.sensors}
+    for recording in recordings:
+        shared = [name for name in recording.experiment.plan.sensors if name in sensors]
+        for name in shared:
+            _same(sensors[name], recording.log[name])
+        if not shared:
+            first = earlier[0].log.path
+            raise LogError(
+                f"{recording.log.path}: no sensor in common with {first}: earlier logs are of the same array"
+            )
+
+
 def temperature_of(motion: Motion) -> Temperature:
     """The reference temperature that a motion tells."""
 

@@ -1,4 +1,6 @@
-"""`bias` is recognised by a step of the levels from one log to the next; a constant one is in every fit."""
+"""`bias` is recognised by a step of the levels from one log to the next; a constant one is in every fit, unless that is
+of an earlier recording.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,18 @@ _FEWEST = 3
 
 _SMALL = 0.1
 
+_ODD = 3.0
+"""Standard deviations from which on the level of an axis may have changed since an earlier recording."""
+
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The step that divides the logs best, in the order in which they were recorded."""
+    """The step that divides the logs best, in the order in which they were recorded; or the level of all of them, where
+    the base model's is of an earlier recording.
+    """
     if not evidence.is_odd(*_TRACES):
         return
+    if not evidence.is_refitted:
+        yield from _since(evidence)
     logs, means, errors = log_levels(levels(evidence))
     if len(means) < _FEWEST:
         return
@@ -37,6 +46,15 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
         step = means[at:].mean(axis=0) - means[:at].mean(axis=0)
         x, y, z = np.where(np.abs(step) > _SMALL * np.abs(step).max(), step, 0.0).tolist()
         yield Hypothesis((Bias((x, y, z), float(logs[at])),), ("offset",))
+
+
+def _since(evidence: Evidence) -> Iterator[Hypothesis]:
+    """A bias that has changed since the earlier recording."""
+    shift = evidence.typical("mean")
+    size = np.abs(evidence.score("mean", "level"))
+    x, y, z = np.where((size > _ODD) & np.isfinite(shift), shift, 0.0).tolist()
+    if any((x, y, z)):
+        yield Hypothesis((Bias((x, y, z)),), ("offset",))
 
 
 def _gain(means: Floats, errors: Floats, at: int) -> float:

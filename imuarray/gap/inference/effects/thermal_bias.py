@@ -28,6 +28,8 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
         return
     if is_warmed(found):
         yield from _squares(found)
+        if not evidence.is_refitted:
+            yield from _since(evidence)
     elif np.ptp(found.degc) >= LEAST_DEGC:
         yield from _between_logs(found)
 
@@ -42,6 +44,14 @@ def _squares(found: Levels) -> Iterator[Hypothesis]:
     if clear.any():
         slope, quadratic = np.where(clear, fit.coefficient, 0.0).tolist()
         yield Hypothesis((ThermalBias(tuple(slope), tuple(quadratic)),), ("quadratic",))
+
+
+def _since(evidence: Evidence) -> Iterator[Hypothesis]:
+    """A slope that has changed since an earlier recording, to which the base model was fitted."""
+    odd = np.abs(evidence.score("thermal_slope")) > BEYOND
+    x, y, z = np.where(odd, np.nan_to_num(evidence.typical("thermal_slope")), 0.0).tolist()
+    if any((x, y, z)):
+        yield Hypothesis((ThermalBias(slope=(x, y, z)),), ("slope",))
 
 
 def _between_logs(found: Levels) -> Iterator[Hypothesis]:

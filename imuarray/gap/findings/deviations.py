@@ -1,23 +1,29 @@
-"""Which differences matter: the least one of each statistic that changes a figure of use by 5 %.
+"""Single statistics that deviate: where they are, by how much, and whether that matters.
 
-Noise matters by the error of heading or velocity after coasting for 60 s (`imuarray.gap.model.downstream`), E = sqrt(2)
-tau sigma_A(tau). Of white noise sigma_A(tau) = noise / sqrt(tau rows_per_s): what the model has at the least, whatever
-else the recording has. A level adds in quadrature: it matters if the integral over these 60 s is 0.32 E, sqrt(1.05^2 -
-1), which raises the error's rms by 5 %.
+A difference matters from the least one on that changes a figure of use by 5 %. Noise matters by the error of heading or
+velocity after coasting for 60 s (`imuarray.gap.model.downstream`), E = sqrt(2) tau sigma_A(tau). Of white noise
+sigma_A(tau) = noise / sqrt(tau rows_per_s): what the model has at the least, whatever else the recording has. A level
+adds in quadrature: it matters if the integral over these 60 s is 0.32 E, sqrt(1.05^2 - 1), which raises the error's rms
+by 5 %.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.findings.diagnosis import Size
-from imuarray.gap.statistics.catalogue import Key
+from imuarray.gap.findings.diagnosis import Map, Size, Where
+from imuarray.gap.inference.assessment import Assessment
+from imuarray.gap.model.bench import Bench
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.gap.statistics.catalogue import Key, statistics
+from imuarray.gap.statistics.pairs import Pairs
+from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.summary import Grid
 from imuarray.log.format import SensorHeader
 
@@ -250,6 +256,108 @@ def record_words(seconds: float) -> str:
     step = 10 ** max(math.floor(math.log10(count)) - 1, 0)
     rounded = math.ceil(count / step - 1e-9) * step
     return f"record {rounded} {unit}{'' if rounded == 1 else 's'}"
+
+
+def where_of(
+    report: StatisticReport, assessment: Assessment, places: Iterable[int], p: Mapping[int, float]
+) -> tuple[Where, ...]:
+    """The statistics at these places of the pairs, as one model makes them; `p` of those that have their own."""
+    return tuple(report.where(at, assessment, p.get(at, assessment.p)) for at in places)
+
+
+def map_of(pairs: Pairs, before: Assessment, after: Assessment, sensors: Sequence[str]) -> Map:
+    """Largest scores by sensor and domain."""
+    domains = tuple(dict.fromkeys(probe.domain for probe in PROBES.values()))
+    tables = []
+    for one in (before, after):
+        table = np.full((len(sensors), len(domains)), np.nan)
+        for key, score in zip(pairs.keys, one.scores.tolist(), strict=True):
+            if math.isfinite(score):
+                place = sensors.index(key.sensor), domains.index(key.domain)
+                table[place] = np.fmax(table[place], abs(score))
+        tables.append(table)
+    return Map(tuple(sensors), domains, tables[0], tables[1], before.limit)
+
+
+class StatisticReport:
+    """Describes single statistics of a recorded campaign; `names` are the logs'."""
+
+    def __init__(self, bench: Bench, campaign: Campaign, pairs: Pairs, names: Sequence[str]) -> None:
+        self._bench, self._pairs = bench, pairs
+        sides = (bench.split.train(campaign), bench.split.held_out(campaign))
+        keys = (bench.keys[: bench.of_train], bench.keys[bench.of_train :])
+        values = [statistics(side.campaign) for side in sides]
+        self._raw = pairs.means(np.array([said[key] for said, own in zip(values, keys, strict=True) for key in own]))
+        self._logs = [[names[log] for log in side.logs] for side in sides]
+        self._phases = [[log.phases for log in side.campaign.logs] for side in sides]
+
+    def where(self, at: int, assessment: Assessment, p: float) -> Where:
+        """The statistic at one place of the pairs."""
+        key, header = self._pairs.keys[at], self._bench.base.headers[self._pairs.keys[at].sensor]
+        probe = PROBES[key.probe]
+        shift, scale = self._shift(at, assessment), self.scale(at, assessment)
+        least = self.margin(at)
+        raw = float(self._raw[at])
+        return Where(
+            log=self._log(at),
+            sensor=key.sensor,
+            axis=key.axis,
+            domain=key.domain,
+            phase=key.phase,
+            statistic=key.probe,
+            about=probe.about,
+            real=raw,
+            simulated=raw - shift,
+            unit=probe.unit.replace("{u}", header.unit),
+            significance=float(assessment.scores[at]),
+            p=p,
+            effect_size=shift / least if least > 0 else math.inf,
+            margin=least,
+            size=sized(shift, scale, least),
+        )
+
+    def margin(self, at: int) -> float:
+        """The least difference of a statistic that matters."""
+        key = self._pairs.keys[at]
+        header = self._bench.base.headers[key.sensor]
+        return margin(key, header, self._bench.base.fitted[key.sensor].noise(header), *self.rate_and_length(at))
+
+    def rate_and_length(self, at: int) -> tuple[float, float]:
+        """Rows a second of the sensor, and how many seconds of its log were looked at."""
+        key = self._key(at)
+        phases = self._phases[self._side(at)][max(key.log, 0)]
+        own = [phase.sensors[key.sensor] for phase in phases if key.sensor in phase.sensors]
+        seconds = sum((phase.phase.end_ns - phase.phase.start_ns) * 1e-9 for phase in phases)
+        rates = [1 / summary.intervals.mean_s for summary in own if summary.intervals.count]
+        return (float(np.median(rates)) if rates else 1.0), seconds
+
+    def scale(self, at: int, assessment: Assessment) -> float:
+        """Standard error of a statistic's difference, of both parts together."""
+        scales = assessment.likeness.scale[self._parts(at)]
+        known = scales[np.isfinite(scales)]
+        return float(np.sqrt((known**2).sum()) / len(known)) if len(known) else math.nan
+
+    def _shift(self, at: int, assessment: Assessment) -> float:
+        """How far the recording lies from the middle of the model, the mean over the parts."""
+        parts = assessment.apart[self._parts(at)]
+        return float(np.nanmean(parts)) if np.isfinite(parts).any() else math.nan
+
+    def _parts(self, at: int) -> list[int]:
+        """Where the statistic stands among those of both parts."""
+        return [int(place) for place in (self._pairs.train[at], self._pairs.held_out[at]) if place >= 0]
+
+    def _log(self, at: int) -> str:
+        key = self._key(at)
+        return f"all {key.phase} logs" if key.log < 0 else self._logs[self._side(at)][key.log]
+
+    def _key(self, at: int) -> Key:
+        """As its own part has it."""
+        places = (self._pairs.train, self._pairs.held_out)[self._side(at)]
+        return self._bench.keys[int(places[at])]
+
+    def _side(self, at: int) -> int:
+        """0 for the training part, 1 for what the held-out part alone has."""
+        return 0 if self._pairs.train[at] >= 0 else 1
 
 
 _UNITS = (("second", 1.0, 90.0), ("minute", 60.0, 5400.0), ("hour", 3600.0, 172800.0), ("day", 86400.0, math.inf))

@@ -1,0 +1,164 @@
+"""Earlier recordings of the same array in the simulator's place: what changed since then.
+
+The method is a calibration of the simulator at every statistic. The parameters of the base model (noise, bias, slope)
+are fitted to the earlier recordings, and nothing is fitted to the new one. Of each statistic of the new recording the
+earlier ones have counterparts: the same probe of the same sensor and axis, in a phase of the same name of a log of the
+same kind, else in a phase of that name, else in any phase at rest. The *discrepancy* of a statistic is how far its
+counterparts lie from the middle of their own replicates (the median over them); it is what the simulator lacks of this
+array, and is taken off the new recording. A line, a correlation or a coarse code that was there before is so no
+difference now, and an axis that leans leans as before.
+
+Phases at rest are looked at in pieces of one length on both sides, so that a long one shows nothing that a short one
+can't.
+
+Both sides scatter. A replicate of the comparison is one of the new recording less one of the counterparts, each about
+its own middle, of the same drawn units and with independent noise. So what units have (scale, misalignment) cancels as
+it does between the recordings, and noise adds in quadrature: sqrt(2) times that of one recording where both are as
+long. What one side lacks is missing: a statistic without a counterpart is left out.
+
+A discrepancy is a shift. Where a new effect and an old one act on the same statistic not by addition (a noise that
+doubles hides half of an old line), what the old one shows is taken off as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.gap.model.bench import Bench, StatisticValues
+from imuarray.gap.model.replication import TOGETHER, ReplicateRequest
+from imuarray.gap.model.workers import Run
+from imuarray.gap.recording.phases import is_at_rest
+from imuarray.gap.recording.recordings import Recording
+from imuarray.gap.statistics.campaign import Campaign
+from imuarray.log.format import Phase
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.intp]
+
+_Place = tuple[str, ...]
+
+MOST_PIECES = 8
+"""A phase is not cut into more: each costs as much as a short phase of its own, and eight tell the median of what an
+earlier recording shows to half of the scatter of one.
+"""
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """Earlier recordings on their own `bench`, as replicates of the base model that is fitted to them make them:
+    `values` (e,) of their statistics, their `middle` (e,) over replicates, and of each of n statistics of the new
+    recording the places of its `counterparts` among these.
+    """
+
+    bench: Bench
+    values: Floats = field(repr=False)
+    middle: Floats = field(repr=False)
+    counterparts: tuple[Integers, ...] = field(repr=False)
+    run: Run
+
+    def without_discrepancy(self, real: StatisticValues) -> StatisticValues:
+        """Statistics (n,) of the new recording less what the simulator lacked of the earlier ones."""
+        return replace(real, values=real.values - self._discrepancy(self.values))
+
+    def with_scatter(self, came: Sequence[StatisticValues], numbers: Sequence[int]) -> tuple[StatisticValues, ...]:
+        """Replicates of the new recording less the scatter of the earlier ones' replicates of the same numbers."""
+        models = self.bench.models()
+        groups = [numbers[first : first + TOGETHER] for first in range(0, len(numbers), TOGETHER)]
+        asked = [[(models, number) for number in group] for group in groups]
+        scatter = [self._discrepancy(values) for values in chain.from_iterable(self.run(_replicated, asked))]
+        return tuple(
+            replace(one, values=one.values - np.nan_to_num(own)) for one, own in zip(came, scatter, strict=True)
+        )
+
+    def _discrepancy(self, values: Floats) -> Floats:
+        """(n,) median over the counterparts of how far `values` (e,) lie from the middle; nan without."""
+        apart = values - self.middle
+        known = [apart[places][np.isfinite(apart[places])] for places in self.counterparts]
+        return np.array([np.median(some) if len(some) else np.nan for some in known])
+
+
+def beside_earlier(
+    bench: Bench, before: Bench, campaign: Campaign, run_on: Callable[[Bench], Run], replicates: int
+) -> tuple[Bench, Earlier]:
+    """A new recording's `bench` without the statistics that have no counterpart, and what an earlier `campaign` on its
+    bench `before` says of the others. `before` is measured by the parameters of the new bench's base model, which are
+    fitted to it.
+    """
+    own = replace(before, base=bench.base, is_refitted=False, first_boot=bench.first_boot + len(bench.kinds))
+    run, models = run_on(own), own.models()
+    groups = [range(first, min(first + TOGETHER, replicates)) for first in range(0, replicates, TOGETHER)]
+    asked = [[(models, number) for number in group] for group in groups]
+    came = np.array(list(chain.from_iterable(run(_replicated, asked))))
+    known = np.isfinite(came).any(axis=0)
+    middle = np.full(len(own.keys), np.nan)
+    middle[known] = np.nanmedian(came[:, known], axis=0)
+    values = own.measured(campaign, own.base.fitted).values
+    places = _counterparts(bench, own)
+    has_any = np.array([bool(np.isfinite(values[some] - middle[some]).any()) for some in places], bool)
+    kept = tuple(some for some, wanted in zip(places, has_any.tolist(), strict=True) if wanted)
+    return bench.of_keys(has_any), Earlier(own, values, middle, kept, run)
+
+
+def cut_alike(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Both with their phases at rest cut into pieces of one length, that of the shorter ones of the same name (of any
+    name, where one side has none of it): statistics such as the strongest line depend on how long a phase is looked at.
+    """
+    longest = [_longest_ns(side) for side in (recordings, earlier)]
+
+    def cut(recording: Recording) -> Recording:
+        pieces = (_pieces(phase, min(side.get(phase.name, side[""]) for side in longest)) for phase in recording.phases)
+        return replace(recording, phases=tuple(chain.from_iterable(pieces)))
+
+    return list(map(cut, recordings)), list(map(cut, earlier))
+
+
+def _longest_ns(recordings: Sequence[Recording]) -> dict[str, int]:
+    """The length of the longest phase at rest of each name, and of any ("")."""
+    longest = {"": 0}
+    for phase in chain.from_iterable(recording.phases for recording in recordings):
+        if is_at_rest(phase):
+            for name in ("", phase.name):
+                longest[name] = max(longest.get(name, 0), phase.end_ns - phase.start_ns)
+    return longest
+
+
+def _pieces(phase: Phase, length_ns: int) -> Iterator[Phase]:
+    """Pieces of about that length, evenly over the phase; one that is little longer, or a motion, stays whole."""
+    whole_ns = phase.end_ns - phase.start_ns
+    count = min(round(whole_ns / length_ns), MOST_PIECES) if length_ns > 0 and is_at_rest(phase) else 1
+    if count < 2:
+        yield phase
+        return
+    piece_ns = min(length_ns, whole_ns // count)
+    for number in range(count):
+        start_ns = phase.start_ns + number * (whole_ns - piece_ns) // (count - 1)
+        yield phase._replace(start_ns=start_ns, end_ns=start_ns + piece_ns)
+
+
+def _replicated(bench: Bench, asked: Sequence[ReplicateRequest]) -> list[Floats]:
+    """Statistics (e,) of several replicates."""
+    return [one.values for one in bench.replicates(asked)]
+
+
+def _counterparts(bench: Bench, earlier: Bench) -> list[Integers]:
+    """Of each of the bench's keys, the places of what is of the same kind among the earlier ones'."""
+    found: dict[_Place, list[int]] = {}
+    for at, names in enumerate(_names(earlier)):
+        for name in names:
+            found.setdefault(name, []).append(at)
+    nearest = [next((found[name] for name in names if name in found), []) for names in _names(bench)]
+    return [np.array(places, np.intp) for places in nearest]
+
+
+def _names(bench: Bench) -> Iterator[tuple[_Place, _Place, _Place]]:
+    """What each key has in common with its counterparts, the nearest ones first."""
+    moving = {phase.name for phases in bench.split.phases() for phase in phases if not is_at_rest(phase)}
+    for key, kind in zip(bench.keys, bench.log_kinds, strict=True):
+        own = (key.sensor, key.axis, key.probe)
+        state = "moving" if key.phase in moving else "at rest"
+        yield (*own, "kind", kind, key.phase), (*own, "phase", key.phase, state), (*own, "any", state)
