@@ -48,7 +48,7 @@ class TestSpelled:
     @pytest.mark.parametrize("unit", UNITS)
     def test_one_key_for_each_parameter(self, name: str, unit: str) -> None:
         found = spelled(EFFECTS[name], unit)
-        assert [item.name for item in found.values()] == [item.name for item in fields(EFFECTS[name])]
+        assert [item.name for item in found.values()] == [*(item.name for item in fields(EFFECTS[name])[1:]), "spans"]
         assert not any("{" in key for key in found)
 
 
@@ -86,9 +86,9 @@ class TestFromTable:
     @pytest.mark.parametrize(
         ("kind", "table", "message"),
         [
-            (Bias, {"offset": 1.0}, "offset: unknown key (did you mean 'offset_g'?); allowed are offset_g"),
-            (Bias, {"offset_dps": 1.0}, "offset_dps: unknown key (did you mean 'offset_g'?); allowed are offset_g"),
-            (Nonlinearity, {"zzz": 1.0}, "zzz: unknown key; allowed are quadratic_per_g, cubic_per_g2"),
+            (Bias, {"offset": 1.0}, "offset: unknown key (did you mean 'offset_g'?); allowed are offset_g, spans"),
+            (Bias, {"offset_x": 1.0}, "offset_x: unknown key (did you mean 'offset_g'?); allowed are offset_g, spans"),
+            (Nonlinearity, {"zzz": 1.0}, "zzz: unknown key; allowed are quadratic_per_g, cubic_per_g2, spans"),
             (Bias, {"offset_g": [1, 2]}, "offset_g: [1, 2]: a number, or a list of 3, is wanted"),
             (Bias, {"offset_g": "1"}, "offset_g: '1': a number, or a list of 3, is wanted"),
             (Bias, {"offset_g": [1, 2, "3"]}, "offset_g: [1, 2, '3']: a number, or a list of 3, is wanted"),

@@ -21,6 +21,7 @@ from imuarray.gap.inference.evidence import Evidence, views
 from imuarray.gap.inference.parameters import distinct, factors_of
 from imuarray.gap.inference.refinement import FittedHypothesis, looks, refine
 from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, Unit, UnitState, compared, gains_of, touched_by
+from imuarray.gap.inference.when import in_logs
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
@@ -43,6 +44,9 @@ COST = 1.0
 
 _BEHIND = 15.0
 """Nats by which a guess may be worse than the best one, and still be refined or confirmed; or half of its gain."""
+
+_DIVIDED, _LOST = 3, 2.0
+"""So many trials of a unit are tried in some logs alone, if the others lose so many nats by them."""
 
 _BRIEF = 4.0
 """Nats that the choice of a moment costs."""
@@ -104,10 +108,13 @@ class Round:
 
 def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[Hypothesis]:
     """All trials that one sensor suggests, by all logs and by parts of them, those that are alike once."""
-    found = [
-        trial for part in views(evidence) for candidate in candidates.values() for trial in candidate.guesses(part)
-    ]
-    return distinct(found)
+    return distinct(
+        trial if not part.when.spans else trial.at(part.when)
+        for part in views(evidence)
+        for candidate in candidates.values()
+        for trial in candidate.guesses(part)
+        if not part.when.spans or not (trial.removed or trial.needs_both or trial.shared)
+    )
 
 
 def placebo_of(evidence: Evidence) -> Hypothesis:
@@ -125,6 +132,8 @@ def searched(
 ) -> dict[Unit, Round]:
     """One round over all units at once. Where it is `known` that one of the trials is right, none needs proof."""
     looks = _looked(run, standings, trials)
+    for unit, own in _in_some_logs(run, standings, looks).items():
+        looks[unit] += own
     likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
     refined = _asked(run, _refine, standings, likely)
     best = {unit: likeliest(own, CONFIRMED) for unit, own in refined.items()}
@@ -203,6 +212,38 @@ def _looked(
     for (unit, _), result in zip(asked, run(_look, [one for _, one in asked]), strict=True):
         found[unit] += result
     return found
+
+
+def _in_some_logs(
+    run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
+) -> dict[Unit, list[FittedHypothesis]]:
+    """Trials that explain some logs and make others less likely, in those logs alone that they explain: of both parts,
+    since which logs these are one part doesn't tell of the other.
+    """
+    divided = {unit: some for unit, own in looks.items() if (some := _divided(own))}
+    if not divided:
+        return {}
+    whole = {unit: [replace(one.trial, whole=True) for one in own[:_DIVIDED]] for unit, own in divided.items()}
+    partly: dict[Unit, list[Hypothesis]] = {}
+    for unit, own in _looked(run, standings, whole).items():
+        logs = [[log for log, gain in one.by_log.items() if gain > 0] for one in own]
+        partly[unit] = [
+            one.trial.at(in_logs(some)) for one, some in zip(own, logs, strict=True) if 0 < len(some) < len(one.by_log)
+        ]
+    partly = {unit: own for unit, own in partly.items() if own}
+    return _looked(run, standings, partly) if partly else {}
+
+
+def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
+    """Those of which some logs gain enough, and others lose; what gains most first, one of each form."""
+    found: dict[tuple[str, ...], tuple[float, FittedHypothesis]] = {}
+    for one in looks:
+        gain = sum(max(own, 0.0) for own in one.by_log.values())
+        loss = sum(min(own, 0.0) for own in one.by_log.values())
+        is_open = bool(one.trial.effects) and not one.trial.when.spans and not one.trial.is_brief
+        if is_open and gain > WORTH and loss < -_LOST and gain > found.get(one.trial.form, (0.0, one))[0]:
+            found[one.trial.form] = (gain, one)
+    return [one for _, one in sorted(found.values(), key=lambda item: -item[0])]
 
 
 class _Guesses(NamedTuple):

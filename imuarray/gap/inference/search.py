@@ -14,6 +14,7 @@ from imuarray.gap.inference.comparison import Comparison
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence, ScoredStatistics, evidence_of
 from imuarray.gap.inference.forward_selection import Evaluation, Round, guesses_of, placebo_of, replicated, searched
+from imuarray.gap.inference.parameters import distinct
 from imuarray.gap.inference.shared_causes import (
     is_told_twice,
     members_of,
@@ -282,8 +283,9 @@ def _guessed(
         alone = [one for one in everything if not one.shared]
         late = [replace(one, whole=True) for one in alone if one.needs_both or one.name not in known]
         brief = [one for one in everything if one.shared and one.needs_both]
+        own = [*(one for one in lasting if not one.shared), *late]
         guessed[unit] = _Guessed(
-            [*(one for one in lasting if not one.shared), *late],
+            distinct(one if one.when.is_in_both(found.bench.split) else replace(one, whole=True) for one in own),
             [*(one for one in lasting if one.shared), *brief],
             placebo_of(evidence),
         )
@@ -299,7 +301,8 @@ def _evidence(found: Comparison, side: Side, standing: UnitState, whole: bool) -
     chosen = np.ones(len(every), bool) if whole else ~bench.held_out[every]
     keys = [bench.keys[at] for at in every[chosen]]
     parts = bench.held_out[every][chosen].tolist()
-    scored = ScoredStatistics(keys, parts, found.real.values[every][chosen], expected[chosen], scores[chosen])
+    logs = bench.logs[every][chosen].tolist()
+    scored = ScoredStatistics(keys, parts, found.real.values[every][chosen], expected[chosen], scores[chosen], logs)
     model = standing.models[name]
     effects = (*(one for one in bench.base.effects(0)[name] if one.name not in model.removed), *model.added)
     return evidence_of(bench, side, name, scored, model, effects)

@@ -89,6 +89,13 @@ class Bench(Stage):
         return [key.log if key.log < 0 else parts[out][key.log] for key, out in sides]
 
     @cached_property
+    def logs(self) -> npt.NDArray[np.intp]:
+        """(n,) the number of each key's log in the campaign; -1 of several logs."""
+        numbers = [[at for at, own in enumerate(self.split.phases(out)) if own] for out in (False, True)]
+        sides = zip(self.keys, self.held_out.tolist(), strict=True)
+        return np.array([numbers[out][key.log] if key.log >= 0 else -1 for key, out in sides], np.intp)
+
+    @cached_property
     def alike(self) -> npt.NDArray[np.str_]:
         """(n,) probe, axis and kind of log: keys that have these in common scatter alike."""
         kinds = [

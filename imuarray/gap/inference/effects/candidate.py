@@ -8,13 +8,15 @@ nothing of the effect can be seen.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from typing import Literal
 
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import ALWAYS, NUMBERS, When
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.within import spans_of
 
 Kind = Literal["static", "tumble", "heating", "turn-on", "motion"]
 """What is done in a log; the menu of experiments."""
@@ -33,7 +35,7 @@ class Hypothesis:
     has it, and `others` show it; these have the effects `opposite` at the same time; or (`everywhere`) all that the
     host reads have it. `whole`: neither part shows it without the other. `rarity`: nats by which it is rarer, as it is
     meant, than others that look the same (negative: more usual). `fitted` are the ordinary parameters to begin with,
-    where the effect misleads the fit (None: those of the fit).
+    where the effect misleads the fit (None: those of the fit). It holds always, or `when` it says (`at`).
     """
 
     effects: tuple[Effect, ...]
@@ -48,6 +50,16 @@ class Hypothesis:
     rarity: float = 0.0
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     fitted: FittedParameters | None = None
+    when: When = ALWAYS
+
+    def at(self, when: When) -> Hypothesis:
+        """The same within these spans alone: every number that was chosen for them makes it rarer."""
+        if not when.spans:
+            return self
+        spans = spans_of(when.triples)
+        effects, opposite = (tuple(replace(one, spans=spans) for one in side) for side in (self.effects, self.opposite))
+        rarity = self.rarity + NUMBERS * when.numbers
+        return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
 
     @property
     def name(self) -> str:
