@@ -9,7 +9,7 @@ than the placebo and chance do, is taken into the unit's models, and the next ro
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,7 +21,8 @@ from imuarray.gap.inference.evidence import Evidence, views
 from imuarray.gap.inference.parameters import distinct, factors_of
 from imuarray.gap.inference.refinement import FittedHypothesis, looks, refine
 from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, Unit, UnitState, compared, gains_of, touched_by
-from imuarray.gap.inference.when import in_logs
+from imuarray.gap.inference.when import NUMBERS as EACH_NUMBER
+from imuarray.gap.inference.when import in_logs, joined, since
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
@@ -132,7 +133,7 @@ def searched(
 ) -> dict[Unit, Round]:
     """One round over all units at once. Where it is `known` that one of the trials is right, none needs proof."""
     looks = _looked(run, standings, trials)
-    for unit, own in _in_some_logs(run, standings, looks).items():
+    for unit, own in _partly(run, standings, looks).items():
         looks[unit] += own
     likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
     refined = _asked(run, _refine, standings, likely)
@@ -214,24 +215,45 @@ def _looked(
     return found
 
 
-def _in_some_logs(
+def _partly(
     run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
 ) -> dict[Unit, list[FittedHypothesis]]:
-    """Trials that explain some logs and make others less likely, in those logs alone that they explain: of both parts,
-    since which logs these are one part doesn't tell of the other.
+    """Trials that explain some logs and make others less likely, in those logs, or parts of them, alone that they
+    explain; and those of a part of a log that lasts to its end, in the logs after it too. Both parts of the campaign
+    say which these are.
     """
-    divided = {unit: some for unit, own in looks.items() if (some := _divided(own))}
-    if not divided:
-        return {}
-    whole = {unit: [replace(one.trial, whole=True) for one in own[:_DIVIDED]] for unit, own in divided.items()}
-    partly: dict[Unit, list[Hypothesis]] = {}
-    for unit, own in _looked(run, standings, whole).items():
-        logs = [[log for log, gain in one.by_log.items() if gain > 0] for one in own]
-        partly[unit] = [
-            one.trial.at(in_logs(some)) for one, some in zip(own, logs, strict=True) if 0 < len(some) < len(one.by_log)
-        ]
-    partly = {unit: own for unit, own in partly.items() if own}
-    return _looked(run, standings, partly) if partly else {}
+    divided = {unit: [replace(one.trial, whole=True) for one in _divided(own)] for unit, own in looks.items()}
+    divided = {unit: own for unit, own in divided.items() if own}
+    alone = _looked(run, standings, divided) if divided else {}
+    asked: dict[Unit, list[Hypothesis]] = {}
+    for unit, own in looks.items():
+        spells = [one for one in own if one.trial.when.spans and one.gain > 0]
+        several = [*_where_it_gains(alone.get(unit, ()), spells), *_until_the_end(spells)]
+        if several:
+            asked[unit] = [replace(trial, whole=True) for trial in distinct(several)]
+    return _looked(run, standings, asked) if asked else {}
+
+
+def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
+    """Each trial in the logs that it explains; where a spell of the same effect explains a log better, in that."""
+    for one in looks:
+        best = {log: (gain, in_logs([log])) for log, gain in one.by_log.items() if gain > EACH_NUMBER}
+        for spell in spells:
+            log = spell.trial.when.spans[0].log
+            gain = spell.by_log.get(log, 0.0)
+            if spell.trial.form == one.trial.form and gain > best.get(log, (EACH_NUMBER, None))[0]:
+                best[log] = (gain, spell.trial.when)
+        when = joined(own for _, own in best.values())
+        if when.spans and {span.log for span in when.spans if span.is_whole} != set(one.by_log):
+            yield one.trial.at(when)
+
+
+def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
+    for one in sorted(spells, key=lambda one: -one.gain)[:_DIVIDED]:
+        last = one.trial.when.spans[-1]
+        later = [log for log in one.by_log if log > last.log]
+        if later and math.isinf(last.length_s):
+            yield one.trial.at(since(last, later))
 
 
 def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
@@ -243,7 +265,7 @@ def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
         is_open = bool(one.trial.effects) and not one.trial.when.spans and not one.trial.is_brief
         if is_open and gain > WORTH and loss < -_LOST and gain > found.get(one.trial.form, (0.0, one))[0]:
             found[one.trial.form] = (gain, one)
-    return [one for _, one in sorted(found.values(), key=lambda item: -item[0])]
+    return [one for _, one in sorted(found.values(), key=lambda item: -item[0])][:_DIVIDED]
 
 
 class _Guesses(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypedDict
 
@@ -25,9 +25,12 @@ class Span(NamedTuple):
 
 @dataclass(frozen=True)
 class When:
-    """`spans` of logs; always, without any."""
+    """`spans` of logs; always, without any. `chosen`: how many numbers say which they are (None: a log for each, and
+    the moments at which it begins and ends).
+    """
 
     spans: tuple[Span, ...] = ()
+    chosen: int | None = None
 
     @property
     def triples(self) -> list[tuple[int, float, float]]:
@@ -36,7 +39,9 @@ class When:
 
     @property
     def numbers(self) -> int:
-        """How many were chosen: the log of a span, and the moments at which it begins and ends."""
+        """How many say when."""
+        if self.chosen is not None:
+            return self.chosen
         return sum(1 + (span.moment_s > 0) + math.isfinite(span.length_s) for span in self.spans)
 
     def is_in_both(self, split: Split) -> bool:
@@ -72,6 +77,16 @@ _SHARE = 0.2
 def in_logs(logs: Collection[int]) -> When:
     """In these logs, all of the time."""
     return When(tuple(Span(log, 0.0, math.inf) for log in sorted(logs)))
+
+
+def since(first: Span, logs: Collection[int]) -> When:
+    """From the beginning of a span on, in its log and in those after it: a log and a moment say all."""
+    return When((first, *in_logs([log for log in logs if log > first.log]).spans), 2)
+
+
+def joined(whens: Iterable[When]) -> When:
+    """The spans of all."""
+    return When(tuple(sorted(span for when in whens for span in when.spans)))
 
 
 class Stretches(TypedDict):
