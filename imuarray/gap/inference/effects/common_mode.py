@@ -58,7 +58,11 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     yield from _between_logs(evidence)
+    yield from _slow_or_fast(evidence)
     yield from _in_pairs(evidence)
+
+
+def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
     pairs = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
