@@ -104,7 +104,7 @@ def converted(analog: Analog, span: CodeSpan) -> Counts:
     scaled = analog.value + analog.noise
     scaled *= analog.sensitivity / analog.step
     codes = np.rint(scaled, out=scaled)
-    if analog.step != 1:
+    if np.any(analog.step != 1):
         codes *= analog.step
     if span.beyond is not None:
         codes[(codes < analog.lowest) | (codes > analog.highest)] = span.beyond

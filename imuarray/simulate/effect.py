@@ -13,6 +13,7 @@ without arguments does nothing: every default is the parameter's harmless value.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
@@ -34,17 +35,31 @@ def scalar(default: float, *, suffix: str = "") -> Any:
     return field(default=default, metadata={"suffix": suffix})
 
 
+FOREVER_S = 1e9
+"""The end of a span that has none."""
+
+
 @dataclass(frozen=True)
 class Effect:
-    """One cause of difference between truth and counts."""
+    """One cause of difference between truth and counts.
+
+    It acts always, or within its `spans`, three numbers each: the number of a run, and from when until when in it, in
+    seconds by the log's clock.
+    """
 
     name: ClassVar[str] = ""
+    spans: tuple[float, ...] = field(default=(), kw_only=True, metadata={"suffix": ""})
 
     def __post_init__(self) -> None:
-        """Spread single numbers over the three axes; ValueError for what is no triple of numbers."""
+        """Spread single numbers over the three axes; ValueError for what is no triple of numbers, or no spans."""
+        object.__setattr__(self, "spans", _spans(self.spans))
         for item in fields(self):
             if item.metadata.get("per_axis"):
                 object.__setattr__(self, item.name, _triple(getattr(self, item.name), item.name))
+
+    def each_span(self) -> Iterator[tuple[float, float, float]]:
+        """The run, from when, until when of each."""
+        return zip(self.spans[::3], self.spans[1::3], self.spans[2::3], strict=True)
 
     def lookback(self, at: Place) -> int:
         """How many rows before a stretch it must see to know what the stretch holds."""
@@ -69,6 +84,13 @@ class Effect:
     def codes(self, codes: Codes, at: Place) -> Codes:
         """What the bus delivers."""
         return codes
+
+
+def _spans(values: Any) -> tuple[float, ...]:
+    spans = tuple(float(value) for value in values)
+    if len(spans) % 3 or any(not begin < end for begin, end in zip(spans[1::3], spans[2::3], strict=True)):
+        raise ValueError(f"spans: {values}; three numbers each are wanted: a run, from when, and until when, in s")
+    return spans
 
 
 def _triple(value: Any, name: str) -> Triple:

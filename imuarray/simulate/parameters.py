@@ -42,8 +42,11 @@ def alongside(**lists: Any) -> dict[str, tuple[float, ...]]:
 
 
 def spelled(kind: type[Effect], unit: str) -> dict[str, Field[Any]]:
-    """The keys of an effect's table for a sensor of this unit, in order: "offset_dps" to the field `offset`."""
-    return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in fields(kind)}
+    """The keys of an effect's table for a sensor of this unit, in order: "offset_dps" to the field `offset`; what every
+    effect has comes last.
+    """
+    own = sorted(fields(kind), key=lambda item: item.name == "spans")
+    return {item.name + item.metadata.get("suffix", "").format(u=unit): item for item in own}
 
 
 def to_table(effect: Effect, unit: str) -> dict[str, Value]:

@@ -27,6 +27,7 @@ from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Floats, Instant
 from imuarray.simulate.streams import CHUNK, Streams
 from imuarray.simulate.timeline import Timeline
 from imuarray.simulate.waits import Awaited
+from imuarray.simulate.within import acting
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
 _WORTH_IT = 1024
@@ -77,7 +78,9 @@ class SimulatedSensor:
         )
         self._span = code_span(header)
         self._orientation = np.array(lies or header.orientation)
-        self._acting = tuple(zip(self.effects, self._places(), strict=True))
+        places = zip(self.effects, self._places(), strict=True)
+        within = [(acting(effect, streams.boot), at) for effect, at in places]
+        self._acting = tuple((effect, at) for effect, at in within if effect is not None)
         self._is_late = any(effect.name == "jitter" for effect in self.effects)
         self._lookback = 1 + self._held_rows() + sum(effect.lookback(at) for effect, at in self._acting)
         self._is_local = not any(effect.lookback(at) for effect, at in self._acting)
@@ -169,7 +172,7 @@ class SimulatedSensor:
 
     def _reaching(self, effect_name: str, row: int) -> Codes:
         """The codes of one row as they reach an effect of this sensor."""
-        names = [effect.name for effect in self.effects]
+        names = [effect.name for effect, _ in self._acting]
         first = max(0, row - self._lookback)
         _, codes = self._chain(first, row + 1, self._acting, until=names.index(effect_name))
         return _cut(codes, row, row + 1)

@@ -65,7 +65,7 @@ class Analog:
     sensitivity: float | Floats
     lowest: int | Floats
     highest: int | Floats
-    step: int
+    step: int | Integers
     thermometer_degc: Floats
     rate_hz: float
 

@@ -146,7 +146,7 @@ def _block(
 ) -> Block:
     seconds = experiment.face_s * len(experiment.faces)
     count = int(seconds * experiment.rate_hz) - 1
-    time_s = (np.arange(count) + 0.5) / experiment.rate_hz
+    time_s = np.asarray((np.arange(count) + 0.5) / experiment.rate_hz, np.float64)
     turn = np.array(header.orientation)
     signal = np.zeros((count, 3))
     if header.quantity == "specific_force":

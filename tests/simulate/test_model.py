@@ -198,7 +198,7 @@ REFUSED = {
     ),
     "unknown parameter": (
         changed("offset_g", "ofset_g"),
-        r"design 1: bias: ofset_g: unknown key \(did you mean 'offset_g'\?\); allowed are offset_g, from_boot$",
+        r"design 1: bias: ofset_g: unknown key \(did you mean 'offset_g'\?\); allowed are offset_g, from_boot, spans$",
     ),
     "another sensor's unit": (
         changed("amplitude_dps", "amplitude_g"),

@@ -31,9 +31,9 @@ TEXTS = ("", "+X+Y+Z", "-Y+X+Z", "spike", "torn", "word", "BMA2")
 
 class TestSpelled:
     def test_units_stand_in_the_keys(self) -> None:
-        assert list(spelled(Nonlinearity, "g")) == ["quadratic_per_g", "cubic_per_g2"]
-        assert list(spelled(GSensitivity, "dps")) == ["response_dps_per_g"]
-        assert list(spelled(Bias, "gauss")) == ["offset_gauss", "from_boot"]
+        assert list(spelled(Nonlinearity, "g")) == ["quadratic_per_g", "cubic_per_g2", "spans"]
+        assert list(spelled(GSensitivity, "dps")) == ["response_dps_per_g", "spans"]
+        assert list(spelled(Bias, "gauss")) == ["offset_gauss", "from_boot", "spans"]
         assert list(spelled(Stuck, "g")) == [
             "onset_s",
             "duration_s",
@@ -42,13 +42,14 @@ class TestSpelled:
             "runs",
             "moments_s",
             "lengths_s",
+            "spans",
         ]
 
     @pytest.mark.parametrize("name", EFFECTS)
     @pytest.mark.parametrize("unit", UNITS)
     def test_one_key_for_each_parameter(self, name: str, unit: str) -> None:
         found = spelled(EFFECTS[name], unit)
-        assert [item.name for item in found.values()] == [item.name for item in fields(EFFECTS[name])]
+        assert [item.name for item in found.values()] == [*(item.name for item in fields(EFFECTS[name])[1:]), "spans"]
         assert not any("{" in key for key in found)
 
 
@@ -86,9 +87,9 @@ class TestFromTable:
     @pytest.mark.parametrize(
         ("kind", "table", "message"),
         [
-            (Bias, {"offset": 1.0}, "offset: unknown key (did you mean 'offset_g'?); allowed are offset_g"),
+            (Bias, {"offset": 1.0}, "offset: unknown key (did you mean 'offset_g'?); allowed are offset_g, from_boot"),
             (Bias, {"offset_dps": 1.0}, "offset_dps: unknown key (did you mean 'offset_g'?); allowed are offset_g"),
-            (Nonlinearity, {"zzz": 1.0}, "zzz: unknown key; allowed are quadratic_per_g, cubic_per_g2"),
+            (Nonlinearity, {"zzz": 1.0}, "zzz: unknown key; allowed are quadratic_per_g, cubic_per_g2, spans"),
             (Bias, {"offset_g": [1, 2]}, "offset_g: [1, 2]: a number, or a list of 3, is wanted"),
             (Bias, {"offset_g": "1"}, "offset_g: '1': a number, or a list of 3, is wanted"),
             (Bias, {"offset_g": [1, 2, "3"]}, "offset_g: [1, 2, '3']: a number, or a list of 3, is wanted"),

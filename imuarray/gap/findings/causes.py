@@ -135,7 +135,7 @@ def _cause(
     shrunk = replace(counted, before=counted.after, after=with_it.after).shrunk(seed)
     effect = taken.trial.effects[0] if taken.trial.effects else None
     own, others = taken.trial.sensor, taken.trial.others if taken.trial.opposite else ()
-    sensors = (own, *others) if own else unit
+    sensors = (own, *others) if own else taken.trial.members or unit
     effects = dict.fromkeys(sensors, effect) | dict.fromkeys(others, next(iter(taken.trial.opposite), None))
     models = taken.standing.models
     whole = {name: _with_fitted(one, models.get(name)) if one else None for name, one in effects.items()}

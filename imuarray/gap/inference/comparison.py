@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -18,12 +19,15 @@ from imuarray.gap.model.base_model import Base, fit
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
 from imuarray.gap.model.replication import TOGETHER, Models, ReplicateRequest
 from imuarray.gap.model.workers import Run
+from imuarray.gap.recording.course import Stretches, stretches_of
 from imuarray.gap.recording.events import events_of
 from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.recordings import Recording, sources_of, temperature_of
-from imuarray.gap.statistics.campaign import Campaign, summarise_log
+from imuarray.gap.recording.source import Source
+from imuarray.gap.statistics.campaign import Campaign, LogSummary, summarise_log
 from imuarray.gap.statistics.pairs import Pairs, scores_by_others
 from imuarray.gap.statistics.split import Split, split_of
+from imuarray.log.format import Phase
 from imuarray.simulate.model import Model
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
@@ -35,6 +39,10 @@ ENOUGH: Mapping[int, float] = MappingProxyType({40: 0.25, 64: 0.15})
 are so far above `LEVEL` that hardly a gap is missed: one that all replicates would find at p = 0.05 is given up by less
 than one in two hundred.
 """
+
+
+_PART_ROWS = 128
+"""Of a phase within a stretch: fewer have no spectrum."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,8 @@ def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
         summary = summarise_log(one.kind, sources_of(one), phases, temperature_of(one.experiment.motion))
         lines = {name: line for name, (_, line) in one.experiment.plan.sensors.items()}
         moving = [phase for phase in one.phases if not is_at_rest(phase)]
-        logs.append(replace(summary, events=events_of(one.log, lines, moving, _tracked(one.experiment.motion))))
+        events = events_of(one.log, lines, moving, _tracked(one.experiment.motion))
+        logs.append(replace(summary, events=events, spells=_spells(one)))
     return Campaign(tuple(logs))
 
 
@@ -98,6 +107,31 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     if model is None:
         return base
     return settled(bench_of(campaign, split, experiments, base)).base
+
+
+def _spells(recording: Recording) -> dict[str, tuple[tuple[Stretches, LogSummary], ...]]:
+    """Stretches in which a sensor reads otherwise than in the rest of a log at rest, with what it shows in these."""
+    still = [phase for phase in recording.phases if is_at_rest(phase)]
+    temperature = temperature_of(recording.experiment.motion)
+    found = {}
+    for name, source in sources_of(recording).items():
+        spells = []
+        for stretches in stretches_of(source, still):
+            parts = list(_cut(still, stretches, source))
+            spells.append((stretches, summarise_log(recording.kind, {name: source}, parts, temperature)))
+        if spells:
+            found[name] = tuple(spells)
+    return found
+
+
+def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Iterator[Phase]:
+    """The parts of phases within stretches that hold enough rows."""
+    for phase in phases:
+        for begin_s, end_s in stretches:
+            start_ns = max(phase.start_ns, round(begin_s * 1e9))
+            end_ns = phase.end_ns if math.isinf(end_s) else min(phase.end_ns, round(end_s * 1e9))
+            if start_ns < end_ns and source.rows(start_ns, end_ns) >= _PART_ROWS:
+                yield phase._replace(start_ns=start_ns, end_ns=end_ns)
 
 
 def _tracked(motion: Motion) -> Motion | None:

@@ -10,19 +10,22 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.model.base_model import FittedParameters, residual
+from imuarray.gap.inference.when import ALWAYS, Span, When
+from imuarray.gap.model.base_model import Base, FittedParameters, residual
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.recording.events import Host
 from imuarray.gap.recording.outliers import Outliers
 from imuarray.gap.recording.repeated_rows import RepeatedRows
 from imuarray.gap.recording.resets import Reset
-from imuarray.gap.statistics.campaign import runs_in
+from imuarray.gap.statistics.campaign import Campaign, runs_in
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.cross import Cross
+from imuarray.gap.statistics.probes import PROBES, PhaseProbe
 from imuarray.gap.statistics.runs import Runs
-from imuarray.gap.statistics.split import Side, Split
+from imuarray.gap.statistics.split import Side
 from imuarray.gap.statistics.summary import Summary
+from imuarray.gap.statistics.synthetic_likelihood import STRANGE
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 
@@ -44,12 +47,12 @@ class PhaseEvidence:
     cross: Cross | None
 
 
-class Span(NamedTuple):
-    """Something happened in log number `log` from `moment_s`, in seconds since its epoch, for `length_s`."""
+@dataclass(frozen=True)
+class Spell:
+    """What the sensor shows `when` it reads otherwise than in the rest of a log."""
 
-    log: int
-    moment_s: float
-    length_s: float
+    when: When
+    seen: tuple[PhaseEvidence, ...]
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,8 @@ class Evidence:
     recorder found the chip set otherwise. `rows_of`: the log of each row of a probe, -1 for those of several logs.
     `is_refitted`: noise, bias and slope are fitted to what is shown here; else they come from an earlier recording, and
     may have changed since then.
+    `spells` are stretches in which it reads otherwise than in the rest of their logs; all this is of what is within
+    `when`.
     """
 
     header: SensorHeader
@@ -84,6 +89,8 @@ class Evidence:
     resets: tuple[tuple[int, Reset], ...] = ()
     rows_of: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     is_refitted: bool = True
+    spells: tuple[Spell, ...] = ()
+    when: When = ALWAYS
 
     def within(self, logs: Collection[int]) -> Evidence:
         """What these logs show alone, of their numbers in the campaign; what several logs show together is left out."""
@@ -104,6 +111,35 @@ class Evidence:
             lone=tuple((log, lone) for log, lone in self.lone if log in logs),
             resets=tuple((log, reset) for log, reset in self.resets if log in logs),
             rows_of={probe: tuple(at for at in own if at in logs) for probe, own in self.rows_of.items()},
+            spells=(),
+        )
+
+    def during(self, spell: Spell) -> Evidence:
+        """What a spell shows alone, beside what the model makes of whole phases of its log: of fewer rows it is less
+        sure.
+        """
+        (log,) = {one.log for one in spell.seen}
+        whole = self.within([log])
+        rows = [sum(one.raw.rows for one in seen) / len(seen) for seen in (whole.seen, spell.seen)]
+        values: dict[str, Floats] = {}
+        expected: dict[str, Floats] = {}
+        scores: dict[str, Floats] = {}
+        for name, probe in PROBES.items():
+            if not isinstance(probe, PhaseProbe) or name not in whole.scores:
+                continue
+            middle, scatter = _usual(whole, name)
+            said = np.array([probe.statistic(one.left) for one in spell.seen]).reshape(len(spell.seen), -1)
+            values[name] = said - np.log(self.noise) if name == _OVER_NOISE else said
+            expected[name] = np.broadcast_to(middle, said.shape)
+            scores[name] = (values[name] - middle) / (scatter * math.sqrt(max(rows[0] / rows[1], 1.0)))
+        return replace(
+            whole,
+            seen=spell.seen,
+            values=values,
+            expected=expected,
+            scores=scores,
+            rows_of={name: (log,) * len(spell.seen) for name in values},
+            when=spell.when,
         )
 
     @property
@@ -195,9 +231,30 @@ def evidence_of(
         tuple((log, lone) for log, own in events for lone in own.lone),
         tuple(own.host for _, own in events),
         tuple((log, reset) for log, own in events for reset in own.resets),
-        _logs_by_probe(scored, bench.split),
+        _logs_by_probe(scored),
         bench.is_refitted,
+        tuple(_spells(bench, train, sensor, base)),
     )
+
+
+_OVER_NOISE = "noise"
+"""The statistic of a phase that is taken over the fitted noise."""
+
+_SURE = 0.01
+"""A score that is no smaller tells how wide its statistic scatters."""
+
+
+def _usual(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
+    """(k,) what the model makes of a probe, and how wide that scatters, in the median over rows."""
+    values, expected, scores = (table[probe] for table in (evidence.values, evidence.expected, evidence.scores))
+    sure = (np.abs(scores) > _SURE) & (np.abs(scores) < STRANGE)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scatter = np.where(sure, (values - expected) / scores, np.nan)
+    known = np.isfinite(expected).any(axis=0), np.isfinite(scatter).any(axis=0)
+    found = np.full((2, values.shape[1]), np.nan)
+    for at, (table, columns) in enumerate(zip((expected, scatter), known, strict=True)):
+        found[at, columns] = np.nanmedian(table[:, columns], axis=0)
+    return found[0], found[1]
 
 
 VIEWS = 4
@@ -211,9 +268,9 @@ SAME_RATE = 1.1
 
 
 def views(evidence: Evidence) -> Iterator[Evidence]:
-    """The evidence of all logs; then of the logs of each rate, of each kind, and of single logs, those parts first in
-    which something is further from what the model makes. An effect that shows at one rate, or in one log, is none in
-    the median over all.
+    """The evidence of all logs; then of the logs of each rate, of each kind, and of single logs, and of spells, those
+    parts first in which something is further from what the model makes. An effect that shows at one rate, or in one
+    log, is none in the median over all.
     """
     yield evidence
     logs = sorted({one.log for one in evidence.seen})
@@ -222,9 +279,11 @@ def views(evidence: Evidence) -> Iterator[Evidence]:
         *_grouped(logs, [next(one.kind for one in evidence.seen if one.log == log) for log in logs]),
         *((log,) for log in logs),
     ]
-    alone = {part: evidence.within(part) for part in dict.fromkeys(parts) if len(part) < len(logs)}
-    ranked = sorted(alone.values(), key=lambda one: -one.furthest)
-    yield from (one for one in ranked[:VIEWS] if one.furthest > _SAYS)
+    alone = [evidence.within(part) for part in dict.fromkeys(parts) if len(part) < len(logs)]
+    spells = [evidence.during(spell) for spell in evidence.spells]
+    for several in (alone, spells):
+        ranked = sorted(several, key=lambda one: -one.furthest)
+        yield from (one for one in ranked[:VIEWS] if one.furthest > _SAYS)
 
 
 def _grouped(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, ...]]:
@@ -235,6 +294,20 @@ def _grouped(logs: Sequence[int], by: Sequence[object]) -> Iterator[tuple[int, .
 def _rows_per_s(evidence: Evidence, log: int) -> float:
     """Usual rate in one log."""
     return replace(evidence, seen=tuple(one for one in evidence.seen if one.log == log)).rows_per_s
+
+
+def _spells(bench: Bench, side: Side, sensor: str, base: Base) -> Iterator[Spell]:
+    """Of the logs of a part; with what the model predicts taken from their means."""
+    for number, log in zip(side.logs, side.campaign.logs, strict=True):
+        for stretches, part in log.spells.get(sensor, ()):
+            (left,) = residual(Campaign((part,)), [bench.motions[number]], base).logs
+            when = When(tuple(Span(number, begin_s, end_s - begin_s) for begin_s, end_s in stretches))
+            seen = tuple(
+                PhaseEvidence(number, log.kind, True, raw.sensors[sensor], without.sensors[sensor], None)
+                for raw, without in zip(part.phases, left.phases, strict=True)
+            )
+            if seen:
+                yield Spell(when, seen)
 
 
 def _holes(log: int, holes: Sequence[tuple[int, int, int]]) -> Iterator[Span]:
@@ -252,8 +325,8 @@ def _held(log: int, held: RepeatedRows) -> Iterator[tuple[Span, int]]:
 
 
 class ScoredStatistics(NamedTuple):
-    """Statistics of one sensor (n,): the recording's, what the model makes of them, scores, and which part each is
-    of.
+    """Statistics of one sensor (n,): the recording's, what the model makes of them, scores, and which part and which
+    log of the campaign each is of (-1: several).
     """
 
     keys: Sequence[Key]
@@ -261,14 +334,13 @@ class ScoredStatistics(NamedTuple):
     values: Floats
     expected: Floats
     scores: Floats
+    logs: Sequence[int] = ()
 
 
-def _logs_by_probe(scored: ScoredStatistics, split: Split) -> dict[str, tuple[int, ...]]:
-    """The number in the campaign of the log of each row of `_by_probe`; a key's own counts the logs of its part."""
-    numbers = [[at for at, phases in enumerate(split.phases(out)) if phases] for out in (False, True)]
+def _logs_by_probe(scored: ScoredStatistics) -> dict[str, tuple[int, ...]]:
+    """The log of each row of `_by_probe`."""
     rows: dict[str, dict[tuple[bool, int, str, int], int]] = {}
-    for key, out in zip(scored.keys, scored.held_out, strict=True):
-        log = key.log if key.log < 0 else numbers[out][key.log]
+    for key, out, log in zip(scored.keys, scored.held_out, scored.logs, strict=False):
         rows.setdefault(key.probe, {})[out, key.log, key.phase, key.phase_number] = log
     return {probe: tuple(found.values()) for probe, found in rows.items()}
 

@@ -9,7 +9,7 @@ than the placebo and chance do, is taken into the unit's models, and the next ro
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,6 +21,8 @@ from imuarray.gap.inference.evidence import Evidence, views
 from imuarray.gap.inference.parameters import distinct, factors_of
 from imuarray.gap.inference.refinement import FittedHypothesis, looks, refine
 from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, Unit, UnitState, compared, gains_of, touched_by
+from imuarray.gap.inference.when import NUMBERS as EACH_NUMBER
+from imuarray.gap.inference.when import in_logs, joined, since
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
@@ -43,6 +45,9 @@ COST = 1.0
 
 _BEHIND = 15.0
 """Nats by which a guess may be worse than the best one, and still be refined or confirmed; or half of its gain."""
+
+_DIVIDED, _LOST = 3, 2.0
+"""So many trials of a unit are tried in some logs alone, if the others lose so many nats by them."""
 
 _BRIEF = 4.0
 """Nats that the choice of a moment costs."""
@@ -104,10 +109,13 @@ class Round:
 
 def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[Hypothesis]:
     """All trials that one sensor suggests, by all logs and by parts of them, those that are alike once."""
-    found = [
-        trial for part in views(evidence) for candidate in candidates.values() for trial in candidate.guesses(part)
-    ]
-    return distinct(found)
+    return distinct(
+        trial if not part.when.spans else trial.at(part.when)
+        for part in views(evidence)
+        for candidate in candidates.values()
+        for trial in candidate.guesses(part)
+        if not part.when.spans or not (trial.removed or trial.needs_both or trial.shared)
+    )
 
 
 def placebo_of(evidence: Evidence) -> Hypothesis:
@@ -125,6 +133,8 @@ def searched(
 ) -> dict[Unit, Round]:
     """One round over all units at once. Where it is `known` that one of the trials is right, none needs proof."""
     looks = _looked(run, standings, trials)
+    for unit, own in _partly(run, standings, looks).items():
+        looks[unit] += own
     likely = {unit: likeliest(own, REFINED) for unit, own in looks.items()}
     refined = _asked(run, _refine, standings, likely)
     best = {unit: likeliest(own, CONFIRMED) for unit, own in refined.items()}
@@ -203,6 +213,59 @@ def _looked(
     for (unit, _), result in zip(asked, run(_look, [one for _, one in asked]), strict=True):
         found[unit] += result
     return found
+
+
+def _partly(
+    run: Run, standings: Mapping[Unit, UnitState], looks: Mapping[Unit, Sequence[FittedHypothesis]]
+) -> dict[Unit, list[FittedHypothesis]]:
+    """Trials that explain some logs and make others less likely, in those logs, or parts of them, alone that they
+    explain; and those of a part of a log that lasts to its end, in the logs after it too. Both parts of the campaign
+    say which these are.
+    """
+    divided = {unit: [replace(one.trial, whole=True) for one in _divided(own)] for unit, own in looks.items()}
+    divided = {unit: own for unit, own in divided.items() if own}
+    alone = _looked(run, standings, divided) if divided else {}
+    asked: dict[Unit, list[Hypothesis]] = {}
+    for unit, own in looks.items():
+        spells = [one for one in own if one.trial.when.spans and one.gain > 0]
+        several = [*_where_it_gains(alone.get(unit, ()), spells), *_until_the_end(spells)]
+        if several:
+            asked[unit] = [replace(trial, whole=True) for trial in distinct(several)]
+    return _looked(run, standings, asked) if asked else {}
+
+
+def _where_it_gains(looks: Sequence[FittedHypothesis], spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
+    """Each trial in the logs that it explains; where a spell of the same effect explains a log better, in that."""
+    for one in looks:
+        best = {log: (gain, in_logs([log])) for log, gain in one.by_log.items() if gain > EACH_NUMBER}
+        for spell in spells:
+            log = spell.trial.when.spans[0].log
+            gain = spell.by_log.get(log, 0.0)
+            if spell.trial.form == one.trial.form and gain > best.get(log, (EACH_NUMBER, None))[0]:
+                best[log] = (gain, spell.trial.when)
+        when = joined(own for _, own in best.values())
+        if when.spans and {span.log for span in when.spans if span.is_whole} != set(one.by_log):
+            yield one.trial.at(when)
+
+
+def _until_the_end(spells: Sequence[FittedHypothesis]) -> Iterator[Hypothesis]:
+    for one in sorted(spells, key=lambda one: -one.gain)[:_DIVIDED]:
+        last = one.trial.when.spans[-1]
+        later = [log for log in one.by_log if log > last.log]
+        if later and math.isinf(last.length_s):
+            yield one.trial.at(since(last, later))
+
+
+def _divided(looks: Sequence[FittedHypothesis]) -> list[FittedHypothesis]:
+    """Those of which some logs gain enough, and others lose; what gains most first, one of each form."""
+    found: dict[tuple[str, ...], tuple[float, FittedHypothesis]] = {}
+    for one in looks:
+        gain = sum(max(own, 0.0) for own in one.by_log.values())
+        loss = sum(min(own, 0.0) for own in one.by_log.values())
+        is_open = bool(one.trial.effects) and not one.trial.when.spans and not one.trial.is_brief
+        if is_open and gain > WORTH and loss < -_LOST and gain > found.get(one.trial.form, (0.0, one))[0]:
+            found[one.trial.form] = (gain, one)
+    return [one for _, one in sorted(found.values(), key=lambda item: -item[0])][:_DIVIDED]
 
 
 class _Guesses(NamedTuple):

@@ -75,7 +75,8 @@ def distinct(trials: Iterable[Hypothesis]) -> list[Hypothesis]:
     kept: dict[tuple[object, ...], list[tuple[Floats, Floats]]] = {}
     found = []
     for trial in trials:
-        told = (trial.removed, trial.shared, trial.sensor, trial.others, trial.everywhere, trial.whole, trial.free)
+        whose = (trial.shared, trial.sensor, trial.others, trial.members, trial.everywhere)
+        told = (trial.removed, whose, trial.whole, trial.free)
         numbers, reach = _numbers(trial)
         alike = kept.setdefault((trial.form, told, trial.fitted, len(numbers)), [])
         if not any(_near(numbers, other, np.minimum(reach, own)) for other, own in alike):

@@ -8,8 +8,8 @@ replicates misses that of the recording (indirect inference, Gourieroux, Monfort
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -49,13 +49,15 @@ _ADAPTED, _FITS = 2, 0.5
 @dataclass(frozen=True)
 class FittedHypothesis:
     """A trial as far as it was refined: the models with it, nats gained on the training part, how much more these count
-    (`counts_of`); None as `models` if it wasn't, or can't be, simulated.
+    (`counts_of`); None as `models` if it wasn't, or can't be, simulated. `by_log` are the nats of single logs, by their
+    numbers, of a look.
     """
 
     trial: Hypothesis
     models: Models | None = None
     gain: float = -np.inf
     counts: float = 1.0
+    by_log: Mapping[int, float] = field(default_factory=dict)
 
 
 def look(bench: Bench, standing: UnitState, trial: Hypothesis) -> FittedHypothesis:
@@ -73,9 +75,8 @@ def looks(bench: Bench, standing: UnitState, trials: Sequence[Hypothesis]) -> li
         came = _seen_each(bench, standing, [models[at] for at in places], whole, LOOKS)
         for at, seen in zip(places, came, strict=True):
             if seen is not None:
-                found[at] = FittedHypothesis(
-                    trials[at], models[at], _gain(standing, seen, trials[at]), _counts(standing, seen)
-                )
+                gain, counts = _gain(standing, seen, trials[at]), _counts(standing, seen)
+                found[at] = FittedHypothesis(trials[at], models[at], gain, counts, _by_log(bench, standing, seen))
     return found
 
 
@@ -204,6 +205,12 @@ def _gain(standing: UnitState, seen: _Seen, trial: Hypothesis) -> float:
     """
     gain = float(gains_of(standing, seen.likeness, seen.moved).sum())
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
+
+
+def _by_log(bench: Bench, standing: UnitState, seen: _Seen) -> dict[int, float]:
+    """What statistics of single logs gain."""
+    gains, logs = gains_of(standing, seen.likeness, seen.moved), bench.logs[bench.own(standing.unit)]
+    return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
 
 
 def _counts(standing: UnitState, seen: _Seen) -> float:

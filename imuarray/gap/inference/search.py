@@ -14,6 +14,7 @@ from imuarray.gap.inference.comparison import Comparison
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence, ScoredStatistics, evidence_of
 from imuarray.gap.inference.forward_selection import Evaluation, Round, guesses_of, placebo_of, replicated, searched
+from imuarray.gap.inference.parameters import distinct
 from imuarray.gap.inference.shared_causes import (
     is_told_twice,
     members_of,
@@ -184,9 +185,9 @@ def _staying(found: Comparison, family: Round, members: Sequence[Evaluation]) ->
 
 def _shared_trials(found: Comparison, guessed: Mapping[Unit, _Guessed]) -> dict[Unit, list[Hypothesis]]:
     """What sensors share, by the sensors concerned: those of a chip of which two or more differ and whose common
-    statistics do, or whose levels change from one part to the other; or one and the other whose data it has; or all
-    sensors. Where only one of a chip differs, or what they have in common doesn't by itself, the others may still
-    have the same, too faint to be sure of: that is rarer.
+    statistics do, or whose levels change from one part to the other; or some of them that have something in common;
+    or one and the other whose data it has; or all sensors. Where only one of a chip differs, or what they have in
+    common doesn't by itself, the others may still have the same, too faint to be sure of: that is rarer.
     """
     odd = {
         key.sensor
@@ -201,9 +202,11 @@ def _shared_trials(found: Comparison, guessed: Mapping[Unit, _Guessed]) -> dict[
         for trial in one.shared:
             if trial.everywhere:
                 unit = tuple(sorted(headers))
+            elif trial.members:  # what it has in common with the others of the chip goes into one mean
+                unit = of_chip
             else:
                 unit = tuple(sorted({trial.sensor, *trial.others})) if trial.sensor else family
-            if trial.whole or trial.opposite or trial.everywhere or (len(unit) > 1 and odd & set(unit)):
+            if trial.whole or trial.opposite or trial.everywhere or trial.members or (odd & set(unit)):
                 chosen = trial
             elif trial.sensor:
                 continue
@@ -278,12 +281,13 @@ def _guessed(
         evidence = _evidence(found, train, standing, False)
         lasting = [one for one in guesses_of(evidence, candidates) if not one.needs_both]
         everything = guesses_of(_evidence(found, both, standing, True), candidates)
-        known = {one.name for one in lasting if not one.shared}
+        known = {(one.name, one.when) for one in lasting if not one.shared}
         alone = [one for one in everything if not one.shared]
-        late = [replace(one, whole=True) for one in alone if one.needs_both or one.name not in known]
+        late = [replace(one, whole=True) for one in alone if one.needs_both or (one.name, one.when) not in known]
         brief = [one for one in everything if one.shared and one.needs_both]
+        own = [*(one for one in lasting if not one.shared), *late]
         guessed[unit] = _Guessed(
-            [*(one for one in lasting if not one.shared), *late],
+            distinct(one if one.when.is_in_both(found.bench.split) else replace(one, whole=True) for one in own),
             [*(one for one in lasting if one.shared), *brief],
             placebo_of(evidence),
         )
@@ -299,7 +303,8 @@ def _evidence(found: Comparison, side: Side, standing: UnitState, whole: bool) -
     chosen = np.ones(len(every), bool) if whole else ~bench.held_out[every]
     keys = [bench.keys[at] for at in every[chosen]]
     parts = bench.held_out[every][chosen].tolist()
-    scored = ScoredStatistics(keys, parts, found.real.values[every][chosen], expected[chosen], scores[chosen])
+    logs = bench.logs[every][chosen].tolist()
+    scored = ScoredStatistics(keys, parts, found.real.values[every][chosen], expected[chosen], scores[chosen], logs)
     model = standing.models[name]
     effects = (*(one for one in bench.base.effects(0)[name] if one.name not in model.removed), *model.added)
     return evidence_of(bench, side, name, scored, model, effects)

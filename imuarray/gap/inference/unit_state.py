@@ -81,7 +81,7 @@ class UnitState:
         if trial.sensor:
             effects[trial.sensor] = trial.effects
         else:
-            effects.update(dict.fromkeys(self.models, trial.effects))
+            effects.update(dict.fromkeys(trial.members or self.models, trial.effects))
         return {
             name: _changed(model, replace(trial, effects=effects[name])) if name in effects else model
             for name, model in self.models.items()

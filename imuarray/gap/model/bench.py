@@ -98,6 +98,13 @@ class Bench(Stage):
         return replace(self, keys=keys, of_train=of_train, resolutions=self.resolutions[chosen])
 
     @cached_property
+    def logs(self) -> npt.NDArray[np.intp]:
+        """(n,) the number of each key's log in the campaign; -1 of several logs."""
+        numbers = [[at for at, own in enumerate(self.split.phases(out)) if own] for out in (False, True)]
+        sides = zip(self.keys, self.held_out.tolist(), strict=True)
+        return np.array([numbers[out][key.log] if key.log >= 0 else -1 for key, out in sides], np.intp)
+
+    @cached_property
     def log_kinds(self) -> tuple[str, ...]:
         """(n,) the kind of the log of each key, "" of a statistic of several logs."""
         kinds = [

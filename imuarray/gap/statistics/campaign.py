@@ -8,6 +8,7 @@ from itertools import chain
 
 import numpy as np
 
+from imuarray.gap.recording.course import Stretches
 from imuarray.gap.recording.events import Events
 from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.recordings import Temperature
@@ -48,12 +49,14 @@ class PhaseSummary:
 @dataclass(frozen=True)
 class LogSummary:
     """One log: what was done in it (`kind`: static, tumble, heating, turn-on, motion), its phases in order, and of a
-    recorded one what happened to single rows of each sensor (`events`).
+    recorded one what happened to single rows of each sensor (`events`), and its `spells`: stretches in which a sensor
+    reads otherwise than in the rest, and what it shows in these.
     """
 
     kind: str
     phases: tuple[PhaseSummary, ...]
     events: Mapping[str, Events] = field(default_factory=dict)
+    spells: Mapping[str, tuple[tuple[Stretches, LogSummary], ...]] = field(default_factory=dict)
 
     def still(self, sensor: str) -> tuple[Summary, ...]:
         """The sensor's phases at rest."""

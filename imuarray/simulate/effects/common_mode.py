@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
+
+import numpy as np
 
 from imuarray.simulate.effect import Effect, per_axis, require, scalar
 from imuarray.simulate.processes import gauss_markov
@@ -14,7 +17,9 @@ from imuarray.simulate.signal import Analog, Place, Triple
 class CommonMode(Effect):
     """y = x + rms c(t), c one Gauss-Markov process for all sensors of a chip design, along each one's own axes.
 
-    `rms` in the sensor's unit, `time_constant_s` in s: correlation exp(-|t| / time_constant), axes independent. The
+    `rms` in the sensor's unit, `time_constant_s` in s: correlation exp(-|t| / time_constant). Axes have so much of the
+    variance in common as `axes_shared` says (0: independent, 1: one process, as what a supply puts into all axes);
+    sensors of a chip share it that name the same `group`. The
     share that units of one design have in common of what supply and surroundings do to them: what anti-parallel
     mounting cancels (the paper's Section 2.1). Sensors meet it row by row, so those of a design are to be read equally
     often. In data: slow drift that correlates between sensors in their own axes, not in the box's.
@@ -23,16 +28,27 @@ class CommonMode(Effect):
     name: ClassVar[str] = "common_mode"
     rms: Triple = per_axis(suffix="_{u}")
     time_constant_s: float = scalar(100.0)
+    axes_shared: float = scalar(0.0)
+    group: str = field(default="")
 
     def __post_init__(self) -> None:
-        """ValueError for a negative rms, or a time constant outside 1 ms to 1e9 s."""
+        """ValueError for a negative rms, a time constant outside 1 ms to 1e9 s, or a share outside 0 to 1."""
         super().__post_init__()
         require("rms", min(self.rms), 0.0)
         require("time_constant_s", self.time_constant_s, 1e-3, 1e9)
+        require("axes_shared", self.axes_shared, 0.0, 1.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Adds to the value."""
         if self.rms == (0.0, 0.0, 0.0):
             return analog
-        process = gauss_markov(self.time_constant_s, at, self.name, at.sensor.chip, self.rms)
-        return replace(analog, value=process.added_to(analog.value, analog.first))
+        sharing = f"{at.sensor.chip} {self.group}".strip()
+        value = analog.value
+        if self.axes_shared < 1:
+            x, y, z = (rms * math.sqrt(1 - self.axes_shared) for rms in self.rms)
+            value = gauss_markov(self.time_constant_s, at, self.name, sharing, (x, y, z)).added_to(value, analog.first)
+        if self.axes_shared > 0:
+            single = gauss_markov(self.time_constant_s, at, self.name, f"{sharing}, all axes")
+            course = single.rows(analog.first, analog.first + len(value), value.dtype)[:, :1]
+            value = value + course * np.asarray([rms * math.sqrt(self.axes_shared) for rms in self.rms], value.dtype)
+        return replace(analog, value=value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -51,7 +50,8 @@ class Quantisation(Effect):
         """Sets the converter's step and code ends."""
         if self.step_lsb == 1:
             return analog
-        step = math.lcm(analog.step, int(self.step_lsb))
+        step = np.lcm(analog.step, int(self.step_lsb))
+        step = int(step) if np.ndim(step) == 0 else step
         lowest, highest = -(-analog.lowest // step) * step, analog.highest // step * step
         return replace(analog, step=step, lowest=lowest, highest=highest)
 

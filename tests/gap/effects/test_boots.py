@@ -11,7 +11,7 @@ from imuarray.gap.inference.effects.bias import BIAS
 from imuarray.gap.inference.effects.bistable_bias import BISTABLE_BIAS
 from imuarray.gap.inference.effects.range_reset import RANGE_RESET
 from imuarray.gap.inference.effects.turn_on_bias import TURN_ON_BIAS
-from imuarray.gap.inference.evidence import Span
+from imuarray.gap.inference.when import Span
 from imuarray.gap.recording.resets import Reset
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.bistable_bias import BistableBias

@@ -8,13 +8,15 @@ nothing of the effect can be seen.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from math import isfinite
 from typing import Literal
 
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import ALWAYS, NUMBERS, When
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.within import spans_of
 
 Kind = Literal["static", "tumble", "heating", "turn-on", "motion"]
 """What is done in a log; the menu of experiments."""
@@ -26,14 +28,15 @@ Action = Literal["add", "remove", "replace"]
 class Hypothesis:
     """A change of a sensor's model that may explain what it shows.
 
-    `effects` are added, with first guesses of their parameters; effects of the kind `removed` are taken out first ("":
-    none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis axis by
-    axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be told from
-    another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or (`sensor`) this one
-    has it, and `others` show it; these have the effects `opposite` at the same time; or (`everywhere`) all that the
-    host reads have it. `whole`: neither part shows it without the other. `rarity`: nats by which it is rarer, as it is
-    meant, than others that look the same (negative: more usual). `fitted` are the ordinary parameters to begin with,
-    where the effect misleads the fit (None: those of the fit).
+    `effects` are added, with first guesses of their parameters; effects of the kind `removed` are taken out first
+    ("": none). `free` are the parameters that the search may refine, each by a positive factor, a value per axis
+    axis by axis: a guess of 0, and its sign, stay. `limits`: what a parameter may be, where more or less can't be
+    told from another effect. `shared`: it shows only between sensors, and all of the chip have it alike, or
+    (`sensor`) this one has it, and `others` show it; these have the effects `opposite` at the same time; or just
+    its `members` of the chip have it; or (`everywhere`) all that the host reads. `whole`: neither part shows it
+    without the other. `rarity`: nats by which it is rarer, as it is meant, than others that look the same
+    (negative: more usual). `fitted` are the ordinary parameters to begin with, where the effect misleads the fit
+    (None: those of the fit). It holds always, or `when` it says (`at`).
     """
 
     effects: tuple[Effect, ...]
@@ -43,11 +46,22 @@ class Hypothesis:
     sensor: str = ""
     others: tuple[str, ...] = ()
     opposite: tuple[Effect, ...] = ()
+    members: tuple[str, ...] = ()
     everywhere: bool = False
     whole: bool = False
     rarity: float = 0.0
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     fitted: FittedParameters | None = None
+    when: When = ALWAYS
+
+    def at(self, when: When) -> Hypothesis:
+        """The same within these spans alone: every number that was chosen for them makes it rarer."""
+        if not when.spans:
+            return self
+        spans = spans_of(when.triples)
+        effects, opposite = (tuple(replace(one, spans=spans) for one in side) for side in (self.effects, self.opposite))
+        rarity = self.rarity + NUMBERS * (when.numbers - self.when.numbers)
+        return replace(self, effects=effects, opposite=opposite, rarity=rarity, when=when)
 
     @property
     def name(self) -> str:
@@ -68,13 +82,13 @@ class Hypothesis:
     @property
     def form(self) -> tuple[str, ...]:
         """What is done with which effects, and which of their parameters do something: a line that drifts is another
-        form than one that stays.
+        form than one that stays. When it does so doesn't matter.
         """
         used = [
             f"{effect.name}.{item.name}"
             for effect in (*self.effects, *self.opposite)
             for item in fields(effect)
-            if repr(getattr(effect, item.name)) != repr(getattr(type(effect)(), item.name))
+            if item.name != "spans" and repr(getattr(effect, item.name)) != repr(getattr(type(effect)(), item.name))
         ]
         return (self.name, self.action, *used)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +38,14 @@ _FOR_EVER_S = 1e6
 _LEAST_DEGC = 1.0
 _LEAST = 4
 
+_PAIRED = 5.0
+"""Standard deviations by which two units have something in common that others needn't have."""
+
+_WHITE_S = 1e-3
+"""Time constant of what one reading has in common with another's, and not with the next: no unit is read as often."""
+
+_PERFECT = 0.999
+
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     """Its size by the covariance with the other units of the chip, of slow means and of what is faster, temperature
@@ -48,6 +58,11 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
 
 def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     yield from _between_logs(evidence)
+    yield from _slow_or_fast(evidence)
+    yield from _in_pairs(evidence)
+
+
+def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_TRACES, beyond=_BEYOND):
         return
     pairs = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
@@ -64,6 +79,64 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     for one in (None if wander is None else slower(evidence, wander), over):
         if one is not None and one.rms.any():  # few values of a slow process are independent: a covariance says little
             yield Hypothesis((CommonMode(sized(one.rms, score), one.time_constant_s),), _FREE, shared=True)
+
+
+class _Common(NamedTuple):
+    """Of two sensors of a chip: covariances (3, 3) of windows' means within segments, a row for each axis of the first
+    one, and their standard scores.
+    """
+
+    covariance: Floats
+    score: Floats
+
+    @property
+    def own(self) -> float:
+        """Score of what the same axes have in common."""
+        return float(np.trace(self.score) / math.sqrt(3))
+
+    @property
+    def across(self) -> float:
+        """Score of what each axis has in common with the other two."""
+        return float((self.score.sum() - np.trace(self.score)) / math.sqrt(6))
+
+
+def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
+    """Noise that some units of a chip have in common, from one reading to the next: those with which a unit has more in
+    common than chance makes, each pair by itself; axis by axis, or all axes alike.
+    """
+    seen = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
+    partners = seen[0][1].others(evidence.header.name, family=True) if seen else ()
+    common = {partner: _common([cross for _, cross in seen], evidence.header.name, partner) for partner in partners}
+    rows = evidence.rows_per_s * np.median([cross.window_s for _, cross in seen]) if seen else 1.0
+    for shared in (0.0, 1.0):
+        together = {name: one for name, one in common.items() if (one.across if shared else one.own) > _PAIRED}
+        if not together or (not shared and any(one.across > _PAIRED for one in together.values())):
+            continue
+        mean = np.mean([one.covariance for one in together.values()], axis=0) * max(rows, 1.0)
+        each = mean.sum(axis=1) / math.sqrt(max(float(mean.sum()), 1e-30)) if shared else np.sqrt(np.diag(mean).clip(0))
+        x, y, z = np.maximum(each, 0.0).tolist()
+        if max(x, y, z) > 0:
+            members = tuple(sorted((evidence.header.name, *together)))
+            effect = CommonMode((x, y, z), _WHITE_S, shared, "+".join(members))
+            yield Hypothesis((effect,), ("rms",), shared=True, members=members)
+
+
+def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
+    """Over phases; the score of a correlation r of n windows is artanh(r) sqrt(n)."""
+    covariances, scores, weights = [], [], []
+    for cross in crosses:
+        if not any(item.name == partner for item in cross.sensors) or not cross.windows:
+            continue
+        own, other = cross.columns(sensor), cross.columns(partner)
+        size = np.sqrt(np.outer(np.diag(cross.fast)[own], np.diag(cross.fast)[other]))
+        ratio = np.divide(cross.fast[own, other], size, out=np.zeros((3, 3)), where=size > 0)
+        covariances.append(cross.fast[own, other])
+        scores.append(np.arctanh(ratio.clip(-_PERFECT, _PERFECT)) * math.sqrt(cross.windows))
+        weights.append(cross.windows)
+    if not weights:
+        return _Common(np.zeros((3, 3)), np.zeros((3, 3)))
+    total = np.sum(scores, axis=0) / math.sqrt(len(scores))
+    return _Common(np.average(covariances, axis=0, weights=weights), total)
 
 
 def _times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> list[float]:

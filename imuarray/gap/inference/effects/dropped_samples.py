@@ -9,8 +9,8 @@ import numpy as np
 
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.single import NUMBERS, SINGLE, stretches
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import NUMBERS, SINGLE, stretches
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
 
 _PROBES = ("gaps", "lost", "longest_interval", "irregularity", "interval")

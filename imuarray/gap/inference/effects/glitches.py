@@ -12,8 +12,8 @@ import numpy.typing as npt
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lag import mean_of, odd_lags
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.single import NUMBERS, SINGLE
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.gap.inference.when import NUMBERS, SINGLE
 from imuarray.gap.statistics.probes.probe import noise_lsb
 from imuarray.gap.statistics.summary import Summary
 from imuarray.simulate.effects.glitches import Glitches, high_byte

@@ -14,9 +14,9 @@ from imuarray.gap.inference.effects.bistable_bias import rarer
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import levels, log_levels
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.single import NUMBERS, stretches
 from imuarray.gap.inference.effects.steps import Onset, States, onsets, states_of_logs
-from imuarray.gap.inference.evidence import Evidence, Span
+from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import NUMBERS, Span, stretches
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.range_reset import RangeReset
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis, Kind
 from imuarray.gap.inference.effects.removal import with_removal
-from imuarray.gap.inference.effects.single import NUMBERS, SINGLE, stretches
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
+from imuarray.gap.inference.when import NUMBERS, SINGLE, stretches
 from imuarray.simulate.effects.stuck import Stuck
 
 _PROBES = ("longest_repeat", "repeats", "stale", "noise_uneven")

@@ -1,5 +1,5 @@
-"""`white_noise`: fitted wherever a sensor was at rest. Only one that never was has an unknown noise, and one that was
-fitted to an earlier recording may have changed.
+"""`white_noise`: fitted wherever a sensor was at rest; what one part of the time has more of, or one that never was,
+or that was fitted to an earlier recording and changed since.
 """
 
 from __future__ import annotations
@@ -11,20 +11,51 @@ import numpy as np
 
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence
+from imuarray.gap.inference.when import ALWAYS, in_logs
 from imuarray.simulate.effects.white_noise import WhiteNoise
 
 _BEYOND = 3.0
+_LEAST = 0.1
+"""Share of the noise that rounding leaves to the element."""
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """What a motion leaves that the other sensors don't explain. Where the base model was fitted its noise can't be too
-    large or small, and one that changes is no white noise: nothing is guessed, unless it was fitted to an earlier
-    recording.
+    """What a motion leaves that the other sensors don't explain, of a sensor that was never fitted at rest. Where it
+    was the noise can't be too large everywhere: what some logs, or a spell, have more of than the rest; unless it was
+    fitted to an earlier recording.
     """
     if not evidence.is_refitted:
         yield from _since(evidence)
-    if any(evidence.fitted.rms) or not evidence.is_odd("motion_residual", beyond=_BEYOND):
-        return
+    if any(evidence.fitted.rms):
+        yield from _more(evidence)
+    elif evidence.is_odd("motion_residual", beyond=_BEYOND):
+        yield from _in_motion(evidence)
+
+
+def _more(evidence: Evidence) -> Iterator[Hypothesis]:
+    """The noise of the rest is the smaller one: what was fitted may lie between."""
+    if evidence.when.spans:
+        more, less, when = evidence.typical("noise"), np.zeros(3), ALWAYS
+    else:
+        logs = sorted({one.log for one in evidence.still})
+        alone = {log: evidence.within([log]) for log in logs}
+        noisy = [log for log, own in alone.items() if own.score("noise").max() > _BEYOND]
+        if not 0 < len(noisy) < len(logs):
+            return
+        quiet = [own.typical("noise") for log, own in alone.items() if log not in noisy]
+        more = np.median([alone[log].typical("noise") for log in noisy], axis=0)
+        less, when = np.median(quiet, axis=0), in_logs(noisy)
+    usual, found = (evidence.noise**2 * np.exp(2 * side) for side in (less, more))
+    rms = np.sqrt(np.maximum(np.nan_to_num(found - usual), 0.0))
+    if rms.any() and evidence.score("noise").max() > _BEYOND:
+        x, y, z = rms.tolist()
+        below = np.array(evidence.fitted.rms) ** 2 + usual - evidence.noise**2
+        a, b, c = np.sqrt(np.maximum(below, _LEAST**2 * usual)).tolist()
+        fitted = replace(evidence.fitted, rms=(a, b, c))
+        yield Hypothesis((WhiteNoise((x, y, z)),), ("rms",), fitted=fitted).at(when)
+
+
+def _in_motion(evidence: Evidence) -> Iterator[Hypothesis]:
     moving = [one.cross for one in evidence.seen if not one.is_still and one.cross is not None]
     window_rows = max(moving[0].window_s * evidence.rows_per_s, 1.0) if moving else 1.0
     variance = evidence.noise**2 * np.exp(np.nanmedian(evidence.values["motion_residual"], axis=0))

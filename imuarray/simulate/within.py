@@ -1,0 +1,91 @@
+"""An effect that acts for a part of the time: in some runs, from a moment on, or during some stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from imuarray.simulate.effect import FOREVER_S, Effect
+from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Flags, Instants, Integers, Place
+
+Stage = TypeVar("Stage", Instants, Felt, Analog, Codes)
+
+
+def acting(effect: Effect, run: int) -> Effect | None:
+    """The effect as it acts in the run with that number: as it is, within its spans, or (None) not at all."""
+    if not effect.spans:
+        return effect
+    own = [(begin_s, end_s) for number, begin_s, end_s in effect.each_span() if number == run]
+    if any(begin_s <= 0 and end_s >= FOREVER_S for begin_s, end_s in own):
+        return effect
+    return _Within(effect, tuple((begin_s * 1e9, end_s * 1e9) for begin_s, end_s in own)) if own else None
+
+
+@dataclass(frozen=True)
+class _Within(Effect):
+    """`effect` in rows that the log stamps within `stretches_ns`, (from, until) each; what it draws is drawn as if it
+    acted always.
+    """
+
+    effect: Effect = Effect()  # noqa: RUF009  # frozen
+    stretches_ns: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.effect.name)
+
+    def lookback(self, at: Place) -> int:
+        return self.effect.lookback(at)
+
+    def sampled(self, instants: Instants, at: Place) -> Instants:
+        """ValueError for an effect that changes how often the chip makes readings: that can't be had row by row."""
+        return _mixed(instants, self.effect.sampled(instants, at), self._inside(instants.stamp_ns))
+
+    def flagged(self, status: Flags, instants: Instants, at: Place) -> Flags:
+        inside = self._inside(instants.stamp_ns)
+        return np.where(inside, self.effect.flagged(status, instants, at), status)
+
+    def felt(self, felt: Felt, at: Place) -> Felt:
+        """Rows whose times nobody tells here: the effect acts always, or refuses."""
+        changed = self.effect.felt(felt, at)
+        if changed is not felt:
+            raise ValueError(f"spans: {self.effect.name} can't act for a part of a run")
+        return felt
+
+    def analog(self, analog: Analog, at: Place) -> Analog:
+        inside = self._inside(at.stamps(analog.first, analog.first + len(analog.instant_ns)))
+        return _mixed(analog, self.effect.analog(analog, at), inside) if inside.any() else analog
+
+    def codes(self, codes: Codes, at: Place) -> Codes:
+        inside = self._inside(at.stamps(codes.first, codes.first + len(codes.counts)))
+        return _mixed(codes, self.effect.codes(codes, at), inside) if inside.any() else codes
+
+    def _inside(self, stamp_ns: Integers) -> Bools:
+        """(n,) of rows with these stamps, ascending."""
+        inside = np.zeros(len(stamp_ns), bool)
+        for begin_ns, end_ns in self.stretches_ns:
+            due, over = np.searchsorted(stamp_ns, (begin_ns, end_ns))
+            inside[due:over] = True
+        return inside
+
+
+def _mixed(before: Stage, after: Stage, inside: Bools) -> Stage:
+    """Rows of `after` that lie `inside`, the others of `before`."""
+    changes: dict[str, Any] = {}
+    for item in fields(before):
+        old, new = getattr(before, item.name), getattr(after, item.name)
+        if new is old or (not isinstance(old, np.ndarray) and not isinstance(new, np.ndarray) and new == old):
+            continue
+        if item.name in ("rate_hz", "phase"):
+            raise ValueError(f"spans: {item.name} can't change for a part of a run")
+        wide = inside[:, None] if np.ndim(old) == 2 or np.ndim(new) == 2 or np.ndim(old) == 0 else inside
+        mixed = np.where(wide, new, old)
+        changes[item.name] = mixed.astype(old.dtype) if isinstance(old, np.ndarray) else mixed
+    return replace(before, **changes)
+
+
+def spans_of(stretches: Sequence[tuple[int, float, float]]) -> tuple[float, ...]:
+    """Stretches (run, from, until) as an effect has them; infinity is for ever."""
+    return tuple(value for run, begin_s, end_s in stretches for value in (float(run), begin_s, min(end_s, FOREVER_S)))
