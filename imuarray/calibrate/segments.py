@@ -157,11 +157,14 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> Thermometer |
 
 
 def chip_thermometer(log: Log, width_s: float) -> Thermometer | None:
-    """The thermometer of the first chip that has one whose zero is known, averaged over `width_s`; None without any."""
-    for sensor in log.sensors.values():
-        if sensor.is_triad and len(sensor) and degc_of(sensor) is not None and has_zero(sensor):
-            return _chip_thermometer(log, sensor, width_s)
-    return None
+    """The thermometer of the first chip that has one, averaged over `width_s`: one whose zero is known, else one that
+    tells changes alone ("relative"); None without any.
+    """
+    known = [
+        sensor for sensor in log.sensors.values() if sensor.is_triad and len(sensor) and degc_of(sensor) is not None
+    ]
+    known.sort(key=has_zero, reverse=True)
+    return _chip_thermometer(log, known[0], width_s) if known else None
 
 
 def _chip_thermometer(log: Log, sensor: SensorLog, width_s: float) -> Thermometer | None:

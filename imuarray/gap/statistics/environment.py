@@ -215,7 +215,7 @@ def _slow(part: PhaseSummary, cross: Cross) -> Floats:
 def _warmth(part: PhaseSummary, count: int) -> Floats:
     """(count, k) the reference's temperature and its change; of one that tells none, the chips' thermometers."""
     columns = _courses(part.sensors, "temperature_degc", count)[:1]
-    if columns:
+    if columns and count > 1:
         return np.stack([columns[0], np.gradient(columns[0])], axis=1)
     by_chip = {summary.header.chip: summary for summary in part.sensors.values()}
     columns = _courses(by_chip, "thermometer", count)
