@@ -204,14 +204,15 @@ def line(
     return Change(analog)
 
 
-def held(new_hz: float) -> Change:
-    """The chip has so many new readings a second: rows that come faster repeat."""
+def held(new_hz: float, since_s: float = 0.0, end_s: float = np.inf) -> Change:
+    """The chip has so many new readings a second, for a part of the time: rows that come faster repeat."""
 
     def digital(rows: Rows) -> None:
         if new_hz >= rows.rate_hz:
             return
         shown = np.floor(rows.time_s * new_hz + 0.37)
-        first = np.concatenate([[True], np.diff(shown) > 0])
+        inside = (rows.time_s >= since_s) & (rows.time_s < end_s)
+        first = np.concatenate([[True], np.diff(shown) > 0]) | ~inside
         source = np.maximum.accumulate(np.where(first, np.arange(len(shown)), 0))
         rows.counts = rows.counts[source]
         rows.stale = ~first
