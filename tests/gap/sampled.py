@@ -115,7 +115,7 @@ def _write(
     plan = plan_of(array, experiment.rate_hz, seconds)
     headers = [replace(header, has_temperature=False) for header, _ in plan.sensors.values()]
     epoch = "2026-01-01T00:00:00.000000Z"
-    with LogWriter(path, headers, source="imported", epoch=epoch) as log:
+    with LogWriter(path, headers, source="i2c", epoch=epoch) as log:
         for at, face in enumerate(experiment.faces):
             begin, end = (round((at + more) * experiment.face_s * 1e9) for more in (0, 1))
             log.phase(Phase(begin, end, "static" if len(experiment.faces) == 1 else f"face_{at}", face))
