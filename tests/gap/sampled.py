@@ -115,7 +115,7 @@ def _write(
     plan = plan_of(array, experiment.rate_hz, seconds)
     headers = [replace(header, has_temperature=False) for header, _ in plan.sensors.values()]
     epoch = "2026-01-01T00:00:00.000000Z"
-    with LogWriter(path, headers, source="imported", epoch=epoch) as log:
+    with LogWriter(path, headers, source="i2c", epoch=epoch) as log:
         for at, face in enumerate(experiment.faces):
             begin, end = (round((at + more) * experiment.face_s * 1e9) for more in (0, 1))
             log.phase(Phase(begin, end, "static" if len(experiment.faces) == 1 else f"face_{at}", face))
@@ -204,14 +204,15 @@ def line(
     return Change(analog)
 
 
-def held(new_hz: float) -> Change:
-    """The chip has so many new readings a second: rows that come faster repeat."""
+def held(new_hz: float, since_s: float = 0.0, end_s: float = np.inf) -> Change:
+    """The chip has so many new readings a second, for a part of the time: rows that come faster repeat."""
 
     def digital(rows: Rows) -> None:
         if new_hz >= rows.rate_hz:
             return
         shown = np.floor(rows.time_s * new_hz + 0.37)
-        first = np.concatenate([[True], np.diff(shown) > 0])
+        inside = (rows.time_s >= since_s) & (rows.time_s < end_s)
+        first = np.concatenate([[True], np.diff(shown) > 0]) | ~inside
         source = np.maximum.accumulate(np.where(first, np.arange(len(shown)), 0))
         rows.counts = rows.counts[source]
         rows.stale = ~first

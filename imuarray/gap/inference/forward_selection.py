@@ -46,6 +46,11 @@ COST = 1.0
 _BEHIND = 15.0
 """Nats by which a guess may be worse than the best one, and still be refined or confirmed; or half of its gain."""
 
+_IN_TIME = frozenset(
+    {"turn_on_bias", "bistable_bias", "bias_instability", "random_walk", "popcorn_noise", "thermal_bias", "thermal_lag"}
+)
+"""What changes by itself as time goes on: that a spell has more of it than the rest says nothing."""
+
 _DIVIDED, _LOST = 3, 2.0
 """So many trials of a unit are tried in some logs alone, if the others lose so many nats by them."""
 
@@ -114,7 +119,7 @@ def guesses_of(evidence: Evidence, candidates: Mapping[str, Candidate]) -> list[
         for part in views(evidence)
         for candidate in candidates.values()
         for trial in candidate.guesses(part)
-        if not part.when.spans or not (trial.removed or trial.needs_both or trial.shared)
+        if not part.when.spans or not (trial.removed or trial.needs_both or trial.shared or trial.name in _IN_TIME)
     )
 
 

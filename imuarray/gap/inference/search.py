@@ -197,7 +197,7 @@ def _shared_trials(found: Comparison, guessed: Mapping[Unit, _Guessed]) -> dict[
     headers = found.bench.base.headers
     units: dict[Unit, list[Hypothesis]] = {}
     for (name,), one in guessed.items():
-        family = tuple(other for (other,) in guessed if _is_alike(headers[other], headers[name]))
+        family = tuple(sorted(other for (other,) in guessed if _is_alike(headers[other], headers[name])))
         of_chip = tuple(sorted(other for other in headers if _is_alike(headers[other], headers[name])))
         for trial in one.shared:
             if trial.everywhere:

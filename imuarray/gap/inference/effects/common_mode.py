@@ -27,6 +27,7 @@ from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.statistics.cross import Cross
 from imuarray.simulate.effects.common_mode import CommonMode
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.signal import Triple
 
 Floats = npt.NDArray[np.float64]
 
@@ -45,6 +46,7 @@ _WHITE_S = 1e-3
 """Time constant of what one reading has in common with another's, and not with the next: no unit is read as often."""
 
 _PERFECT = 0.999
+_TINY = 1e-30
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
@@ -82,11 +84,12 @@ def _slow_or_fast(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 class _Common(NamedTuple):
-    """Of two sensors of a chip: covariances (3, 3) of windows' means within segments, a row for each axis of the first
-    one, and their standard scores.
+    """Of two sensors of a chip: covariances (3, 3) of windows' means within segments and of segments' means, a row for
+    each axis of the first one, and standard scores of the former.
     """
 
-    covariance: Floats
+    fast: Floats
+    slow: Floats
     score: Floats
 
     @property
@@ -107,36 +110,53 @@ def _in_pairs(evidence: Evidence) -> Iterator[Hypothesis]:
     seen = [(one, one.cross) for one in evidence.still if one.cross is not None and takes_part(evidence, one.cross)]
     partners = seen[0][1].others(evidence.header.name, family=True) if seen else ()
     common = {partner: _common([cross for _, cross in seen], evidence.header.name, partner) for partner in partners}
-    rows = evidence.rows_per_s * np.median([cross.window_s for _, cross in seen]) if seen else 1.0
+    if not seen:
+        return
+    rows = evidence.rows_per_s * float(np.median([cross.window_s for _, cross in seen]))
+    length_s = float(np.median([1e-9 * (cross.phase.end_ns - cross.phase.start_ns) for _, cross in seen]))
+    wander = wander_of(evidence)
     for shared in (0.0, 1.0):
         together = {name: one for name, one in common.items() if (one.across if shared else one.own) > _PAIRED}
         if not together or (not shared and any(one.across > _PAIRED for one in together.values())):
             continue
-        mean = np.mean([one.covariance for one in together.values()], axis=0) * max(rows, 1.0)
-        each = mean.sum(axis=1) / math.sqrt(max(float(mean.sum()), 1e-30)) if shared else np.sqrt(np.diag(mean).clip(0))
-        x, y, z = np.maximum(each, 0.0).tolist()
-        if max(x, y, z) > 0:
-            members = tuple(sorted((evidence.header.name, *together)))
-            effect = CommonMode((x, y, z), _WHITE_S, shared, "+".join(members))
+        members = tuple(sorted((evidence.header.name, *together)))
+        group = "+".join(members)
+        fast, slow = (np.mean([getattr(one, pace) for one in together.values()], axis=0) for pace in ("fast", "slow"))
+        if any(rms := _each(fast * max(rows, 1.0), shared)):
+            effect = CommonMode(rms, _WHITE_S, shared, group)
             yield Hypothesis((effect,), ("rms",), shared=True, members=members)
+        if wander is not None:
+            time_s = wander.time_constant_s
+            if any(rms := _each((fast + slow) / within(length_s, time_s), shared)):
+                yield Hypothesis((CommonMode(rms, time_s, shared, group),), _FREE, shared=True, members=members)
+
+
+def _each(covariance: Floats, shared: float) -> Triple:
+    """Sizes by axis of what two sensors have in common alike, by its covariances (3, 3)."""
+    if shared:
+        x, y, z = (covariance.sum(axis=1).clip(0) / math.sqrt(max(float(covariance.sum()), _TINY))).tolist()
+    else:
+        x, y, z = np.sqrt(np.diag(covariance).clip(0)).tolist()
+    return x, y, z
 
 
 def _common(crosses: Sequence[Cross], sensor: str, partner: str) -> _Common:
     """Over phases; the score of a correlation r of n windows is artanh(r) sqrt(n)."""
-    covariances, scores, weights = [], [], []
+    fast, slow, scores, weights = [], [], [], []
     for cross in crosses:
         if not any(item.name == partner for item in cross.sensors) or not cross.windows:
             continue
         own, other = cross.columns(sensor), cross.columns(partner)
         size = np.sqrt(np.outer(np.diag(cross.fast)[own], np.diag(cross.fast)[other]))
         ratio = np.divide(cross.fast[own, other], size, out=np.zeros((3, 3)), where=size > 0)
-        covariances.append(cross.fast[own, other])
         scores.append(np.arctanh(ratio.clip(-_PERFECT, _PERFECT)) * math.sqrt(cross.windows))
+        fast.append(cross.fast[own, other])
+        slow.append(np.nan_to_num(cross.slow_covariance[own, other]))
         weights.append(cross.windows)
     if not weights:
-        return _Common(np.zeros((3, 3)), np.zeros((3, 3)))
-    total = np.sum(scores, axis=0) / math.sqrt(len(scores))
-    return _Common(np.average(covariances, axis=0, weights=weights), total)
+        return _Common(*np.zeros((3, 3, 3)))
+    mean_fast, mean_slow = (np.average(each, axis=0, weights=weights) for each in (fast, slow))
+    return _Common(mean_fast, mean_slow, np.sum(scores, axis=0) / math.sqrt(len(scores)))
 
 
 def _times_s(evidence: Evidence, wander: Wander | None, over: Wander | None) -> list[float]:

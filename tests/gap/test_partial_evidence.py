@@ -1,0 +1,100 @@
+"""Effects that one rate, one log, a part of the time or some units show, in logs written by hand: each is named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from imuarray.gap.diagnose import begun, explained, library
+from imuarray.gap.inference.effects import Candidate, Hypothesis
+from imuarray.gap.inference.forward_selection import guesses_of
+from imuarray.gap.inference.parameters import distinct
+from imuarray.gap.inference.when import in_logs
+from imuarray.simulate.effects.bandwidth import Bandwidth
+from imuarray.simulate.effects.quantisation import Quantisation
+from imuarray.simulate.effects.tone import Tone
+from tests.gap import sampled
+from tests.gap.effects.evidence_of import evidence_of
+from tests.gap.test_bench import Run
+
+REPLICATES = 40
+
+CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Mapping[str, float]]] = {
+    # named: effect, sensors; made: changes by sensor; told: parameters to a tenth
+    "rows of one rate are correlated": ("bandwidth", ("G1",), {"G1": sampled.low_pass(75.0)}, {"cutoff_hz": 75.0}),
+    "a line that the slower rows alias": ("tone", ("G2",), {"G2": sampled.line(71.3, 0.018)}, {"frequency_hz": 71.3}),
+    "rows of one rate repeat": ("odr_error", ("G1",), {"G1": sampled.held(160.0)}, {"rate_hz": 160.0}),
+    "a line in one log": ("tone", ("G2",), {"G2": sampled.line(11.0, 0.03, logs=(1,))}, {"frequency_hz": 11.0}),
+    "a line since a moment": (
+        "tone",
+        ("G2",),
+        {"G2": sampled.line(31.0, 0.04, since_s=33.0, logs=(0,))},
+        {"frequency_hz": 31.0},
+    ),
+    "even codes for a part of the time": (
+        "quantisation",
+        ("G3",),
+        {"G3": sampled.even_codes(20.0, 41.0)},
+        {"step_lsb": 2.0},
+    ),
+    "noise in one log": ("white_noise", ("G1",), {"G1": sampled.more_noise(1.25, (0,))}, {}),
+    "noise for a part of the time": ("white_noise", ("G1",), {"G1": sampled.more_noise(1.3, (0,), 15.0, 40.0)}, {}),
+    "noise that two of three units share": (
+        "common_mode",
+        ("G1", "G3"),
+        {name: sampled.shared_noise(0.035) for name in ("G1", "G3")},
+        {},
+    ),
+    "four rows are lost": ("dropped_samples", ("G2",), {"G2": sampled.lost([7.31, 15.02, 40.4, 51.9])}, {}),
+    "three readings are off": ("glitches", ("G2",), {"G2": sampled.off([7.31, 40.4, 51.9], 70)}, {}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_it_is_named_first(case: str, tmp_path: Path) -> None:
+    effect, sensors, changes, told = CASES[case]
+    recordings = sampled.recorded(tmp_path, changes)
+    found = explained(begun(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
+    cause = found.causes[0]
+    assert (cause.effect, cause.action, cause.sensors) == (effect, "add", sensors)
+    for name, value in told.items():
+        assert cause.parameters[name] == pytest.approx(value, rel=0.1)
+    assert found.verdict == "explained"
+
+
+def test_rates_are_looked_at_one_by_one() -> None:
+    """A trial that one log suggests is there beside those of all, and none comes twice."""
+    heard: list[int] = []
+
+    def guesses(evidence: Any) -> list[Hypothesis]:
+        logs = sorted({one.log for one in evidence.seen})
+        heard.append(len(logs))
+        return [Hypothesis((Bandwidth(10.0 if len(logs) > 1 else 40.0),), ("cutoff_hz",))]
+
+    line = {"G1": (Tone((0.0, 0.04, 0.0), 17.0),)}
+    evidence = evidence_of(("static", "tumble"), "G1", line)
+    numbered = {probe: (0,) * len(rows) for probe, rows in evidence.scores.items()}
+    found = guesses_of(_with_rows(evidence, numbered), {"bandwidth": Candidate("bandwidth", guesses)})
+    assert heard == [2, 1]
+    assert [effect for trial in found for effect in trial.effects] == [Bandwidth(10.0), Bandwidth(40.0)]
+
+
+def _with_rows(evidence: Any, numbered: Mapping[str, tuple[int, ...]]) -> Any:
+    """All rows are of the first log; what the other one shows isn't known."""
+    return replace(evidence, rows_of=numbered)
+
+
+def test_what_ends_at_the_same_place_is_tried_once() -> None:
+    """Numbers that are refined may be a fifth apart, others a hundredth; it matters when it is, and whose it is."""
+    amplitudes, free = [(0.0, size, 0.0) for size in (0.1, 0.11, 0.2)], ("amplitude",)
+    lines = [Hypothesis((Tone(one, 17.0),), free) for one in amplitudes]
+    assert distinct(lines) == [lines[0], lines[2]]
+    others = [lines[0], Hypothesis((Tone(amplitudes[0], 17.1),), free), Hypothesis((Tone(amplitudes[0], 18.0),), free)]
+    assert distinct(others) == [others[0], others[2]]
+    assert len(distinct([lines[0], lines[0].at(in_logs([1])), lines[0].at(in_logs([2]))])) == 3
+    assert len(distinct([Hypothesis((Quantisation(2.0),), whole=whole) for whole in (True, False)])) == 2

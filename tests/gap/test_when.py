@@ -1,0 +1,97 @@
+"""When something holds, and how it is told: by the course of a log, and by what single logs gain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from imuarray.gap.inference.effects import Hypothesis
+from imuarray.gap.inference.when import ALWAYS, NUMBERS, Span, When, in_logs, joined, since
+from imuarray.gap.recording.course import stretches_of
+from imuarray.gap.recording.recordings import sources_of
+from imuarray.gap.statistics.split import split_of
+from imuarray.log.format import Phase
+from imuarray.simulate.effects.tone import Tone
+from tests.gap import sampled
+
+LINE = Hypothesis((Tone((0.0, 0.04, 0.0), 17.0),), ("amplitude",))
+
+
+def still(seconds: Sequence[float]) -> list[list[Phase]]:
+    """A log of one phase for each."""
+    return [[Phase(0, round(one * 1e9), "static", "+Z")] for one in seconds]
+
+
+def test_what_is_chosen_costs() -> None:
+    """A log each, and each moment that is neither its beginning nor its end."""
+    assert ALWAYS.numbers == 0
+    assert in_logs([0, 3]).numbers == 2
+    assert When((Span(0, 4.0, math.inf),)).numbers == 2
+    assert When((Span(0, 4.0, 2.0), Span(0, 9.0, 2.0))).numbers == 6
+    assert since(Span(1, 4.0, math.inf), [0, 1, 2, 3]).numbers == 2
+
+
+def test_a_hypothesis_at_some_time() -> None:
+    """Its effects act then; what was chosen makes it rarer, once."""
+    when = joined([in_logs([2]), When((Span(0, 4.0, 3.0),))])
+    trial = LINE.at(when)
+    assert trial.when == when
+    assert trial.effects[0].spans == (0.0, 4.0, 7.0, 2.0, 0.0, 1e9)
+    assert trial.rarity == NUMBERS * 4
+    assert trial.form == LINE.form
+    assert trial.at(in_logs([1])).rarity == NUMBERS
+    assert LINE.at(ALWAYS) is LINE
+
+
+@pytest.mark.parametrize(
+    ("when", "both"),
+    [
+        (ALWAYS, True),
+        (When((Span(0, 33.0, math.inf),)), False),  # the second half of the only log of its kind is held out
+        (When((Span(0, 20.0, 21.0),)), True),
+        (When((Span(0, 28.0, 32.0),)), False),
+        (in_logs([1]), False),  # of two of a kind one is held out
+        (in_logs([1, 2]), True),
+    ],
+)
+def test_whether_both_parts_show_it(when: When, both: bool) -> None:
+    split = split_of(["static", "turn-on", "turn-on"], still([60.0, 20.0, 20.0]))
+    assert when.is_in_both(split) is both
+
+
+@pytest.mark.parametrize(
+    ("sensor", "change", "begin_s", "end_s", "within_s"),
+    [
+        ("G3", sampled.even_codes(20.0, 41.0), 20.0, 41.0, 0.1),
+        ("G2", sampled.line(31.0, 0.04, since_s=33.0), 33.0, math.inf, 1.0),
+        ("G1", sampled.more_noise(1.3, (0,), 15.0, 40.0), 15.0, 40.0, 1.0),
+        ("G1", sampled.held(160.0, 12.0, 30.0), 12.0, 30.0, 0.1),
+    ],
+)
+def test_stretches_are_told_by_the_course_of_a_log(
+    tmp_path_factory: pytest.TempPathFactory,
+    sensor: str,
+    change: sampled.Change,
+    begin_s: float,
+    end_s: float,
+    within_s: float,
+) -> None:
+    """Those, and the rest of the time; of the other sensors none."""
+    folder = tmp_path_factory.mktemp("course")
+    (log,) = sampled.recorded(folder, {sensor: change}, (sampled.FAST,))
+    found = {name: stretches_of(source, log.phases) for name, source in sources_of(log).items()}
+    assert {name for name, own in found.items() if own} == {sensor}
+    sides = [own for own in found[sensor] if len(own) == 1 and own[0][0] > 0]
+    assert sides
+    np.testing.assert_allclose(sides[0][0], (begin_s, end_s), atol=within_s)
+
+
+def test_a_log_that_is_the_same_all_through_has_no_stretches(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Nor one in which an effect acts always."""
+    folder = tmp_path_factory.mktemp("same")
+    changes = {"G1": sampled.low_pass(40.0), "G2": sampled.line(31.0, 0.05), "G3": sampled.held(160.0)}
+    (log,) = sampled.recorded(folder, changes, (sampled.FAST,), seed=3)
+    assert not any(stretches_of(source, log.phases) for source in sources_of(log).values())
