@@ -38,7 +38,13 @@ from imuarray.gap.findings.diagnosis import (
 )
 from imuarray.gap.findings.experiment_design import next_experiment
 from imuarray.gap.findings.labels import WrongLabel, cause_of, corrected, mislabelled
-from imuarray.gap.findings.observability import alike, facts_of, missing_in, unshown, unsure
+from imuarray.gap.findings.observability import (
+    facts_of,
+    missing_in,
+    uncertain_domains,
+    unobservable_effects,
+    with_unobservable_rivals,
+)
 from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
 from imuarray.gap.findings.overlays import overlays_of
 from imuarray.gap.findings.repair import repaired
@@ -336,7 +342,9 @@ def _report(
     suspected = (*map(cause_of, case.wrong_labels), *sensor_causes)
     unobservable = _unobservable(case, candidates, suspected, report)
     remainder = _remainder(case, verification, suspected, report)
-    verdict, gap, causes, unknown = _judge(case, verification, remainder, alike(suspected, unobservable))
+    verdict, gap, causes, unknown = _judge(
+        case, verification, remainder, with_unobservable_rivals(suspected, unobservable)
+    )
     where = _where(case, report)
     in_use = uses(
         comparison.real.uses,
@@ -385,7 +393,9 @@ def _judge(case: GapCase, verification: Verification, remainder: Remainder, susp
         counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
     gap = gap_of(counted, floor_of(counted, before, case.as_noted.chance), case.seed)
     unknown = unknown_probability(gap.closed, after, remainder.one_sidedness)
-    return judge(gap, suspected, unknown, is_gap=case.is_gap, unlikely=remainder.unlikely)
+    return judge(
+        gap, suspected, unknown, is_gap=case.is_gap, unlikely=remainder.unlikely, is_left=bool(remainder.sizes)
+    )
 
 
 def _remainder(
@@ -411,11 +421,11 @@ def _unobservable(
     """Which candidates beside the causes the recordings can't show; without a gap, also where one is not excluded."""
     comparison, named = case.comparison, {cause.effect for cause in suspected}
     others = {name: candidate for name, candidate in candidates.items() if name not in named}
-    hidden = unshown(set(comparison.bench.kinds), facts_of(comparison.campaign), others, case.headers)
+    hidden = unobservable_effects(set(comparison.bench.kinds), facts_of(comparison.campaign), others, case.headers)
     if case.is_gap:
         return hidden
     places = range(len(comparison.pairs.keys))
-    uncertain = unsure(
+    uncertain = uncertain_domains(
         np.array([report.scale(at, comparison.judged) for at in places]),
         np.array([report.margin(at) for at in places]),
         comparison.pairs.keys,

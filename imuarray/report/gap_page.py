@@ -29,8 +29,8 @@ _VERDICTS = MappingProxyType(
     {
         "no gap": "No gap: the recordings look like what the model makes.",
         "explained": "Explained: what differs is accounted for by the causes below.",
-        "partly explained": "Partly explained: the causes below account for part of what differs; something is left.",
-        "unexplained": "Unexplained: the recordings differ, and no effect of the library accounts for it.",
+        "partly explained": "Partly explained: the causes below account for part of what differs, or none is sure.",
+        "unexplained": "Unexplained: no combination of known effects makes the recordings likely.",
     }
 )
 Floats = npt.NDArray[np.float64]

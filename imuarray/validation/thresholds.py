@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import imuarray
-from imuarray.gap.findings import causes, verdict
+from imuarray.gap.findings import causes, description, verdict
 from imuarray.gap.inference import assessment, forward_selection, localisation, unit_state
 from imuarray.gap.statistics import synthetic_likelihood
 from imuarray.validation import trial
@@ -30,6 +30,7 @@ def frozen() -> dict[str, Any]:
         "closed to be explained": verdict.EXPLAINED,
         "closed to be partly explained": verdict.PARTLY,
         "probability to explain": verdict.EVEN,
+        "left over to be unlikely": description.UNLIKELY,
         "beyond chance to be left": assessment.MORE,
         "replicates of the base model": trial.REPLICATES,
         "replicates of a trial": unit_state.REPLICATES,

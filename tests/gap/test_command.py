@@ -215,9 +215,24 @@ def test_the_repaired_model_is_a_model(
     assert said["verdict"] == "no gap"
 
 
+def test_what_has_changed_since_an_earlier_log(typed: Type) -> None:
+    """The line is no difference beside the log that has it, and is missing in the other one since then."""
+    code, out, _ = typed("humming.h5", "--only", "G1", "--against", "humming.h5", "--json")
+    same = json.loads(out)
+    check_agreement(same)
+    assert (code, same["verdict"]) == (0, "no gap")
+    assert same["model"] == "data sheets, fitted to humming.h5"
+    code, out, _ = typed("humming.h5", "--only", "G1", "--against", "quiet.h5", "--against", "quiet.h5", "--json")
+    since = json.loads(out)
+    check_agreement(since)
+    assert (code, since["causes"][0]["effect"], since["causes"][0]["axes"]) == (0, "tone", ["y"])
+    assert since["sentence"].startswith("The recordings differ from quiet.h5, most in ")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["humming.h5", "--against", "nothing.h5"], ["nothing.h5"]),
         (["humming.h5", "--without", "tone,ghosts"], ["ghosts", *CANDIDATES]),
         (["humming.h5", "--only", "Nose"], ["humming.h5", "Nose"]),
         (["two.toml"], ["two.toml"]),
@@ -253,7 +268,11 @@ def test_help(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
     """Every option says what it does."""
     assert main(arguments) == 0
     out = capsys.readouterr().out
-    for word in ["diagnose"] if len(arguments) == 2 else ["REAL.h5", "--without", "--only", "-o", "--json", "--model"]:
+    for word in (
+        ["diagnose"]
+        if len(arguments) == 2
+        else ["REAL.h5", "--without", "--only", "--against", "-o", "--json", "--model"]
+    ):
         assert word in out
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from imuarray.gap.diagnose import REPAIRED
 from imuarray.gap.findings.closure import deviating, floor_of, gap_of
-from imuarray.gap.findings.description import beyond_form
+from imuarray.gap.findings.description import beyond_form, remainder_of
 from imuarray.gap.findings.deviations import StatisticReport, map_of, where_of
 from imuarray.gap.findings.diagnosis import Cause, Gap
 from imuarray.gap.findings.verdict import DOUBT, EVEN, EXPLAINED, PARTLY, Judgement, judge, unknown_probability
@@ -151,17 +151,48 @@ def test_a_cause_of_all_sensors_is_not_sound_where_something_is_left() -> None:
     assert judge(gap(0.99), [everywhere], 0.1, is_gap=True).verdict == "explained"
 
 
+def test_a_little_that_is_left_is_explained_in_part() -> None:
+    assert judge(gap(0.99), [CAUSE], 0.1, is_gap=True, is_left=True).verdict == "partly explained"
+    assert judge(gap(0.2), [CAUSE], 0.1, is_gap=True, is_left=True).verdict == "unexplained"
+    assert judge(gap(0.99), [CAUSE], 0.1, is_gap=False, is_left=True).verdict == "no gap"
+
+
+@pytest.mark.parametrize(
+    ("times", "is_left", "is_unlikely"),
+    [(0.8, False, False), (1.2, True, False), (1.4, True, False), (1.8, True, True)],
+)
+def test_what_is_far_beyond_any_replicate_makes_a_recording_unlikely(
+    times: float, is_left: bool, is_unlikely: bool
+) -> None:
+    """A line without a cause; the furthest that chance went is so chosen that its worst statistic is as many times well
+    beyond that (1.25 times it).
+    """
+    found = found_in(LINE)
+    report = StatisticReport(found.bench, found.campaign, found.pairs, ["a.h5"])
+    scores = beyond_form(found.pairs, found.judged, found.judged, found.real.values, found.chance)
+    worst = float(np.nanmax(np.abs(scores)))
+    left = remainder_of(found, replace(found.judged, furthest=worst / 1.25 / times), found.chance, (), report)
+    assert (bool(left.sizes), bool(left.unlikely)) == (is_left, is_unlikely)
+    assert set(left.sizes) <= {"G1"}
+    assert left.where[0].axis == "y"
+
+
 CHANCES = st.floats(0.0, 1.0)
 CLOSED = st.none() | st.floats(-10.0, 1.0)
 CAUSES = st.lists(st.tuples(CHANCES, st.lists(st.sampled_from("ABCD"), max_size=3, unique=True)), max_size=5)
 
 
-@given(CLOSED, CAUSES, CHANCES, st.booleans(), st.sets(st.sampled_from("ABCD")))
+@given(CLOSED, CAUSES, CHANCES, st.booleans(), st.sets(st.sampled_from("ABCD")), st.booleans())
 def test_verdict_closure_and_probabilities_never_contradict_each_other(
-    closed: float | None, given_causes: list[tuple[float, list[str]]], unknown: float, is_gap: bool, left: set[str]
+    closed: float | None,
+    given_causes: list[tuple[float, list[str]]],
+    unknown: float,
+    is_gap: bool,
+    left: set[str],
+    more: bool,
 ) -> None:
     causes = [replace(CAUSE, probability=chance, sensors=tuple(sensors)) for chance, sensors in given_causes]
-    found = judge(gap(closed), causes, unknown, is_gap=is_gap, unlikely=left)
+    found = judge(gap(closed), causes, unknown, is_gap=is_gap, unlikely=left, is_left=more)
     unexplained = [] if not is_gap else [{}]
     sentence = "something outside the library" if found.verdict == "unexplained" else ""
     check_agreement(
@@ -179,7 +210,7 @@ def test_verdict_closure_and_probabilities_never_contradict_each_other(
         if left and (not cause.sensors or left & set(cause.sensors)):
             assert cause.probability <= 0.5
     if found.verdict == "explained":
-        assert not left
+        assert not left and not more
     if is_gap:
         assert found.gap.closed == closed
         assert len(found.causes) == len(causes)

@@ -11,7 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.findings.diagnosis import Cause, Unobservable
-from imuarray.gap.findings.observability import Facts, alike, facts_of, unshown, unsure
+from imuarray.gap.findings.observability import (
+    Facts,
+    facts_of,
+    uncertain_domains,
+    unobservable_effects,
+    with_unobservable_rivals,
+)
 from imuarray.gap.inference.effects.candidate import Candidate, Kind
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.probes import PROBES
@@ -44,7 +50,7 @@ def candidates(**shown_by: dict[Kind, str]) -> dict[str, Candidate]:
 
 
 def found(kinds: tuple[str, ...], facts: Facts, **shown_by: dict[Kind, str]) -> dict[str, Unobservable]:
-    return {one.effect: one for one in unshown(kinds, facts, candidates(**shown_by), SENSORS)}
+    return {one.effect: one for one in unobservable_effects(kinds, facts, candidates(**shown_by), SENSORS)}
 
 
 @given(st.dictionaries(st.sampled_from(("static", "tumble", "heating", "turn-on", "motion")), st.just("this or that")))
@@ -108,10 +114,10 @@ def test_what_nothing_tells_apart_is_confusable() -> None:
         Cause(effect, "add", (sensor,), (), 0.9, {}, 0.9, (0.8, 1.0), ("thermal_lag",))
         for effect, sensor in (("thermal_bias", "A1"), ("thermal_bias", "G1"), ("bias", "A1"))
     ]
-    first, *others = alike(causes, hidden)
+    first, *others = with_unobservable_rivals(causes, hidden)
     assert first == replace(causes[0], confusable_with=("thermal_lag", "thermal_scale"))
     assert others == causes[1:]
-    assert alike(causes, hidden[1:]) == tuple(causes)
+    assert with_unobservable_rivals(causes, hidden[1:]) == tuple(causes)
 
 
 def test_half_hearted_experiments_do_not_count() -> None:
@@ -158,7 +164,7 @@ def doubts(
     scales: list[float], keys: list[Key], seconds: float, sensors: dict[str, SensorHeader] = SENSORS
 ) -> tuple[Unobservable, ...]:
     """With margins of 1.96."""
-    return unsure(np.array(scales), np.full(len(scales), 1.96), keys, seconds, sensors)
+    return uncertain_domains(np.array(scales), np.full(len(scales), 1.96), keys, seconds, sensors)
 
 
 def test_wide_intervals_are_grouped_by_domain_and_chip() -> None:
@@ -173,7 +179,9 @@ def test_wide_intervals_are_grouped_by_domain_and_chip() -> None:
 
 def test_lengths_are_those_of_each_log() -> None:
     scales, margins = np.array([2.0, 2.0, 2.0]), np.full(3, 1.96)
-    told = unsure(scales, margins, [key("noise", axis=axis) for axis in "xyz"], np.array([10.0, 60.0, 900.0]), SENSORS)
+    told = uncertain_domains(
+        scales, margins, [key("noise", axis=axis) for axis in "xyz"], np.array([10.0, 60.0, 900.0]), SENSORS
+    )
     assert [one.record for one in told] == ["record 4 minutes"]
 
 

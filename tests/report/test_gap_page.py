@@ -281,7 +281,7 @@ def test_without_a_gap(tmp_path: Path) -> None:
 
 def test_unexplained(tmp_path: Path) -> None:
     page = page_of(made_unexplained(), tmp_path)
-    assert "no effect of the library accounts for it" in page.words[""]
+    assert "no combination of known effects makes the recordings likely" in page.words[""]
     assert "probability of 93 %" in page.words[""]
     assert ["all", "5.1", "4.9", "5 % (-6 to 14)"] in page.rows["How far it shrinks"]
     assert page.rows["What is unexplained"][1][0] == "ADXL1 z"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from imuarray.validation.calibration import Told, program, rates_of, told_in
+from imuarray.validation.calibration import CauseClaim, program, rates_of, told_in
 from imuarray.validation.score_answers import read_run
 from tests.validation.made_run import Made, cause, put, said
 
@@ -22,7 +22,7 @@ def test_rates_are_found_again() -> None:
     """
     random = np.random.default_rng(2)
     told = [
-        Told(share, closed, bool(random.random() < worth * (0.25 + 0.65 * closed**2)))
+        CauseClaim(share, closed, bool(random.random() < worth * (0.25 + 0.65 * closed**2)))
         for closed in (0.0, 0.5, 1.0)
         for share, worth in ((1.0, 21.5 / 22.5), (27 / 28, 0.75))
         for _ in range(400)
@@ -42,7 +42,7 @@ def test_a_run(tmp_path: Path) -> None:
     made.both("pair", said(cause("scale", 0.7, share=0.4, all_closed=None)), put("mains_ripple"), put("torn_reads"))
     made.both("removal", said(right), extra={"effect": "tone", "sensor": "Gyro1"})
     told = list(told_in(read_run(tmp_path).answers))
-    assert told == [Told(0.95, 0.9, True), Told(0.95, 0.9, False), Told(0.4, 0.0, False)]
+    assert told == [CauseClaim(0.95, 0.9, True), CauseClaim(0.95, 0.9, False), CauseClaim(0.4, 0.0, False)]
     printed = CliRunner().invoke(program, [str(tmp_path)]).output
     assert printed.startswith("3 causes, 1 right; without a rival 2:\n")
     assert "0.90 to 0.95 closed: 0.50 of 2" in printed

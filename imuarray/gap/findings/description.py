@@ -55,17 +55,30 @@ as that a telegraph is a little longer in one of its states than the effect has 
 """
 
 
+UNLIKELY = 1.6
+"""From so many times the size on at which something is left, no combination of known effects makes a recording likely.
+Less is a form that is a little different: of a chip that stood still for a moment with the right cause in, the worst
+statistic was 1.03 times that size.
+"""
+
+
 @dataclass(frozen=True)
 class Remainder:
     """What is left with all causes in: the statistics that are beyond chance (`places` of pairs), the worst first, the
-    probes that lie to one side in all phases (`one_sided`), all of it in the terms of a page (`where`), and the sensors
-    of which something is left that matters and that the causes' form doesn't excuse (`unlikely`).
+    probes that lie to one side in all phases (`one_sided`), all of it in the terms of a page (`where`), by sensor the
+    size of what is left that matters and that the causes' form doesn't excuse, in units of the least that counts
+    (`sizes`, above 1).
     """
 
     places: tuple[int, ...]
     one_sided: tuple[GroupResidual, ...]
     where: tuple[Where, ...]
-    unlikely: frozenset[str]
+    sizes: Mapping[str, float]
+
+    @property
+    def unlikely(self) -> frozenset[str]:
+        """Sensors whose recordings no combination of known effects makes likely."""
+        return frozenset(name for name, size in self.sizes.items() if size > UNLIKELY)
 
     @property
     def one_sidedness(self) -> float:
@@ -73,7 +86,7 @@ class Remainder:
         return max((abs(one.score) / one.furthest for one in self.one_sided), default=0.0)
 
 
-NOTHING_LEFT = Remainder((), (), (), frozenset())
+NOTHING_LEFT = Remainder((), (), (), {})
 """Where there is no gap."""
 
 
@@ -87,20 +100,24 @@ def remainder_of(
     one_sided = _one_sided(comparison, after, repaired, causes) if causes else ()
     worst = _worst_places(comparison, after, one_sided, places)
     where = (*single, *(report.where(at, after, after.p) for at in worst))
-    unlikely = {one.sensor for one in one_sided} | _unlikely(comparison, after, repaired, places, single)
-    return Remainder(places, one_sided, where, frozenset(unlikely))
+    averages = [(one.sensor, abs(one.score) / (ONE_SIDED * one.furthest)) for one in one_sided]
+    largest: dict[str, float] = {}
+    for sensor, size in (*averages, *_material(comparison, after, repaired, places, single)):
+        largest[sensor] = max(size, largest.get(sensor, 0.0))
+    return Remainder(places, one_sided, where, {sensor: size for sensor, size in largest.items() if size > 1})
 
 
-def _unlikely(
+def _material(
     comparison: Comparison, after: Assessment, repaired: Floats, places: Sequence[int], single: Sequence[Where]
-) -> set[str]:
-    """Sensors of which something that matters is left that the causes' form doesn't excuse, well beyond any
-    replicate's: of a few events one in thirty is a strange one.
+) -> Iterator[tuple[str, float]]:
+    """Sensors and sizes of what is left that matters and that the causes' form doesn't excuse, in units of what is well
+    beyond any replicate's: of a few events one in thirty is a strange one.
     """
     scores = beyond_form(comparison.pairs, comparison.judged, after, comparison.real.values, repaired)
-    sizes = np.nan_to_num(np.abs(scores))[list(places)].tolist()
-    is_far = [size > MORE * after.furthest for size in sizes]
-    return {one.sensor for one, far in zip(single, is_far, strict=True) if far and one.size == "material"}
+    sizes = np.nan_to_num(np.abs(scores))[list(places)] / (MORE * after.furthest)
+    for one, size in zip(single, sizes.tolist(), strict=True):
+        if one.size == "material":
+            yield one.sensor, size
 
 
 def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Floats, replicates: Floats) -> Floats:

@@ -162,7 +162,7 @@ def facts_of(campaign: Campaign) -> Facts:
     )
 
 
-def unshown(
+def unobservable_effects(
     kinds: Collection[str], facts: Facts, candidates: Mapping[str, Candidate], sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
     """The candidate effects that no recorded kind of experiment shows, each with all the triads that it may concern.
@@ -177,7 +177,7 @@ def unshown(
     return tuple(one for one in found if one is not None)
 
 
-def unsure(
+def uncertain_domains(
     scales: Floats, margins: Floats, keys: Sequence[Key], seconds: Floats | float, sensors: Mapping[str, SensorHeader]
 ) -> tuple[Unobservable, ...]:
     """Where differences that matter can't be excluded, by domain and chip: statistics whose 95 % interval, 1.96 of
@@ -219,7 +219,7 @@ def missing_in(recordings: Sequence[Recording], domains: Collection[str]) -> tup
     return tuple(found)
 
 
-def alike(causes: Sequence[Cause], hidden: Sequence[Unobservable]) -> tuple[Cause, ...]:
+def with_unobservable_rivals(causes: Sequence[Cause], hidden: Sequence[Unobservable]) -> tuple[Cause, ...]:
     """The causes, confusable also with what they can't be told from because nothing that was recorded shows it, of one
     of the sensors concerned at least: `hidden` effects.
     """

@@ -67,20 +67,27 @@ class Judgement(NamedTuple):
 
 
 def judge(
-    gap: Gap, causes: Sequence[Cause], unknown: float, *, is_gap: bool, unlikely: Collection[str] = ()
+    gap: Gap,
+    causes: Sequence[Cause],
+    unknown: float,
+    *,
+    is_gap: bool,
+    unlikely: Collection[str] = (),
+    is_left: bool = False,
 ) -> Judgement:
     """The verdict, and the probabilities and the closure that agree with it.
 
     `causes` have their calibrated probabilities, `unknown` is the estimate of `unknown_probability`. `unlikely` names
     the sensors whose recordings no combination of known effects makes likely: what is left of them with all causes in
-    is beyond chance, and matters. A cause is *sound* if it concerns none of these. The first rule that applies gives
-    the verdict:
+    is far beyond chance, and matters. A cause is *sound* if it concerns none of these. `is_left`: something that
+    matters is left of any sensor, maybe no more than the form of a cause that is a little different. The first rule
+    that applies gives the verdict:
 
     1. "no gap" if `is_gap` is false.
     2. "unexplained" if there is no cause; if less than `PARTLY` of the gap is closed; if nothing of it can be measured
        and no cause is as probable as `EVEN`; or if a sensor is unlikely and no sound cause is as probable as `EVEN`.
-    3. "explained" if at least `EXPLAINED` of the gap is closed, no sensor is unlikely, the most probable cause is at
-       least as probable as `EVEN`, and something unknown is less probable.
+    3. "explained" if at least `EXPLAINED` of the gap is closed, nothing is left, no sensor is unlikely, the most
+       probable cause is at least as probable as `EVEN`, and something unknown is less probable.
     4. "partly explained" else.
 
     The rest follows from the verdict:
@@ -95,6 +102,8 @@ def judge(
     if not is_gap:
         return Judgement("no gap", replace(gap, after=gap.before, closed=None, closed_ci95=None), (), 0.0)
     verdict = _verdict(gap.closed, causes, unknown, unlikely)
+    if verdict == "explained" and is_left:
+        verdict = "partly explained"
     if verdict != "explained":
         unknown = max(unknown, EVEN) if verdict == "unexplained" else min(unknown, EVEN)
     limited = [replace(cause, probability=min(cause.probability, _limit(cause, unknown, unlikely))) for cause in causes]
