@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +10,13 @@ import click
 from imuarray.atomic import write_text
 from imuarray.commands.gap_validate import validate
 from imuarray.commands.options import (
+    Steps,
+    ended_by_signals,
     find_model,
     force_option,
     json_option,
     prepare_folder,
     print_json,
-    progress,
     workers_option,
 )
 
@@ -109,19 +108,20 @@ def diagnose(
     library(left_out)
     if output is not None:
         prepare_folder(output, FILES, force)
-    stages = _Stages()
-    found = diagnose_logs(
-        logs,
-        model=_model(model_name),
-        only=_names(only),
-        against=against,
-        without=left_out,
-        seed=seed,
-        replicates=replicates,
-        workers=workers,
-        progress=stages.begin,
-        bar=stages.bar,
-    )
+    with ended_by_signals(), Steps() as steps:
+        steps.begin("opening the logs")
+        found = diagnose_logs(
+            logs,
+            model=_model(model_name),
+            only=_names(only),
+            against=against,
+            without=left_out,
+            seed=seed,
+            replicates=replicates,
+            workers=workers,
+            progress=steps.begin,
+            bar=steps.bar,
+        )
     if output is not None:
         _write(output, found)
     _say(found, as_json)
@@ -135,21 +135,6 @@ def _model(name: str | None) -> Model | None:
     from imuarray.simulate import load_model
 
     return None if name is None else load_model(find_model(Path(name)))
-
-
-class _Stages:
-    """What is going on, for who watches."""
-
-    def __init__(self) -> None:
-        self._name = ""
-
-    def begin(self, name: str) -> None:
-        """The next stage."""
-        self._name = name
-
-    def bar(self, length: int) -> AbstractContextManager[Callable[[int], None]]:
-        """Its bar."""
-        return progress(length, f"{self._name:<46.46}")
 
 
 def _write(folder: Path, found: Diagnosis) -> None:

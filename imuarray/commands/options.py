@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +38,11 @@ workers_option = click.option(
 
 
 _USUAL = (signal.default_int_handler,)
+_ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+_EVERY_S = 5.0
+"""So often a line tells how far it is where no bar can be seen."""
+
 if TYPE_CHECKING:
     _Seconds = click.ParamType[float]
 else:  # a type with a parameter from click 8.4 on only
@@ -136,14 +142,88 @@ def progress(length: int, label: str) -> Iterator[Callable[[int], None]]:
         yield move
 
 
+class Steps:
+    """Progress of work in several steps: a bar of each (`progress`), or where nobody watches a line on standard error
+    every few seconds, also while nothing gets done. A context manager.
+    """
+
+    def __init__(self) -> None:
+        self._label, self._done, self._length, self._begin_s = "", 0, 0, time.monotonic()
+        self._watched, self._end = sys.stderr.isatty(), threading.Event()
+        self._thread = threading.Thread(target=self._tell, daemon=True)
+
+    def begin(self, label: str) -> None:
+        """The next step, of which nobody knows yet how long it takes."""
+        self._label, self._done, self._length, self._begin_s = label, 0, 0, time.monotonic()
+        if self._watched:
+            click.echo(label, err=True)
+
+    @contextmanager
+    def bar(self, length: int) -> Iterator[Callable[[int], None]]:
+        """So much of it: yields a function that hears how far it is."""
+        self._done, self._length, self._begin_s = 0, length, time.monotonic()
+        with progress(length, "") as move:
+
+            def tell(done: int) -> None:
+                self._done = done
+                move(done)
+
+            yield tell
+        self._done = self._length = 0
+
+    def __enter__(self) -> Self:
+        if not self._watched:
+            self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._end.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _tell(self) -> None:
+        while not self._end.wait(_EVERY_S):
+            took_s = time.monotonic() - self._begin_s
+            click.echo(progress_line(self._label, self._done, self._length, took_s), err=True)
+
+
+def progress_line(label: str, done: int, length: int, took_s: float) -> str:
+    """How far a step is (`length` 0: nobody knows), and how long its rest takes if it goes on like that."""
+    if not length:
+        return f"{label}: {_span(took_s)}"
+    left = f", {_span(took_s * (length - done) / done)} left" if done else ""
+    return f"{label}: {done} of {length} in {_span(took_s)}{left}"
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 99.5 else f"{seconds / 60:.0f} min"
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP (the terminal is gone) raise KeyboardInterrupt, as Ctrl-C does, so that everything is cleaned
+    up; a SIGHUP that is ignored (nohup) stays so. Nothing changes outside the main thread.
+    """
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in _ENDING[1:]:
+            if signal.getsignal(number) is signal.SIG_DFL:
+                before[number] = signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 class _Interrupt:
     """Ctrl-C during long work is heeded even where Python loses the exception that it raises: one that comes up inside
-    a callback of the garbage collector is printed and forgotten.
+    a callback of the garbage collector is printed and forgotten. So is what else raises it (`ended_by_signals`).
     """
 
     def __init__(self) -> None:
         self._asked = False
-        self._before: Any = None
+        self._before: dict[int, Any] = {}
 
     def _ask(self, number: int, frame: Any) -> None:
         self._asked = True
@@ -155,10 +235,12 @@ class _Interrupt:
             raise KeyboardInterrupt
 
     def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) in _USUAL:
-            self._before = signal.signal(signal.SIGINT, self._ask)
+        if threading.current_thread() is threading.main_thread():
+            for number in _ENDING:
+                if signal.getsignal(number) in _USUAL:
+                    self._before[number] = signal.signal(number, self._ask)
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)

@@ -319,7 +319,7 @@ def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Ver
     if not causes:
         return Verification(comparison.replicates, comparison.judged)
     numbers = range(_FIRST_REPAIRED, _FIRST_REPAIRED + REPAIRED)
-    replicates: Sequence[StatisticValues] = observed(search.models, numbers, case.run)
+    replicates: Sequence[StatisticValues] = observed(comparison.bench, search.models, numbers, case.run)
     if comparison.earlier is not None:
         replicates = comparison.earlier.with_scatter(replicates, numbers)
     floor = np.fmax(comparison.bench.resolutions, least_scale(comparison.judged.likeness))

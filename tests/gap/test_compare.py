@@ -213,6 +213,7 @@ class Chances:
         Key(0, "G1", axis, "static", 0, "level", probe) for probe in ("mean", "noise", "wander") for axis in "xyz"
     )
     resolutions = np.zeros(9)
+    together = 8
     base = SimpleNamespace(headers={"G1": header("G1")}, fitted={})
 
     def __init__(self, seed: int, moved: float = 0.0) -> None:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 from random import Random
+from time import sleep
 
 import pytest
 
@@ -92,3 +93,16 @@ def test_the_last_job_alone_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(workers._LATEST.values()) != [job]
     assert len(workers._LATEST) == 1
     assert pickle.loads(first)(0) == 1  # noqa: S301
+
+
+@pytest.mark.slow
+def test_work_whose_results_nobody_wants_ends_at_once() -> None:
+    """Both processes are at work for an hour when the manager's block is left by Ctrl-C."""
+    pool = processes(2)
+    with pytest.raises(KeyboardInterrupt), pool:
+        pool.submit(sleep, 0.0).result()
+        futures = [pool.submit(sleep, 3600.0) for _ in range(5)]
+        started = list(pool._processes.values())
+        raise KeyboardInterrupt
+    assert [process.is_alive() for process in started] == [False, False]
+    assert all(future.done() for future in futures)

@@ -219,3 +219,48 @@ def test_an_interrupt_that_python_loses_is_heeded_at_the_next_step() -> None:
             signal.raise_signal(signal.SIGINT)
         done(1)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.usefixtures("as_in_a_terminal")
+def test_other_signals_that_end_a_program_are_heeded_as_an_interrupt() -> None:
+    from imuarray.commands.options import ended_by_signals, progress
+
+    before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)]
+    with pytest.raises(KeyboardInterrupt), ended_by_signals(), progress(10, "work") as done:
+        with suppress(KeyboardInterrupt):  # lost
+            signal.raise_signal(signal.SIGTERM)
+        done(1)
+    assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)] == before
+
+
+@pytest.mark.parametrize(
+    ("state", "line"),
+    [
+        ((0, 0, 7.2), "step: 7 s"),
+        ((0, 40, 3.0), "step: 0 of 40 in 3 s"),
+        ((10, 40, 30.0), "step: 10 of 40 in 30 s, 90 s left"),
+        ((1, 21, 60.0), "step: 1 of 21 in 60 s, 20 min left"),
+    ],
+)
+def test_a_line_says_how_far_a_step_is(state: tuple[int, int, float], line: str) -> None:
+    from imuarray.commands.options import progress_line
+
+    assert progress_line("step", *state) == line
+
+
+def test_lines_come_where_nobody_watches_also_while_nothing_gets_done(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from imuarray.commands import options
+
+    monkeypatch.setattr(options, "_EVERY_S", 0.01)
+    said = ""
+    with options.Steps() as steps:
+        steps.begin("reading")
+        while "reading: 0 s\n" not in said:
+            said += capsys.readouterr().err
+        with steps.bar(4) as tell:
+            tell(2)
+            while "reading: 2 of 4 in 0 s, 0 s left\n" not in said:
+                said += capsys.readouterr().err
+    assert not steps._thread.is_alive()

@@ -17,7 +17,7 @@ from imuarray.gap.inference.earlier import Earlier
 from imuarray.gap.inference.localisation import Localisation, located
 from imuarray.gap.model.base_model import Base, fit
 from imuarray.gap.model.bench import Bench, StatisticValues, bench_of
-from imuarray.gap.model.replication import TOGETHER, Models, ReplicateRequest
+from imuarray.gap.model.replication import Models, ReplicateRequest
 from imuarray.gap.model.workers import Run
 from imuarray.gap.recording.course import Stretches, stretches_of
 from imuarray.gap.recording.events import events_of
@@ -183,7 +183,7 @@ def compared_with_base(
     looks = [(count, limit) for count, limit in ENOUGH.items() if count < replicates]
     for count, limit in (*looks, (replicates, 0.0)):
         numbers = range(len(came), count)
-        more = observed(bench.models(), numbers, run)
+        more = observed(bench, bench.models(), numbers, run)
         came += tuple(more) if earlier is None else earlier.with_scatter(more, numbers)
         chance = np.array([one.values for one in came])
         scores = scores_by_others(pairs, np.vstack([real.values, chance]), bench.resolutions)
@@ -194,10 +194,10 @@ def compared_with_base(
     return Comparison(bench, campaign, real, came, pairs, whole, where, earlier)
 
 
-def observed(models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:
+def observed(bench: Bench, models: Models, numbers: Sequence[int], run: Run) -> list[StatisticValues]:
     """Replicates, by their numbers, of sensors modelled so; a few of them in each job."""
-    asked = [(models, number) for number in numbers]
-    groups = [asked[first : first + TOGETHER] for first in range(0, len(asked), TOGETHER)]
+    asked, together = [(models, number) for number in numbers], bench.together
+    groups = [asked[first : first + together] for first in range(0, len(asked), together)]
     return list(chain.from_iterable(run(_observed, groups)))
 
 

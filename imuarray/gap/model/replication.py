@@ -49,6 +49,11 @@ TOGETHER = 8
 are enough jobs for many workers.
 """
 
+_JOB_ROWS = 1 << 22
+"""Fewer of long logs, up to so many rows of all sensors, two or three seconds' work: so workers end at about the same
+time, and who waits hears soon how fast it goes.
+"""
+
 _ROWS = 8 * CHUNK
 """Of a sensor in all replicates of a log that are in work together; of so many rows each, it keeps four chunks."""
 
@@ -74,6 +79,12 @@ class Stage:
     def motions(self) -> tuple[Motion, ...]:
         """What the box did in each log."""
         return tuple(experiment.motion for experiment in self.experiments)
+
+    @property
+    def together(self) -> int:
+        """How many replicates of all sensors one job simulates."""
+        rows = sum(line.rows for plan, _ in self.experiments for _, line in plan.sensors.values())
+        return min(max(_JOB_ROWS // max(rows, 1), 1), TOGETHER)
 
     def models(self) -> dict[str, SensorModel]:
         """Every sensor as the base model has it."""

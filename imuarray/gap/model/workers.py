@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -43,13 +44,35 @@ def processes(workers: int) -> ProcessPoolExecutor:
     """So many processes for `runner`, started when they are needed, with one BLAS thread each; a context manager.
 
     Each imports the program's main module anew (start method "spawn"), which may do nothing then but define things.
-    ValueError for fewer than one.
+    Whatever raises an exception in the manager's block, KeyboardInterrupt too, ends them at once; they take no notice
+    of Ctrl-C themselves. ValueError for fewer than one.
     """
-    return ProcessPoolExecutor(workers, _Context(), _watch, (os.getpid(),))
+    return _Pool(workers, _Context(), _watch, (os.getpid(),))
+
+
+class _Pool(ProcessPoolExecutor):
+    """Waits for no work whose results nobody wants."""
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind is None:
+            self.shutdown(wait=True)
+            return
+        started = list((self._processes or {}).values())
+        manager: Any = self._executor_manager_thread
+        self.shutdown(wait=False, cancel_futures=True)
+        for process in started:
+            process.terminate()
+        if manager is not None:
+            manager.join()
+        for process in started:
+            process.join()
 
 
 def _watch(parent: int) -> None:
     """A process ends when the one that started it is gone: nobody would take its results."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def look() -> None:
         while os.getppid() == parent:
@@ -120,10 +143,10 @@ def _kept(name: str, pickled: bytes) -> Callable[[Any], Any]:
 
 
 class _Process(SpawnProcess):
-    """Starts with `_ONE_THREAD` in its environment."""
+    """Starts with `_ONE_THREAD` in its environment; Ctrl-C is its parent's business from the first moment on."""
 
     def start(self) -> None:
-        with _STARTING, _environment(_ONE_THREAD):
+        with _STARTING, _environment(_ONE_THREAD), _without_interrupts():
             super().start()
 
 
@@ -131,6 +154,19 @@ class _Context(SpawnContext):
     """Makes such processes."""
 
     Process = _Process
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """SIGINT waits until afterwards; a process that is started meanwhile has it blocked. Windows can't."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
