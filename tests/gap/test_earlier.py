@@ -64,7 +64,7 @@ def test_an_old_line_in_both_is_no_gap(tmp_path: Path) -> None:
     found = since(tmp_path, (LINE,), (LINE,))
     assert (found.verdict, found.causes) == ("no gap", ())
     alone = imuarray.diagnose([tmp_path / "now.h5"], seed=1, replicates=40)
-    assert [cause.effect for cause in alone.causes] == ["tone"]
+    assert alone.causes[0].effect == "tone"
 
 
 def test_a_line_since_then_is_named_beside_an_old_one(tmp_path: Path) -> None:
