@@ -95,7 +95,7 @@ class Base:
         if not any(isinstance(effect, OwnClock) for effect in effects):
             effects = (_IN_STEP, *effects)
         if replicate % 2 == 0:
-            return tuple(effect for effect in effects if not is_usual(effect, header.unit))
+            return tuple(effect for effect in effects if not is_usual(effect, header))
         deviate = float(units.of_unit(header.name, OwnClock.name, "rate_error").standard_normal())
         slow = CLOCK_SIGMA * min(max(deviate, -TOLERANCE_SIGMAS), TOLERANCE_SIGMAS)
         return tuple(_with_rate_error(effect, slow) for effect in effects)

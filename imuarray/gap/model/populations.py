@@ -34,10 +34,14 @@ and not how that was soldered and its board screwed on. The paper's gyroscopes c
 Table 4).
 """
 
-TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
-"""Largest usual scatter of a bias from one power-on to the next, by unit. No data sheet prints it: the largest of 15
-power-ons in the left half of the paper's Table 11 are 0.65 mg and 0.036 dps, the smallest nothing that noise lets see.
+TURN_ON_SHARE = 0.01
+"""Largest usual scatter of a bias from one power-on to the next, as a share of the bias that the data sheet allows.
+None prints it: the paper's parts scatter by up to 0.65 mg and 0.036 dps (the left half of its Table 11), the allowed
+biases are 60 to 250 mg and 10 dps.
 """
+
+TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
+"""The same by unit, for chips whose data sheet is not known."""
 
 THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0.02})
 """Of a bias per degC, by unit, for chips whose data sheet is not known (BMA-115, L3G-71 print as much)."""
@@ -54,12 +58,6 @@ LEAST_CORRELATION = 0.05
 TOLERANCE_SIGMAS = 3.0
 """A tolerance is so many standard deviations of a population that has no printed limit."""
 
-
-def _from_zero(largest: float) -> Spread:
-    """A population between zero and this."""
-    return Spread(mean=largest / 2, sigma=largest / 2, limit=largest / 2)
-
-
 USUAL: Mapping[str, Recipe] = MappingProxyType(
     {
         "own_clock": {"phase_deg": math.nan},
@@ -72,11 +70,9 @@ USUAL: Mapping[str, Recipe] = MappingProxyType(
 _USUAL_AT: Mapping[str, Mapping[str, Recipe]] = MappingProxyType(
     {
         "g": {
-            "turn_on_bias": {"rms_g": _from_zero(TURN_ON_RMS["g"])},
             "thermal_bias": {"slope_g_per_degc": Spread(sigma=THERMAL_SLOPE_SIGMA["g"])},
         },
         "dps": {
-            "turn_on_bias": {"rms_dps": _from_zero(TURN_ON_RMS["dps"])},
             "thermal_bias": {"slope_dps_per_degc": Spread(sigma=THERMAL_SLOPE_SIGMA["dps"])},
             "g_sensitivity": {"response_dps_per_g": Spread(sigma=G_SENSITIVITY_SIGMA)},
         },
@@ -96,10 +92,15 @@ def usual_model(headers: Iterable[SensorHeader]) -> Model:
             if kept := {kind: _guaranteed(recipes) for kind, recipes in part.effects.items() if kind in PRINTED}:
                 parts[part.chip, "", part.range] = replace(part, noise_bandwidth_hz=None, effects=kept)
         known = Model("", "", tuple(parts.values()), ()).parts(header)
-        if missing := {kind: (recipe,) for kind, recipe in _usual(header.unit).items() if kind not in known}:
+        if missing := {kind: (recipe,) for kind, recipe in _usual(header).items() if kind not in known}:
             unit = own_unit(header)
             before = parts.get((header.chip, unit, None), Part(header.chip, unit=unit))
             parts[header.chip, unit, None] = replace(before, effects={**before.effects, **missing})
+        if turn_on := _turn_on(header):
+            range_ = header.range if header.chip in TRIADS else None
+            place = header.chip, own_unit(header), range_
+            before = parts.get(place, Part(header.chip, range_, unit=own_unit(header)))
+            parts[place] = replace(before, effects={**before.effects, TurnOnBias.name: (turn_on,)})
     return Model("data sheets", "", tuple(parts.values()), ())
 
 
@@ -132,9 +133,15 @@ def response_tolerance(header: SensorHeader) -> Floats:
     return np.asarray(np.where(np.eye(3) > 0, scale_tolerance(header), angle))
 
 
-def is_usual(effect: Effect, unit: str) -> bool:
-    """Whether it is a nuisance quantity that every sensor with this unit has."""
-    return isinstance(effect, TurnOnBias) and max(effect.rms) <= TURN_ON_RMS.get(unit, 0.0)
+def is_usual(effect: Effect, header: SensorHeader) -> bool:
+    """Whether it is a nuisance quantity that every such sensor has."""
+    return isinstance(effect, TurnOnBias) and max(effect.rms) <= turn_on_rms(header)
+
+
+def turn_on_rms(header: SensorHeader) -> float:
+    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where nothing is known."""
+    allowed = min(offset_tolerance(header))
+    return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
 
 
 def scale_tolerance(header: SensorHeader) -> float:
@@ -193,8 +200,14 @@ def _widest(spread: Spread) -> Spread:
     return spread.model_copy(update={"sigma": max(spread.sigma, spread.reach / TOLERANCE_SIGMAS)})
 
 
-def _usual(unit: str) -> dict[str, Recipe]:
-    return {**USUAL, **_USUAL_AT.get(unit, {})}
+def _usual(header: SensorHeader) -> dict[str, Recipe]:
+    return {**USUAL, **_USUAL_AT.get(header.unit, {})}
+
+
+def _turn_on(header: SensorHeader) -> Recipe:
+    """A scatter between none and the largest usual one, all nearly as likely; nothing where none is known."""
+    half = turn_on_rms(header) / 2
+    return {f"rms_{header.unit}": Spread(mean=half, sigma=half, limit=half)} if half else {}
 
 
 @cache

@@ -42,5 +42,5 @@ def _is_fitted(evidence: Evidence, name: str) -> bool:
 
 def _has(evidence: Evidence, name: str) -> bool:
     return name not in ORDINARY and any(
-        effect.name == name and not is_usual(effect, evidence.header.unit) for effect in evidence.effects
+        effect.name == name and not is_usual(effect, evidence.header) for effect in evidence.effects
     )
