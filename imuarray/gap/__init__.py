@@ -1,1 +1,54 @@
-"""How a simulation differs from a recording: both are summarised alike, and probes make numbers of the summaries."""
+"""Diagnosis of the gap between a simulator and recordings of an inertial sensor array.
+
+The model
+---------
+A **recording** x is a campaign of logs of one array: times, raw counts and flags of each triad, with phases, tracks
+and temperatures as far as the logs tell them. A **simulator** makes such recordings from
+
+* **fitted parameters** theta: noise, bias, linear thermal slope of the bias, cutoff of the chip's own filter;
+* **nuisance parameters** nu: what a data sheet leaves to the part, each with a tolerance (`model.populations`). Scale
+  error, misalignment, g-sensitivity and tilt of the box are profiled within their tolerances; the phase and rate of
+  the data clock, the scatter of biases from one power-on to the next and slopes that no temperature tells are drawn
+  anew for every replicate. Their estimates are reported as **pulls**, value over tolerance (`model.nuisance`), and
+  are no causes;
+* **effects** e with parameters eta, a place (sensor, axes, family or all) and a *when* (always, from a moment on, in
+  some logs, in stretches): what may be missing in the simulator, or be in it and not in the sensors
+  (`inference.effects`).
+
+**Statistics** s(x) are some 80 numbers for each axis and phase (`statistics.probes`), of what the fit leaves, never
+of raw samples; each is such that it scatters nearly normally where nothing is wrong. A statistic that one side lacks
+is missing: it has no score.
+
+**Null distribution.** The gap is judged by parametric bootstrap: replicates x* ~ p(x | theta_hat, nu*), nu* drawn
+from its population, theta fitted again to each. So both kinds of uncertainty are in it, that of the fit and that of
+the part.
+
+**Localisation** (`inference.localisation`). A tree (array, chip, sensor, axis, domain, statistic) is tested downwards
+by the largest score among siblings, against the same maximum over the replicates (Westfall and Young 1993;
+Meinshausen 2008), at one family-wise level of 5 %.
+
+**Hypotheses** (`inference.search`). All effects are looked at on every sensor that differs, by local statistics -2 ln
+p(s | H0) / p(s | Hi) from paired replicates (Anau Montel, Alvey and Weniger, arXiv 2412.15100), from the evidence of
+all logs, of each rate, of each kind of experiment and of single logs; the best few are refined (Gauss-Newton steps by
+simulation, fitted parameters adapted by indirect inference) and evaluated on held-out data. p is a **synthetic
+likelihood** (`statistics.synthetic_likelihood`): Student's t about the replicates' median, tempered by the share of
+the statistics that is independent.
+
+**Selection** is forward, by units: the best hypothesis is taken if it gains more nats on the held-out part than
+chance and a placebo do; sensors of one chip that differ together are offered a shared cause.
+
+**Verification.** Replicates with all causes in are compared with the recording again. **Closure** is the share of the
+excess squared scores that is gone on held-out logs. A gate stands before the probabilities (`findings.verdict`): if
+what is left is far beyond chance, the gap is unexplained, by something outside the library, and no cause is probable.
+
+With earlier recordings of the same array (`against`) these take the simulator's place for what belongs to the units
+(`inference.earlier`): the question becomes what changed since then.
+
+Compare: Li and Huggins, arXiv 2203.15897 (checks on divided data); ASME V&V 20 (comparison with a validation
+uncertainty); the pulls of particle physics.
+
+The rooms
+---------
+`recording` reads logs, `statistics` summarises them, `model` simulates them again, `inference` finds what is missing,
+`findings` says it; each imports only those before it. `diagnose` puts them together.
+"""
