@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from imuarray.gap.diagnose import begun, explained, library
+from imuarray.gap.diagnose import compare, explain, library
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.forward_selection import guesses_of
 from imuarray.gap.inference.parameters import distinct
@@ -59,7 +59,7 @@ CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Ma
 def test_it_is_named_first(case: str, tmp_path: Path) -> None:
     effect, sensors, changes, told = CASES[case]
     recordings = sampled.recorded(tmp_path, changes)
-    found = explained(begun(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
+    found = explain(compare(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
     cause = found.causes[0]
     assert (cause.effect, cause.action, cause.sensors) == (effect, "add", sensors)
     for name, value in told.items():
