@@ -169,3 +169,16 @@ def value(name: str, subject: Summary | Sequence[Summary]) -> np.ndarray:
 
 def gaussian(sigma: float = 20.0, rows: int = 20_000, seed: int = 1) -> np.ndarray:
     return np.rint(np.random.default_rng(seed).normal(0, sigma, (rows, 3)))
+
+
+class OneBlock:
+    """A source of one block."""
+
+    def __init__(self, sensor: SensorHeader, rows: Block) -> None:
+        self.header, self._rows = sensor, rows
+
+    def rows(self, start_ns: int, end_ns: int) -> int:
+        return len(self._rows.time)
+
+    def blocks(self, start_ns: int, end_ns: int):  # type: ignore[no-untyped-def]
+        yield self._rows

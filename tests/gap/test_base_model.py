@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from imuarray.gap.model.base_model import Base, FittedParameters, fit, replicate_seed, residual
 from imuarray.gap.model.rest import response_of
-from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary
+from imuarray.gap.statistics.campaign import Campaign, Layout, LogSummary, PhaseSummary, summarise_log
 from imuarray.gap.statistics.catalogue import Key, statistics
 from imuarray.log.format import Phase
 from imuarray.simulate import parse_model
@@ -19,7 +20,7 @@ from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.motion.still import Still
-from tests.gap.made import BASE, PLANS, block, campaign_of, gaussian, header, summary
+from tests.gap.made import BASE, PLANS, OneBlock, block, campaign_of, gaussian, header, summary
 
 
 def fitted_to(kind: str, more: object = None, seed: int = 0) -> Base:
@@ -209,3 +210,19 @@ def test_seeds_of_replicates_are_their_own() -> None:
     seeds = {replicate_seed(seed, number) for seed in range(20) for number in range(50)}
     assert len(seeds) == 1000
     assert 2**63 <= min(seeds) <= max(seeds) < 2**64
+
+
+@pytest.mark.parametrize(
+    ("lag_1", "expected"),
+    [(0.0, math.inf), (0.333, 35.0), (0.24, 45.4), (0.8, 17.5), (0.05, math.inf)],
+)
+def test_the_filter_that_is_configured_is_fitted_where_it_shows(lag_1: float, expected: float) -> None:
+    """35 Hz at 200 rows a second: exp(-2 pi 35 / 200) = 0.333; within half of 35 Hz; noise without a memory is white."""
+    random = np.random.default_rng(3)
+    noise = lfilter([math.sqrt(1 - lag_1**2)], [1.0, -lag_1], random.normal(size=(20_000, 3)), axis=0)
+    gyro = header("G", chip="l3g4200d", rate_hz=800.0, bandwidth_hz=35.0)
+    rows = block(np.rint(20 * noise), 5_000_000)
+    whole = Phase(0, 100 * 10**9, "static", "+Z")
+    log = summarise_log("static", {"G": OneBlock(gyro, rows)}, [whole], lambda time_ns: np.full(len(time_ns), 25.0))
+    found = fit(Campaign((log,)), [Still()]).fitted["G"].cutoff_hz
+    assert found == pytest.approx(expected, rel=0.03)

@@ -154,3 +154,19 @@ def test_the_middle_is_the_median(replicates: int) -> None:
     values = np.random.default_rng(1).normal(size=(replicates, 5))
     values[0, 1] = np.nan
     np.testing.assert_array_equal(likeness_of(values, np.zeros(5)).location, np.nanmedian(values, axis=0))
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    lost_here=st.lists(st.booleans(), min_size=12, max_size=12),
+    lost_there=st.lists(st.booleans(), min_size=12, max_size=12),
+)
+def test_dropping_columns_changes_no_other_score(seed: int, lost_here: list[bool], lost_there: list[bool]) -> None:
+    """Whatever columns the recording or the replicates lack: these have no score, all others the one they had."""
+    random = np.random.default_rng(seed)
+    replicates, recording = random.normal(size=(30, 12)), random.normal(size=12)
+    whole = likeness_of(replicates, np.zeros(12)).scores(recording)
+    here, there = np.array(lost_here), np.array(lost_there)
+    found = likeness_of(np.where(there, NAN, replicates), np.zeros(12)).scores(np.where(here, NAN, recording))
+    assert np.array_equal(np.isnan(found), here | there)
+    np.testing.assert_array_equal(found[~(here | there)], whole[~(here | there)])

@@ -11,28 +11,14 @@ from imuarray.gap.model.base_model import fit, residual
 from imuarray.gap.model.downstream import Uses, attitude_of, coasting, fused, uses, uses_of
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.log.writer import Block
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.effects.thermal_bias import ThermalBias
-from tests.gap.made import BASE, PLANS, block, campaign_of, header
+from tests.gap.made import BASE, PLANS, OneBlock, block, campaign_of, header
 
 GRAVITY = 9.80665
 ROWS_PER_S = 10.0
 STEP_NS = 100_000_000
 SECONDS = 6000
-
-
-class OneBlock:
-    """A source of one block."""
-
-    def __init__(self, sensor: SensorHeader, rows: Block) -> None:
-        self.header, self._rows = sensor, rows
-
-    def rows(self, start_ns: int, end_ns: int) -> int:
-        return len(self._rows.time)
-
-    def blocks(self, start_ns: int, end_ns: int):  # type: ignore[no-untyped-def]
-        yield self._rows
 
 
 def campaign(*series: tuple[SensorHeader, np.ndarray], phase: str = "static", kind: str = "static") -> Campaign:

@@ -224,11 +224,14 @@ def _cutoff_hz(campaign: Campaign, header: SensorHeader) -> float:
     expected = np.exp(-2 * math.pi * configured_hz / rows_per_s)
     seen = np.array([phase.correlation[1].mean() for phase in rests])
     shows = (expected > LEAST_CORRELATION) & np.isfinite(seen)
-    if not shows.any() or np.median(seen[shows] / expected[shows]) < 1 / 2:
+    if not shows.any():
         return math.inf
     rate, held = rows_per_s[shows], np.clip(seen[shows], LEAST_CORRELATION, 1 - LEAST_CORRELATION)
     ratio = float(np.median(-np.log(held) * rate / (2 * math.pi))) / configured_hz
-    return configured_hz * min(max(ratio, 1 - CUTOFF_TOLERANCE), 1 + CUTOFF_TOLERANCE)
+    cutoff_hz = configured_hz * min(max(ratio, 1 - CUTOFF_TOLERANCE), 1 + CUTOFF_TOLERANCE)
+    filtered = np.exp(-2 * math.pi * cutoff_hz / rate)
+    is_nearer = np.median(np.abs(seen[shows] - filtered)) < np.median(np.abs(seen[shows]))
+    return cutoff_hz if is_nearer else math.inf
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:

@@ -14,6 +14,7 @@ import numpy as np
 
 from imuarray.gap.model.base_model import Base
 from imuarray.gap.model.populations import (
+    CUTOFF_TOLERANCE,
     offset_tolerance,
     response_tolerance,
     slope_tolerance,
@@ -25,6 +26,7 @@ from imuarray.gap.statistics.catalogue import AXES
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import thermometer_of
+from imuarray.simulate.model import noise_bandwidth_hz
 
 
 class NuisanceEstimate(NamedTuple):
@@ -70,6 +72,9 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
         unit = f"{header.unit}/degC"
         for axis, value, tolerance in zip(AXES, fitted.slope, slope_tolerance(header), strict=True):
             yield NuisanceEstimate("thermal slope of the bias", header.name, axis, value, unit, tolerance, _SHEET)
+    if math.isfinite(fitted.cutoff_hz):
+        off = fitted.cutoff_hz / noise_bandwidth_hz(header) - 1
+        yield NuisanceEstimate("cutoff of the filter", header.name, "", off, "", CUTOFF_TOLERANCE, _USUAL)
     tolerances = response_tolerance(header)
     for row, (axis, values) in enumerate(zip(AXES, fitted.raw_response, strict=True)):
         for column, value in enumerate(values):
