@@ -39,6 +39,7 @@ from imuarray.gap.statistics.catalogue import (
 )
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bandwidth import correlation
 from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.model import Model, noise_bandwidth_hz
@@ -54,6 +55,9 @@ _IN_STEP = OwnClock(phase_deg=math.nan)
 
 _NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
 """Statistics in logs of the sensor's unit to a power: as many logs of the fitted noise are taken from them."""
+
+_LAGS, _CUTOFFS = 3, 41
+"""Correlations that tell a filter, and cutoffs that are tried for each number of poles."""
 
 _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 
@@ -115,7 +119,9 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
         name: fitted_to(header, list(_at_rest(campaign, motions, forces, name)), response_tolerance(header))
         for name, header in headers.items()
     }
-    fitted = {name: replace(found, cutoff_hz=_cutoff_hz(campaign, headers[name])) for name, found in fitted.items()}
+    for name, header in headers.items():
+        cutoff_hz, poles = _filter_of(campaign, header)
+        fitted[name] = replace(fitted[name], cutoff_hz=cutoff_hz, poles=poles)
     return Base(headers, fitted, model, seed)
 
 
@@ -210,28 +216,36 @@ def _left(phase: PhaseSummary, motion: Motion, force_box: npt.NDArray[np.float64
     return replace(phase, sensors=sensors)
 
 
-def _cutoff_hz(campaign: Campaign, header: SensorHeader) -> float:
-    """Where the chip's own filter cuts the noise off, if rows come fast enough to show it and do: from the correlation
-    of neighbours in all phases at rest, within `CUTOFF_TOLERANCE` of what is configured; else infinite.
+def _filter_of(campaign: Campaign, header: SensorHeader) -> tuple[float, float]:
+    """Cutoff in Hz and poles of the chip's own filter, if rows come fast enough to show it and do; else infinite.
 
-    A first-order filter of cutoff f makes a correlation of exp(-2 pi f / rows_per_s).
+    By least squares of the correlations at lags 1 to 3 in all phases at rest, among filters of one pole and of two
+    whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, and noise without a memory. Repeated readings
+    are taken out: a share r of them makes correlations r + (1 - r) rho.
     """
+    nothing = math.inf, 1.0
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if configured_hz <= 0 or not rests:
-        return math.inf
+        return nothing
     rows_per_s = np.array([1 / phase.intervals.mean_s for phase in rests])
-    expected = np.exp(-2 * math.pi * configured_hz / rows_per_s)
-    seen = np.array([phase.correlation[1].mean() for phase in rests])
-    shows = (expected > LEAST_CORRELATION) & np.isfinite(seen)
-    if not shows.any():
-        return math.inf
-    rate, held = rows_per_s[shows], np.clip(seen[shows], LEAST_CORRELATION, 1 - LEAST_CORRELATION)
-    ratio = float(np.median(-np.log(held) * rate / (2 * math.pi))) / configured_hz
-    cutoff_hz = configured_hz * min(max(ratio, 1 - CUTOFF_TOLERANCE), 1 + CUTOFF_TOLERANCE)
-    filtered = np.exp(-2 * math.pi * cutoff_hz / rate)
-    is_nearer = np.median(np.abs(seen[shows] - filtered)) < np.median(np.abs(seen[shows]))
-    return cutoff_hz if is_nearer else math.inf
+    repeated = np.array([np.nan_to_num(1 - phase.repeats.new_share) for phase in rests])[:, None]
+    lags = np.array([phase.correlation[1 : _LAGS + 1].mean(axis=1) for phase in rests])
+    seen = (lags - repeated) / np.maximum(1 - repeated, 0.1)
+    shows = (correlation(2 * math.pi * configured_hz / rows_per_s.max(), 1) > LEAST_CORRELATION) & np.isfinite(
+        seen
+    ).all()
+    if not shows:
+        return nothing
+    best, least = nothing, float(np.square(seen).sum())
+    for poles in (1.0, 2.0):
+        for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
+            decays = 2 * math.pi * ratio * configured_hz / rows_per_s / math.sqrt(poles)
+            expected = [[correlation(decay * lag, poles) for lag in range(1, _LAGS + 1)] for decay in decays.tolist()]
+            misfit = float(np.square(seen - np.array(expected)).sum())
+            if misfit < least:
+                best, least = (ratio * configured_hz, poles), misfit
+    return best
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:

@@ -60,7 +60,8 @@ class FittedParameters:
     `slope` per degC; all zero for one that never was at rest. `response`: what each axis (row) adds for each unit of
     specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per g for others,
     within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether temperatures
-    differed enough. `cutoff_hz`: the noise is low-passed there by the chip's own filter (infinite: it is white).
+    differed enough. `cutoff_hz`: the noise is low-passed there by the chip's own filter of so many
+    `poles` (infinite: it is white).
     """
 
     rms: Triple
@@ -70,12 +71,13 @@ class FittedParameters:
     raw_response: Matrix = NO_RESPONSE
     is_slope_known: bool = False
     cutoff_hz: float = math.inf
+    poles: float = 1.0
 
     def effects(self) -> tuple[Effect, ...]:
         """As the simulator has them."""
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
         if math.isfinite(self.cutoff_hz):
-            noise = (*noise, Bandwidth(self.cutoff_hz))
+            noise = (*noise, Bandwidth(self.cutoff_hz, poles=self.poles))
         return *noise, Bias(self.offset), ThermalBias(self.slope, reference_degc=REFERENCE_DEGC)
 
     def moved(self, wanted: FittedParameters, came: Sequence[FittedParameters]) -> FittedParameters:

@@ -25,13 +25,17 @@ def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[Ph
     there is no magnetometer.
     """
     magnetometers = [sensor for sensor in sensors if sensor.quantity == "magnetic_field" and sensor.sensitivity]
-    found = []
+    fields: list[PhaseField] = []
+    last_end_ns = 0
     for phase in filter(is_at_rest, sorted(phases)):
         means = [mean for sensor in magnetometers if (mean := _mean_box(sensor, phase)) is not None]
         if means:
             x, y, z = np.mean(means, axis=0).tolist()
-            found.append(PhaseField(phase.start_ns, (x, y, z)))
-    return tuple(found)
+            # half-way from the phase before: the first readings of a phase may be older than it
+            turn_ns = (last_end_ns + phase.start_ns) // 2 if fields else phase.start_ns
+            fields.append(PhaseField(turn_ns, (x, y, z)))
+            last_end_ns = phase.end_ns
+    return tuple(fields)
 
 
 def _mean_box(sensor: SensorLog, phase: Phase) -> Floats | None:
