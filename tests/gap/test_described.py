@@ -84,3 +84,16 @@ def test_lines_are_told_with_their_frequencies() -> None:
 )
 def test_which_lines_are_aliases_of_the_mains(seen_hz: float, rows_per_s: float, true_hz: float) -> None:
     assert unaliased_hz(seen_hz, 0.05, rows_per_s) == true_hz
+
+
+@pytest.mark.parametrize(
+    ("seen_hz", "bin_hz", "true_hz"),
+    [
+        (7.4, 0.24, 7.4),  # 180 - 3 * 62.5 is -7.5; four bins of 0.24 Hz in 31.25 Hz are 3 % for each multiple
+        (7.45, 0.06, 180.0),
+        (24.9, 0.15, 100.0),  # 100 - 2 * 62.5 is -25; four bins are 2 %
+        (12.4, 0.24, 50.0),  # the mains itself is always looked for
+    ],
+)
+def test_multiples_of_the_mains_need_narrow_bins(seen_hz: float, bin_hz: float, true_hz: float) -> None:
+    assert unaliased_hz(seen_hz, bin_hz, 62.5) == true_hz

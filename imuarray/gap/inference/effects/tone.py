@@ -30,6 +30,11 @@ MAINS_HZ = (50.0, 60.0)
 HARMONICS = 3
 """So many multiples of the mains' frequency are looked for; transformers and rectifiers make the second and third."""
 
+BY_CHANCE = 0.05
+"""Share of lines that come so near an alias of one of these multiples by chance, at most: short phases have wide bins,
+and long ones narrow ones.
+"""
+
 _CLEAR = 2.0
 _LINES = 2
 
@@ -190,8 +195,12 @@ def _true_hz(seen_hz: float, bin_hz: float, rate: _Rate, rates: Sequence[_Rate])
 
 
 def unaliased_hz(seen_hz: float, bin_hz: float, rows_per_s: float) -> float:
-    """That of the mains or of its lowest multiple of which this can be an alias, to a bin; else what is seen."""
-    multiples = [number * hertz for number in range(1, HARMONICS + 1) for hertz in MAINS_HZ]
+    """That of the mains or of its lowest multiple of which this can be an alias, to a bin; else what is seen. Multiples
+    beside the mains' frequency itself are looked for as far as a line anywhere seldom comes so near one of them.
+    """
+    share = 2 * len(MAINS_HZ) * bin_hz / (rows_per_s / 2)  # of all frequencies is so near an alias of one multiple each
+    most = min(HARMONICS, max(1, int(BY_CHANCE / share)))
+    multiples = [number * hertz for number in range(1, most + 1) for hertz in MAINS_HZ]
     if any(abs(hertz - seen_hz) < bin_hz for hertz in multiples):
         return seen_hz
     alike = [hertz for hertz in multiples if abs(shown_hz(hertz, rows_per_s) - seen_hz) < bin_hz]
