@@ -218,7 +218,7 @@ def test_seeds_of_replicates_are_their_own() -> None:
     [(0.0, math.inf), (0.333, 35.0), (0.24, 45.4), (0.8, 17.5)],
 )
 def test_the_filter_that_is_configured_is_fitted_where_it_shows(lag_1: float, expected: float) -> None:
-    """35 Hz at 200 rows a second: exp(-2 pi 35 / 200) = 0.333; within half of 35 Hz; noise without a memory is white."""
+    """35 Hz at 200 rows a second: exp(-2 pi 35 / 200) = 0.333; within half of 35 Hz; uncorrelated noise is white."""
     found = fitted_to_noise([math.sqrt(1 - lag_1**2)], [1.0, -lag_1])
     assert found.cutoff_hz == pytest.approx(expected, rel=0.05)
     assert lag_1 in (0.0, 0.8) or found.poles == 1.0

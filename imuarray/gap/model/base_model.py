@@ -232,10 +232,8 @@ def _filter_of(campaign: Campaign, header: SensorHeader) -> tuple[float, float]:
     repeated = np.array([np.nan_to_num(1 - phase.repeats.new_share) for phase in rests])[:, None]
     lags = np.array([phase.correlation[1 : _LAGS + 1].mean(axis=1) for phase in rests])
     seen = (lags - repeated) / np.maximum(1 - repeated, 0.1)
-    shows = (correlation(2 * math.pi * configured_hz / rows_per_s.max(), 1) > LEAST_CORRELATION) & np.isfinite(
-        seen
-    ).all()
-    if not shows:
+    largest = correlation(2 * math.pi * configured_hz / float(rows_per_s.max()), 1)
+    if largest < LEAST_CORRELATION or not np.isfinite(seen).all():
         return nothing
     best, least = nothing, float(np.square(seen).sum())
     for poles in (1.0, 2.0):

@@ -11,13 +11,13 @@ processes each have as many as there are cores, wait for each other. Processes s
 from __future__ import annotations
 
 import os
-import pickle
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cached_property, partial
 from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.reduction import ForkingPickler
 from threading import Lock, Thread
 from time import sleep
 from types import MappingProxyType
@@ -127,18 +127,18 @@ class _Sent(Generic[Item, Result]):
         return self._job(item)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, bytes]]:
-        return _kept, (self._name, self._pickled)
+        return _kept, (self._name, self._packed)
 
     @cached_property
-    def _pickled(self) -> bytes:
-        return pickle.dumps(self._job)
+    def _packed(self) -> bytes:
+        return bytes(ForkingPickler.dumps(self._job))
 
 
-def _kept(name: str, pickled: bytes) -> Callable[[Any], Any]:
+def _kept(name: str, packed: bytes) -> Callable[[Any], Any]:
     """The job of this name as it came first; nothing of the ones before it is kept."""
     if name not in _LATEST:
         _LATEST.clear()
-        _LATEST[name] = pickle.loads(pickled)  # noqa: S301
+        _LATEST[name] = ForkingPickler.loads(packed)
     return _LATEST[name]
 
 
