@@ -39,7 +39,7 @@ from imuarray.gap.statistics.catalogue import (
 )
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.effects.bandwidth import correlation
+from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
 from imuarray.simulate.effects.own_clock import OwnClock
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.model import Model, noise_bandwidth_hz
@@ -120,6 +120,8 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
         for name, header in headers.items()
     }
     for name, header in headers.items():
+        if model is not None and Bandwidth.name in model.parts(header):
+            continue  # the model says what the filter is
         cutoff_hz, poles = _filter_of(campaign, header)
         fitted[name] = replace(fitted[name], cutoff_hz=cutoff_hz, poles=poles)
     return Base(headers, fitted, model, seed)
@@ -233,7 +235,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader) -> tuple[float, float]:
     lags = np.array([phase.correlation[1 : _LAGS + 1].mean(axis=1) for phase in rests])
     seen = (lags - repeated) / np.maximum(1 - repeated, 0.1)
     largest = correlation(2 * math.pi * configured_hz / float(rows_per_s.max()), 1)
-    if largest < LEAST_CORRELATION or not np.isfinite(seen).all():
+    if largest < LEAST_CORRELATION or not np.isfinite(seen).all() or seen[:, 0].max() < LEAST_CORRELATION:
         return nothing
     best, least = nothing, float(np.square(seen).sum())
     for poles in (1.0, 2.0):

@@ -51,8 +51,9 @@ def ups_of(mean_g: Floats, known_g: Floats) -> Ups:
 
 
 def array_mean(readings: Floats) -> Floats:
-    """(k, 3) mean of s accelerometers, `readings` (k, s, 3) in g in the box frame, nan of what was not read: of those
-    that read in every pose and never are `GROSS_G` from the median; of all, if there are none.
+    """(k, 3) what s accelerometers read together, `readings` (k, s, 3) in g in the box frame, nan of what was not read:
+    the median of those that read in every pose and never are `GROSS_G` from it, of two their mean; of all, if there are
+    none. By a median the one whose bias changed does not tilt the box for the others.
     """
     whole = np.isfinite(readings).all(axis=(0, 2))
     if not whole.any():
@@ -61,7 +62,7 @@ def array_mean(readings: Floats) -> Floats:
             return np.asarray(np.where(known, readings, 0.0).sum(axis=1) / known.sum(axis=1))
     found = readings[:, whole]
     near = (np.abs(found - np.median(found, axis=1)[:, None]) < GROSS_G).all(axis=(0, 2))
-    return np.asarray(found[:, near].mean(axis=1) if near.any() else np.median(found, axis=1))
+    return np.asarray(np.median(found[:, near] if near.any() else found, axis=1))
 
 
 def directions(vectors: Floats) -> tuple[Floats, Floats]:

@@ -110,7 +110,7 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
     noted = [up_vector(phase.up) if phase.up else None for phase in still]
     free = noted.count(None)
     accelerometers = [sensor for sensor in log.of("specific_force") if len(sensor) and sensor.sensitivity]
-    if not accelerometers or (not free and len(set(noted)) == 1):  # on one face a tilt is a bias
+    if not accelerometers:
         ups = [up or (0.0, 0.0, 1.0) for up in noted]
         notes = ["No accelerometer tells which axis was up: where no phase says so, +Z is assumed."] if free else []
         return tuple(Attitude(phase, up, estimated=False) for phase, up in zip(still, ups, strict=True)), notes
