@@ -49,7 +49,7 @@ TOGETHER = 8
 are enough jobs for many workers.
 """
 
-_JOB_ROWS = 1 << 24
+_JOB_ROWS = 10_000_000
 """Fewer of long logs, up to so many rows of all sensors, some seconds' work: so workers end at about the same time, and
 who waits hears soon how fast it goes.
 """
