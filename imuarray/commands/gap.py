@@ -63,7 +63,7 @@ command.add_command(validate)
 @click.option(
     "--replicates",
     type=click.IntRange(40, 10_000),
-    default=100,
+    default=64,
     show_default=True,
     help="simulations by which chance is told from a gap; 40 do where nothing is strange",
 )

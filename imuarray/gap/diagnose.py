@@ -73,9 +73,10 @@ LogLike = str | PathLike[str] | Log
 Progress = Callable[[str], None]
 """Hears the name of each stage as it begins."""
 
-REPLICATES = 100
-"""Of the base model at most: they say how statistics scatter, and how far chance goes. Fewer are simulated of a
-recording that is well within it (`imuarray.gap.inference.comparison.ENOUGH`).
+REPLICATES = 64
+"""Of the base model at most: they say how statistics scatter, to 9 %, and how far chance goes; a p-value is 1/65 or
+more. Fewer are simulated of a recording that is well within it (`imuarray.gap.inference.comparison.ENOUGH`).
+VALIDATION.md says what 40 do.
 """
 
 REPAIRED = 32

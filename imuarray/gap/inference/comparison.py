@@ -35,9 +35,9 @@ from imuarray.simulate.motion.like import LikeLog
 Floats = npt.NDArray[np.float64]
 
 ENOUGH: Mapping[int, float] = MappingProxyType({40: 0.25, 64: 0.15})
-"""After so many replicates of the base model no more are simulated if the p-value is larger. The limits never rise, and
-are so far above `LEVEL` that hardly a gap is missed: one that all replicates would find at p = 0.05 is given up by less
-than one in two hundred.
+"""After so many replicates of the base model no more are simulated, though more are asked for, if the p-value is larger.
+The limits never rise, and are so far above `LEVEL` that hardly a gap is missed: one that all replicates would find at
+p = 0.05 is given up by less than one in two hundred.
 """
 
 
@@ -95,7 +95,7 @@ def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
         lines = {name: line for name, (_, line) in one.experiment.plan.sensors.items()}
         moving = [phase for phase in one.phases if not is_at_rest(phase)]
         events = events_of(one.log, lines, moving, _tracked(one.experiment.motion))
-        logs.append(replace(summary, events=events, spells=_spells(one)))
+        logs.append(replace(summary, events=events, spells=_Spells(one)))
     return Campaign(tuple(logs))
 
 
@@ -109,19 +109,33 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     return settled(bench_of(campaign, split, experiments, base)).base
 
 
-def _spells(recording: Recording) -> dict[str, tuple[tuple[Stretches, LogSummary], ...]]:
-    """Stretches in which a sensor reads otherwise than in the rest of a log at rest, with what it shows in these."""
+class _Spells(Mapping[str, tuple[tuple[Stretches, LogSummary], ...]]):
+    """By sensor, stretches in which it reads otherwise than in the rest of a log at rest, with what it shows in these:
+    told when they are asked for, which they are only of a sensor that differs.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._found: dict[str, tuple[tuple[Stretches, LogSummary], ...]] = {}
+
+    def __getitem__(self, sensor: str) -> tuple[tuple[Stretches, LogSummary], ...]:
+        if sensor not in self._found:
+            self._found[sensor] = tuple(_spells(self._recording, sensor))
+        return self._found[sensor]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._recording.experiment.plan.sensors)
+
+    def __len__(self) -> int:
+        return len(self._recording.experiment.plan.sensors)
+
+
+def _spells(recording: Recording, sensor: str) -> Iterator[tuple[Stretches, LogSummary]]:
     still = [phase for phase in recording.phases if is_at_rest(phase)]
-    temperature = temperature_of(recording.experiment.motion)
-    found = {}
-    for name, source in sources_of(recording).items():
-        spells = []
-        for stretches in stretches_of(source, still):
-            parts = list(_cut(still, stretches, source))
-            spells.append((stretches, summarise_log(recording.kind, {name: source}, parts, temperature)))
-        if spells:
-            found[name] = tuple(spells)
-    return found
+    source, temperature = sources_of(recording)[sensor], temperature_of(recording.experiment.motion)
+    for stretches in stretches_of(source, still):
+        parts = list(_cut(still, stretches, source))
+        yield stretches, summarise_log(recording.kind, {sensor: source}, parts, temperature)
 
 
 def _cut(phases: Sequence[Phase], stretches: Stretches, source: Source) -> Iterator[Phase]:

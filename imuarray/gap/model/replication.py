@@ -49,9 +49,9 @@ TOGETHER = 8
 are enough jobs for many workers.
 """
 
-_JOB_ROWS = 1 << 22
-"""Fewer of long logs, up to so many rows of all sensors, two or three seconds' work: so workers end at about the same
-time, and who waits hears soon how fast it goes.
+_JOB_ROWS = 10_000_000
+"""Fewer of long logs, up to so many rows of all sensors, some seconds' work: so workers end at about the same time, and
+who waits hears soon how fast it goes.
 """
 
 _ROWS = 8 * CHUNK

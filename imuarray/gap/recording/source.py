@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Hashable, Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,6 +18,7 @@ from imuarray.gap.recording.row_timing import EvenRows
 from imuarray.log import SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.log.headers import recorded_header
+from imuarray.log.sensor_log import first_at
 from imuarray.log.writer import Block
 from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.simulation import EVERY_FLAG, Simulation
@@ -49,27 +50,25 @@ class RecordedSource:
     def __init__(self, sensor: SensorLog) -> None:
         self.header = _header_in(sensor)
         self.known: dict[Hashable, Any] = {}
-        self._sensor = sensor
+        self._columns = (sensor.time, sensor.counts, sensor.status, sensor.temperature_counts)
+        self._row_at = lru_cache(maxsize=64)(partial(first_at, sensor.time))
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         """Rows that the log has there."""
-        span = self._sensor.between(start_ns, end_ns)
-        return int(span.stop - span.start)
+        return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         """Slices of the log, which end where its chunks end."""
-        span = self._sensor.between(start_ns, end_ns)
-        return self.slices(span.start, span.stop)
+        return self.slices(self._row_at(start_ns), self._row_at(end_ns))
 
     def slices(self, begin: int, end: int) -> Iterator[Block]:
         """Rows begin ... end - 1, in the same slices."""
-        sensor = self._sensor
-        temperature = sensor.temperature_counts
+        time, counts, status, temperature = self._columns
         for first, stop in _parts(begin, end):
             yield Block(
-                np.asarray(sensor.time[first:stop], np.int64),
-                np.asarray(sensor.counts[first:stop], np.int16),
-                np.asarray(sensor.status[first:stop], np.uint16),
+                np.asarray(time[first:stop], np.int64),
+                np.asarray(counts[first:stop], np.int16),
+                np.asarray(status[first:stop], np.uint16),
                 None if temperature is None else np.asarray(temperature[first:stop], np.int16),
             )
 

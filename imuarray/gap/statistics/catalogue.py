@@ -167,10 +167,11 @@ def _of_phase(replicates: Sequence[PhaseSummary], wanted: Collection[str] | None
 
 
 def _together(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
-    """Those that were tallied together, by their places, side by side."""
-    sets: dict[int, list[int]] = {}
+    """Those whose rows have the same times, by their places, side by side."""
+    sets: dict[tuple[int, bytes, bytes], list[int]] = {}
     for at, one in enumerate(replicates):
-        sets.setdefault(id(one.segments.time_s), []).append(at)
+        part = one.segments
+        sets.setdefault((one.rows, part.rows.tobytes(), part.time_s.tobytes()), []).append(at)
     return [(places, side_by_side([replicates[at] for at in places])) for places in sets.values()]
 
 

@@ -187,7 +187,7 @@ def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
 
 
 def side_by_side(replicates: Sequence[Summary]) -> Summary:
-    """Replicates that were tallied together as one summary, with three columns of each one after the other, for who
+    """Replicates whose rows have the same times as one summary, with three columns of each one after the other, for who
     looks at every column alone; what has no columns is the first one's.
     """
     first = replicates[0]
