@@ -35,9 +35,9 @@ from imuarray.simulate.motion.like import LikeLog
 Floats = npt.NDArray[np.float64]
 
 ENOUGH: Mapping[int, float] = MappingProxyType({40: 0.25, 64: 0.15})
-"""After so many replicates of the base model no more are simulated, though more are asked for, if the p-value is larger.
-The limits never rise, and are so far above `LEVEL` that hardly a gap is missed: one that all replicates would find at
-p = 0.05 is given up by less than one in two hundred.
+"""After so many replicates of the base model no more are simulated, though more are asked for, if the p-value is
+larger. The limits never rise, and are so far above `LEVEL` that hardly a gap is missed: one that all replicates
+would find at p = 0.05 is given up by less than one in two hundred.
 """
 
 
