@@ -9,6 +9,9 @@ import numpy as np
 from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, once
 from imuarray.gap.statistics.summary import Summary
 
+LEAST_LEVEL = 2e-6
+"""In the sensor's unit, a hundredth of what an hour of the usual noise lets see."""
+
 _LEAST, _MANY = 4, 16
 """Fewer segments say nothing of a variance, of higher moments."""
 
@@ -20,6 +23,11 @@ def mean(summary: Summary) -> Floats:
     held = (part.rows > 0).nonzero()[0]
     total = part.rows[held] @ part.mean.take(held, axis=0)
     return np.asarray(total / (summary.rows * summary.header.sensitivity)) if summary.rows else NOTHING
+
+
+def least_level(summary: Summary) -> float:
+    """The least difference of means that says anything: a fit that takes a level out leaves rounding."""
+    return LEAST_LEVEL
 
 
 def halves(summary: Summary) -> Floats:
@@ -96,6 +104,7 @@ MEAN = PhaseProbe(
     "{u}",
     ("bias", "scale", "misalignment", "axis_error", "turn_on_bias", "bistable_bias", "range_reset", "channel_swap"),
     mean,
+    resolution=least_level,
 )
 HALVES = PhaseProbe(
     "level", "mean of the second half less that of the first", "{u}", (*_SLOW, "thermal_bias", "range_reset"), halves
@@ -115,4 +124,5 @@ LEVEL = LogProbe(
     "{u}",
     ("turn_on_bias", "bistable_bias", "common_mode", "range_reset"),
     whole,
+    LEAST_LEVEL,
 )
