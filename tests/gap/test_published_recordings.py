@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.gap.diagnose import diagnose
+import imuarray
 from imuarray.gap.findings.description import lines_shown
 from imuarray.gap.findings.diagnosis import Cause, Diagnosis
 from imuarray.gap.inference.comparison import prepared
-from imuarray.gap.model.workers import runner
 from imuarray.gap.recording.recordings import Recording, recording_of
 from imuarray.gap.recording.row_timing import row_timing
 from imuarray.importers.table import import_table
@@ -101,7 +100,7 @@ def test_lines(recordings: dict[str, Recording], name: str, sensor: str, axis: s
 
 
 def diagnosed(recording: Recording) -> Diagnosis:
-    return diagnose([recording], lambda bench: runner(bench), replicates=60)
+    return imuarray.diagnose([recording.log], replicates=60)
 
 
 def named(found: Diagnosis, effect: str, sensor: str) -> Cause:

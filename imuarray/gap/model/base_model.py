@@ -59,6 +59,9 @@ _NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
 _LAGS, _CUTOFFS = 3, 41
 """Correlations that tell a filter, and cutoffs that are tried for each number of poles."""
 
+_FILTER_MISFIT = 0.1
+"""A filter leaves less than such a share of the squared correlations; a wander, a line or shared noise is none."""
+
 _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 
 
@@ -237,7 +240,8 @@ def _filter_of(campaign: Campaign, header: SensorHeader) -> tuple[float, float]:
     largest = correlation(2 * math.pi * configured_hz / float(rows_per_s.max()), 1)
     if largest < LEAST_CORRELATION or not np.isfinite(seen).all() or seen[:, 0].max() < LEAST_CORRELATION:
         return nothing
-    best, least = nothing, float(np.square(seen).sum())
+    white = float(np.square(seen).sum())
+    best, least = nothing, white
     for poles in (1.0, 2.0):
         for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
             decays = 2 * math.pi * ratio * configured_hz / rows_per_s / math.sqrt(poles)
@@ -245,7 +249,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader) -> tuple[float, float]:
             misfit = float(np.square(seen - np.array(expected)).sum())
             if misfit < least:
                 best, least = (ratio * configured_hz, poles), misfit
-    return best
+    return best if least < _FILTER_MISFIT * white else nothing
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:
