@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from functools import partial
 from importlib import import_module
@@ -17,7 +17,7 @@ from threading import local
 from typing import Any, Protocol
 
 from imuarray.errors import ConfigError, ImuArrayError, MissingExtraError
-from imuarray.gap.model.workers import processes
+from imuarray.gap.model.workers import Pool, processes
 
 _ADDRESS = re.compile(r"tcp://[^\s/:@]+:\d{1,5}")
 _CONNECT_S = 10.0
@@ -59,7 +59,9 @@ def executor_of(text: str, workers: int) -> Iterator[Workers]:
 
 
 class Processes(Executor):
-    """Processes with one BLAS thread each, started when they are needed; the place of one that died is filled again."""
+    """Processes with one BLAS thread each, started when they are needed; the place of one that died is filled again.
+    An exception in the manager's block, KeyboardInterrupt too, ends them at once.
+    """
 
     deaths = (BrokenExecutor,)
 
@@ -67,7 +69,7 @@ class Processes(Executor):
         self.places = workers
         self._threads = ThreadPoolExecutor(workers)
         self._own = local()
-        self._pools: list[ProcessPoolExecutor] = []
+        self._pools: list[Pool] = []
 
     def submit(self, job: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
         """To the next process that has nothing to do."""
@@ -83,6 +85,14 @@ class Processes(Executor):
         except BrokenExecutor:
             self._own.pool = None
             raise
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        """Waits for what was submitted, unless the block failed."""
+        if kind is not None:
+            self._threads.shutdown(wait=False, cancel_futures=True)
+            for pool in self._pools:
+                pool.terminate()
+        self.shutdown()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """As an executor does: what was begun is finished."""

@@ -40,23 +40,27 @@ _LATEST: dict[str, Callable[[Any], Any]] = {}
 """The job that came to this process last, by its name."""
 
 
-def processes(workers: int) -> ProcessPoolExecutor:
+def processes(workers: int) -> Pool:
     """So many processes for `runner`, started when they are needed, with one BLAS thread each; a context manager.
 
     Each imports the program's main module anew (start method "spawn"), which may do nothing then but define things.
     Whatever raises an exception in the manager's block, KeyboardInterrupt too, ends them at once; they take no notice
     of Ctrl-C themselves. ValueError for fewer than one.
     """
-    return _Pool(workers, _Context(), _watch, (os.getpid(),))
+    return Pool(workers, _Context(), _watch, (os.getpid(),))
 
 
-class _Pool(ProcessPoolExecutor):
-    """Waits for no work whose results nobody wants."""
+class Pool(ProcessPoolExecutor):
+    """Processes that an exception in the manager's block ends at once."""
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         if kind is None:
             self.shutdown(wait=True)
-            return
+        else:
+            self.terminate()
+
+    def terminate(self) -> None:
+        """End all processes, whatever they work on, and wait until they are gone; their futures fail."""
         started = list((self._processes or {}).values())
         manager: Any = self._executor_manager_thread
         self.shutdown(wait=False, cancel_futures=True)

@@ -9,12 +9,14 @@ the stretch seems to have another slope.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize, minimize_scalar
-from scipy.stats import norm
+from scipy.signal import correlate
+from scipy.special import ndtr
 
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters
@@ -183,22 +185,32 @@ def _costs(bins: _Bins, offsets: Floats, slope: float, sigma: float, table: _Mom
 
 
 def _moments(coded: Coded, period: int, sigma: float) -> _Moments:
-    """Of readings with that noise (standard deviation, in counts) about each place of a period."""
+    """Of readings with that noise (standard deviation, in counts) about each place of a period.
+
+    A reading of a place p is a code c with the share of the noise that rounds to c, and comes as c + m(c): the moments
+    of c + m(c) - p, expanded by the powers of m, are correlations of those powers with the shares times powers of
+    c - p.
+    """
     fine = _FINE if period <= 1024 / _FINE else 1
-    places = np.arange(period * fine) / fine
     reach = int(np.ceil(_REACH * sigma)) + 1
-    counts = np.arange(-reach, period + reach + 1)
+    counts = np.arange(-reach, period + reach)
     moved = (coded(counts) - counts).astype(float)
-    around = np.floor(places).astype(np.int64)[:, None] + np.arange(-reach, reach + 1)
-    edges = norm.cdf((np.arange(-reach, reach + 2) - 0.5 - (places % 1)[:fine, None]) / sigma)
-    weight = np.tile(np.diff(edges, axis=1), (period, 1))
-    weight /= weight.sum(axis=1, keepdims=True)
-    apart = around + moved[around + reach] - places[:, None]
-    shift = (weight * apart).sum(axis=1)
-    centred = apart - shift[:, None]
-    variance = (weight * centred**2).sum(axis=1)
-    fourth = (weight * centred**4).sum(axis=1)
-    return _Moments(shift, np.maximum(variance, _TINY), np.maximum(fourth - variance**2, _TINY))
+    powers = [moved**power for power in range(_POWERS + 1)]
+    raw = np.empty((_POWERS + 1, period, fine))
+    for part in range(fine):
+        apart = np.arange(-reach, reach + 1) - part / fine
+        share = np.diff(ndtr((np.arange(-reach, reach + 2) - 0.5 - part / fine) / sigma))
+        share /= share.sum()
+        for power in range(1, _POWERS + 1):
+            raw[power, :, part] = (share * apart**power).sum()
+            for own in range(1, power + 1):
+                kernel = comb(power, own) * share * apart ** (power - own)
+                raw[power, :, part] += correlate(powers[own], kernel, "valid")
+    _, first, second, third, fourth = raw.reshape(_POWERS + 1, -1)
+    variance = second - first**2
+    about = fourth - 4 * first * third + 6 * first**2 * second - 3 * first**4
+    return _Moments(first, np.maximum(variance, _TINY), np.maximum(about - variance**2, _TINY))
 
 
+_POWERS = 4
 _TINY = 1e-3

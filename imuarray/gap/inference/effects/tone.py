@@ -17,6 +17,7 @@ from imuarray.gap.inference.effects.lines import HALF_WIDTH, highest_lines, pool
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import SAME_RATE, Evidence, PhaseEvidence
 from imuarray.simulate.effects.tone import Tone
+from imuarray.simulate.signal import Triple
 
 Floats = npt.NDArray[np.float64]
 
@@ -25,6 +26,7 @@ _TRACES = (
     *("band_2", "band_3", "band_4", "band_5", "band_6", "allan_2", "allan_8", "allan_32"),
     *("fast_own_axes", "fast_box_axes", "fast_between_axes", "fast_other_chips"),
 )
+_BETWEEN_AXES = "fast_between_axes"
 _BEYOND = 2.7
 MAINS_HZ = (50.0, 60.0)
 HARMONICS = 3
@@ -115,7 +117,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         bin_hz = rate.rows_per_s / spectrum.segment_rows
         places = [shown_hz(effect.frequency_hz, rate.rows_per_s) / bin_hz for effect in known]
         for line in highest_lines(spectrum, _LINES, places):
-            amplitude = _amplitude(evidence, line.power, line.height)
+            amplitude = in_phase(_amplitude(evidence, line.power, line.height), evidence.typical(_BETWEEN_AXES))
             for hertz in _true_hz(line.bin * bin_hz, bin_hz, rate, rates):
                 yield Hypothesis((Tone(amplitude, hertz),), ("amplitude",))
     if not any(effect.drift_hz_per_h for effect in known):
@@ -147,9 +149,8 @@ def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]
     spread_hz = float(np.std(firsts, ddof=1)) if len(firsts) > 1 else _BETWEEN * moved_hz
     power, height = (np.median([getattr(one, name) for one in seen], axis=0) for name in ("power", "height"))
     first_hz = max(float(np.mean(firsts)), 0.0)
-    tone = Tone(
-        _amplitude(evidence, power, height), first_hz, frequency_spread_hz=spread_hz, drift_hz_per_h=3600 * slope
-    )
+    amplitude = in_phase(_amplitude(evidence, power, height), evidence.typical(_BETWEEN_AXES))
+    tone = Tone(amplitude, first_hz, frequency_spread_hz=spread_hz, drift_hz_per_h=3600 * slope)
     yield Hypothesis((tone,), ("amplitude",))
 
 
@@ -167,6 +168,17 @@ def _sightings(evidence: Evidence, known_hz: list[float]) -> Iterator[_Sighting]
 def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> tuple[float, float, float]:
     """In the sensor's unit, of the axes on which the line is clear."""
     x, y, z = (np.sqrt(2 * np.where(height > _CLEAR, power, 0.0)) / evidence.header.sensitivity).tolist()
+    return x, y, z
+
+
+def in_phase(amplitude: Triple, between_axes: Floats) -> Triple:
+    """`amplitude` with the signs that agree best with `between_axes` (3,), by how much each axis correlates more with
+    the next one than the model has it: a line that reaches two axes in antiphase makes that negative.
+    """
+    signs = np.array([(1, 1, 1), (-1, 1, 1), (1, -1, 1), (1, 1, -1)])
+    present = np.array(amplitude) != 0
+    agreement = (signs * np.roll(signs, -1, axis=1) * present * np.roll(present, -1)) @ between_axes
+    x, y, z = (signs[int(agreement.argmax())] * np.array(amplitude)).tolist()
     return x, y, z
 
 
