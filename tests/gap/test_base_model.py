@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from scipy.signal import butter, lfilter
 
@@ -231,10 +232,29 @@ def test_a_filter_of_two_poles_is_told_by_its_second_lag() -> None:
     assert found.cutoff_hz == pytest.approx(35.0, rel=0.06)
 
 
+def test_a_digital_filter_is_told_from_an_analogue_one() -> None:
+    """Noise that a converter samples at 200 Hz, the rate of the rows, ends at 100 Hz: behind one pole at 50 Hz the
+    transform of 1 / (1 + f^2 / 50^2) up to there has correlations of 0.335, 0.048 and 0.019.
+    """
+    rows = 20_000
+    shape = 1 / (1 + 1j * np.fft.rfftfreq(rows, 1 / 200) / 50)
+    noise = np.fft.irfft(np.fft.rfft(np.random.default_rng(4).normal(size=(rows, 3)), axis=0) * shape[:, None], axis=0)
+    assert np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1] == pytest.approx(0.335, abs=0.02)
+    found = fitted_to_rows(noise, data_rate_hz=200.0, bandwidth_hz=50.0)
+    assert found.sampled_hz == 200.0
+    assert found.poles == 1.0
+    assert found.cutoff_hz == pytest.approx(50.0, rel=0.05)
+
+
 def fitted_to_noise(over: Sequence[float], under: Sequence[float], every: int = 1) -> FittedParameters:
     """A gyroscope that is set to 35 Hz, whose 200 rows a second hold filtered noise."""
     noise = lfilter(over, under, np.random.default_rng(3).normal(size=(20_000 * every, 3)), axis=0)[::every]
-    gyro = header("G", chip="l3g4200d", rate_hz=800.0, bandwidth_hz=35.0)
+    return fitted_to_rows(noise, data_rate_hz=800.0, bandwidth_hz=35.0)
+
+
+def fitted_to_rows(noise: npt.NDArray[np.float64], data_rate_hz: float, bandwidth_hz: float) -> FittedParameters:
+    """A gyroscope with these settings whose 200 rows a second hold that noise (n, 3)."""
+    gyro = header("G", chip="l3g4200d", rate_hz=data_rate_hz, bandwidth_hz=bandwidth_hz)
     rows = block(np.rint(20 * noise / noise.std()), 5_000_000)
     whole = Phase(0, 100 * 10**9, "static", "+Z")
     log = summarise_log("static", {"G": OneBlock(gyro, rows)}, [whole], lambda time_ns: np.full(len(time_ns), 25.0))

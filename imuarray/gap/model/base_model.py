@@ -62,6 +62,9 @@ _LAGS, _CUTOFFS = 3, 41
 _FILTER_MISFIT = 0.1
 """A filter leaves less than such a share of the squared correlations; a wander, a line or shared noise is none."""
 
+_BY_CHANCE = 2.0
+"""Squared standard deviations that the estimate of a correlation may be off besides."""
+
 _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 
 
@@ -125,8 +128,11 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
     for name, header in headers.items():
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model says what the filter is
-        cutoff_hz, poles = _filter_of(campaign, header)
-        fitted[name] = replace(fitted[name], cutoff_hz=cutoff_hz, poles=poles)
+        found = _filter_of(campaign, header)
+        if found is not None:
+            fitted[name] = replace(
+                fitted[name], cutoff_hz=found.cutoff_hz, poles=found.poles, sampled_hz=found.sampled_hz
+            )
     return Base(headers, fitted, model, seed)
 
 
@@ -221,35 +227,47 @@ def _left(phase: PhaseSummary, motion: Motion, force_box: npt.NDArray[np.float64
     return replace(phase, sensors=sensors)
 
 
-def _filter_of(campaign: Campaign, header: SensorHeader) -> tuple[float, float]:
-    """Cutoff in Hz and poles of the chip's own filter, if rows come fast enough to show it and do; else infinite.
+def _filter_of(campaign: Campaign, header: SensorHeader) -> Bandwidth | None:
+    """The chip's own filter, if rows come fast enough to show it and do.
 
     By least squares of the correlations at lags 1 to 3 in all phases at rest, among filters of one pole and of two
-    whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, and noise without a memory. Repeated readings
-    are taken out: a share r of them makes correlations r + (1 - r) rho.
+    whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
+    samples at the chip's data rate), and noise without a memory. Repeated readings are taken out: a share r of them
+    makes correlations r + (1 - r) rho.
     """
-    nothing = math.inf, 1.0
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if configured_hz <= 0 or not rests:
-        return nothing
+        return None
     rows_per_s = np.array([1 / phase.intervals.mean_s for phase in rests])
     repeated = np.array([np.nan_to_num(1 - phase.repeats.new_share) for phase in rests])[:, None]
     lags = np.array([phase.correlation[1 : _LAGS + 1].mean(axis=1) for phase in rests])
     seen = (lags - repeated) / np.maximum(1 - repeated, 0.1)
-    largest = correlation(2 * math.pi * configured_hz / float(rows_per_s.max()), 1)
+    slowest_hz = configured_hz * (1 - CUTOFF_TOLERANCE)
+    largest = correlation(2 * math.pi * slowest_hz / float(rows_per_s.max()), 1)
     if largest < LEAST_CORRELATION or not np.isfinite(seen).all() or seen[:, 0].max() < LEAST_CORRELATION:
-        return nothing
+        return None
+    chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
     white = float(np.square(seen).sum())
-    best, least = nothing, white
-    for poles in (1.0, 2.0):
-        for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
-            decays = 2 * math.pi * ratio * configured_hz / rows_per_s / math.sqrt(poles)
-            expected = [[correlation(decay * lag, poles) for lag in range(1, _LAGS + 1)] for decay in decays.tolist()]
-            misfit = float(np.square(seen - np.array(expected)).sum())
-            if misfit < least:
-                best, least = (ratio * configured_hz, poles), misfit
-    return best if least < _FILTER_MISFIT * white else nothing
+    best, least = None, white
+    for effect in _filters(header, configured_hz):
+        decays = 2 * math.pi * effect.cutoff_hz / rows_per_s / math.sqrt(effect.poles)
+        band = effect.sampled_hz / 2 / effect.cutoff_hz
+        expected = [
+            [correlation(decay * lag, effect.poles, band) for lag in range(1, _LAGS + 1)] for decay in decays.tolist()
+        ]
+        misfit = float(np.square(seen - np.array(expected)).sum())
+        if misfit < least:
+            best, least = effect, misfit
+    return best if least < _FILTER_MISFIT * white + chance else None
+
+
+def _filters(header: SensorHeader, configured_hz: float) -> Iterator[Bandwidth]:
+    """Those that the chip may have."""
+    for sampled_hz in (math.inf, header.rate_hz) if header.rate_hz > 0 else (math.inf,):
+        for poles in (1.0, 2.0):
+            for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
+                yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled_hz)
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:

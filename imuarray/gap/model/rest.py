@@ -61,7 +61,7 @@ class FittedParameters:
     specific force along each axis (column), per unit for an accelerometer and in the sensor's unit per g for others,
     within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether temperatures
     differed enough. `cutoff_hz`: the noise is low-passed there by the chip's own filter of so many
-    `poles` (infinite: it is white).
+    `poles` (infinite: it is white), which may be a digital one behind a converter that samples at `sampled_hz`.
     """
 
     rms: Triple
@@ -72,12 +72,13 @@ class FittedParameters:
     is_slope_known: bool = False
     cutoff_hz: float = math.inf
     poles: float = 1.0
+    sampled_hz: float = math.inf
 
     def effects(self) -> tuple[Effect, ...]:
         """As the simulator has them."""
         noise: tuple[Effect, ...] = (WhiteNoise(self.rms),)
         if math.isfinite(self.cutoff_hz):
-            noise = (*noise, Bandwidth(self.cutoff_hz, poles=self.poles))
+            noise = (*noise, Bandwidth(self.cutoff_hz, poles=self.poles, sampled_hz=self.sampled_hz))
         return *noise, Bias(self.offset), ThermalBias(self.slope, reference_degc=REFERENCE_DEGC)
 
     def moved(self, wanted: FittedParameters, came: Sequence[FittedParameters]) -> FittedParameters:

@@ -8,6 +8,8 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
+from scipy.linalg import solve_toeplitz
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from imuarray.simulate.effect import Effect, require, scalar
@@ -15,6 +17,8 @@ from imuarray.simulate.signal import Analog, Floats, Place
 
 _FINE = 1e-3  # time constants per row below which correlations of rows differ too little to be told apart
 _FORGOTTEN = 12 * math.log(10.0)  # time constants after which 1e-12 is left of the past
+_MEMORY = 8  # rows that noise behind a digital filter is predicted from
+_NODES = 64  # of the quadrature, besides two for each radian at its end
 
 
 @dataclass(frozen=True)
@@ -30,31 +34,38 @@ class Bandwidth(Effect):
 
     With 2 `poles` it is a Butterworth filter, as a chip's output stage rather is: a = sqrt(2) pi cutoff, correlation
     exp(-a t) (cos a t + sin a t) after a time t, late by 1 / a.
+
+    A digital filter behind a converter that samples at `sampled_hz` passes noise that is white up to half of that and
+    ends there (infinite: noise has no end): correlations are those of that part of the filter's response, which
+    `_MEMORY` rows before each row reproduce (Yule and Walker).
     """
 
     name: ClassVar[str] = "bandwidth"
     cutoff_hz: float = scalar(math.inf)
     share: float = scalar(0.0)
     poles: float = scalar(1.0)
+    sampled_hz: float = scalar(math.inf)
 
     def __post_init__(self) -> None:
-        """ValueError for a cutoff below 10 mHz, a share outside 0 to 1, or other than 1 or 2 poles."""
+        """ValueError for a cutoff or a rate below 10 mHz, a share outside 0 to 1, or other than 1 or 2 poles."""
         super().__post_init__()
         require("cutoff_hz", self.cutoff_hz, 1e-2)
         require("share", self.share, 0.0, 1.0)
+        require("sampled_hz", self.sampled_hz, 1e-2)
         if self.poles not in (1.0, 2.0):
             raise ValueError(f"poles: {self.poles:g}; allowed are 1 and 2")
 
     def lookback(self, at: Place) -> int:
         """Rows until 1e-12 is left of what was before them."""
-        return math.ceil(_FORGOTTEN / self._decay(at))
+        rows = math.ceil(_FORGOTTEN / self._decay(at))
+        return rows if math.isinf(self.sampled_hz) else max(rows, _memory(self._decay(at), self.poles, self._band))
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Filters the noise, stationary from the first row on, and the signal as if it had been at rest before."""
         if math.isinf(self.cutoff_hz):
             return analog
         decay = self._decay(at)
-        over, under = _noise_filter(decay, self.poles)
+        over, under = _noise_filter(decay, self.poles, self._band)
         white = analog.noise.astype(float)
         first = np.zeros((len(under) - 1, white.shape[1]))
         first[0] = (1 - over[0]) * white[0]
@@ -70,22 +81,51 @@ class Bandwidth(Effect):
         late, _ = lfilter(over, under, signal, axis=0, zi=lfilter_zi(over, under)[:, None] * signal[:1])
         return np.asarray(value + self.share * (late - signal), value.dtype)
 
+    @property
+    def _band(self) -> float:
+        """The highest frequency of the noise that is filtered, over the cutoff."""
+        return self.sampled_hz / 2 / self.cutoff_hz
+
     def _decay(self, at: Place) -> float:
         """Time constants per row."""
         return 2 * math.pi * self.cutoff_hz / at.rows_per_s / math.sqrt(self.poles)
 
 
-def correlation(decay: float, poles: float) -> float:
-    """Of noise behind the filter, `decay` time constants later."""
+def correlation(decay: float, poles: float, band: float = math.inf) -> float:
+    """Of noise behind the filter, `decay` time constants later; of noise that ends at `band` times the cutoff."""
+    if math.isfinite(band):
+        return _band_limited(decay, poles, band)
     fade = math.exp(-decay)
     return fade if poles == 1 else fade * (math.cos(decay) + math.sin(decay))
 
 
+@lru_cache(maxsize=4096)
+def _band_limited(decay: float, poles: float, band: float) -> float:
+    """The cosine transform of the filter's squared response 1 / (1 + u^(2 poles)), u = 0 to `band` cutoffs."""
+    radians = decay * math.sqrt(poles)  # at the cutoff
+    nodes, weight = leggauss(_NODES + 2 * math.ceil(radians * band))
+    over_cutoff = (nodes + 1) * band / 2
+    power = weight / (1 + over_cutoff ** (2 * poles))
+    return float(power @ np.cos(radians * over_cutoff) / power.sum())
+
+
 @lru_cache(maxsize=256)
-def _noise_filter(decay: float, poles: float) -> tuple[Floats, Floats]:
+def _memory(decay: float, poles: float, band: float) -> int:
+    """Rows until a digital filter's noise forgets."""
+    _, under = _noise_filter(decay, poles, band)
+    return math.ceil(_FORGOTTEN / -math.log(np.abs(np.roots(under)).max()))
+
+
+@lru_cache(maxsize=256)
+def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[Floats, Floats]:
     """(over, under) that make noise behind the filter, row by row, of white noise of the same rms: its poles are those
-    of the filter; with two there is a zero as well, which the first three correlations tell.
+    of the filter; with two there is a zero as well, which the first three correlations tell. Behind a digital filter
+    it is predicted from the rows before.
     """
+    if math.isfinite(band):
+        rows = np.array([correlation(decay * lag, poles, band) for lag in range(_MEMORY + 1)])
+        before = solve_toeplitz(rows[:-1], rows[1:])
+        return np.array([math.sqrt(max(1 - before @ rows[1:], _FINE))]), np.append(1.0, -before)
     if poles == 1:
         phi = math.exp(-decay)
         return np.array([math.sqrt(-math.expm1(-2 * decay))]), np.array([1.0, -phi])

@@ -86,6 +86,19 @@ def test_what_is_at_rest_stays_where_it_is(place: MakePlace, analog: MakeAnalog)
     np.testing.assert_allclose(rows.value, 1.5, rtol=1e-14)
 
 
+@pytest.mark.parametrize("cutoff_hz", [5.0, 25.0, 45.0])
+@pytest.mark.parametrize("poles", [1.0, 2.0])
+def test_the_lookback_of_a_digital_filter_is_enough(
+    place: MakePlace, analog: MakeAnalog, cutoff_hz: float, poles: float
+) -> None:
+    white = np.random.default_rng(7).normal(0, 1, (3000, 3))
+    effect, at = Bandwidth(cutoff_hz, poles=poles, sampled_hz=100.0), place(rows_per_s=100.0)
+    back = effect.lookback(at)
+    whole = effect.analog(analog(0, 3000, noise=white), at).noise
+    alone = effect.analog(analog(2000 - back, 3000, noise=white[2000 - back :]), at).noise
+    np.testing.assert_allclose(alone[back:], whole[2000:], rtol=0, atol=1e-10)
+
+
 @pytest.mark.parametrize("cutoff_hz", [0.5, 5.0, 40.0])
 def test_its_lookback_is_enough(place: MakePlace, analog: MakeAnalog, cutoff_hz: float) -> None:
     white = np.random.default_rng(7).normal(0, 1, (3000, 3))
@@ -114,3 +127,20 @@ def test_nothing_by_default_and_no_nonsense(place: MakePlace, analog: MakeAnalog
         Bandwidth(0.0)
     with pytest.raises(ValueError, match=r"share: 2(\.0)?; allowed is 0 to 1"):
         Bandwidth(5.0, 2.0)
+
+
+@pytest.mark.parametrize(("poles", "cutoff_hz"), [(1.0, 25.0), (2.0, 25.0), (1.0, 60.0)])
+def test_noise_behind_a_digital_filter(place: MakePlace, analog: MakeAnalog, poles: float, cutoff_hz: float) -> None:
+    """Against noise that is filtered by its Fourier transform: the same correlations, and the rms stays."""
+    rows, generator = 1 << 17, np.random.default_rng(6)
+    effect, at = Bandwidth(cutoff_hz, poles=poles, sampled_hz=100.0), place(rows_per_s=100.0)
+    found = effect.analog(analog(0, rows, noise=generator.standard_normal((rows, 3))), at).noise[
+        effect.lookback(at) :, 0
+    ]
+    over_cutoff = np.fft.rfftfreq(rows, 1 / 100.0) / cutoff_hz
+    spectrum = np.fft.rfft(generator.standard_normal(rows)) / np.sqrt(1 + over_cutoff ** (2 * poles))
+    expected = np.fft.irfft(spectrum)
+    assert found.std() == pytest.approx(1.0, abs=0.02)
+    for lag in (1, 2, 3):
+        wanted = np.corrcoef(expected[lag:], expected[:-lag])[0, 1]
+        assert np.corrcoef(found[lag:], found[:-lag])[0, 1] == pytest.approx(wanted, abs=0.015)
