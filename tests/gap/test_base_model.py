@@ -246,6 +246,30 @@ def test_a_digital_filter_is_told_from_an_analogue_one() -> None:
     assert found.cutoff_hz == pytest.approx(50.0, rel=0.05)
 
 
+@pytest.mark.parametrize("slow", [0.004, 0.03])
+@pytest.mark.parametrize("rows_a_reading", [1, 2])
+def test_a_slow_data_clock_is_told_by_the_readings_that_come_again(slow: float, rows_a_reading: int) -> None:
+    """Of n polls at the nominal rate (or twice that), n (1 - e) (or half of that) find a new reading."""
+    noise = np.random.default_rng(5).normal(size=(20_000, 3))
+    latest = np.floor(np.arange(20_000) * (1 - slow) / rows_a_reading).astype(int)
+    found = fitted_to_rows(noise[latest], data_rate_hz=200.0 / rows_a_reading, bandwidth_hz=50.0)
+    assert found.clock_error == pytest.approx(-slow, abs=2e-4)
+
+
+def test_repeats_at_random_are_no_slow_clock() -> None:
+    """Of 20,000 rows of which each repeats the one before with a chance of 3 %, some 18 do so twice in a row."""
+    generator = np.random.default_rng(6)
+    noise, repeats = generator.normal(size=(20_000, 3)), generator.random(20_000) < 0.03
+    latest = np.maximum.accumulate(np.where(repeats, 0, np.arange(20_000)))
+    assert math.isnan(fitted_to_rows(noise[latest], data_rate_hz=200.0, bandwidth_hz=50.0).clock_error)
+
+
+def test_a_clock_beyond_its_tolerance_is_not_fitted() -> None:
+    noise = np.random.default_rng(5).normal(size=(20_000, 3))
+    latest = np.floor(np.arange(20_000) * 0.85).astype(int)
+    assert math.isnan(fitted_to_rows(noise[latest], data_rate_hz=200.0, bandwidth_hz=50.0).clock_error)
+
+
 def fitted_to_noise(over: Sequence[float], under: Sequence[float], every: int = 1) -> FittedParameters:
     """A gyroscope that is set to 35 Hz, whose 200 rows a second hold filtered noise."""
     noise = lfilter(over, under, np.random.default_rng(3).normal(size=(20_000 * every, 3)), axis=0)[::every]

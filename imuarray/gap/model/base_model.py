@@ -23,6 +23,7 @@ from imuarray.gap.model.populations import (
     CUTOFF_TOLERANCE,
     LEAST_CORRELATION,
     TOLERANCE_SIGMAS,
+    clock_tolerance,
     is_usual,
     response_tolerance,
     usual_model,
@@ -37,6 +38,7 @@ from imuarray.gap.statistics.catalogue import (
     replicate_statistics,
     statistics,
 )
+from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
@@ -56,11 +58,20 @@ _IN_STEP = OwnClock(phase_deg=math.nan)
 _NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
 """Statistics in logs of the sensor's unit to a power: as many logs of the fitted noise are taken from them."""
 
-_LAGS, _CUTOFFS = 3, 41
+_LAGS, _CUTOFFS = 3, 101
 """Correlations that tell a filter, and cutoffs that are tried for each number of poles."""
 
 _FILTER_MISFIT = 0.1
 """A filter leaves less than such a share of the squared correlations; a wander, a line or shared noise is none."""
+
+_SLIPS = 4.0
+"""Standard deviations by which rows repeat the one before more often than by chance, for a chip's clock to be slow."""
+
+_EQUAL = 1e-3
+"""From this share of new readings on that equal the one before, runs of repeats are one longer by chance."""
+
+_SAME_CLOCK = 0.01
+"""Relative difference between phases beyond which no one clock explains the repeats."""
 
 _BY_CHANCE = 2.0
 """Squared standard deviations that the estimate of a correlation may be off besides."""
@@ -104,6 +115,10 @@ class Base:
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if not any(isinstance(effect, OwnClock) for effect in effects):
             effects = (_IN_STEP, *effects)
+        clock_error = self.fitted[header.name].clock_error
+        if math.isfinite(clock_error):
+            clock = OwnClock(clock_error, math.nan, 1.0)
+            effects = tuple(clock if isinstance(effect, OwnClock) else effect for effect in effects)
         if replicate % 2 == 0:
             return tuple(effect for effect in effects if not is_usual(effect, header))
         deviate = float(units.of_unit(header.name, OwnClock.name, "rate_error").standard_normal())
@@ -126,9 +141,10 @@ def fit(campaign: Campaign, motions: Sequence[Motion], *, model: Model | None = 
         for name, header in headers.items()
     }
     for name, header in headers.items():
+        fitted[name] = replace(fitted[name], clock_error=_clock_error(campaign, header))
         if model is not None and Bandwidth.name in model.parts(header):
             continue  # the model says what the filter is
-        found = _filter_of(campaign, header)
+        found = _filter_of(campaign, header, fitted[name])
         if found is not None:
             fitted[name] = replace(
                 fitted[name], cutoff_hz=found.cutoff_hz, poles=found.poles, sampled_hz=found.sampled_hz
@@ -227,36 +243,38 @@ def _left(phase: PhaseSummary, motion: Motion, force_box: npt.NDArray[np.float64
     return replace(phase, sensors=sensors)
 
 
-def _filter_of(campaign: Campaign, header: SensorHeader) -> Bandwidth | None:
+def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameters) -> Bandwidth | None:
     """The chip's own filter, if rows come fast enough to show it and do.
 
     By least squares of the correlations at lags 1 to 3 in all phases at rest, among filters of one pole and of two
     whose cutoffs are within `CUTOFF_TOLERANCE` of what is configured, analogue and digital (behind a converter that
     samples at the chip's data rate), and noise without a memory. Repeated readings are taken out: a share r of them
-    makes correlations r + (1 - r) rho.
+    makes correlations r + (1 - r) rho; and so is rounding, which no filter passes.
     """
     configured_hz = noise_bandwidth_hz(header)
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if configured_hz <= 0 or not rests:
         return None
     rows_per_s = np.array([1 / phase.intervals.mean_s for phase in rests])
-    repeated = np.array([np.nan_to_num(1 - phase.repeats.new_share) for phase in rests])[:, None]
+    repeated = np.array([_repeated_share(phase) for phase in rests])[:, None]
     lags = np.array([phase.correlation[1 : _LAGS + 1].mean(axis=1) for phase in rests])
-    seen = (lags - repeated) / np.maximum(1 - repeated, 0.1)
+    passed = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
+    seen = (lags - repeated) / np.maximum(1 - repeated, 0.1) / max(float(passed), 0.1)
     slowest_hz = configured_hz * (1 - CUTOFF_TOLERANCE)
     largest = correlation(2 * math.pi * slowest_hz / float(rows_per_s.max()), 1)
     if largest < LEAST_CORRELATION or not np.isfinite(seen).all() or seen[:, 0].max() < LEAST_CORRELATION:
         return None
     chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
     white = float(np.square(seen).sum())
+    rates, of_rate = np.unique(np.round(rows_per_s, 2), return_inverse=True)
     best, least = None, white
     for effect in _filters(header, configured_hz):
-        decays = 2 * math.pi * effect.cutoff_hz / rows_per_s / math.sqrt(effect.poles)
+        decays = 2 * math.pi * effect.cutoff_hz / rates / math.sqrt(effect.poles)
         band = effect.sampled_hz / 2 / effect.cutoff_hz
         expected = [
             [correlation(decay * lag, effect.poles, band) for lag in range(1, _LAGS + 1)] for decay in decays.tolist()
         ]
-        misfit = float(np.square(seen - np.array(expected)).sum())
+        misfit = float(np.square(seen - np.array(expected)[of_rate]).sum())
         if misfit < least:
             best, least = effect, misfit
     return best if least < _FILTER_MISFIT * white + chance else None
@@ -268,6 +286,53 @@ def _filters(header: SensorHeader, configured_hz: float) -> Iterator[Bandwidth]:
         for poles in (1.0, 2.0):
             for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
                 yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled_hz)
+
+
+def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
+    """How much slower or faster than it should the chip's data clock runs, a share, within its tolerance; nan where
+    nothing tells it.
+
+    A host that polls faster than the chip measures reads some readings again, at regular intervals and each as often as
+    any other, to one: the share of new readings, times the rate of the polls, is that of the chip. Repeats that come in
+    longer runs have another reason, and those of a chip that is off by more than its tolerance are no nuisance.
+    """
+    rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
+    if header.rate_hz <= 0 or not rests:
+        return math.nan
+    readings_per_s, weight = [], []
+    tolerance = clock_tolerance(header)
+    for phase in rests:
+        rows_per_s, repeats = 1 / phase.intervals.mean_s, phase.repeats
+        by_chance = _equal_neighbours(phase)
+        excess = (repeats.repeat_share - by_chance) * math.sqrt(phase.rows / max(by_chance, 1 / phase.rows))
+        longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + (by_chance > _EQUAL)
+        if excess < _SLIPS or not 0 < repeats.longest <= longest:
+            continue
+        readings_per_s.append((1 - _repeated_share(phase)) * rows_per_s)
+        weight.append(phase.rows)
+    if not weight or np.ptp(readings_per_s) > _SAME_CLOCK * header.rate_hz:
+        return math.nan
+    error = float(np.average(readings_per_s, weights=weight)) / header.rate_hz - 1
+    return error if abs(error) <= tolerance else math.nan
+
+
+def _repeated_share(phase: Summary) -> float:
+    """Of the rows, those that are no new reading: by the recorder's flags, else by their being equal."""
+    if phase.flags["stale"]:
+        return phase.flags["stale"] / phase.rows
+    by_chance = _equal_neighbours(phase)
+    return float(np.nan_to_num((phase.repeats.repeat_share - by_chance) / (1 - by_chance)))
+
+
+def _equal_neighbours(phase: Summary) -> float:
+    """Share of new readings that equal the one before: that of readings far apart, and more where they correlate, since
+    the scatter of each axis's difference is smaller by the root of 1 - rho.
+    """
+    repeats = phase.repeats
+    far = float(np.nan_to_num(repeats.chance_share))
+    again = float(np.nan_to_num(1 - repeats.new_share))
+    rho = np.clip((np.nan_to_num(phase.correlation[1]) - again) / max(1 - again, 0.1), 0.0, 0.9)
+    return min(far / math.sqrt(float(np.prod(1 - rho))), repeats.repeat_share)
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:

@@ -15,6 +15,7 @@ import numpy as np
 from imuarray.gap.model.base_model import Base
 from imuarray.gap.model.populations import (
     CUTOFF_TOLERANCE,
+    clock_tolerance,
     offset_tolerance,
     response_tolerance,
     slope_tolerance,
@@ -75,6 +76,9 @@ def _of_part(header: SensorHeader, fitted: FittedParameters) -> Iterator[Nuisanc
     if math.isfinite(fitted.cutoff_hz):
         off = fitted.cutoff_hz / noise_bandwidth_hz(header) - 1
         yield NuisanceEstimate("cutoff of the filter", header.name, "", off, "", CUTOFF_TOLERANCE, _USUAL)
+    if math.isfinite(fitted.clock_error):
+        tolerance = clock_tolerance(header)
+        yield NuisanceEstimate("rate of the data clock", header.name, "", fitted.clock_error, "", tolerance, _SHEET)
     tolerances = response_tolerance(header)
     for row, (axis, values) in enumerate(zip(AXES, fitted.raw_response, strict=True)):
         for column, value in enumerate(values):

@@ -146,6 +146,11 @@ def turn_on_rms(header: SensorHeader) -> float:
     return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
 
 
+def clock_tolerance(header: SensorHeader) -> float:
+    """Relative error of the data clock that the data sheet allows a part (BMA-107), else the usual one."""
+    return _reach(header, "own_clock", "rate_error", TOLERANCE_SIGMAS * CLOCK_SIGMA)
+
+
 def scale_tolerance(header: SensorHeader) -> float:
     """Relative error of scale that the data sheet allows a part, else the usual one."""
     return _reach(header, "scale", "error", TOLERANCE_SIGMAS * SCALE_SIGMA)

@@ -62,6 +62,8 @@ class FittedParameters:
     within the chip's tolerance; `raw_response` as fitted without that bound. `is_slope_known`: whether temperatures
     differed enough. `cutoff_hz`: the noise is low-passed there by the chip's own filter of so many
     `poles` (infinite: it is white), which may be a digital one behind a converter that samples at `sampled_hz`.
+    `clock_error`: how much faster the chip's data clock runs than it should, a share, where rows that repeat the one
+    before tell it (nan: nothing does).
     """
 
     rms: Triple
@@ -73,6 +75,7 @@ class FittedParameters:
     cutoff_hz: float = math.inf
     poles: float = 1.0
     sampled_hz: float = math.inf
+    clock_error: float = math.nan
 
     def effects(self) -> tuple[Effect, ...]:
         """As the simulator has them."""

@@ -20,7 +20,8 @@ class OwnClock(Effect):
     `rate_error` is relative, `phase_deg` the share of a period, times 360, that has passed at the epoch since the
     latest reading (nan: drawn at each boot). The BMA180's oscillator is within 10 % (BMA-107); the other data sheets
     print no tolerance. Filters that go by the same clock keep their noise here. Where the rows are the chip's own
-    readings (a queue, an imported log) nothing happens: their stamps tell when they were made. In data: nothing at
+    readings (a queue, an imported log) nothing happens: their stamps tell when they were made. Rows that come at the
+    chip's nominal rate are taken as these, unless `polled` (1) says that a host's clock made them. In data: nothing at
     rest, unless the chip is polled faster than it reads, when more or fewer rows repeat the one before; in motion a
     reading is 0 to 1 period old: a delay where polls and periods keep step, else jitter that beats.
     """
@@ -28,24 +29,29 @@ class OwnClock(Effect):
     name: ClassVar[str] = "own_clock"
     rate_error: float = scalar(0.0)
     phase_deg: float = scalar(0.0)
+    polled: float = scalar(0.0)
 
     def __post_init__(self) -> None:
-        """ValueError for a rate of less than a half or more than three halves, and for an infinite phase."""
+        """ValueError for a rate of less than a half or more than three halves, for an infinite phase, and for another
+        `polled` than 0 and 1.
+        """
         super().__post_init__()
         require("rate_error", self.rate_error, -0.5, 0.5)
         if math.isinf(self.phase_deg):
             raise ValueError(f"phase_deg: {self.phase_deg}; a number is wanted, or nan: drawn at each boot")
+        if self.polled not in (0.0, 1.0):
+            raise ValueError(f"polled: {self.polled:g}; allowed are 0 and 1")
 
     def lookback(self, at: Place) -> int:
         """Rows that may repeat one reading, and one, where the real rate is slower than the rows."""
         real_hz = at.sensor.rate_hz * (1 + self.rate_error)
-        if not self.rate_error or not _is_polled(at) or real_hz >= at.rows_per_s:
+        if not self.rate_error or not self._is_polled(at) or real_hz >= at.rows_per_s:
             return 0
         return math.ceil(at.rows_per_s / real_hz) + 1
 
     def sampled(self, instants: Instants, at: Place) -> Instants:
         """Sets the real rate, and the phase in periods."""
-        if (self.rate_error, self.phase_deg) == (0.0, 0.0) or not _is_polled(at):
+        if (self.rate_error, self.phase_deg) == (0.0, 0.0) or not self._is_polled(at):
             return instants
         rate_hz = instants.rate_hz * (1 + self.rate_error)
         return replace(instants, rate_hz=rate_hz, phase=instants.phase + self._phase(at))
@@ -55,8 +61,7 @@ class OwnClock(Effect):
             return self.phase_deg / 360
         return at.kept((self.name, "phase", at.copy), lambda: float(at.boot_generator(self.name).uniform()))
 
-
-def _is_polled(at: Place) -> bool:
-    """Whether the chip has a rate, and rows come at another one."""
-    rate_hz = at.sensor.rate_hz
-    return rate_hz > 0 and abs(at.rows_per_s / rate_hz - 1) > AT_ITS_RATE
+    def _is_polled(self, at: Place) -> bool:
+        """Whether the chip has a rate, and rows come at another one, or are known to be polls."""
+        rate_hz = at.sensor.rate_hz
+        return rate_hz > 0 and (bool(self.polled) or abs(at.rows_per_s / rate_hz - 1) > AT_ITS_RATE)
