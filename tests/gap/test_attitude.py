@@ -141,3 +141,25 @@ def test_a_recording_without_a_gap_lies_among_its_replicates() -> None:
     scores = found.judged.likeness.scores(found.chance)
     assert np.nanmean(np.abs(found.judged.parts) < 1) == pytest.approx(np.nanmean(np.abs(scores) < 1), abs=0.04)
     assert not found.located.is_gap
+
+
+@given(
+    bias=st.tuples(*[st.floats(-0.1, 0.1)] * 3),
+    scale=st.tuples(*[st.floats(-0.02, 0.02)] * 3),
+    seed=st.integers(0, 999),
+)
+def test_opposite_noted_faces_tell_the_bias_however_the_box_leans(
+    bias: tuple[float, float, float], scale: tuple[float, float, float], seed: int
+) -> None:
+    """Reading up and down along an axis, half their sum is the bias, but for the square of the lean."""
+    faces = np.concatenate([np.eye(3), -np.eye(3)])
+    vectors = faces + np.random.default_rng(seed).normal(0, 0.01, (6, 3))
+    leaning = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    found = ups_of(leaning * (1 + np.array(scale)) + np.array(bias), np.full((6, 3), np.nan), faces)
+    np.testing.assert_allclose(found.bias_g, bias, atol=1.5e-3)
+
+
+def test_a_single_noted_face_leans_as_little_as_it_can() -> None:
+    """What it reads across is taken as bias: a hundredth of a radian is no surprise in neither, but nothing tells."""
+    found = ups_of(np.array([[0.01, 0.0, 1.0]]), np.full((1, 3), np.nan), np.array([[0.0, 0.0, 1.0]]))
+    np.testing.assert_allclose(found.up_box, [[0.0, 0.0, 1.0]], atol=1e-6)

@@ -84,11 +84,13 @@ def test_a_sensor_that_was_never_at_rest_is_ideal() -> None:
 
 
 def test_what_is_predicted_is_taken_away() -> None:
-    """A fitted mean is left at 0; of a scale error of 5 % the 2 % that the data sheet allows (BMA-74) are fitted."""
+    """A fitted mean is left at 0; of a scale error of 5 % the 2 % that the data sheet allows (BMA-74) are fitted, and
+    the 0.3 % that gravity may be off.
+    """
     campaign = campaign_of("tumble", {"A1": (Scale(0.05),)})
     base = fit(campaign, PLANS["tumble"])
     left = statistics(residual(campaign, PLANS["tumble"], base))
-    assert left[Key(0, "A1", "x", "", -1, "force", "force_own")] == pytest.approx(0.03, abs=1e-3)
+    assert left[Key(0, "A1", "x", "", -1, "force", "force_own")] == pytest.approx(0.027, abs=1e-3)
     assert left[Key(0, "A2", "x", "", -1, "force", "force_own")] == pytest.approx(0.0, abs=1e-3)
     warm = campaign_of("heating")
     left = statistics(residual(warm, PLANS["heating"], fit(warm, PLANS["heating"])))

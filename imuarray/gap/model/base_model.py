@@ -43,6 +43,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
 from imuarray.simulate.effects.own_clock import OwnClock
+from imuarray.simulate.effects.size_effect import SizeEffect
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
@@ -57,6 +58,9 @@ _IN_STEP = OwnClock(phase_deg=math.nan)
 
 _NOISE_POWERS = {"noise": 1, "motion_residual": 2, "run_spread": 1}
 """Statistics in logs of the sensor's unit to a power: as many logs of the fitted noise are taken from them."""
+
+_SAMPLES_A_ROW = 8
+"""From so many samples for each row on a digital filter looks analogue."""
 
 _LAGS, _CUTOFFS = 3, 101
 """Correlations that tell a filter, and cutoffs that are tried for each number of poles."""
@@ -97,8 +101,8 @@ class Base:
         return {name: (*drawn[name], *fitted.effects()) for name, fitted in self.fitted.items()}
 
     def drawn(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
-        """What isn't fitted: neither noise nor bias; of a bias over temperature the curve, and the slope where the
-        recording's temperatures don't tell it.
+        """What isn't fitted: no noise and no bias; of a bias over temperature the curve, and the slope where the
+        recording's temperatures don't tell it; where an accelerometer sits in the box, as its header says.
 
         Parts of even replicates have data clocks in step with the polls and the same bias at each power-on, those of
         odd ones clocks that are off and biases that scatter: a recording may be like either.
@@ -115,6 +119,9 @@ class Base:
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if not any(isinstance(effect, OwnClock) for effect in effects):
             effects = (_IN_STEP, *effects)
+        is_placed = header.quantity == "specific_force" and any(header.position_mm)
+        if is_placed and not any(isinstance(effect, SizeEffect) for effect in effects):
+            effects = (SizeEffect(header.position_mm), *effects)
         clock_error = self.fitted[header.name].clock_error
         if math.isfinite(clock_error):
             clock = OwnClock(clock_error, math.nan, 1.0)
@@ -257,7 +264,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
         return None
     rows_per_s = np.array([1 / phase.intervals.mean_s for phase in rests])
     repeated = np.array([_repeated_share(phase) for phase in rests])[:, None]
-    lags = np.array([phase.correlation[1 : _LAGS + 1].mean(axis=1) for phase in rests])
+    lags = np.array([np.median(phase.correlation[1 : _LAGS + 1], axis=1) for phase in rests])
     passed = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
     seen = (lags - repeated) / np.maximum(1 - repeated, 0.1) / max(float(passed), 0.1)
     slowest_hz = configured_hz * (1 - CUTOFF_TOLERANCE)
@@ -268,7 +275,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     white = float(np.square(seen).sum())
     rates, of_rate = np.unique(np.round(rows_per_s, 2), return_inverse=True)
     best, least = None, white
-    for effect in _filters(header, configured_hz):
+    for effect in _filters(header, configured_hz, float(rows_per_s.max())):
         decays = 2 * math.pi * effect.cutoff_hz / rates / math.sqrt(effect.poles)
         band = effect.sampled_hz / 2 / effect.cutoff_hz
         expected = [
@@ -280,9 +287,10 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     return best if least < _FILTER_MISFIT * white + chance else None
 
 
-def _filters(header: SensorHeader, configured_hz: float) -> Iterator[Bandwidth]:
-    """Those that the chip may have."""
-    for sampled_hz in (math.inf, header.rate_hz) if header.rate_hz > 0 else (math.inf,):
+def _filters(header: SensorHeader, configured_hz: float, rows_per_s: float) -> Iterator[Bandwidth]:
+    """Those that the chip may have; a digital one whose rows come far more slowly than its samples looks analogue."""
+    is_seen = 0 < header.rate_hz < _SAMPLES_A_ROW * rows_per_s
+    for sampled_hz in (math.inf, header.rate_hz) if is_seen else (math.inf,):
         for poles in (1.0, 2.0):
             for ratio in np.linspace(1 - CUTOFF_TOLERANCE, 1 + CUTOFF_TOLERANCE, _CUTOFFS).tolist():
                 yield Bandwidth(ratio * configured_hz, poles=poles, sampled_hz=sampled_hz)
@@ -321,6 +329,8 @@ def _repeated_share(phase: Summary) -> float:
     if phase.flags["stale"]:
         return phase.flags["stale"] / phase.rows
     by_chance = _equal_neighbours(phase)
+    if by_chance >= 1:
+        return 0.0  # a sensor without noise
     return float(np.nan_to_num((phase.repeats.repeat_share - by_chance) / (1 - by_chance)))
 
 

@@ -33,8 +33,9 @@ def estimated_forces(campaign: Campaign, motions: Sequence[Motion]) -> Forces:
     if not any(rest.known is None for rest in rests):
         return {}
     readings = _readings([rest.accelerometers for rest in rests], lambda summary: mean(summary))
-    known_g = np.array([rest.nominal if rest.known is None else rest.known for rest in rests])
-    return _forces(rests, ups_of(array_mean(readings), known_g).up_box)
+    known_g = np.array([np.full(3, np.nan) if rest.known is None else rest.known for rest in rests])
+    noted_g = np.array([rest.nominal for rest in rests])
+    return _forces(rests, ups_of(array_mean(readings), known_g, noted_g).up_box)
 
 
 def forces_left(campaign: Campaign, motions: Sequence[Motion], less: Callable[[Summary], Floats]) -> Forces:

@@ -49,6 +49,11 @@ THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0
 CLOCK_SIGMA = 0.02
 """Relative error of a chip's data clock where no tolerance is printed: RC oscillators keep a few percent."""
 
+GRAVITY_TOLERANCE = 0.003
+"""Relative: gravity at sea level is 9.780 m/s^2 at the equator and 9.832 m/s^2 at the poles (WGS 84), 9.80665 m/s^2
+being standard; 300 m of height take 0.01 %.
+"""
+
 CUTOFF_TOLERANCE = 0.5
 """Relative. Few data sheets print how far the cutoff of a filter may be off, or its order; the paper's gyroscopes, set
 to 35 Hz, have the correlation of a first-order filter of 51 Hz.
@@ -125,14 +130,15 @@ def response_tolerance(header: SensorHeader) -> Floats:
     """(3, 3) the largest response to specific force along each axis (column) that each axis (row) of a part may have.
 
     As `FittedParameters.response` counts it: of an accelerometer the scale error on the diagonal (ADX-63, BMA-70 to
-    BMA-76) and the sine of the misalignment beside it, of a gyroscope the g-sensitivity; 0 of other sensors.
+    BMA-76; and what local gravity is off, which a log at rest doesn't tell from it) and the sine of the misalignment
+    beside it, of a gyroscope the g-sensitivity; 0 of other sensors.
     """
     if header.unit == "dps":
         return np.full((3, 3), TOLERANCE_SIGMAS * G_SENSITIVITY_SIGMA)
     if header.quantity != "specific_force":
         return np.zeros((3, 3))
     angle = math.sin(math.radians(TOLERANCE_SIGMAS * ANGLE_SIGMA_DEG))
-    return np.asarray(np.where(np.eye(3) > 0, scale_tolerance(header), angle))
+    return np.asarray(np.where(np.eye(3) > 0, scale_tolerance(header) + GRAVITY_TOLERANCE, angle))
 
 
 def is_usual(effect: Effect, header: SensorHeader) -> bool:

@@ -27,6 +27,9 @@ _SHORT = 0.25
 MOST_TILT_DEG = 5.0
 """A box that is said to stand on a face leans no further: a nuisance quantity. Beyond, the label is doubted."""
 
+MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
+"""A box that turns faster by its track, rms over so many moments of a phase, is not at rest, whatever is noted."""
+
 NEEDED_S, NEEDED_ROWS = 3.0, 24
 """So long, and so many rows, a log without phases has to be at rest: a static stretch is found by windows of half a
 second or four rows, of which the first and the last are cut off."""
@@ -46,9 +49,10 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
     `motion` follows a track. LogError if there is nothing.
     """
     is_told = motion.source != "phases"
-    still = [phase for phase in log.phases if is_at_rest(phase)]
+    noted = [_as_tracked(phase, motion) if is_told else phase for phase in log.phases]
+    still = [phase for phase in noted if is_at_rest(phase)]
     found, notes = ([], []) if still else _found_poses(log)
-    moving = [phase for phase in log.phases if phase not in still]
+    moving = [phase for phase in noted if phase not in still]
     if not is_told:
         notes += [f"Phase {phase.name!r} is left out: nothing says how the box moved." for phase in moving]
         moving = []
@@ -58,6 +62,14 @@ def phases_of(log: Log, motion: LikeLog) -> tuple[tuple[Phase, ...], list[str]]:
     if not phases:
         raise LogError(f"{log.path}: nothing to compare: {_lacking(log)}")
     return phases, notes
+
+
+def _as_tracked(phase: Phase, motion: LikeLog) -> Phase:
+    """Without an axis that is up, if the track says that the box turns: that of the face on which it began."""
+    times_ns = np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64)
+    rate_dps = np.degrees(np.asarray(motion.felt(times_ns).rate_box, float))
+    turns = float(np.sqrt(np.mean(rate_dps**2, axis=0).sum())) > MOST_RATE_DPS
+    return phase._replace(up="") if phase.up and turns else phase
 
 
 def _lacking(log: Log) -> str:
@@ -116,7 +128,7 @@ def attitudes_of(log: Log, phases: Sequence[Phase], motion: LikeLog) -> tuple[tu
         return tuple(Attitude(phase, up, estimated=False) for phase, up in zip(still, ups, strict=True)), notes
     readings = np.array([[_mean_g(sensor, phase) for sensor in accelerometers] for phase in still])
     known = np.array([(np.nan,) * 3 if up is None else up for up in noted])
-    estimates = ups_of(array_mean(readings), known).up_box.tolist()
+    estimates = ups_of(array_mean(readings), np.full_like(known, np.nan), known).up_box.tolist()
     attitudes = [_attitude(*item) for item in zip(still, noted, estimates, strict=True)]
     note = (
         f"Which axis was up is not noted in {free} of {len(still)} phases at rest: it is estimated from all "

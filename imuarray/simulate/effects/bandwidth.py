@@ -8,7 +8,6 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 from scipy.linalg import solve_toeplitz
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
@@ -18,7 +17,7 @@ from imuarray.simulate.signal import Analog, Floats, Place
 _FINE = 1e-3  # time constants per row below which correlations of rows differ too little to be told apart
 _FORGOTTEN = 12 * math.log(10.0)  # time constants after which 1e-12 is left of the past
 _MEMORY = 8  # rows that noise behind a digital filter is predicted from
-_NODES = 64  # of the quadrature, besides two for each radian at its end
+_STEPS = 8  # of the quadrature for each cutoff and each radian
 
 
 @dataclass(frozen=True)
@@ -103,10 +102,18 @@ def correlation(decay: float, poles: float, band: float = math.inf) -> float:
 def _band_limited(decay: float, poles: float, band: float) -> float:
     """The cosine transform of the filter's squared response 1 / (1 + u^(2 poles)), u = 0 to `band` cutoffs."""
     radians = decay * math.sqrt(poles)  # at the cutoff
-    nodes, weight = leggauss(_NODES + 2 * math.ceil(radians * band))
-    over_cutoff = (nodes + 1) * band / 2
-    power = weight / (1 + over_cutoff ** (2 * poles))
+    steps = 2 * math.ceil(_STEPS * (1 + band * (1 + radians)))
+    over_cutoff = np.linspace(0.0, band, steps + 1)
+    power = _simpson(steps) / (1 + over_cutoff ** (2 * poles))
     return float(power @ np.cos(radians * over_cutoff) / power.sum())
+
+
+def _simpson(steps: int) -> Floats:
+    """(n + 1,) weights 1, 4, 2, 4, ... 4, 1 of Simpson's rule for an even number n of steps."""
+    weight = np.full(steps + 1, 2.0)
+    weight[1::2] = 4.0
+    weight[[0, -1]] = 1.0
+    return weight
 
 
 @lru_cache(maxsize=256)
