@@ -125,10 +125,10 @@ def figures(kind: str, more: dict[str, tuple[object, ...]]) -> Uses:
 
 
 def test_faces_show_an_error_of_scale() -> None:
-    """2 % beyond the tolerance of 2 % (BMA-73): 20 mg up or down on one axis of each face, a third of the axes:
+    """2 % beyond the tolerance of 2 % (BMA-73) and 0.3 % of gravity: 20 mg up or down on one axis of each face, a third of the axes:
     20 mg / sqrt(3).
     """
-    found = figures("tumble", {"A1": (Scale(0.04),)})
+    found = figures("tumble", {"A1": (Scale(0.043),)})
     value, unit = found["six-face residual", "A1"]
     assert value == pytest.approx(20 / math.sqrt(3), rel=0.02) and unit == "mg"
     assert found["six-face residual", "A2"][0] < 0.3  # 4 mg of noise, 1000 rows a face, two axes' rounding of 1/2 mg
