@@ -125,8 +125,8 @@ def figures(kind: str, more: dict[str, tuple[object, ...]]) -> Uses:
 
 
 def test_faces_show_an_error_of_scale() -> None:
-    """2 % beyond the tolerance of 2 % (BMA-73) and 0.3 % of gravity: 20 mg up or down on one axis of each face, a third of the axes:
-    20 mg / sqrt(3).
+    """2 % beyond the tolerance of 2 % (BMA-73) and 0.3 % of gravity: 20 mg up or down on one axis of each face, a third
+    of the axes: 20 mg / sqrt(3).
     """
     found = figures("tumble", {"A1": (Scale(0.043),)})
     value, unit = found["six-face residual", "A1"]

@@ -71,9 +71,6 @@ _FILTER_MISFIT = 0.1
 _SLIPS = 4.0
 """Standard deviations by which rows repeat the one before more often than by chance, for a chip's clock to be slow."""
 
-_EQUAL = 1e-3
-"""From this share of new readings on that equal the one before, runs of repeats are one longer by chance."""
-
 _SAME_CLOCK = 0.01
 """Relative difference between phases beyond which no one clock explains the repeats."""
 
@@ -267,9 +264,7 @@ def _filter_of(campaign: Campaign, header: SensorHeader, fitted: FittedParameter
     lags = np.array([np.median(phase.correlation[1 : _LAGS + 1], axis=1) for phase in rests])
     passed = np.mean(np.square(fitted.rms) / np.square(fitted.noise(header)))
     seen = (lags - repeated) / np.maximum(1 - repeated, 0.1) / max(float(passed), 0.1)
-    slowest_hz = configured_hz * (1 - CUTOFF_TOLERANCE)
-    largest = correlation(2 * math.pi * slowest_hz / float(rows_per_s.max()), 1)
-    if largest < LEAST_CORRELATION or not np.isfinite(seen).all() or seen[:, 0].max() < LEAST_CORRELATION:
+    if not np.isfinite(seen).all() or np.abs(seen).max() < LEAST_CORRELATION:
         return None
     chance = _BY_CHANCE * float(np.sum([_LAGS / max(phase.rows, 1) for phase in rests]))
     white = float(np.square(seen).sum())
@@ -313,7 +308,7 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
         rows_per_s, repeats = 1 / phase.intervals.mean_s, phase.repeats
         by_chance = _equal_neighbours(phase)
         excess = (repeats.repeat_share - by_chance) * math.sqrt(phase.rows / max(by_chance, 1 / phase.rows))
-        longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + (by_chance > _EQUAL)
+        longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + _equal_in_a_row(by_chance, phase.rows)
         if excess < _SLIPS or not 0 < repeats.longest <= longest:
             continue
         readings_per_s.append((1 - _repeated_share(phase)) * rows_per_s)
@@ -322,6 +317,13 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
         return math.nan
     error = float(np.average(readings_per_s, weights=weight)) / header.rate_hz - 1
     return error if abs(error) <= tolerance else math.nan
+
+
+def _equal_in_a_row(by_chance: float, rows: int) -> int:
+    """New readings that equal the one before, one after the other, at most: once in so many rows."""
+    if by_chance >= 1:
+        return rows
+    return math.ceil(math.log(rows) / -math.log(by_chance)) if by_chance > 1 / rows else 0
 
 
 def _repeated_share(phase: Summary) -> float:

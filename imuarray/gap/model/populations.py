@@ -59,8 +59,8 @@ CUTOFF_TOLERANCE = 0.5
 to 35 Hz, have the correlation of a first-order filter of 51 Hz.
 """
 
-LEAST_CORRELATION = 0.05
-"""A filter that correlates neighbouring rows less doesn't show."""
+LEAST_CORRELATION = 0.02
+"""A filter that correlates rows less doesn't show."""
 
 TOLERANCE_SIGMAS = 3.0
 """A tolerance is so many standard deviations of a population that has no printed limit."""
