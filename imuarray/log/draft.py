@@ -7,11 +7,13 @@ import glob
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.log import groups
@@ -26,6 +28,9 @@ if sys.platform != "win32":
 
 _EMPTY_BYTES = 1 << 14
 """What HDF5 takes for a group and its columns, generously."""
+
+_REVISED_CHUNKS = 16
+"""Chunks of a column that are revised at once: half a megabyte."""
 
 _TEXT_BYTES = 64
 _SETTLED_BYTES = 1 << 24
@@ -163,6 +168,24 @@ class Draft:
         if self._rows[number] == 0:
             return []
         return [{name: np.asarray(self.file[group.path][name][:]) for name, _, _ in group.columns}]
+
+    def revise(self, number: int, name: str, change: Callable[[Columns], npt.NDArray[Any]]) -> None:
+        """Put other values in the place of a column of a group: those that `change` makes of each stretch of rows, as
+        many; ValueError if times no longer increase.
+        """
+        self.flush()
+        group = self.groups[number]
+        last_ns: int | None = None
+        for start in range(0, self._rows[number], _REVISED_CHUNKS * self._chunk):
+            part = slice(start, min(start + _REVISED_CHUNKS * self._chunk, self._rows[number]))
+            values = change({column: np.asarray(self.file[group.path][column][part]) for column, _, _ in group.columns})
+            if name == "time":
+                if (np.diff(values) <= 0).any() or (last_ns is not None and values[0] <= last_ns):
+                    raise ValueError(f"/{group.path}: time is not strictly increasing")
+                last_ns = int(values[-1])
+                self._end_ns = max(self._end_ns, last_ns + 1)
+            with write_errors(self.path):
+                self.file[group.path][name][part] = values
 
     def close(self) -> None:
         """Write all there is and close; `part` is then a whole log, and if it is `durable` it is on the disk."""
