@@ -31,7 +31,7 @@ def _of_sensor(sensor: Mapping[str, Any]) -> Iterator[str]:
     if sensor["timing"] is None:
         return
     name = sensor["name"]
-    yield from (f"{name} {text}" for text in _times(sensor["timing"], sensor["rate_hz"]))
+    yield from (f"{name} {text}".replace(" : ", ": ") for text in _times(sensor["timing"], sensor["rate_hz"]))
     axes: dict[str, list[str]] = {}
     for text, axis in _of_axes(sensor):
         axes.setdefault(text, []).append(axis)
@@ -96,7 +96,10 @@ def _fit(axis: Axis) -> Iterator[str]:
 
 
 def _times(timing: Mapping[str, Any], rate_hz: float | None) -> Iterator[str]:
-    if timing["gaps"]:
+    pattern = timing["pattern"]["sentence"]
+    if pattern:
+        yield f": {pattern}"
+    elif timing["gaps"]:
         places = ", ".join(f"{gap['length_s']:.3g} s after {gap['after_ns'] * 1e-9:.3f} s" for gap in _places(timing))
         yield f"has {timing['gaps']} gaps, {timing['gaps_s']:.3g} s in all: {places}"
     repeats = timing["repeats"]

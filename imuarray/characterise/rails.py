@@ -2,9 +2,9 @@
 
 A rail is an end of the 16 bits; the code of range times sensitivity, where readings reach it and none goes beyond; or a
 pile of readings at the largest code, for a range, a filter or a driver may end elsewhere. A density falls towards its
-ends, so that the last code comes no more often than any of those before it; a pile that these laws exclude is a rail if
-it stands near the range's end, or if the other axes move in it. (At rest, a coarse sensor with one face down piles up its
-readings, too: then nothing else moves.)
+ends, so that the last code comes no more often than any of those before it; a pile that this law excludes is a rail
+if it stands near the range's end, or if the other axes move in it. (At rest, a coarse sensor with one face down piles
+up its readings, too: then nothing else moves.)
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ has so much, and a coarse sensor at rest has none."""
 
 @dataclass(frozen=True)
 class Rails:
-    """Lowest and highest code (3,) of each axis, at and beyond which it clips: -inf, inf where it does not. `rows` (3,):
-    how many readings do.
+    """Lowest and highest code (3,) of each axis, at and beyond which it clips: -inf, inf where it does not. `rows`
+    (3,): how many readings do.
     """
 
     low: npt.NDArray[np.float64]

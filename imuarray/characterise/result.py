@@ -23,6 +23,7 @@ from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statist
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, survey
 from imuarray.errors import LogError
+from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.units import SI_NAME, SI_PER_UNIT
@@ -102,7 +103,8 @@ def _sensor(
 ) -> dict[str, Any]:
     """One sensor: what it is, its times and flags, and its axes."""
     rows = sensor.between(stretch.start_ns, stretch.end_ns)
-    timing = find_timing(sensor, rows)
+    pattern = row_timing(sensor)
+    timing = find_timing(sensor, rows, counted=pattern.kind == "bursts")
     statistics = noise_statistics(sensor, rows)
     run = _run(sensor, timing)
     found = survey(sensor, rows, timing, run["interval_s"], estimator)
@@ -120,7 +122,7 @@ def _sensor(
         "largest_gap_s": timing.largest_gap_s,
         "allan_run": run | {"left_out_share": 1 - run["rows"] / count},
         "allan_estimator": found and found.estimator,
-        "timing": found and timing_of(found),
+        "timing": found and timing_of(found) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
         "spectrum": found and spectrum_of(found),
         "axes": _axes(sensor, per_count, found, statistics, progress),
     }

@@ -26,7 +26,7 @@ _WIDTH = 110
     "map_path",
     type=click.Path(path_type=Path),
     metavar="MAP.toml",
-    help="which column is what, of a text, .npz, .mat, .parquet or a ROS bag; a file, or one that comes with the package",
+    help="which column is what, of a text, .npz, .mat, .parquet or a ROS bag; a file, or a map of the package",
 )
 @click.option("--format", "format_name", type=click.Choice(tuple(FORMATS)), help="a format that needs no map")
 @click.option("--guess", is_flag=True, help="propose a map, with its doubts, to be edited; -o MAP.toml writes it")
@@ -47,8 +47,8 @@ def command(
     """Turn a recording made by another program into a log: a known format, or any table of numbers by its map.
 
     What `imuarray export` wrote of raw counts, run.npz or run.csv, needs neither and comes back as it was. After every
-    import a short report says what the recording is like (~) and what of it is doubtful (?): units, range, rate, clipping,
-    stalls, times in bursts. `--guess` looks at a recording and proposes a map.
+    import a short report says what the recording is like (~) and what of it is doubtful (?): units, range, rate,
+    clipping, stalls, times in bursts. `--guess` looks at a recording and proposes a map.
 
     \b
     imuarray import data.csv --guess -o map.toml

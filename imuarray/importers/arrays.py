@@ -1,7 +1,8 @@
 """Arrays as columns: NumPy's .npz, and MATLAB's .mat of versions 5 and 7.3 (HDF5).
 
 An array of one dimension is a column of its name; one of several columns, `acc`, is `acc[0]`, `acc[1]`, ...; fields of
-structs are `imu.acc`. A file that holds one array of several columns has these columns by index, too. Nothing is unpickled.
+structs are `imu.acc`. A file that holds one array of several columns has these columns by index, too. Nothing is
+unpickled.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Times of rows that arrived in bursts, counted out: a chip samples steadily, whatever its host is busy with.
 
-Rows are taken to have been read evenly between the mean arrival times of long stretches, so that the chip's oscillator may
-drift against the host's clock (`imuarray.gap.recording.row_timing`). What is wanted of the raw times stays: each row's
-delay stands beside its time.
+Rows are taken to have been read evenly between mean arrival times of long stretches, so that the chip's oscillator
+may drift against the host's clock (`imuarray.gap.recording.row_timing`). The raw times are kept: each row's delay
+stands beside its time.
 """
 
 from __future__ import annotations

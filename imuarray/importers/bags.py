@@ -1,4 +1,4 @@
-"""ROS bags, 1 and 2, and MCAP files of either: `sensor_msgs` Imu, MagneticField and Temperature, by the package rosbags.
+"""ROS bags, 1 and 2, and MCAP files of either: Imu, MagneticField and Temperature of `sensor_msgs`, by rosbags.
 
 A topic is a kind of rows. The columns of an Imu are `stamp` (the header's, ns), `received` (ns), `angular_velocity.x`,
 ..., `linear_acceleration.z`; those of a MagneticField `magnetic_field.x`, ...; that of a Temperature `temperature`.
@@ -78,18 +78,16 @@ class BagRows:
 
     def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
         """The messages of a topic (`kind`; None where there is but one that has these columns); SourceError."""
+        wanted = ", ".join(map(str, columns))
         fitting = [topic for topic, names in self.names().items() if all(column in names for column in columns)]
         topics = ", ".join(f"{topic} ({name.rsplit('/', 1)[-1]})" for topic, name in self._topics.items())
         if kind is None and len(fitting) != 1:
             raise SourceError(
-                f"{self._path}: {len(fitting)} topics have columns {', '.join(map(str, columns))}; the sensor says which by"
-                f" kind: {topics}"
+                f"{self._path}: {len(fitting)} topics have columns {wanted}; the sensor says which by kind: {topics}"
             )
         topic = fitting[0] if kind is None else kind
         if topic not in fitting:
-            raise SourceError(
-                f"{self._path}: no topic {topic!r} with columns {', '.join(map(str, columns))}; it has {topics}"
-            )
+            raise SourceError(f"{self._path}: no topic {topic!r} with columns {wanted}; it has {topics}")
         where = [self.names()[topic].index(str(column)) for column in columns]
         messages, start = self._bag.messages(topic), 0
         while part := self._guarded(lambda: list(islice(messages, rows))):
@@ -172,7 +170,7 @@ class _Mcap:
     def messages(self, topic: str) -> Iterator[Message]:
         with self._path.open("rb") as file:
             for schema, channel, message in self._make(file).iter_messages(topics=[topic]):
-                kind = _type(schema.name)
+                kind = _type(schema.name) if schema is not None else ""
                 decoded = self._decoders[channel.message_encoding](message.data, kind)
                 yield _row(decoded, int(message.log_time), kind)
 

@@ -217,7 +217,11 @@ class Codes(NamedTuple):
     bits: int | None = None
 
 
-def counts(column: Column, codes: Codes = Codes()) -> npt.NDArray[np.int16]:
+CODES = Codes()
+"""Cells that are counts."""
+
+
+def counts(column: Column, codes: Codes = CODES) -> npt.NDArray[np.int16]:
     """(n,) counts; SourceError for a cell that is no number, no whole one, or no 16-bit count."""
     values = numbers(column)
     whole = np.rint(values if codes.sensitivity is None else values * codes.sensitivity)
@@ -328,7 +332,7 @@ class Clock:
         else:
             whole, part = values, np.zeros(len(values), np.int64)
         if isinstance(self._tick_ns, int):
-            return np.asarray(whole.astype(np.int64) * self._tick_ns + part)
+            return np.asarray(whole.astype(np.int64) * self._tick_ns + part, np.int64)
         return np.array([round(int(value) * self._tick_ns) for value in whole.tolist()], np.int64) + part
 
     @property

@@ -84,8 +84,9 @@ class TimeTable(BaseModel):
     """`[time]`: a column of times in a unit, or a rate at which the rows follow each other.
 
     A column counts `ticks` of its unit (0.5: half a unit each), and begins anew at `wraps_at` where it does. With
-    `ties`, rows of one and the same time are put 1 ns apart. `stamps = "arrival"`: they are those at which rows arrived,
-    in bursts; the log's times are then counted out (`imuarray.importers.arrival`), and those of arrival stand beside.
+    `ties`, rows of one and the same time are put 1 ns apart. `stamps = "arrival"`: they are those at which rows
+    arrived, in bursts; the log's times are then counted out (`imuarray.importers.arrival`), and those of arrival stand
+    beside.
     """
 
     model_config = _STRICT
@@ -144,15 +145,20 @@ class Streamed(BaseModel):
     kind: str | None = None
 
 
-class OwnThermometer(Streamed, ThermometerTable):
-    """`[[thermometer]]`: one that is of no sensor's chip."""
+class Recorded(Streamed):
+    """What becomes a sensor of the log."""
 
     name: Name
+
+
+class OwnThermometer(Recorded, ThermometerTable):
+    """`[[thermometer]]`: one that is of no sensor's chip."""
+
     chip: str = "thermometer"
     column: Column
 
 
-class SensorTable(Streamed):
+class SensorTable(Recorded):
     """`[[sensor]]`: three columns that are one triad.
 
     `values` says whether they hold counts or numbers in `unit`, which are turned into counts; without `sensitivity` and
@@ -162,7 +168,6 @@ class SensorTable(Streamed):
     a chip's data sheet is not known to this package, or a unit has been calibrated.
     """
 
-    name: Name
     chip: Annotated[str, Field(min_length=1)]
     quantity: Literal["specific_force", "angular_rate", "magnetic_field"]
     columns: Triad
@@ -276,7 +281,7 @@ class PhaseTable(BaseModel):
 
     @property
     def box_up(self) -> str:
-        """The box axis that points up: as said, or in a phase called z_up, x_down, y_up_check, ...; "" for any other."""
+        """The box axis that points up: as said, or as a name like z_up, x_down, y_up_check says; else ""."""
         return self.up or face_up(self.name)
 
 
@@ -301,7 +306,8 @@ class TableMap(BaseModel):
             raise ValueError("time: is missing")
         if not self.sensor:
             raise ValueError("sensor: is missing")
-        names = [item.name for item in (*self.sensor, *self.thermometer)]
+        recorded: list[Recorded] = [*self.sensor, *self.thermometer]
+        names = [item.name for item in recorded]
         for name, count in Counter(names).items():
             if count > 1:
                 raise ValueError(f"{count} sensors are called {name!r}; names are unique")

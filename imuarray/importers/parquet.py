@@ -1,4 +1,4 @@
-"""Parquet files, by pyarrow: columns of numbers by name; times of its own kind are ns, those of a kind without a zone UTC."""
+"""Parquet files, by pyarrow: columns of numbers by name; times of a type of their own are ns since 1970, UTC."""
 
 from __future__ import annotations
 

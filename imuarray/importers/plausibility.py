@@ -2,8 +2,8 @@
 
 Most mistakes of an import are of units, and they contradict something that is known: gravity is 1 g, the earth's field
 some half a gauss, and what a gyroscope turns an accelerometer's gravity turns too. Others show in the times (a unit of
-time, rows in bursts, stalls) or in the codes (axes that are always the same, only even codes, a range that is exceeded).
-Nothing is changed here; a doubt is for a person.
+time, rows in bursts, stalls) or in the codes (axes that are always the same, only even codes, a range that is
+exceeded). Nothing is changed here; a doubt is for a person.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ _TURN_UNITS: Mapping[float, str] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Report:
-    """Sentences: `facts` of a recording, `quirks` that its analysis meets, and `doubts`, what may be wrong in its map."""
+    """Sentences: `facts` of a recording, `quirks` that its analysis meets, `doubts`: what of its map may be wrong."""
 
     facts: tuple[str, ...] = ()
     quirks: tuple[str, ...] = ()
@@ -133,8 +133,11 @@ def report_of(log: Log) -> Report:
     for sensor in log.sensors.values():
         if len(sensor) < FEWEST_ROWS:
             continue
-        for text in _degrees(sensor):
+        known, doubted = _degrees(sensor)
+        for text in doubted:
             doubts.add(sensor.name, text)
+        for text in known:
+            quirks.add(sensor.name, text)
         if not sensor.is_triad:
             continue
         timing = row_timing(sensor)
@@ -171,7 +174,7 @@ def _facts(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
 
 
 class _Windows:
-    """Means (w, 3) and largest standard deviations (w,) of a sensor's windows that have rows, in its unit, box frame."""
+    """Means (w, 3) and largest standard deviation (w,) of a sensor's windows that have rows, in its unit, box frame."""
 
     def __init__(self, sensor: SensorLog, timing: RowTiming) -> None:
         begin = int(sensor.time[0])
@@ -291,7 +294,7 @@ class _Codes:
         most = max(int(np.abs(codes.codes[[0, -1]]).max()) for codes in self.seen)
         if limit and most > limit:
             value = most / sensor.sensitivity
-            yield f"reads up to {value:.4g} {sensor.unit}, beyond its range of {sensor.range:g}: range or unit is another"
+            yield f"reads up to {value:.4g} {sensor.unit}, beyond its range of {sensor.range:g}: is the unit another?"
         if all(_is_unsigned(codes) for codes in self.seen) and sensor.quantity in INERTIAL:
             yield "all codes are positive on every axis: are they unsigned, with an offset?"
 
@@ -300,19 +303,23 @@ def _is_unsigned(seen: Histogram) -> bool:
     return bool(seen.codes[0] >= 1000 and seen.codes[-1] - seen.codes[0] < seen.codes[0])
 
 
-def _degrees(sensor: SensorLog) -> Iterator[str]:
-    """What of a thermometer is missing or can't be."""
+def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
+    """What a thermometer read, and what of it is missing or can't be."""
     column = sensor.temperature_counts
     if column is None:
-        return
+        return [], []
+    seen = histogram(np.asarray(column[:], np.int64))
     scale = degc_of(sensor)
     if scale is None:
-        yield "nobody knows what its thermometer's counts mean: the map says thermometer = { zero_degc, lsb_per_degc }"
-    elif has_zero(sensor):
-        degc = scale[0] + scale[1] * np.asarray(column[:], float)
-        low, high = float(degc.min()), float(degc.max())
-        if low < DEGC[0] or high > DEGC[1]:
-            yield f"its thermometer reads {low:.4g} to {high:.4g} degC: is its scale another?"
+        return [], [
+            "nobody knows what its thermometer's counts mean: the map says thermometer = { zero_degc, lsb_per_degc }"
+        ]
+    ends = sorted(scale[0] + scale[1] * float(code) for code in seen.codes[[0, -1]])
+    span = f"its thermometer reads {ends[0]:.4g} to {ends[1]:.4g} degC"
+    if has_zero(sensor) and not DEGC[0] <= ends[0] <= ends[1] <= DEGC[1]:
+        return [], [f"{span}: is its scale another?"]
+    step = usual_step(seen)
+    return [f"{span}, in steps of {step} counts ({abs(step * scale[1]):.2g} degC)" if step > 1 else span], []
 
 
 def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
@@ -329,6 +336,17 @@ def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str
             continue
         guess = _explained(factor, _TURN_UNITS) or "range and sensitivity may be those of another setting"
         yield gyroscope.name, f"turns {1 / factor:.3g} times as fast as gravity does in the accelerometers: {guess}"
+
+
+def turns_of(log: Log) -> float | None:
+    """By what a log's first gyroscope has to be multiplied to turn as gravity does in its first accelerometer; None if
+    nothing tells.
+    """
+    pair = [next(iter(log.of(quantity)), None) for quantity in INERTIAL]
+    if any(one is None or len(one) < FEWEST_ROWS or not one.sensitivity for one in pair):
+        return None
+    force, rate = (_Windows(one, row_timing(one)) for one in pair if one is not None)
+    return _turn_ratio(force, rate)
 
 
 def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:

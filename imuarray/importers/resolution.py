@@ -1,7 +1,7 @@
 """Counts per unit of columns that are in a unit: learnt from the grid on which the values lie, or from their size.
 
-Most recordings in units are counts that a driver has multiplied: then the values lie on a grid, whose step is the scale,
-and the counts come back as they were. Other values are rounded to counts as fine as 16 bits allow.
+Most recordings in units are counts that a driver has multiplied: then the values lie on a grid, whose step is the
+scale, and the counts come back as they were. Other values are rounded to counts as fine as 16 bits allow.
 """
 
 from __future__ import annotations

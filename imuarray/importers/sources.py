@@ -1,7 +1,7 @@
 """Where the rows of a recording come from: a text, arrays in a file (.npz, .mat, .parquet), messages in a bag.
 
-What kind of file it is its first bytes say (`open_rows`). A text is read as it streams; so are bags and Parquet files. The
-arrays of .npz and .mat files are read whole, as these formats hold them.
+What kind of file it is its first bytes say (`open_rows`). A text is read as it streams; so are bags and Parquet files.
+The arrays of .npz and .mat files are read whole, as these formats hold them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO, Protocol, cast
+from typing import Protocol, cast
 
 from imuarray.errors import SourceError
 from imuarray.importers import open_source, unpacked, unreadable
@@ -54,7 +54,7 @@ class TextRows:
         """The rows from the beginning of the file."""
         named = any(isinstance(column, str) for column in self._map.columns())
         with open_source(self._source, self._output) as file:
-            table = Table(cast(BinaryIO, unpacked(file)), str(self._source), self._map.file, named)
+            table = Table(unpacked(file), str(self._source), self._map.file, named)
             where = [table.index(column) for column in columns]
             for block in table.blocks(rows, kind):
                 yield block, where

@@ -21,6 +21,7 @@ from imuarray.importers.mapping import (
     ZERO_OF_UNIT,
     OwnThermometer,
     PhaseTable,
+    Recorded,
     ReferenceTable,
     SensorTable,
     Streamed,
@@ -43,7 +44,7 @@ Times = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 VANISHED = 0.3
-"""A column whose neighbouring values differ by less than so many counts (rms, for each) has lost its noise in rounding."""
+"""A column whose neighbouring values differ by less than so many counts (rms) has lost its noise in rounding."""
 
 
 def import_table(
@@ -143,8 +144,8 @@ def _streams(table_map: TableMap) -> list[Plan]:
 
 
 def _learnt(plan: Plan, rows: Rows, table_map: TableMap, block_rows: int) -> Iterator[tuple[SensorTable, Resolution]]:
-    """Range and sensitivity of sensors whose columns are in a unit, as far as the map leaves them open: what it says, and
-    the rest from the values, for which the recording is read once more.
+    """Range and sensitivity of sensors whose columns are in a unit and of which the map leaves something open: what it
+    says, and the rest from the values, for which the recording is read once more.
     """
     sensors = [item for item in plan.items if isinstance(item, SensorTable) and item.is_physical]
     largest = dict.fromkeys((sensor.name for sensor in sensors), 0.0)
@@ -257,9 +258,10 @@ class _Stream:
         self.time_of: dict[int, int] = {}
         self.count = self.padding = 0
         self.first_ns = self.last_ns = 0
-        names = [item.name for item in plan.items if isinstance(item, SensorTable | OwnThermometer)]
+        names = [item.name for item in plan.items if isinstance(item, Recorded)]
         self.rows_of = dict.fromkeys(names, 0)
-        self._rounding = {item.name: _Rounding() for item in plan.items if _is_physical(item)}
+        triads = [item for item in plan.items if isinstance(item, SensorTable)]
+        self._rounding = {item.name: _Rounding() for item in triads if item.is_physical}
 
     def add(self, block: Block, where: Sequence[int]) -> None:
         """Write the rows of one block."""
@@ -372,10 +374,6 @@ class _Stream:
                 yield text
 
 
-def _is_physical(item: Streamed) -> bool:
-    return isinstance(item, SensorTable) and item.is_physical
-
-
 def _zeros(cell: Column) -> Mask:
     """(n,) cells that are zero."""
     if cell.values is not None:
@@ -423,7 +421,7 @@ class _Recording:
                     f"{source}: no data rows{which}{whose}; expected rows of numbers as {map_path} describes them"
                 )
         first = self.streams[0]
-        times = {row: time_ns for row, time_ns in first.time_of.items()}
+        times = dict(first.time_of)
         sensor = next(iter(first.rows_of))
         if self._map.clock.stamps == "arrival":
             places = {row: first_at(self._log[sensor].time, time_ns) for row, time_ns in times.items()}

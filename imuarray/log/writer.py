@@ -144,7 +144,7 @@ class LogWriter:
         self._put(len(self._groups) - 1, note_columns(event))
 
     def __getitem__(self, sensor: str) -> SensorLog:
-        """The rows of a sensor so far, as they are read from a log; KeyError for a log that is kept: nobody changes it."""
+        """The rows of a sensor so far, as they are read from a log; KeyError for a log that is kept."""
         if self._live is not None:
             raise KeyError(sensor)
         self._draft.flush()
