@@ -58,7 +58,9 @@ class Column(NamedTuple):
         """A cell as it stands there, cut where it gets too long for a message."""
         return _shortened(self.texts[row] if self.values is None else str(self.values[row]))
 
-    def __len__(self) -> int:
+    @property
+    def rows(self) -> int:
+        """How many cells."""
         return len(self.lines)
 
     def blank(self) -> npt.NDArray[np.bool_]:
@@ -279,7 +281,7 @@ class Clock:
         if column.values is not None:
             times = self._of_numbers(column)
         else:
-            times = np.array([self._of_text(column, row) for row in range(len(column))], np.int64)
+            times = np.array([self._of_text(column, row) for row in range(column.rows)], np.int64)
         first = -_LAST_NS * 2 if self.last_ns is None else self.last_ns
         if self._span_ns:
             before = np.concatenate([[times[0] if self.last_ns is None else first - self._turns_ns], times[:-1]])
@@ -347,7 +349,7 @@ class Clock:
         try:
             value = Decimal(text)
         except InvalidOperation:
-            raise column.refuse(row, f"{column.text(row)!r} is no number") from None
+            raise column.refuse(row, f"{column.text(row)!r} is no number" + _number_hint(column, row)) from None
         if not value.is_finite() or value.copy_abs() > _LAST_NS // self._tick_ns:
             raise column.refuse(row, f"{column.text(row)} is no time; allowed are {self._allowed}")
         if isinstance(self._tick_ns, int):
@@ -398,7 +400,7 @@ def _number_hint(column: Column, row: int) -> str:
     text = "" if column.values is not None else column.texts[row].strip()
     if text.count(",") == 1 and _is_number(text.replace(",", ".")):
         return "; of decimal commas the map says decimal = ','"
-    if row == 0 and text and text[0].isalpha() and text.lower() not in ("nan", "inf"):
+    if column.lines[row] == 1 and text[:1].isalpha() and text.lower() not in ("nan", "inf"):
         return "; of a header the map names the columns, or says skip_rows = 1"
     return ""
 

@@ -269,7 +269,7 @@ class _Stream:
             column: block.column(index, repr(column)) for column, index in zip(self.plan.columns, where, strict=True)
         }
         cells = self._without_padding(cells)
-        length = len(next(iter(cells.values())))
+        length = next(iter(cells.values())).rows
         if not length:
             return
         time = self._times(cells, length)
