@@ -112,8 +112,8 @@ class ArrayRows:
 
 
 def _upright(array: Array) -> Array:
-    """With the rows along the first dimension."""
-    if array.ndim == 2 and array.shape[1] > MOST_COLUMNS >= array.shape[0]:
+    """With the rows along the first dimension: there are more of them than columns."""
+    if array.ndim == 2 and array.shape[0] < array.shape[1] and array.shape[0] <= MOST_COLUMNS:
         array = array.T
     return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
 

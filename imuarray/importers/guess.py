@@ -299,7 +299,7 @@ def _propose(layout: _Layout, names: list[str], columns: Sequence[Values], dates
         proposal.doubts.append("columns have the same names: sensors of one name can't be told apart by it")
     time = _time_index(names, columns, dates)
     taken = set() if time is None else {time}
-    triads = list(_triads(names, columns, taken))
+    triads = sorted(_triads(names, columns, taken), key=lambda triad: triad[0] != "specific_force")
     if time is None:
         proposal.time.append("rate_hz = 100   # ? no column increases as time does")
     else:
