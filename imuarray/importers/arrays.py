@@ -16,6 +16,7 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
+from numpy.lib import format as npy
 
 from imuarray.errors import SourceError
 from imuarray.importers.cells import Block
@@ -128,15 +129,15 @@ def _is_column(array: Any) -> bool:
 def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
     """Every array of numbers, and every field of a structured one."""
     with zipfile.ZipFile(path) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
+        members = archive.infolist()
+        if sum(member.file_size for member in members) > MOST_BYTES:
             raise ValueError(f"more than {MOST_BYTES} bytes")
-    with np.load(path, allow_pickle=False) as file:
-        for name in file.files:
-            array = file[name]
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as file:
+                array: Array = npy.read_array(file, allow_pickle=False)
             if array.dtype.names:
-                yield from (
-                    (f"{name}.{field}", array[field]) for field in array.dtype.names if _is_column(array[field])
-                )
+                yield from ((f"{name}.{part}", array[part]) for part in array.dtype.names if _is_column(array[part]))
             elif _is_column(array):
                 yield name, array
 

@@ -334,7 +334,8 @@ class Clock:
         else:
             whole, part = values, np.zeros(len(values), np.int64)
         if isinstance(self._tick_ns, int):
-            return np.asarray(whole.astype(np.int64) * self._tick_ns + part, np.int64)
+            times: npt.NDArray[np.int64] = whole.astype(np.int64) * self._tick_ns + part
+            return times
         return np.array([round(int(value) * self._tick_ns) for value in whole.tolist()], np.int64) + part
 
     @property

@@ -171,14 +171,14 @@ def _proposed(path: Path) -> _Proposal:
     map_ = parse_map(_PROBE, "guess")
     source = open_rows(path, path.with_suffix(".guess"), map_, lambda done: None)
     proposal = _Proposal(_Layout())
-    for kind, names in source.names().items():
+    for kind, listed in source.names().items():
         columns = []
-        for name in names:
+        for name in listed:
             block = next(
                 (block.column(at[0], name) for block, at in source.blocks([name], kind or None, LOOKED_AT_ROWS)), None
             )
             columns.append(np.zeros(0) if block is None else _finite(block.values))
-        found = _propose(_Layout(), list(names), columns, set())
+        found = _propose(_Layout(), list(listed), columns, set())
         for item in found.items:
             if kind:
                 item.insert(2, f"kind = {_quoted(kind)}")

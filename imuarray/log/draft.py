@@ -18,7 +18,7 @@ import numpy.typing as npt
 from imuarray.errors import LogError
 from imuarray.log import groups
 from imuarray.log.format import CACHE_BYTES, Event, Phase
-from imuarray.log.layout import BESIDE, CHUNK, NOTES, Columns, Group, Notes, groups_of
+from imuarray.log.layout import BESIDE, CHUNK, NOTES, STIMULI, Columns, Group, Notes, groups_of
 from imuarray.log.preamble import Preamble
 from imuarray.log.room import Allowance, write_errors
 from imuarray.log.texts import CHECK_SUMS, check_sums
@@ -90,6 +90,7 @@ class Draft:
         self.groups = groups_of(preamble.sensors)
         self.notes = Notes()
         self._end_ns = 0
+        self._known: set[tuple[str, str]] = set()
         self._epoch, self._chunk = preamble.epoch, chunk
         self._waiting: list[list[Columns]] = [[] for _ in self.groups]
         self._rows = [0] * len(self.groups)
@@ -141,6 +142,8 @@ class Draft:
         self._room.ask(count * group.row_bytes)
         self._asked += count * group.row_bytes
         rows = group.joined(self._waiting[number])
+        if group.path in STIMULI:
+            self._known |= {(group.path, name) for name, values in rows.items() if np.isfinite(values[:count]).any()}
         self._end_ns = max(self._end_ns, int(rows["time"][count - 1]) + 1)
         for name, values in rows.items():
             dataset = self.file[group.path][name]
@@ -203,6 +206,10 @@ class Draft:
         """Write what stands beside the columns, and close the file."""
         for group in self.groups:
             if group.path in self.file:
+                if group.path in STIMULI:  # what nobody measured is missing, and no column of nan
+                    for name, _, _ in group.columns:
+                        if (group.path, name) not in self._known:
+                            del self.file[group.path][name]
                 groups.attach_scales(self.file[group.path])
         names = [group.path.removeprefix("sensors/") for group in self.groups if "/" in group.path]
         if names:
