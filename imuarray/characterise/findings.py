@@ -82,7 +82,11 @@ def _lines(axis: Axis, sensor: Mapping[str, Any]) -> Iterator[str]:
         amplitude, error = line["amplitude"] * scale, line["amplitude_error"] * scale
         others = [f"{hz:.4g}" for hz in line["aliases_hz"][1 : 1 + _ALIASES]]
         aliases = f", or of {', '.join(others)}, ... Hz" if others else ""
-        yield f"a line at {line['frequency_hz']:.4g} Hz{aliases}, amplitude {amplitude:.3g} +- {error:.1g} {unit}"
+        width = f"{line['width_hz']:.2g} Hz wide " if line.get("width_hz") else ""
+        base = line.get("fundamental_hz")
+        order = f", harmonic {round(line['frequency_hz'] / base)} of {base:.4g} Hz" if base else ""
+        place = f"{width}at {line['frequency_hz']:.4g} Hz{order}{aliases}"
+        yield f"a line {place}, amplitude {amplitude:.3g} +- {error:.1g} {unit}"
     if len(axis["lines"]) > _LINES:
         yield f"weaker lines: {len(axis['lines']) - _LINES}"
 

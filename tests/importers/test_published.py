@@ -110,6 +110,22 @@ def test_the_compass_is_characterised_over_all_its_rows(tmp_path: Path, capsys: 
 
 @whole
 @pytest.mark.slow
+def test_wide_lines(tmp_path: Path, capsys: Capture) -> None:
+    """The gyroscope's z at 31.4 Hz; unit 4's x, which wanders between 8.7 and 12.9 Hz."""
+    for name, sensor, axis, low_hz, high_hz in (
+        ("sunsided_mpu", "Gyro", 2, 31.3, 31.5),
+        ("mimu4444", "IMU4_acc", 0, 8.7, 12.9),
+    ):
+        run = tmp_path / f"{name}.h5"
+        said_of(RECORDINGS / FILES[name], name, run, capsys)
+        assert main(["characterise", str(run), "--sensor", sensor, "--json"]) == 0
+        (found,) = json.loads(capsys.readouterr().out)["sensors"]
+        strongest = found["axes"][axis]["lines"][0]
+        assert low_hz < strongest["frequency_hz"] < high_hz and strongest["width_hz"] > 0.3
+
+
+@whole
+@pytest.mark.slow
 def test_the_compass_counted_out(tmp_path: Path, capsys: Capture) -> None:
     """Mean intervals of 13 ms, and the raw times beside them, to the nanosecond."""
     source = RECORDINGS / FILES["sunsided_mag"]
