@@ -33,9 +33,21 @@ def _of_sensor(sensor: Mapping[str, Any]) -> Iterator[str]:
     name = sensor["name"]
     yield from (f"{name} {text}".replace(" : ", ": ") for text in _times(sensor["timing"], sensor["rate_hz"]))
     axes: dict[str, list[str]] = {}
-    for text, axis in _of_axes(sensor):
+    for text, axis in (*_rails(sensor), *_of_axes(sensor)):
         axes.setdefault(text, []).append(axis)
     yield from (f"{name} {', '.join(those)}: {text}" for text, those in axes.items())
+
+
+def _rails(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Where readings clip anywhere in the log, and axis."""
+    rails = sensor["rails"]
+    if rails is None:
+        return
+    flagged = "" if rails["flagged"] else "; the log flags none of them as saturated: import it again"
+    for axis, low, high, readings in zip(sensor["axes"], rails["low"], rails["high"], rails["rows"], strict=True):
+        ends = [f"{code:.0f}" for code in (low, high) if code is not None]
+        if ends:
+            yield f"clips at {' and '.join(ends)}, {readings} readings in the log{flagged}", axis["axis"]
 
 
 def _of_axes(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -20,6 +20,7 @@ from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.coefficients import floor, white_noise
 from imuarray.characterise.columns import column_of, spectrum_of, timing_of
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
+from imuarray.characterise.rails import find_rails
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, survey
 from imuarray.errors import LogError
@@ -110,6 +111,7 @@ def _sensor(
     found = survey(sensor, rows, timing, run["interval_s"], estimator)
     count = statistics.rows or math.nan
     per_count = _per_count(sensor, scale)
+    rails = find_rails(sensor) if sensor.is_triad else None
     return {
         **_identity(sensor, per_count),
         "rows": statistics.rows,
@@ -124,6 +126,7 @@ def _sensor(
         "allan_estimator": found and found.estimator,
         "timing": found and timing_of(found) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
         "spectrum": found and spectrum_of(found),
+        "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
         "axes": _axes(sensor, per_count, found, statistics, progress),
     }
 

@@ -335,8 +335,9 @@ class Clock:
             whole, part = values, np.zeros(len(values), np.int64)
         if isinstance(self._tick_ns, int):
             times: npt.NDArray[np.int64] = whole.astype(np.int64) * self._tick_ns + part
-            return times
-        return np.array([round(int(value) * self._tick_ns) for value in whole.tolist()], np.int64) + part
+        else:
+            times = np.array([round(int(value) * self._tick_ns) for value in whole.tolist()], np.int64) + part
+        return times
 
     @property
     def _allowed(self) -> str:
