@@ -315,7 +315,8 @@ def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
             "nobody knows what its thermometer's counts mean: the map says thermometer = { zero_degc, lsb_per_degc }"
         ]
     ends = sorted(scale[0] + scale[1] * float(code) for code in seen.codes[[0, -1]])
-    span = f"its thermometer reads {ends[0]:.4g} to {ends[1]:.4g} degC"
+    whose = "" if sensor.quantity == "temperature" else "its thermometer "
+    span = f"{whose}reads {ends[0]:.4g} to {ends[1]:.4g} degC"
     if has_zero(sensor) and not DEGC[0] <= ends[0] <= ends[1] <= DEGC[1]:
         return [], [f"{span}: is its scale another?"]
     step = usual_step(seen)
