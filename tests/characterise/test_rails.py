@@ -58,6 +58,7 @@ def test_a_log_that_flags_none_is_told_so(tmp_path: Path) -> None:
     assert told and all("the log flags none of them as saturated: import it again" in text for text in told)
 
 
+@pytest.mark.slow
 def test_uniform_noise_is_no_clipping(tmp_path: Path) -> None:
     """Its density does not fall, and ends at once."""
     counts = np.random.default_rng(3).integers(-3000, 3001, (20_000, 3))
@@ -65,6 +66,7 @@ def test_uniform_noise_is_no_clipping(tmp_path: Path) -> None:
         assert not find_rails(log["S"]).rows.any()
 
 
+@pytest.mark.slow
 def test_gaussian_noise_is_never_called_clipped(tmp_path: Path) -> None:
     """40 recordings of six ends each, at a level of one in a million."""
     rng = np.random.default_rng(4)

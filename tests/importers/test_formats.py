@@ -115,7 +115,7 @@ def exported(folder: Path, source: Path, table_map: str) -> tuple[np.ndarray, np
     return counts, time
 
 
-@pytest.mark.parametrize(("form", "unit"), list(zip(FORMATS, SI, strict=False)))
+@pytest.mark.parametrize(("form", "unit"), list(zip(("csv", "npz", "mat 5", "parquet"), SI, strict=False)))
 def test_every_format_once(form: str, unit: str, tmp_path: Path) -> None:
     """The quick half of the property tests below."""
     quantity = next(name for name, (units, _, _) in QUANTITIES.items() if unit in units)
@@ -182,7 +182,7 @@ def test_twos_complement_that_was_read_as_unsigned(triads: list[tuple[int, int, 
     np.testing.assert_array_equal(found, counts)
 
 
-@pytest.mark.parametrize("unit", ["m/s2", "g", "mg"])
+@pytest.mark.parametrize("unit", ["m/s2", *(pytest.param(unit, marks=pytest.mark.slow) for unit in ("g", "mg"))])
 def test_the_grid_of_the_values_tells_the_counts(tmp_path: Path, unit: str) -> None:
     """An MPU-6050 at +-4 g has 8192 counts per g; a driver multiplied them and rounded to six digits."""
     counts = np.rint(np.random.default_rng(5).normal(0, 3000, (4000, 3))).astype(np.int64)
@@ -292,10 +292,8 @@ unit = "rad/s"
 """
 
 
-SLOW = pytest.mark.slow
-
-
-@pytest.mark.parametrize("kind", ["ros1", *(pytest.param(kind, marks=SLOW) for kind in ("ros2", "mcap", "mcap alone"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["ros1", "ros2", "mcap", "mcap alone"])
 def test_bags(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rosbags")
     name = "run.bag" if kind == "ros1" else "run"
@@ -372,7 +370,14 @@ def test_bursts_are_counted_out_and_the_raw_times_stay(tmp_path: Path) -> None:
         np.testing.assert_array_equal(log["S"].compensated(ARRIVAL)[:], delay)
 
 
-@pytest.mark.parametrize(("at", "flagged"), [(16384, True), (12345, True), (32767, True)])
+@pytest.mark.parametrize(
+    ("at", "flagged"),
+    [
+        (16384, True),
+        pytest.param(12345, True, marks=pytest.mark.slow),
+        pytest.param(32767, True, marks=pytest.mark.slow),
+    ],
+)
 def test_clipping_is_flagged(at: int, flagged: bool, tmp_path: Path) -> None:
     """At the range (8 g of 2048 counts), at an end that nobody knows, and at the ends of the code."""
     counts = np.rint(np.random.default_rng(2).normal(0, 0.7 * at, (5000, 3))).clip(-at, at).astype(np.int64)

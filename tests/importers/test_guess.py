@@ -63,7 +63,12 @@ CASES: dict[str, tuple[str, list[str]]] = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+QUICK = ("long names with units", "another range of the gyroscope")
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
 def test_a_guess_imports_at_once(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, expected = CASES[name]
     (tmp_path / "data.csv").write_text(text)

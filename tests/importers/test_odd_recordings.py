@@ -368,7 +368,29 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+SLOW = (
+    "rad/s as dps, of a coarse gyroscope",
+    "mg as g",
+    "milliseconds as seconds",
+    "a column named twice",
+    "bursts",
+    "unsigned codes with their offset",
+    "two's complement read as unsigned",
+    "12 bits with an offset that nobody says",
+    "separators at the ends of lines",
+    "a last line that is cut off",
+    "decimal commas, said so",
+    "UTF-16 of a Windows shell",
+    "a clock of milliseconds, said so",
+    "gravity taken out",
+    "only even codes",
+)
+"""Of the slow half, so that the quick one stays quick."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES]
+)
 def test_what_is_said(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, table_map, code, said = CASES[name]
     (tmp_path / "data.csv").write_bytes(data)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from _pytest.mark import ParameterSet
 
 from imuarray.calibrate.segments import thermometer_of
 from imuarray.calibrate.thermal import calibrate_thermal
@@ -50,14 +51,19 @@ def imported(folder: Path, more: str, sensor: str = "") -> Path:
     return folder / "run.h5"
 
 
+def slow(*values: str) -> ParameterSet:
+    """A case of the slow half."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize(
     ("sensor", "more", "kind"),
     [
-        ('temperature_column = "code"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n', "", "chip"),
-        ('temperature_column = "degc"\nthermometer = { unit = "degC" }\n', "", "chip"),
+        slow('temperature_column = "code"\nthermometer = { zero_degc = 36.53, lsb_per_degc = 340 }\n', "", "chip"),
+        slow('temperature_column = "degc"\nthermometer = { unit = "degC" }\n', "", "chip"),
         ('temperature_column = "kelvin"\nthermometer = { unit = "K", lsb_per_degc = 50 }\n', "", "chip"),
-        ("", '[[thermometer]]\nname = "Baro"\ncolumn = "degc"\nunit = "degC"\n', "chip"),
-        ("", '[[thermometer]]\nname = "Die"\ncolumn = "code"\nzero_degc = 36.53\nlsb_per_degc = 340\n', "chip"),
+        slow("", '[[thermometer]]\nname = "Baro"\ncolumn = "degc"\nunit = "degC"\n', "chip"),
+        slow("", '[[thermometer]]\nname = "Die"\ncolumn = "code"\nzero_degc = 36.53\nlsb_per_degc = 340\n', "chip"),
         ("", '[reference]\ntemperature = { column = "kelvin", unit = "K" }\n', "reference"),
     ],
 )
@@ -73,6 +79,7 @@ def test_a_temperature_is_calibrated_against(sensor: str, more: str, kind: str, 
         assert (np.abs(thermal.slope_lsb_per_degc - SLOPE_LSB_PER_DEGC) < np.maximum(4 * error, 0.1)).all()
 
 
+@pytest.mark.slow
 def test_a_thermometer_of_its_own_in_every_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     warming(tmp_path)
     run = imported(tmp_path, '[[thermometer]]\nname = "Baro"\nchip = "bmp085"\ncolumn = "degc"\nunit = "degC"\n')
@@ -92,6 +99,7 @@ def test_a_thermometer_of_its_own_in_every_command(tmp_path: Path, capsys: pytes
         assert main(arguments) == 0, capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_reference_has_what_was_named_and_nothing_else(tmp_path: Path) -> None:
     warming(tmp_path)
     run = imported(tmp_path, '[reference]\ntemperature = { column = "degc" }\n')
