@@ -47,7 +47,7 @@ def open_rows(path: Path, progress: Callable[[int], None]) -> BagRows:
         older = get_typestore(Stores.ROS1_NOETIC)
     except ImportError:
         raise MissingExtraError("rosbags", "import") from None
-    if path.suffix == ".mcap" or (path.is_file() and path.read_bytes()[:5] == b"\x89MCAP"):
+    if path.suffix == ".mcap" and path.is_file():
         return BagRows(path, _Mcap(path, {"cdr": store.deserialize_cdr, _ROS1: older.deserialize_ros1}), progress)
     return BagRows(path, _Bag(path), progress)
 

@@ -27,7 +27,7 @@ from imuarray.importers.resolution import SENSITIVITIES
 from imuarray.importers.sources import open_rows, reader_of
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
-from imuarray.printable import printable
+from imuarray.printable import counted, printable
 from imuarray.units import STANDARD_GRAVITY, UNITS_OF
 
 Values = npt.NDArray[np.float64]
@@ -38,7 +38,7 @@ LOOKED_AT_ROWS = 20_000
 _WIDTH = 110
 _HEAD_BYTES = 1 << 18
 _DELIMITERS = (",", ";", "\t", "|", " ")
-_COMMENTS = ("#", "%")
+_COMMENTS = ("#", "%", "//")
 _UNIT_IN_NAME = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]|_(ms|us|ns|s|g|mg|dps|uT|degC|C)$")
 _SPELLINGS: Mapping[str, str] = {
     "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "°/s": "dps", "deg/s": "dps",
@@ -57,6 +57,9 @@ _TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
 _COUNTS_OF_MAGNETOMETER = 1090.0
 """Counts per gauss of an HMC5883L as it wakes up (HMC-21), the commonest of its kind."""
 _COUNTS_OF_GYROSCOPE = 131.0
+_PART = re.compile(r"(.*)\[\d+\]")
+_TRIAD_AND_TIME = 4
+"""Columns of an array up to which it is one triad, perhaps with its time."""
 _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 
 
@@ -167,7 +170,7 @@ def _proposed(path: Path) -> _Proposal:
                     _propose_kind(proposal, kind, cells)
             return proposal
         columns = _columns(rows, layout)
-        return _propose(layout, names, columns, _dates(rows, names))
+        return _propose(layout, names, columns, _dates(rows, names), path.name.partition(".")[0])
     map_ = parse_map(_PROBE, "guess")
     source = open_rows(path, path.with_suffix(".guess"), map_, lambda done: None)
     proposal = _Proposal(_Layout())
@@ -291,19 +294,30 @@ def _unit_in(name: str) -> str:
     return _SPELLINGS.get(text.lower(), text)
 
 
-def _propose(layout: _Layout, names: list[str], columns: Sequence[Values], dates: set[int]) -> _Proposal:
+def _without_padding(columns: Sequence[Values]) -> list[Values]:
+    """Without the rows of zeros that a program has reserved at the end and not filled."""
+    if not columns or len({len(column) for column in columns}) > 1 or not len(columns[0]):
+        return list(columns)
+    filled = np.flatnonzero(np.any([column != 0 for column in columns], axis=0))
+    return [column[: int(filled[-1]) + 1] if len(filled) else column for column in columns]
+
+
+def _propose(
+    layout: _Layout, names: list[str], columns: Sequence[Values], dates: set[int], stem: str = ""
+) -> _Proposal:
     """A map of a table whose columns have names, or none."""
     proposal = _Proposal(layout)
     labels: list[str | int] = list(names) if names else list(range(len(columns)))
     if names and any(names.count(name) > 1 for name in names):
         proposal.doubts.append("columns have the same names: sensors of one name can't be told apart by it")
+    columns = _without_padding(columns)
     time = _time_index(names, columns, dates)
     taken = set() if time is None else {time}
-    triads = sorted(_triads(names, columns, taken), key=lambda triad: triad[0] != "specific_force")
+    triads = sorted(_triads(names, columns, taken, stem), key=lambda triad: triad[0] != "specific_force")
     if time is None:
         proposal.time.append("rate_hz = 100   # ? no column increases as time does")
     else:
-        proposal.time += _time_lines(names, labels, columns, time, dates)
+        proposal.time += _time_lines(names, labels, columns, time, dates, proposal)
     force_unit = ""
     for quantity, indices in triads:
         item, unit = _sensor(quantity, names, labels, columns, indices, force_unit, proposal)
@@ -344,7 +358,12 @@ def _increases(values: Values) -> bool:
 
 
 def _time_lines(
-    names: Sequence[str], labels: Sequence[str | int], columns: Sequence[Values], index: int, dates: set[int]
+    names: Sequence[str],
+    labels: Sequence[str | int],
+    columns: Sequence[Values],
+    index: int,
+    dates: set[int],
+    proposal: _Proposal,
 ) -> list[str]:
     label = labels[index]
     lines = [f"column = {_quoted(label) if isinstance(label, str) else label}"]
@@ -364,15 +383,21 @@ def _time_lines(
     if (steps < 0).any():
         most = float(columns[index].max())
         wraps = [one for one in _WRAPS if 0.9 * one < most <= one]
-        known = f"{wraps[0]:.0f}" if wraps else f"{most:.0f}   # ? the largest"
-        lines.append(f"wraps_at = {known}")
+        if wraps:
+            lines.append(f"wraps_at = {wraps[0]:.0f}")
+        else:
+            times = counted(int(np.count_nonzero(steps < 0)), "time")
+            proposal.doubts.append(
+                f"column {label!r} goes back {times}: a counter that begins anew (wraps_at), or several recordings,"
+                " which are imported one by one"
+            )
     if (steps == 0).any():
         lines.append("ties = true   # rows of one and the same time")
     return lines
 
 
 def _triads(
-    names: Sequence[str], columns: Sequence[Values], taken: set[int]
+    names: Sequence[str], columns: Sequence[Values], taken: set[int], stem_of_file: str
 ) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Quantity and columns of each triad."""
     if not names:
@@ -380,6 +405,11 @@ def _triads(
         yield from _nameless(columns, free)
         return
     used: set[int] = set()
+    for prefix in dict.fromkeys(match[1] for name in names if (match := _PART.fullmatch(name))):
+        parts = [index for index, name in enumerate(names) if (match := _PART.fullmatch(name)) and match[1] == prefix]
+        if len(parts) > _TRIAD_AND_TIME:
+            yield from _nameless(columns, [index for index in parts if index not in taken])
+            used.update(parts)
     for axes in ("xyz", "XYZ", "012", "123"):
         for index, name in enumerate(names):
             for place in (at for at, letter in enumerate(name) if letter == axes[0]):
@@ -391,7 +421,8 @@ def _triads(
                     continue
                 used.update(indices)
                 stem = name[:place] + "*" + name[place + 1 :]
-                quantity = next((what for what, words in _QUANTITIES if words.search(stem)), "specific_force")
+                called = stem if stem.strip("*_.- []()") else stem_of_file
+                quantity = next((what for what, words in _QUANTITIES if words.search(called)), "specific_force")
                 yield quantity, indices
 
 

@@ -58,7 +58,8 @@ def write_gzip(folder: Path, columns: Columns) -> Path:
 
 
 def write_npz(folder: Path, columns: Columns) -> Path:
-    np.savez(folder / "data.npz", **columns)
+    arrays: dict[str, Any] = dict(columns)
+    np.savez(folder / "data.npz", **arrays)
     return folder / "data.npz"
 
 

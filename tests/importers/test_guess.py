@@ -87,6 +87,35 @@ def test_a_guess_imports_at_once(name: str, tmp_path: Path, capsys: pytest.Captu
         )
 
 
+def test_a_matrix_with_time_and_padding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As a MATLAB script keeps it: a row a reading, time first, and rows of zeros that were never filled."""
+    from scipy.io import savemat
+
+    matrix = np.vstack([np.column_stack([walk().time_s + 1, SI]), np.zeros((300, 7))])
+    savemat(tmp_path / "data.mat", {"measured": matrix})
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "data.mat"))
+    guessed = (tmp_path / "map.toml").read_text()
+    assert 'columns = ["measured[4]", "measured[5]", "measured[6]"]' in guessed
+    assert "wraps_at" not in guessed
+    arguments = [str(tmp_path / "data.mat"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *arguments]) == 0
+    report = " ".join(capsys.readouterr().out.split())
+    assert "2000 rows each over 20.0 s" in report and "300 rows of nothing but zeros" in report
+
+
+def test_a_file_that_is_called_as_its_sensor(tmp_path: Path) -> None:
+    """Phones write a file for each sensor, with columns x, y, z."""
+    values = SI[:, 5:2:-1]
+    (tmp_path / "Gyroscope.csv").write_text(text_of("seconds_elapsed,z,y,x", values))
+    guessed = guess_map(tmp_path / "Gyroscope.csv")
+    assert 'quantity = "angular_rate"' in guessed and 'columns = ["x", "y", "z"]' in guessed
+
+
+def test_recordings_one_after_the_other(tmp_path: Path) -> None:
+    (tmp_path / "data.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS, walk().time_s % 7, "{:d}"))
+    assert "goes back 2 times: a counter that begins anew (wraps_at)" in guess_map(tmp_path / "data.csv")
+
+
 def test_rows_of_several_kinds_are_told_apart(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_bytes(several_tables())
     guessed = guess_map(tmp_path / "data.csv")
