@@ -369,6 +369,8 @@ def _time_lines(
     lines = [f"column = {_quoted(label) if isinstance(label, str) else label}"]
     if index in dates:
         return [*lines, 'unit = "iso8601"']
+    if index < len(names) and names[index].lower() == "sampletimefine":
+        return [*lines, 'unit = "us"', "ticks = 100   # of Xsens: a clock of 10 kHz"]
     steps = np.diff(columns[index])
     said = _unit_in(names[index]) if index < len(names) else ""
     step = float((columns[index][-1] - columns[index][0]) / len(steps))

@@ -33,6 +33,10 @@ SENSITIVITIES = {
 NEAR = 3e-4
 """By how much a step that is read off rounded values differs from the data sheet's, as a share."""
 
+FULL_SPAN = 1.05 * 32768
+"""Counts of a chip of 16 bits over its range, which may be a little less than what it gives. A finer grid is that of
+the digits of a text."""
+
 SAMPLE_ROWS = 20_000
 """So many rows tell the grid."""
 
@@ -97,7 +101,7 @@ def resolution_of(
         step = grid_step(sample)
         if step is not None:
             sensitivity = next((one for one in SENSITIVITIES[quantity] if abs(one * step - 1) < NEAR), 1 / step)
-            if largest * sensitivity <= INT16[1]:
+            if largest * sensitivity <= INT16[1] and range_ * sensitivity <= FULL_SPAN:
                 return Resolution(sensitivity, range_, True)
         return Resolution(INT16[1] / max(range_, largest), range_, False)
     off = sample * sensitivity - np.rint(sample * sensitivity)

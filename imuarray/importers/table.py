@@ -219,7 +219,8 @@ def _blank(cells: Sequence[Column]) -> Mask:
 class _Rounding:
     """What became of values in a unit when they were rounded to counts."""
 
-    def __init__(self) -> None:
+    def __init__(self, is_learnt: bool) -> None:
+        self.is_learnt = is_learnt
         self.rows = 0
         self._off = self._steps = np.zeros(3)
 
@@ -240,7 +241,7 @@ class _Rounding:
                 f"{name} {axes}: its values change by {float(noise.min()):.2g} counts only and are rounded away:"
                 f" {sensitivity:.6g} counts per {unit} are too few, or the unit is another"
             )
-        if (off > 0.1).any():
+        if (off > 0.1).any() and not self.is_learnt:
             return f"{name}: its values are no whole counts at {sensitivity:.6g} per {unit}; they were rounded"
         return ""
 
@@ -261,7 +262,7 @@ class _Stream:
         names = [item.name for item in plan.items if isinstance(item, Recorded)]
         self.rows_of = dict.fromkeys(names, 0)
         triads = [item for item in plan.items if isinstance(item, SensorTable)]
-        self._rounding = {item.name: _Rounding() for item in triads if item.is_physical}
+        self._rounding = {item.name: _Rounding(item.counts_per_unit is None) for item in triads if item.is_physical}
 
     def add(self, block: Block, where: Sequence[int]) -> None:
         """Write the rows of one block."""
@@ -457,7 +458,9 @@ class _Recording:
         told = []
         for name, found in learnt.items():
             unit = self._headers[name].unit
-            how = "as the grid of its values says" if found.is_exact else "as fine as 16 bits allow; values are rounded"
+            how = "as the grid of its values says"
+            if not found.is_exact:
+                how = "so that 16 bits hold its values, which are rounded; of several files of one array the map says both"
             told.append(f"{name}: {found.sensitivity:.6g} counts per {unit}, range {found.range:g} {unit}, {how}")
         return [*told, *self._changes()]
 
