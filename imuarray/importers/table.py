@@ -460,7 +460,7 @@ class _Recording:
             unit = self._headers[name].unit
             how = "as the grid of its values says"
             if not found.is_exact:
-                how = "so that 16 bits hold its values, which are rounded; of several files of one array the map says both"
+                how = "so that 16 bits hold its values, rounded; of several files of one array the map says both"
             told.append(f"{name}: {found.sensitivity:.6g} counts per {unit}, range {found.range:g} {unit}, {how}")
         return [*told, *self._changes()]
 
