@@ -43,6 +43,9 @@ MOVING_STEPS = 20.0
 """Spread of another axis, in steps of its codes, from which on the box moves while readings pile up: noise alone seldom
 has so much, and a coarse sensor at rest has none."""
 
+_BLOCK_ROWS = 4096
+"""A chunk of a log: an import, which reads so much at once, takes no more memory for it."""
+
 
 @dataclass(frozen=True)
 class Rails:
@@ -62,7 +65,7 @@ class Rails:
 def find_rails(sensor: SensorLog) -> Rails:
     """Of all rows of a triad, which are read twice at most."""
     seen = [NOTHING] * 3
-    for block in sensor.blocks():
+    for block in sensor.blocks(_BLOCK_ROWS):
         counts = np.asarray(sensor.counts[block], np.int64)
         seen = [known.merge(histogram(column)) for known, column in zip(seen, counts.T, strict=True)]
     low, high = np.full(3, -inf), np.full(3, inf)
@@ -121,7 +124,7 @@ def _is_pile(seen: Histogram, side: int) -> bool:
 def _moving(sensor: SensorLog, piles: list[tuple[int, int]], steps: list[int]) -> list[tuple[int, int]]:
     """Those piles (axis, code) while which another axis moves."""
     sums = np.zeros((len(piles), 3, 3))
-    for block in sensor.blocks() if piles else ():
+    for block in sensor.blocks(_BLOCK_ROWS) if piles else ():
         counts = np.asarray(sensor.counts[block], float)
         for number, (axis, code) in enumerate(piles):
             rows = counts[counts[:, axis] == code]
