@@ -22,6 +22,21 @@ SI_PER_UNIT: Mapping[str, float] = MappingProxyType(
 )
 """Factor from a sensor's unit to SI (m/s2, rad/s, T, Pa); degrees Celsius stay as they are."""
 
+UNITS_OF: Mapping[Quantity, Mapping[str, float]] = MappingProxyType(
+    {
+        "specific_force": MappingProxyType({"g": 1.0, "mg": 1e-3, "m/s2": 1 / STANDARD_GRAVITY}),
+        "angular_rate": MappingProxyType(
+            {"dps": 1.0, "deg/s": 1.0, "mdps": 1e-3, "rad/s": 180 / math.pi, "mrad/s": 0.18 / math.pi}
+        ),
+        "magnetic_field": MappingProxyType(
+            {"gauss": 1.0, "mgauss": 1e-3, "T": 1e4, "mT": 10.0, "uT": 1e-2, "nT": 1e-5}
+        ),
+    }
+)
+"""Every unit in which a foreign recording may give a triad: factor to the unit in which a log gives that quantity, the
+first of each.
+"""
+
 SI_NAME: Mapping[str, str] = MappingProxyType(
     {"g": "m s-2", "dps": "rad s-1", "gauss": "T", "Pa": "Pa", "degC": "degC"}
 )

@@ -139,7 +139,7 @@ def code_density(seen: Histogram, span: tuple[int, int] | None = None) -> CodeDe
     moments = _moments(seen, readings)
     std = moments[1]
     step = _step(seen.codes)
-    usual = _step(_frequent(seen, readings))
+    usual = usual_step(seen)
     even_share = float(seen.counts[seen.codes % 2 == 0].sum()) / readings
     even_p = 2 * float(norm.sf(abs(2 * even_share - 1) * sqrt(readings))) if std >= NARROW else nan
     gaps, missing = _missing(seen, usual)
@@ -163,6 +163,11 @@ def _moments(seen: Histogram, n: int) -> tuple[float, float, float, float, float
     skewness_error = sqrt(6 * n * (n - 1) / ((n - 2) * (n + 1) * (n + 3)))
     kurtosis_error = 2 * skewness_error * sqrt((n * n - 1) / ((n - 3) * (n + 5)))
     return origin + mean, std, skewness, skewness_error, kurtosis, kurtosis_error
+
+
+def usual_step(seen: Histogram) -> int:
+    """What divides the distances of all but the rarest codes; 0 of a constant column."""
+    return _step(_frequent(seen, int(seen.counts.sum())))
 
 
 def _frequent(seen: Histogram, readings: int) -> Codes:

@@ -13,14 +13,21 @@ from typing import Any
 import numpy as np
 
 from imuarray.characterise.allan_fit import NoiseFit, fit_noise
+from imuarray.characterise.bands import find_bands
 from imuarray.characterise.codes import Histogram, code_density
-from imuarray.characterise.lines import Line, aliases, find_lines
+from imuarray.characterise.lines import aliases, find_lines
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.characterise.survey import Survey
 from imuarray.log import SensorLog
 
 FILTER_TIMES = 5.0
 """A chip's low-pass filter shapes the shortest taus: noise is fitted from so many of its time constants on."""
+
+HARMONICS = 8
+"""Multiples of a line's frequency that are looked for."""
+
+CHANCE = 0.02
+"""Share of the distance of two harmonics, over their order, within which a line is taken for one."""
 
 _LISTED_CODES = 4096
 _ALIASES_TO_HZ = 500.0
@@ -82,8 +89,11 @@ def _fit_table(fit: NoiseFit) -> dict[str, Any]:
 def _lines(spectrum: Spectrum, column: int) -> dict[str, Any]:
     """The lines of one column, the noise floor below them, and the level that a line has to pass."""
     search = find_lines(spectrum, column)
+    bands = find_bands(spectrum, column, search.lines)
+    lines = [_line(asdict(line) | {"width_hz": 0.0}, spectrum.rate_hz) for line in search.lines]
+    lines += [_line(asdict(band), spectrum.rate_hz) for band in bands]
     return {
-        "lines": [_line(line, spectrum.rate_hz) for line in search.lines],
+        "lines": _with_harmonics(sorted(lines, key=lambda line: -line["amplitude"]), spectrum.resolution_hz),
         "line_search": {
             "first_hz": search.frequency_hz[0] if len(search.frequency_hz) else math.nan,
             "false_alarm": search.false_alarm,
@@ -93,8 +103,27 @@ def _lines(spectrum: Spectrum, column: int) -> dict[str, Any]:
     }
 
 
-def _line(line: Line, rate_hz: float) -> Mapping[str, Any]:
-    return asdict(line) | {"aliases_hz": aliases(min(line.frequency_hz, rate_hz / 2), rate_hz, _ALIASES_TO_HZ)}
+def _line(line: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
+    return dict(line) | {"aliases_hz": aliases(min(line["frequency_hz"], rate_hz / 2), rate_hz, _ALIASES_TO_HZ)}
+
+
+def _with_harmonics(lines: list[dict[str, Any]], resolution_hz: float) -> list[dict[str, Any]]:
+    """The lines, each with the `fundamental_hz` of which it is a multiple, None of one that is of none."""
+    for line in lines:
+        line["fundamental_hz"] = None
+        for other in sorted(lines, key=lambda one: one["frequency_hz"]):
+            order = round(line["frequency_hz"] / other["frequency_hz"])
+            apart = abs(line["frequency_hz"] - order * other["frequency_hz"])
+            sure = 3 * (line["frequency_error_hz"] + order * other["frequency_error_hz"])
+            if 2 <= order <= HARMONICS and apart < min(sure, resolution_hz) and _fits_by_reason(order, other, apart):
+                line["fundamental_hz"] = other["frequency_hz"]
+                break
+    return lines
+
+
+def _fits_by_reason(order: int, other: Mapping[str, Any], apart: float) -> bool:
+    """Whether a multiple is hardly met by chance: the distance is small against that of multiples."""
+    return bool(apart < CHANCE * other["frequency_hz"] / order)
 
 
 def _histogram(seen: Histogram) -> dict[str, Any] | None:

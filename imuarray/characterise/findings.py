@@ -31,11 +31,23 @@ def _of_sensor(sensor: Mapping[str, Any]) -> Iterator[str]:
     if sensor["timing"] is None:
         return
     name = sensor["name"]
-    yield from (f"{name} {text}" for text in _times(sensor["timing"], sensor["rate_hz"]))
+    yield from (f"{name} {text}".replace(" : ", ": ") for text in _times(sensor["timing"], sensor["rate_hz"]))
     axes: dict[str, list[str]] = {}
-    for text, axis in _of_axes(sensor):
+    for text, axis in (*_rails(sensor), *_of_axes(sensor)):
         axes.setdefault(text, []).append(axis)
     yield from (f"{name} {', '.join(those)}: {text}" for text, those in axes.items())
+
+
+def _rails(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Where readings clip anywhere in the log, and axis."""
+    rails = sensor["rails"]
+    if rails is None:
+        return
+    flagged = "" if rails["flagged"] else "; the log flags none of them as saturated: import it again"
+    for axis, low, high, readings in zip(sensor["axes"], rails["low"], rails["high"], rails["rows"], strict=True):
+        ends = [f"{code:.0f}" for code in (low, high) if code is not None]
+        if ends:
+            yield f"clips at {' and '.join(ends)}, {readings} readings in the log{flagged}", axis["axis"]
 
 
 def _of_axes(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -82,7 +94,11 @@ def _lines(axis: Axis, sensor: Mapping[str, Any]) -> Iterator[str]:
         amplitude, error = line["amplitude"] * scale, line["amplitude_error"] * scale
         others = [f"{hz:.4g}" for hz in line["aliases_hz"][1 : 1 + _ALIASES]]
         aliases = f", or of {', '.join(others)}, ... Hz" if others else ""
-        yield f"a line at {line['frequency_hz']:.4g} Hz{aliases}, amplitude {amplitude:.3g} +- {error:.1g} {unit}"
+        width = f"{line['width_hz']:.2g} Hz wide " if line.get("width_hz") else ""
+        base = line.get("fundamental_hz")
+        order = f", harmonic {round(line['frequency_hz'] / base)} of {base:.4g} Hz" if base else ""
+        place = f"{width}at {line['frequency_hz']:.4g} Hz{order}{aliases}"
+        yield f"a line {place}, amplitude {amplitude:.3g} +- {error:.1g} {unit}"
     if len(axis["lines"]) > _LINES:
         yield f"weaker lines: {len(axis['lines']) - _LINES}"
 
@@ -96,7 +112,10 @@ def _fit(axis: Axis) -> Iterator[str]:
 
 
 def _times(timing: Mapping[str, Any], rate_hz: float | None) -> Iterator[str]:
-    if timing["gaps"]:
+    pattern = timing["pattern"]["sentence"]
+    if pattern:
+        yield f": {pattern}"
+    elif timing["gaps"]:
         places = ", ".join(f"{gap['length_s']:.3g} s after {gap['after_ns'] * 1e-9:.3f} s" for gap in _places(timing))
         yield f"has {timing['gaps']} gaps, {timing['gaps_s']:.3g} s in all: {places}"
     repeats = timing["repeats"]

@@ -20,9 +20,11 @@ from imuarray.characterise.allan import CONFIDENCE, AllanCurve, Estimator
 from imuarray.characterise.coefficients import floor, white_noise
 from imuarray.characterise.columns import column_of, spectrum_of, timing_of
 from imuarray.characterise.noise import LEFT_OUT, NoiseStatistics, noise_statistics
+from imuarray.characterise.rails import find_rails
 from imuarray.characterise.stretch import Stretch, Timing, choose_stretch, find_timing
 from imuarray.characterise.survey import Survey, survey
 from imuarray.errors import LogError
+from imuarray.gap.recording.row_timing import row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import FLAGS
 from imuarray.units import SI_NAME, SI_PER_UNIT
@@ -102,12 +104,14 @@ def _sensor(
 ) -> dict[str, Any]:
     """One sensor: what it is, its times and flags, and its axes."""
     rows = sensor.between(stretch.start_ns, stretch.end_ns)
-    timing = find_timing(sensor, rows)
+    pattern = row_timing(sensor)
+    timing = find_timing(sensor, rows, counted=pattern.kind == "bursts")
     statistics = noise_statistics(sensor, rows)
     run = _run(sensor, timing)
     found = survey(sensor, rows, timing, run["interval_s"], estimator)
     count = statistics.rows or math.nan
     per_count = _per_count(sensor, scale)
+    rails = find_rails(sensor) if sensor.is_triad else None
     return {
         **_identity(sensor, per_count),
         "rows": statistics.rows,
@@ -120,8 +124,9 @@ def _sensor(
         "largest_gap_s": timing.largest_gap_s,
         "allan_run": run | {"left_out_share": 1 - run["rows"] / count},
         "allan_estimator": found and found.estimator,
-        "timing": found and timing_of(found),
+        "timing": found and timing_of(found) | {"pattern": asdict(pattern) | {"sentence": pattern.sentence}},
         "spectrum": found and spectrum_of(found),
+        "rails": rails and asdict(rails) | {"flagged": sensor.flagged()["saturated"]},
         "axes": _axes(sensor, per_count, found, statistics, progress),
     }
 

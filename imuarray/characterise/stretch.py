@@ -76,11 +76,12 @@ def _whole(log: Log) -> Stretch:
     return Stretch(start, end, None, "", "no phase at rest: the whole log")
 
 
-def find_timing(sensor: SensorLog, rows: slice, block: int = 1 << 16) -> Timing:
+def find_timing(sensor: SensorLog, rows: slice, block: int = 1 << 16, *, counted: bool = False) -> Timing:
     """Median interval, gaps and longest unbroken run of `rows`, read `block` rows at a time.
 
     A run ends at a gap, where readings were lost or the chip was set up again, and at every row in which the chip is in
-    doubt. The median of more than `block` rows is the median of the blocks' medians, and so is the quartile. LogError
+    doubt. With `counted`, rows came in bursts: they were taken steadily, and no interval between them is a gap. The
+    median of more than `block` rows is the median of the blocks' medians, and so is the quartile. LogError
     if time doesn't increase.
     """
     if rows.stop - rows.start < 2:
@@ -90,14 +91,14 @@ def find_timing(sensor: SensorLog, rows: slice, block: int = 1 << 16) -> Timing:
     gaps, largest, begin, best = 0, 0, rows.start, slice(rows.start, rows.start)
     for part in _parts(rows, block):
         intervals = _intervals(sensor, part)
-        wide = intervals > GAP * upper
+        wide = intervals > (np.inf if counted else GAP * upper)
         gaps += int(np.count_nonzero(wide))
         largest = max(largest, int(intervals.max()))
         for row in (part.start + 1 + np.flatnonzero(wide | _broken(sensor, part))).tolist():
             best = max(best, slice(begin, row), key=_length)
             begin = row
     longest = max(best, slice(begin, rows.stop), key=_length)
-    return Timing(median * 1e-9, largest * 1e-9, gaps, longest, GAP * upper * 1e-9)
+    return Timing(median * 1e-9, largest * 1e-9, gaps, longest, np.inf if counted else GAP * upper * 1e-9)
 
 
 def _parts(rows: slice, block: int) -> list[slice]:

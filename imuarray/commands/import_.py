@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
+from imuarray.axes import UP_AXES
+from imuarray.commands.options import find_map, force_option, json_option, print_json, progress, refuse_existing
 from imuarray.importers import FORMATS
+from imuarray.printable import printable
 
 if TYPE_CHECKING:
-    from imuarray.importers import Summary
+    from imuarray.importers import Importer, Summary
+
+_WIDTH = 110
 
 
 @click.command("import")
@@ -21,43 +26,92 @@ if TYPE_CHECKING:
     "map_path",
     type=click.Path(path_type=Path),
     metavar="MAP.toml",
-    help="which column of a text table is what",
+    help="which column is what, of a text, .npz, .mat, .parquet or a ROS bag; a file, or a map of the package",
 )
 @click.option("--format", "format_name", type=click.Choice(tuple(FORMATS)), help="a format that needs no map")
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write"
-)
+@click.option("--guess", is_flag=True, help="propose a map, with its doubts, to be edited; -o MAP.toml writes it")
+@click.option("--up", type=click.Choice(UP_AXES), default=None, help="the box axis that pointed up all the time")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="RUN.h5", help="the log to write")
 @force_option
 @json_option
 def command(
-    source: Path, map_path: Path | None, format_name: str | None, output: Path, force: bool, as_json: bool
+    source: Path,
+    map_path: Path | None,
+    format_name: str | None,
+    guess: bool,
+    up: str | None,
+    output: Path | None,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Turn a recording made by another program into a log: a known format, or any table of numbers by its map.
 
-    What `imuarray export` wrote of raw counts, run.npz or run.csv, needs neither and comes back as it was.
+    What `imuarray export` wrote of raw counts, run.npz or run.csv, needs neither and comes back as it was. After every
+    import a short report says what the recording is like (~) and what of it is doubtful (?): units, range, rate,
+    clipping, stalls, times in bursts. `--guess` looks at a recording and proposes a map.
 
     \b
+    imuarray import data.csv --guess -o map.toml
+    imuarray import data.csv --map map.toml -o run.h5
     imuarray import run.npz -o run2.h5
     """
     from imuarray.importers import importer
-    from imuarray.importers.exported import importer_of
     from imuarray.importers.table import import_table
 
-    ours = importer_of(source) if map_path is None and format_name is None else None
+    if guess:
+        if map_path is not None or format_name is not None or up is not None or as_json:
+            raise click.UsageError("--guess proposes a map; it goes with a recording and -o MAP.toml alone")
+        _guess(source, output, force)
+        return
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output'.")
+    ours = _exported(source) if map_path is None and format_name is None else None
     if ours is None and (map_path is None) == (format_name is None):
-        raise click.UsageError(f"say either --map MAP.toml or --format {'|'.join(FORMATS)}")
+        raise click.UsageError(f"say either --map MAP.toml or --format {'|'.join(FORMATS)}; --guess proposes a map")
+    if up is not None and map_path is None:
+        raise click.UsageError("--up goes with --map")
     refuse_existing(output, force)
     size = source.stat().st_size if source.is_file() else 0
     with progress(size, str(source)) as done:
         if map_path is not None:
-            summary = import_table(source, map_path, output, force=force, progress=done)
+            found = find_map(map_path)
+            summary = import_table(source, found, output, force=force, progress=done, up=up or "")
         else:
             summary = (ours or importer(format_name or ""))(source, output, force=force, progress=done)
     _tell(summary, output, as_json)
 
 
+def _exported(source: Path) -> Importer | None:
+    """Who reads what `imuarray export` wrote; None for any other file. SourceError."""
+    from imuarray.importers.exported import importer_of
+
+    return importer_of(source) if not source.is_dir() else None
+
+
+def _guess(source: Path, output: Path | None, force: bool) -> None:
+    """Print a proposed map, or write it."""
+    from imuarray.atomic import write_text
+    from imuarray.importers.guess import guess_map
+
+    if output is not None:
+        refuse_existing(output, force, source)
+    text = guess_map(source)
+    if output is None:
+        click.echo(text, nl=False)
+        return
+    write_text(output, text, force=force)
+    click.echo(
+        f"imuarray: wrote {output}; read its comments, then imuarray import {source} --map {output} -o RUN.h5", err=True
+    )
+
+
 def _tell(summary: Summary, output: Path, as_json: bool) -> None:
-    """What was imported, for a person or a program."""
+    """What was imported and what it is like, for a person or a program."""
+    from imuarray.importers.plausibility import report_of
+    from imuarray.log import open_log
+
+    with open_log(output) as log:
+        report = report_of(log)
     if as_json:
         print_json(
             {
@@ -67,6 +121,10 @@ def _tell(summary: Summary, output: Path, as_json: bool) -> None:
                 "lost": summary.lost,
                 "seconds": summary.seconds,
                 "events": dict(summary.events),
+                "remarks": list(summary.remarks),
+                "facts": list(report.facts),
+                "quirks": list(report.quirks),
+                "doubts": list(report.doubts),
             }
         )
         return
@@ -77,3 +135,7 @@ def _tell(summary: Summary, output: Path, as_json: bool) -> None:
     )
     for kind, count in summary.events.items():
         click.echo(f"  {kind}: {count} (see events: imuarray info {output})")
+    for mark, told in (("~", (*report.facts, *summary.remarks, *report.quirks)), ("?", report.doubts)):
+        for text in told:
+            for line in textwrap.wrap(printable(text), _WIDTH, initial_indent=f"  {mark} ", subsequent_indent="    "):
+                click.echo(line)

@@ -79,6 +79,11 @@ def find_model(name: Path) -> Path:
     return _find(name, configs() / "models", "model", "[model]")
 
 
+def find_map(name: Path) -> Path:
+    """`name` itself if it is a file, else the import map of that name which comes with the package ("mimu4444")."""
+    return _find(name, configs() / "imports", "map", "")
+
+
 def _find(name: Path, folder: Path, kind: str, table: str) -> Path:
     """A file, or the one of that name in `folder`; ConfigError names what is there (files that hold `table`)."""
     if name.exists() or name.suffix:

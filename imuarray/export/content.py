@@ -142,7 +142,7 @@ def _tracks(log: Log) -> Iterator[Table]:
             continue
         there = {part: column for part, column in track._asdict().items() if column is not None}
         columns = tuple(_track_column(part, column) for part, column in there.items())
-        yield Table(name, len(track.time), columns, {"name": name, "frame": "box"})
+        yield Table(name, len(track.time), columns, {"name": name, "frame": "box", "columns": list(there)})
 
 
 def _track_column(name: str, column: Any) -> Column:

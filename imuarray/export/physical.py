@@ -19,6 +19,7 @@ from imuarray.errors import LogError
 from imuarray.export.tables import Column
 from imuarray.fuse.thermal import element_temperatures
 from imuarray.log import Log, SensorLog
+from imuarray.log.format import ARRIVAL
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
 _AXES = ("x", "y", "z")
@@ -42,9 +43,11 @@ def physical_columns(
 
 
 def compensated_columns(sensor: SensorLog) -> tuple[Column, ...]:
-    """What a barometer's own calibration words made of its counts, if the log has it."""
+    """What stands beside counts in units of its own, if the log has it: what a barometer's calibration words made of
+    them, how late a row arrived.
+    """
     columns = []
-    for name, unit in (("temperature", "degC"), ("pressure", "Pa")):
+    for name, unit in (("temperature", "degC"), ("pressure", "Pa"), (ARRIVAL, "s")):
         with suppress(LogError):
             columns.append(Column(name, "<f8", unit, (), _numbers(sensor.compensated(name))))
     return tuple(columns)

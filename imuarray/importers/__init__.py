@@ -1,7 +1,8 @@
 """Recordings made by other programs, turned into logs: known formats by name, any table of numbers by a map.
 
 Counts stay as the source holds them; nothing is resampled, filled in or repeated. Formats of one instrument are entries
-of `FORMATS`; everything that is a text table needs no code but a map (`imuarray.importers.mapping`).
+of `FORMATS`; everything that is a table needs no code but a map (`imuarray.importers.mapping`). What is doubtful in a
+recording is said of the log that was made of it (`imuarray.importers.plausibility`).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _GZIP = b"\x1f\x8b"
 class Summary:
     """What an import wrote: `rows` of each sensor over `seconds`; `lost` rows that the source shows to be missing
     (None: it numbers nothing, so nobody knows); how often each kind of event happened. Without `same_rows`, `rows` are
-    those of the sensor that has most.
+    those of the sensor that has most. `remarks` say what the importer left out, learnt or changed.
     """
 
     sensors: tuple[str, ...]
@@ -40,6 +41,7 @@ class Summary:
     seconds: float
     events: Mapping[str, int] = field(default_factory=dict)
     same_rows: bool = True
+    remarks: tuple[str, ...] = ()
 
 
 class Importer(Protocol):

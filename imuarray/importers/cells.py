@@ -1,4 +1,8 @@
-"""A text table, read a block of rows at a time and turned into whole numbers; complaints name line, column and text."""
+"""A text table, read a block of rows at a time and turned into whole numbers; complaints name line, column and text.
+
+What recorders and power cuts leave in a text is left out where it can't be a reading, and counted (`Table.remarks`):
+lines with NUL bytes, a header that comes again, a last line that is cut off, a separator at the end of a line.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,11 @@ import csv
 import io
 import math
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
+from fractions import Fraction
 from gzip import BadGzipFile
 from itertools import islice
 from typing import BinaryIO, NamedTuple
@@ -16,7 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import SourceError
-from imuarray.importers.mapping import FileTable
+from imuarray.importers.mapping import ISO, NS_PER_UNIT, FileTable
+from imuarray.printable import counted
 
 ROWS = 4096
 """Rows per block."""
@@ -27,43 +35,84 @@ LINE_CHARACTERS = 65536
 INT16 = (-32768, 32767)
 
 _LAST_NS = 2**62
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 class Column(NamedTuple):
-    """The cells of one column in one block, with the line that each stands in."""
+    """The cells of one column in one block, with the line that each stands in: texts, or numbers of a file that holds
+    such (`values`, with rows in the place of lines).
+    """
 
     source: str
     label: str
     lines: Sequence[int]
     texts: Sequence[str]
+    values: npt.NDArray[np.number] | None = None
 
     def refuse(self, row: int, complaint: str) -> SourceError:
         """The error that says what is wrong with one cell."""
-        return SourceError(f"{self.source}: line {self.lines[row]}, column {self.label}: {complaint}")
+        place = "line" if self.values is None else "row"
+        return SourceError(f"{self.source}: {place} {self.lines[row]}, column {self.label}: {complaint}")
+
+    def text(self, row: int) -> str:
+        """A cell as it stands there, cut where it gets too long for a message."""
+        return _shortened(self.texts[row] if self.values is None else str(self.values[row]))
+
+    @property
+    def rows(self) -> int:
+        """How many cells."""
+        return len(self.lines)
+
+    def blank(self) -> npt.NDArray[np.bool_]:
+        """(n,) which cells hold nothing."""
+        if self.values is not None:
+            return np.isnan(self.values) if self.values.dtype.kind == "f" else np.zeros(len(self.values), bool)
+        return np.array([not text or text.isspace() for text in self.texts], bool)
+
+    def where(self, kept: npt.NDArray[np.bool_]) -> Column:
+        """Some of the cells."""
+        if kept.all():
+            return self
+        rows = np.flatnonzero(kept).tolist()
+        lines = [self.lines[row] for row in rows]
+        if self.values is not None:
+            return self._replace(lines=lines, values=self.values[kept])
+        return self._replace(lines=lines, texts=[self.texts[row] for row in rows])
 
 
 class Table:
-    """The rows of an open file, `[file]` applied. With `named` the first row holds the columns' names."""
+    """The rows of an open file, `[file]` applied. With `named` the first row holds the columns' names.
+
+    `remarks` counts what was left out.
+    """
 
     def __init__(self, file: BinaryIO, source: str, layout: FileTable, named: bool) -> None:
-        self._text = io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace")
+        self._text = io.TextIOWrapper(file, encoding=_encoding(file), errors="replace")
         self._layout = layout
         self._reader = csv.reader(self._lines(), delimiter=layout.delimiter, skipinitialspace=True)
+        self._damaged = self._is_last = False
         self.source = source
         self.line = 0
-        self.names: list[str] = [name.strip() for name in self._row()] if named else []
+        self.left_out: Counter[str] = Counter()
+        self.header: list[str] = self._row() if named else []
+        self.names: list[str] = [name.strip() for name in self.header]
         self.width = len(self.names)
+        self._blank_end = bool(self.names) and not self.names[-1]
 
     def _lines(self) -> Iterator[str]:
         """The lines that hold cells."""
         comment = self._layout.comment
         while line := self._read_line():
             self.line += 1
-            if len(line) > LINE_CHARACTERS:
+            if len(line) > LINE_CHARACTERS and line.strip("\0"):
                 raise SourceError(
                     f"{self.source}: line {self.line}: longer than {LINE_CHARACTERS} characters; is this a table?"
                 )
-            line = line.strip(" \r\n")
+            self._is_last = not line.endswith("\n")
+            line = line.rstrip("\0 \r\n").lstrip(" ")
+            if "\0" in line:
+                self.left_out["nul"] += 1
+                continue
             if self.line > self._layout.skip_rows and line and not (comment and line.startswith(comment)):
                 yield line
 
@@ -81,11 +130,27 @@ class Table:
         except csv.Error as error:
             raise SourceError(f"{self.source}: line {self.line}: {error}") from None
 
-    def _rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Line number and cells of every row; all rows are equally long, or cells would change their column unseen."""
+    def _rows(self, kind: str | None) -> Iterator[tuple[int, list[str]]]:
+        """Line number and cells of every row of a kind; all are equally long, or cells would change their column
+        unseen.
+        """
+        kinds = self._layout.kind_column
         while row := self._row():
-            self.width = self.width or len(row)
+            if kinds is not None and (len(row) <= kinds or row[kinds].strip() != kind):
+                continue
+            if row == self.header:
+                self.left_out["header"] += 1
+                continue
+            if not self.width:
+                self.width, self._blank_end = len(row), not row[-1].strip()
+            if len(row) == self.width + 1 and not row[-1].strip():
+                row = row[:-1]
+            elif len(row) == self.width - 1 and self._blank_end:
+                row = [*row, ""]
             if len(row) != self.width:
+                if self._is_last and len(row) < self.width:
+                    self.left_out["cut"] += 1
+                    continue
                 raise SourceError(f"{self.source}: line {self.line}: {len(row)} cells, the first row has {self.width}")
             yield self.line, row
 
@@ -99,45 +164,211 @@ class Table:
             raise SourceError(f"{self.source}: line {self.line}: {problem} {column!r}; the header has {header}")
         return self.names.index(column)
 
-    def blocks(self, rows: int = ROWS) -> Iterator[Block]:
-        """All rows, `rows` at a time."""
-        remaining = self._rows()
+    def blocks(self, rows: int = ROWS, kind: str | None = None) -> Iterator[Block]:
+        """All rows (of a kind, where the map tells kinds), `rows` at a time."""
+        remaining = self._rows(kind)
         while block := list(islice(remaining, rows)):
             lines, cells = zip(*block, strict=True)
-            yield Block(self.source, lines, list(zip(*cells, strict=True)))
+            columns = list(zip(*cells, strict=True))
+            if self._layout.decimal == ",":
+                columns = [tuple(text.replace(",", ".") for text in column) for column in columns]
+            yield Block(self.source, lines, columns)
+
+    def remarks(self) -> list[str]:
+        """What was left out, in sentences."""
+        said = {
+            "nul": "{} with NUL bytes left out, as a power cut leaves them",
+            "header": "{} that repeat the header left out",
+            "cut": "{} at the end of the file left out: it is cut off",
+        }
+        return [text.format(counted(self.left_out[what], "line")) for what, text in said.items() if self.left_out[what]]
+
+
+def _encoding(file: BinaryIO) -> str:
+    """Of a text, by its first two bytes: what Windows calls Unicode begins with a mark."""
+    peek = getattr(file, "peek", None)
+    return "utf-16" if peek is not None and peek(2)[:2] in _UTF16 else "utf-8-sig"
 
 
 class Block(NamedTuple):
-    """Some rows, column by column."""
+    """Some rows, column by column; of a file of numbers, `columns` are arrays."""
 
     source: str
     lines: Sequence[int]
-    columns: Sequence[Sequence[str]]
+    columns: Sequence[Sequence[str] | npt.NDArray[np.number]]
 
     def column(self, index: int, label: str) -> Column:
         """One column; SourceError if the rows are not that long."""
         if index >= len(self.columns):
             cells = f"{len(self.columns)} cells, so there is no column {label} (counted from 0)"
+            cells += "; do they have another delimiter?" if len(self.columns) == 1 else ""
             raise SourceError(f"{self.source}: line {self.lines[0]}: {cells}")
-        return Column(self.source, label, self.lines, self.columns[index])
+        cells_ = self.columns[index]
+        if isinstance(cells_, np.ndarray):
+            return Column(self.source, label, self.lines, (), cells_)
+        return Column(self.source, label, self.lines, cells_)
 
 
-def counts(column: Column, sensitivity: float | None = None) -> npt.NDArray[np.int16]:
-    """(n,) counts; with a `sensitivity` (counts per unit) the cells are in that unit. SourceError for a cell that is no
-    number, no whole one, or no 16-bit count.
+class Codes(NamedTuple):
+    """How cells become counts: codes less `offset`, or of so many `bits` in two's complement; with a `sensitivity` they
+    are in a unit, of which so many counts are one.
     """
-    values = _numbers(column)
-    whole = np.rint(values if sensitivity is None else values * sensitivity)
-    if sensitivity is None and (whole != values).any():
+
+    sensitivity: float | None = None
+    offset: int = 0
+    bits: int | None = None
+
+
+CODES = Codes()
+"""Cells that are counts."""
+
+
+def counts(column: Column, codes: Codes = CODES) -> npt.NDArray[np.int16]:
+    """(n,) counts; SourceError for a cell that is no number, no whole one, or no 16-bit count."""
+    values = numbers(column)
+    whole = np.rint(values if codes.sensitivity is None else values * codes.sensitivity)
+    if codes.sensitivity is None and (whole != values).any():
         row = int(np.argmax(whole != values))
         hint = "if the column is in a unit, the map says values = 'physical'"
-        raise column.refuse(row, f"{_shortened(column.texts[row])} is no whole number of counts; {hint}")
+        raise column.refuse(row, f"{column.text(row)} is no whole number of counts; {hint}")
+    if codes.bits is not None:
+        span = 1 << codes.bits
+        odd = (whole < -span / 2) | (whole >= span)
+        if odd.any():
+            row = int(np.argmax(odd))
+            raise column.refuse(row, f"{column.text(row)}; codes of {codes.bits} bits are allowed")
+        whole = np.where(whole >= span / 2, whole - span, whole)
+    whole = whole - codes.offset
     outside = (whole < INT16[0]) | (whole > INT16[1])
     if outside.any():
         row = int(np.argmax(outside))
-        came = _shortened(column.texts[row]) + ("" if sensitivity is None else f" is {whole[row]:.6g} counts")
-        raise column.refuse(row, f"{came}; allowed are {INT16[0]} to {INT16[1]}")
+        as_counts = "" if codes.sensitivity is None and not codes.offset else f" is {whole[row]:.6g} counts"
+        raise column.refuse(row, f"{column.text(row)}{as_counts}; allowed are {INT16[0]} to {INT16[1]}" + _hint(codes))
     return whole.astype(np.int16)
+
+
+def _hint(codes: Codes) -> str:
+    """What a count that is too large may come from."""
+    if codes.sensitivity is not None:
+        return "; are unit and sensitivity those of the column?"
+    return "" if codes.offset or codes.bits else "; of unsigned codes the map says their offset, or how many bits"
+
+
+class Clock:
+    """Turns the cells of a time column into ns, across blocks: exact, and through what a counter begins anew."""
+
+    def __init__(
+        self,
+        unit: str,
+        ticks: float = 1.0,
+        wraps_at: float | None = None,
+        ties: bool = False,
+        last_ns: int | None = None,
+    ) -> None:
+        """`last_ns` is the time of the row before the first one, None if there is none."""
+        self._iso = unit == ISO
+        tick_ns = Fraction(ticks).limit_denominator(10**9) * NS_PER_UNIT.get(unit, 1)
+        self._tick_ns: int | Fraction = tick_ns.numerator if tick_ns.denominator == 1 else tick_ns
+        self._span_ns = 0 if wraps_at is None else round(wraps_at * tick_ns)
+        self._ties = ties
+        self._turns_ns = self._tie_place = 0
+        self._untied_ns: int | None = None
+        self.last_ns = last_ns
+        self.tied = self.wrapped = 0
+
+    def nanoseconds(self, column: Column) -> npt.NDArray[np.int64]:
+        """(n,) int64 ns; SourceError unless each is later than the one before."""
+        if column.values is not None:
+            times = self._of_numbers(column)
+        else:
+            times = np.array([self._of_text(column, row) for row in range(column.rows)], np.int64)
+        first = -_LAST_NS * 2 if self.last_ns is None else self.last_ns
+        if self._span_ns:
+            before = np.concatenate([[times[0] if self.last_ns is None else first - self._turns_ns], times[:-1]])
+            turns = np.cumsum(before - times > self._span_ns // 2) * self._span_ns
+            self.wrapped += int(turns[-1]) // self._span_ns if len(turns) else 0
+            times = times + self._turns_ns + turns
+            self._turns_ns += int(turns[-1]) if len(turns) else 0
+        if self._ties:
+            times = self._apart(times)
+        before = np.concatenate([[first], times[:-1]])
+        if (times <= before).any():
+            row = int(np.argmax(times <= before))
+            same = times[row] == before[row]
+            hint = "; of a coarse clock the map says ties = true" if same else self._later_hint()
+            raise column.refuse(
+                row, f"{column.text(row)} is not later than the row before; allowed are increasing times{hint}"
+            )
+        self.last_ns = int(times[-1]) if len(times) else self.last_ns
+        return times
+
+    def _later_hint(self) -> str:
+        return "" if self._span_ns else "; of a counter that begins anew the map says wraps_at"
+
+    def _apart(self, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Equal times, 1 ns apart."""
+        if len(times) == 0:
+            return times
+        before = int(times[0]) - 1 if self._untied_ns is None else self._untied_ns
+        rows = np.arange(len(times))
+        first = np.maximum.accumulate(np.where(np.diff(times, prepend=before) == 0, -1 - self._tie_place, rows))
+        place = rows - first
+        self._tie_place, self._untied_ns = int(place[-1]), int(times[-1])
+        self.tied += int(np.count_nonzero(place))
+        return np.asarray(times + place)
+
+    def _of_numbers(self, column: Column) -> npt.NDArray[np.int64]:
+        """Times of a file that holds numbers: whole ones exactly, others to the digits that they have."""
+        values = column.values
+        assert values is not None  # noqa: S101, its caller asked
+        if values.dtype.kind == "f":
+            wrong = ~np.isfinite(values) | (np.abs(values) > float(_LAST_NS / self._tick_ns))
+        else:
+            wrong = np.abs(values.astype(np.float64)) > float(_LAST_NS / self._tick_ns)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise column.refuse(row, f"{column.text(row)} is no time; allowed are {self._allowed}")
+        if values.dtype.kind == "f":
+            whole = np.floor(values)
+            part = np.rint((values - whole) * float(self._tick_ns)).astype(np.int64)
+        else:
+            whole, part = values, np.zeros(len(values), np.int64)
+        if isinstance(self._tick_ns, int):
+            times: npt.NDArray[np.int64] = whole.astype(np.int64) * self._tick_ns + part
+        else:
+            times = np.array([round(int(value) * self._tick_ns) for value in whole.tolist()], np.int64) + part
+        return times
+
+    @property
+    def _allowed(self) -> str:
+        return f"numbers up to {_LAST_NS // self._tick_ns}"
+
+    def _of_text(self, column: Column, row: int) -> int:
+        """One time; through decimal numbers, because a day count in floating seconds has no nanoseconds left."""
+        text = column.texts[row].strip()
+        if self._iso:
+            return _date_ns(column, row, text)
+        try:
+            value = Decimal(text)
+        except InvalidOperation:
+            raise column.refuse(row, f"{column.text(row)!r} is no number" + _number_hint(column, row)) from None
+        if not value.is_finite() or value.copy_abs() > _LAST_NS // self._tick_ns:
+            raise column.refuse(row, f"{column.text(row)} is no time; allowed are {self._allowed}")
+        if isinstance(self._tick_ns, int):
+            return int((value * self._tick_ns).to_integral_value())
+        return round(Fraction(value) * self._tick_ns)
+
+
+def _date_ns(column: Column, row: int, text: str) -> int:
+    """A date and time as ns since 1970, one without a zone taken for UTC."""
+    whole, point, rest = text.partition(".")
+    digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]
+    try:
+        moment = datetime.fromisoformat(whole + rest[len(digits) :])
+        passed = (moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment) - datetime(1970, 1, 1, tzinfo=UTC)
+    except (ValueError, OverflowError):
+        raise column.refuse(row, f"{column.text(row)!r} is no date and time as 2013-09-16T08:30:00.5Z") from None
+    return (passed.days * 86400 + passed.seconds) * 1_000_000_000 + int(f"{digits[:9]:0<9}" if point else 0)
 
 
 def nanoseconds(column: Column, unit_ns: int, last_ns: int | None) -> npt.NDArray[np.int64]:
@@ -145,38 +376,35 @@ def nanoseconds(column: Column, unit_ns: int, last_ns: int | None) -> npt.NDArra
 
     `last_ns` is the time of the row before the first one here, None if there is none.
     """
-    times = np.array([_nanoseconds(column, row, unit_ns) for row in range(len(column.texts))], np.int64)
-    before = np.concatenate([[-_LAST_NS * 2 if last_ns is None else last_ns], times[:-1]])
-    if (times <= before).any():
-        row = int(np.argmax(times <= before))
-        raise column.refuse(
-            row, f"{_shortened(column.texts[row])} is not later than the row before; allowed are increasing times"
-        )
-    return times
+    return Clock("ns", unit_ns, last_ns=last_ns).nanoseconds(column)
 
 
-def _nanoseconds(column: Column, row: int, unit_ns: int) -> int:
-    """One time; through decimal numbers, because a day count in floating seconds has no nanoseconds left."""
-    text = column.texts[row]
-    try:
-        value = Decimal(text.strip())
-    except InvalidOperation:
-        raise column.refuse(row, f"{_shortened(text)!r} is no number") from None
-    if not value.is_finite() or value.copy_abs() > _LAST_NS // unit_ns:
-        raise column.refuse(row, f"{_shortened(text)} is no time; allowed are numbers up to {_LAST_NS // unit_ns}")
-    return int((value * unit_ns).to_integral_value())
-
-
-def _numbers(column: Column) -> npt.NDArray[np.float64]:
+def numbers(column: Column) -> npt.NDArray[np.float64]:
     """(n,) finite numbers; SourceError."""
-    try:
-        values = [float(text) for text in column.texts]
-        row = next((row for row, value in enumerate(values) if not math.isfinite(value)), None)
-    except ValueError:
-        row = next(row for row, text in enumerate(column.texts) if not _is_number(text))
+    if column.values is not None:
+        values = column.values.astype(np.float64)
+        row = int(np.argmin(np.isfinite(values))) if not np.isfinite(values).all() else None
+    else:
+        try:
+            read = [float(text) for text in column.texts]
+            row = next((row for row, value in enumerate(read) if not math.isfinite(value)), None)
+        except ValueError:
+            row = next(row for row, text in enumerate(column.texts) if not _is_number(text))
+            read = []
+        values = np.array(read)
     if row is not None:
-        raise column.refuse(row, f"{_shortened(column.texts[row])!r} is no number")
-    return np.array(values)
+        raise column.refuse(row, f"{column.text(row)!r} is no number" + _number_hint(column, row))
+    return values
+
+
+def _number_hint(column: Column, row: int) -> str:
+    """What a cell that is no number may be."""
+    text = "" if column.values is not None else column.texts[row].strip()
+    if text.count(",") == 1 and _is_number(text.replace(",", ".")):
+        return "; of decimal commas the map says decimal = ','"
+    if column.lines[row] == 1 and text[:1].isalpha() and text.lower() not in ("nan", "inf"):
+        return "; of a header the map names the columns, or says skip_rows = 1"
+    return ""
 
 
 def _is_number(text: str) -> bool:

@@ -49,7 +49,8 @@ class Head:
     """The checked header of an export: what the log begins with, and which groups it has beside its sensors."""
 
     preamble: Preamble
-    beside: tuple[str, ...]
+    beside: Mapping[str, tuple[str, ...]]
+    """Their columns; a track of a reference need not have all."""
 
 
 def importer_of(source: str | PathLike[str]) -> Importer | None:
@@ -102,7 +103,20 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
         raise SourceError(f"{where}: {error}") from None
     except _NOT_READABLE as error:
         raise SourceError(f"{where}: its header can't be read: {printable(str(error))[:200]}") from None
-    return Head(preamble, tuple(name for name in BESIDE if name in tables))
+    beside = {name: _columns_of(name, tables[name].get("columns"), where) for name in BESIDE if name in tables}
+    return Head(preamble, beside)
+
+
+def _columns_of(name: str, said: Any, where: str) -> tuple[str, ...]:
+    """The columns of a group beside the sensors: those that are said, else all; SourceError."""
+    every = tuple(column for column, _, _ in BESIDE[name])
+    if said is None:
+        return every
+    if not isinstance(said, list) or "time" not in said or (name not in STIMULI and len(said) < len(every)):
+        raise SourceError(f"{where}: its header can't be read: columns of {name}")
+    if unknown := [column for column in said if column not in every]:
+        raise SourceError(f"{where}: {name} has no column {printable(str(unknown[0]))[:40]!r}")
+    return tuple(column for column in every if column in said)
 
 
 def notes_of(phases: Any, events: Any, where: str) -> tuple[list[Phase], list[Event]]:
@@ -150,7 +164,8 @@ def write_log(
                     rows[header.name] += len(columns["time"])
                     span.add(columns["time"])
             for name in head.beside:
-                for columns in read(Group(name, BESIDE[name]), ("x", "y", "z")):
+                there = tuple(column for column in BESIDE[name] if column[0] in head.beside[name])
+                for columns in read(Group(name, there), ("x", "y", "z")):
                     _append_beside(log, name, columns)
             for phase in phases:
                 log.phase(phase)
@@ -190,7 +205,12 @@ def _block(columns: Columns, header: SensorHeader) -> Block:
 
 def _append_beside(log: LogWriter, name: str, columns: Columns) -> None:
     if name in STIMULI:
-        log.stimulus(name, Stimulus(**columns))
+        missing = {
+            column: np.full((len(columns["time"]), *tail), np.nan)
+            for column, _, tail in BESIDE[name]
+            if column not in columns
+        }
+        log.stimulus(name, Stimulus(**columns, **missing))
         return
     for row in zip(*(columns[column].tolist() for column, _, _ in BESIDE[name]), strict=True):
         log.clocks(ClockRow(*row))

@@ -21,11 +21,12 @@ from imuarray.importers import Summary, open_source
 from imuarray.importers.cells import Block, Column, Table, nanoseconds
 from imuarray.importers.exported import MAX_HEADER_BYTES, Head, checked_head, notes_of, parse_header, write_log
 from imuarray.importers.mapping import FileTable
+from imuarray.log.format import ARRIVAL
 from imuarray.log.guard import MAX_TEXT_BYTES
 from imuarray.log.layout import BESIDE_UNITS, Columns, Group
 from imuarray.printable import printable
 
-_UNITS = {"pressure": "Pa", **BESIDE_UNITS}
+_UNITS = {"pressure": "Pa", ARRIVAL: "s", **BESIDE_UNITS}
 _S = 1_000_000_000
 
 

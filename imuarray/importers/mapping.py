@@ -1,16 +1,21 @@
-"""The map of a text table: which column is what. Read from TOML; whatever can't be meant is refused with its place.
+"""The map of a recording: which column is what. Read from TOML; whatever can't be meant is refused with its place.
 
 ::
 
-    [file]      delimiter = ","   skip_rows = 0   comment = "#"
-    [time]      column = "t"  unit = "s" | "ms" | "us" | "ns"     or     rate_hz = 100
-    [[sensor]]  name  chip  quantity  columns = [x, y, z]  range  unit  sensitivity
-                values = "counts" | "physical"   axes = "+X+Y+Z"   position_mm = [x, y, z]   temperature_column
-                thermometer = { zero_degc, lsb_per_degc }
-    [[phase]]   name  rows = [first, last]
+    [file]        delimiter = ","   decimal = "."   skip_rows = 0   comment = "#"   kind_column   format = "mimu4444"
+    [time]        column = "t"  unit = "s" | "ms" | "us" | "ns" | "iso8601"     or     rate_hz = 100
+                  ticks = 1   wraps_at = 4294967296   ties = true   stamps = "reading" | "arrival"
+    [[sensor]]    name  chip  quantity  columns = [x, y, z]  unit  range  sensitivity | scale
+                  values = "counts" | "physical"   offset = 0   bits = 16   axes = "+X+Y+Z"   position_mm = [x, y, z]
+                  temperature_column   thermometer = { zero_degc, lsb_per_degc } | { unit = "degC" }
+                  time_column   kind
+    [[thermometer]]  name  column  unit = "degC" | "K" | "counts"   zero_degc   lsb_per_degc   time_column   kind
+    [reference]   specific_force  angular_rate = { columns = [X, Y, Z], unit }   temperature = { column, unit }
+                  time_column   kind
+    [[phase]]     name  up = "+Z"   rows = [first, last] | seconds = [begin, end]
 
 A column is a name (then the first row is a header) or an index counted from 0. Phases count data rows
-from 0, last included.
+from 0, last included, or seconds from the first row.
 """
 
 from __future__ import annotations
@@ -22,15 +27,23 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, model_validator
 
-from imuarray.axes import face_up, orientation_of
+from imuarray.axes import UP_AXES, face_up, orientation_of
 from imuarray.toml_files import parse_toml, read_text
+from imuarray.units import UNITS_OF
 
 _STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
-UNITS = {"specific_force": "g", "angular_rate": "dps", "magnetic_field": "gauss"}
-"""The unit in which range and sensitivity of a sensor are given, for each quantity."""
+ISO = "iso8601"
+"""Unit of times that are written as date and time (ISO 8601); they count from 1970."""
 
 NS_PER_UNIT = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+
+TEMPERATURE_LSB_PER_DEGC = 100.0
+"""Counts per degree of a log's thermometer whose recording gives degrees and says nothing of its step: a hundredth of a
+degree is finer than any of these thermometers, and 16 bits then hold -327 to 327 degC."""
+
+ZERO_OF_UNIT = {"degC": 0.0, "K": -273.15}
+"""Degrees Celsius at 0 of each unit of temperature."""
 
 
 def _column(value: Any) -> str | int:
@@ -42,63 +55,129 @@ def _column(value: Any) -> str | int:
 
 Column = Annotated[str | int, PlainValidator(_column)]
 Positive = Annotated[float, Field(gt=0)]
+Triad = Annotated[list[Column], Field(min_length=3, max_length=3)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+Degrees = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class FileTable(BaseModel):
-    """`[file]`: how the text is cut into cells."""
+    """`[file]`: how a text is cut into cells. Where rows of several tables stand among each other, `kind_column` (its
+    index) says which table a row is of. `format`: a format that needs no map, so that the map adds phases only.
+    """
 
     model_config = _STRICT
     delimiter: Literal[",", ";", "\t", " ", "|"] = ","
+    decimal: Literal[".", ","] = "."
     skip_rows: Annotated[int, Field(ge=0)] = 0
     comment: str = "#"
+    kind_column: Annotated[int, Field(ge=0)] | None = None
+    format: str | None = None
+
+    @model_validator(mode="after")
+    def _tells_cells_apart(self) -> Self:
+        if self.decimal == self.delimiter:
+            raise ValueError("decimal and delimiter are both ','; a table of decimal commas has another delimiter")
+        return self
 
 
 class TimeTable(BaseModel):
-    """`[time]`: a column of times in a unit, or a rate at which the rows follow each other."""
+    """`[time]`: a column of times in a unit, or a rate at which the rows follow each other.
+
+    A column counts `ticks` of its unit (0.5: half a unit each), and begins anew at `wraps_at` where it does. With
+    `ties`, rows of one and the same time are put 1 ns apart. `stamps = "arrival"`: they are those at which rows
+    arrived, in bursts; the log's times are then counted out (`imuarray.importers.arrival`), and those of arrival stand
+    beside.
+    """
 
     model_config = _STRICT
     column: Column | None = None
-    unit: Literal["s", "ms", "us", "ns"] | None = None
+    unit: Literal["s", "ms", "us", "ns", "iso8601"] | None = None
     rate_hz: Annotated[float, Field(ge=0.001, le=1e6)] | None = None
+    ticks: Positive = 1.0
+    wraps_at: Positive | None = None
+    ties: bool = False
+    stamps: Literal["reading", "arrival"] = "reading"
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
         if (self.column is None) == (self.rate_hz is None):
             raise ValueError("needs either column and unit, or rate_hz")
         if (self.column is None) != (self.unit is None):
-            raise ValueError(f"unit goes with column; allowed are {', '.join(NS_PER_UNIT)}")
+            raise ValueError(f"unit goes with column; allowed are {', '.join([*NS_PER_UNIT, ISO])}")
+        if self.column is None and (self.wraps_at is not None or self.ties or self.stamps == "arrival"):
+            raise ValueError("wraps_at, ties and stamps go with column")
+        if self.unit == ISO and (self.wraps_at is not None or self.ticks != 1):
+            raise ValueError(f"ticks and wraps_at go with a column of numbers, not of {ISO}")
         return self
 
 
 class ThermometerTable(BaseModel):
-    """What the counts of `temperature_column` mean: `zero_degc` + counts / `lsb_per_degc`."""
+    """What the cells of `temperature_column` mean: counts, `zero_degc` + counts / `lsb_per_degc`, or a `unit`, in which
+    they become counts of `lsb_per_degc`.
+    """
 
     model_config = _STRICT
-    zero_degc: Annotated[float, Field(ge=-1e6, le=1e6)]
-    lsb_per_degc: Annotated[float, Field(ge=-1e6, le=1e6)]
+    unit: Literal["counts", "degC", "K"] = "counts"
+    zero_degc: Degrees | None = None
+    lsb_per_degc: Degrees | None = None
 
     @model_validator(mode="after")
     def _changes(self) -> Self:
         if self.lsb_per_degc == 0:
             raise ValueError("lsb_per_degc 0: a thermometer's counts change with the temperature")
+        if self.unit == "counts" and (self.zero_degc is None or self.lsb_per_degc is None):
+            raise ValueError("counts need zero_degc and lsb_per_degc; or unit says that they are degC or K")
         return self
 
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Degrees at count 0 of the log's thermometer, and its counts per degree."""
+        return self.zero_degc or 0.0, self.lsb_per_degc or TEMPERATURE_LSB_PER_DEGC
 
-class SensorTable(BaseModel):
-    """`[[sensor]]`: three columns that are one triad. `sensitivity` is in counts per `unit`; `values` says whether the
-    columns hold counts or numbers in `unit`, which are turned into counts. `thermometer` is said where a chip's data
-    sheet is not known to this package, or a unit has been calibrated.
+
+class Streamed(BaseModel):
+    """Which rows, and whose time: the table's (`[time]`) unless `time_column` names another; those of `kind` alone
+    where `[file] kind_column` tells kinds of rows, or where a recording holds several tables (the topics of a bag).
     """
 
     model_config = _STRICT
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+    time_column: Column | None = None
+    kind: str | None = None
+
+
+class Recorded(Streamed):
+    """What becomes a sensor of the log."""
+
+    name: Name
+
+
+class OwnThermometer(Recorded, ThermometerTable):
+    """`[[thermometer]]`: one that is of no sensor's chip."""
+
+    chip: str = "thermometer"
+    column: Column
+
+
+class SensorTable(Recorded):
+    """`[[sensor]]`: three columns that are one triad.
+
+    `values` says whether they hold counts or numbers in `unit`, which are turned into counts; without `sensitivity` and
+    `scale` they are in `unit`. `range`, `sensitivity` (counts per `unit`) and `scale` (`unit` per count) are in `unit`
+    too; of numbers in `unit` they may be left out, and are then learnt from these. A code is `offset` more than the
+    count that it stands for; with `bits` it is two's complement that was read as unsigned. `thermometer` is said where
+    a chip's data sheet is not known to this package, or a unit has been calibrated.
+    """
+
     chip: Annotated[str, Field(min_length=1)]
     quantity: Literal["specific_force", "angular_rate", "magnetic_field"]
-    columns: Annotated[list[Column], Field(min_length=3, max_length=3)]
-    range: Positive
-    unit: Literal["g", "dps", "gauss"]
-    sensitivity: Positive
-    values: Literal["counts", "physical"] = "counts"
+    columns: Triad
+    range: Positive | None = None
+    unit: str
+    sensitivity: Positive | None = None
+    scale: Positive | None = None
+    values: Literal["counts", "physical"] | None = None
+    offset: int = 0
+    bits: Annotated[int, Field(ge=8, le=16)] | None = None
     axes: str = "+X+Y+Z"
     position_mm: Annotated[list[float], Field(min_length=3, max_length=3)] = [0.0, 0.0, 0.0]
     temperature_column: Column | None = None
@@ -106,33 +185,104 @@ class SensorTable(BaseModel):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        if self.unit != UNITS[self.quantity]:
-            raise ValueError(f"unit {self.unit!r}: allowed for {self.quantity} is {UNITS[self.quantity]}")
+        _check_unit(self.unit, self.quantity)
         if len(set(self.columns)) < 3:
             raise ValueError(f"columns {self.columns}: each column comes once")
         if self.thermometer is not None and self.temperature_column is None:
             raise ValueError("thermometer goes with temperature_column, of which it says what the counts mean")
+        if self.sensitivity is not None and self.scale is not None:
+            raise ValueError("sensitivity and scale say the same: counts per unit, and units per count; leave one out")
+        if not self.is_physical:
+            if self.range is None:
+                raise ValueError("range: is missing")
+            if self.counts_per_unit is None:
+                raise ValueError("sensitivity: is missing, or scale; columns of counts need it")
+        elif self.offset or self.bits:
+            raise ValueError("offset and bits are of counts; these columns are in a unit")
         orientation_of(self.axes)
+        return self
+
+    @property
+    def is_physical(self) -> bool:
+        """Whether the columns are in `unit`."""
+        return self.counts_per_unit is None if self.values is None else self.values == "physical"
+
+    @property
+    def counts_per_unit(self) -> float | None:
+        """Counts per `unit`; None if the map does not say it."""
+        return self.sensitivity if self.scale is None else 1 / self.scale
+
+    @property
+    def log_units(self) -> float:
+        """How many of the log's unit (g, dps, gauss) are one `unit`."""
+        return UNITS_OF[self.quantity][self.unit]
+
+
+def _check_unit(unit: str, quantity: str) -> None:
+    """ValueError for a unit that the quantity hasn't."""
+    if unit not in UNITS_OF[quantity]:  # type: ignore[index]
+        raise ValueError(f"unit {unit!r}: allowed for {quantity} are {', '.join(UNITS_OF[quantity])}")  # type: ignore[index]
+
+
+class ReferenceForce(BaseModel):
+    """Three columns of a reference instrument, in the box frame."""
+
+    model_config = _STRICT
+    columns: Triad
+    unit: str
+
+
+class ReferenceTemperature(BaseModel):
+    """A column of a reference thermometer."""
+
+    model_config = _STRICT
+    column: Column
+    unit: Literal["degC", "K"] = "degC"
+
+
+class ReferenceTable(Streamed):
+    """`[reference]`: what a reference instrument saw, in the box frame; it goes to `/reference`."""
+
+    specific_force: ReferenceForce | None = None
+    angular_rate: ReferenceForce | None = None
+    temperature: ReferenceTemperature | None = None
+
+    @model_validator(mode="after")
+    def _has_something(self) -> Self:
+        if self.specific_force is None and self.angular_rate is None and self.temperature is None:
+            raise ValueError("names no column; specific_force, angular_rate and temperature are possible")
+        for quantity in ("specific_force", "angular_rate"):
+            if (triad := getattr(self, quantity)) is not None:
+                _check_unit(triad.unit, quantity)
         return self
 
 
 class PhaseTable(BaseModel):
-    """`[[phase]]`: a named stretch of data rows, first and last included."""
+    """`[[phase]]`: a named stretch: of data rows, first and last included, or of seconds from the first row."""
 
     model_config = _STRICT
     name: Annotated[str, Field(min_length=1)]
-    rows: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
+    up: Literal["+X", "-X", "+Y", "-Y", "+Z", "-Z", ""] | None = None
+    rows: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)] | None = None
+    seconds: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=2, max_length=2)] | None = None
 
     @model_validator(mode="after")
     def _forward(self) -> Self:
-        if self.rows[1] < self.rows[0]:
+        if (self.rows is None) == (self.seconds is None):
+            raise ValueError("needs either rows or seconds: [first, last]")
+        if self.rows is not None and self.rows[1] < self.rows[0]:
             raise ValueError(f"rows {self.rows}: [first, last], last not before first")
+        if self.seconds is not None and self.seconds[1] <= self.seconds[0]:
+            raise ValueError(f"seconds {self.seconds}: [begin, end], end after begin")
+        named = face_up(self.name)
+        if self.up and named and self.up != named:
+            raise ValueError(f"up {self.up!r}, but the name {self.name!r} says {named}")
         return self
 
     @property
-    def up(self) -> str:
-        """The box axis that points up in a phase called z_up, x_down, y_up_check, ...; "" for any other."""
-        return face_up(self.name)
+    def box_up(self) -> str:
+        """The box axis that points up: as said, or as a name like z_up, x_down, y_up_check says; else ""."""
+        return self.up or face_up(self.name)
 
 
 class TableMap(BaseModel):
@@ -140,27 +290,73 @@ class TableMap(BaseModel):
 
     model_config = _STRICT
     file: FileTable = FileTable()
-    time: TimeTable
-    sensor: Annotated[list[SensorTable], Field(min_length=1)]
+    time: TimeTable | None = None
+    sensor: list[SensorTable] = []
+    thermometer: list[OwnThermometer] = []
+    reference: ReferenceTable | None = None
     phase: list[PhaseTable] = []
 
     @model_validator(mode="after")
-    def _names_once(self) -> Self:
-        for name, count in Counter(sensor.name for sensor in self.sensor).items():
+    def _whole(self) -> Self:
+        if self.file.format is not None:
+            if self.time is not None or self.sensor or self.thermometer or self.reference is not None:
+                raise ValueError("file: format knows its time and its sensors: leave them out")
+            return self
+        if self.time is None:
+            raise ValueError("time: is missing")
+        if not self.sensor:
+            raise ValueError("sensor: is missing")
+        recorded: list[Recorded] = [*self.sensor, *self.thermometer]
+        names = [item.name for item in recorded]
+        for name, count in Counter(names).items():
             if count > 1:
                 raise ValueError(f"{count} sensors are called {name!r}; names are unique")
         return self
 
+    @property
+    def clock(self) -> TimeTable:
+        """`time` of a map that has sensors."""
+        assert self.time is not None  # noqa: S101, checked above
+        return self.time
+
     def columns(self) -> Iterator[str | int]:
         """Every column that the map names, some more than once."""
-        if self.time.column is not None:
+        if self.time is not None and self.time.column is not None:
             yield self.time.column
-        for sensor in self.sensor:
-            yield from sensor.columns
-            if sensor.temperature_column is not None:
-                yield sensor.temperature_column
+        streamed: list[Streamed] = [*self.sensor, *self.thermometer, *([self.reference] if self.reference else [])]
+        for item in streamed:
+            yield from columns_of(item)
+
+
+def columns_of(item: Streamed) -> Iterator[str | int]:
+    """The columns of one sensor, thermometer or reference."""
+    if item.time_column is not None:
+        yield item.time_column
+    if isinstance(item, SensorTable):
+        yield from item.columns
+        if item.temperature_column is not None:
+            yield item.temperature_column
+    elif isinstance(item, OwnThermometer):
+        yield item.column
+    elif isinstance(item, ReferenceTable):
+        for triad in (item.specific_force, item.angular_rate):
+            yield from triad.columns if triad else ()
+        if item.temperature is not None:
+            yield item.temperature.column
 
 
 def load_map(path: str | PathLike[str]) -> TableMap:
     """Read a map's TOML file; ConfigError names the file and every mistake in it."""
-    return parse_toml(read_text(path), TableMap, str(path))
+    return parse_map(read_text(path), str(path))
+
+
+def parse_map(text: str, where: str) -> TableMap:
+    """A map from its TOML text; ConfigError, which begins with `where`."""
+    return parse_toml(text, TableMap, where)
+
+
+def face_name(up: str) -> str:
+    """What a phase is called in which a box axis ("+Z") points up: z_up."""
+    if up not in UP_AXES:
+        raise ValueError(f"up {up!r}: allowed are {', '.join(UP_AXES)}")
+    return f"{up[1].lower()}_{'up' if up[0] == '+' else 'down'}"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import numpy.typing as npt
 
 from imuarray.errors import SourceError
 from imuarray.importers import NO_WALL_TIME, Summary, open_source
+from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.packets import BLOCK_BYTES, PAYLOAD, SIZE, Piece, read_packets
 from imuarray.log import Block, LogWriter
 from imuarray.log.format import LOST_BEFORE, SATURATED, Event, SensorHeader
@@ -86,7 +88,8 @@ def import_file(
         for piece in read_packets(file, block_bytes):
             recording.add(piece)
             progress(file.tell())
-        return recording.finish()
+        summary = recording.finish()
+        return replace(summary, remarks=tuple(flag_clipped(log, headers)))
 
 
 class _Recording:

@@ -1,24 +1,50 @@
-"""Any table of numbers in a text file, by its map (`imuarray.importers.mapping`), streamed into a log."""
+"""Any recording whose columns a map names (`imuarray.importers.mapping`), streamed into a log."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import ConfigError, SourceError
-from imuarray.importers import NO_WALL_TIME, Summary, open_source, unpacked
-from imuarray.importers.cells import INT16, ROWS, Block, Table, counts, nanoseconds
-from imuarray.importers.mapping import NS_PER_UNIT, PhaseTable, SensorTable, TableMap, load_map
+from imuarray.importers import NO_WALL_TIME, Summary, importer
+from imuarray.importers.arrival import count_out
+from imuarray.importers.cells import INT16, ROWS, Block, Clock, Codes, Column, counts, numbers
+from imuarray.importers.clipped import flag_clipped
+from imuarray.importers.mapping import (
+    ISO,
+    ZERO_OF_UNIT,
+    OwnThermometer,
+    PhaseTable,
+    Recorded,
+    ReferenceTable,
+    SensorTable,
+    Streamed,
+    TableMap,
+    ThermometerTable,
+    columns_of,
+    face_name,
+    load_map,
+)
+from imuarray.importers.resolution import SAMPLE_ROWS, Resolution, resolution_of
+from imuarray.importers.sources import Reference, Rows, open_rows
 from imuarray.log import Block as LogBlock
-from imuarray.log import LogWriter
-from imuarray.log.format import SATURATED, Event, Phase, SensorHeader, ThermometerScale
+from imuarray.log import LogWriter, Stimulus
+from imuarray.log.format import ARRIVAL, SATURATED, Event, Phase, SensorHeader, ThermometerScale
+from imuarray.log.sensor_log import first_at
+from imuarray.printable import counted
+from imuarray.units import SI_PER_UNIT, UNITS_OF
 
 Times = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+VANISHED = 0.3
+"""A column whose neighbouring values differ by less than so many counts (rms) has lost its noise in rounding."""
 
 
 def import_table(
@@ -29,107 +55,420 @@ def import_table(
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
     block_rows: int = ROWS,
+    up: str = "",
 ) -> Summary:
-    """Write the table `source`, packed by gzip or not, as the map at `map_path` describes it, to the log `output`.
+    """Write the recording `source` (a text table, packed by gzip or not, .npz, .mat, .parquet, a bag) as the map at
+    `map_path` describes it to the log `output`. `up`: the box axis that pointed up all the time ("+Z"), "" if not said.
 
-    Raises ConfigError for the map, SourceError for the table (file, line, column), OutputExistsError, LogError.
+    Raises ConfigError for the map, SourceError for the recording (file, line, column), OutputExistsError, LogError.
     """
     table_map = load_map(map_path)
-    headers = [_header(sensor, table_map) for sensor in table_map.sensor]
-    with (
-        open_source(source, output) as file,
-        LogWriter(output, headers, source="imported", epoch=NO_WALL_TIME, force=force) as log,
-    ):
-        named = any(isinstance(column, str) for column in table_map.columns())
-        table = Table(unpacked(file), str(source), table_map.file, named)
-        where = {column: table.index(column) for column in table_map.columns()}
-        rows = _Rows(log, table_map, where)
-        for block in table.blocks(block_rows):
-            rows.add(block)
-            progress(file.tell())
-        rows.finish(str(source), str(map_path))
-    return Summary(tuple(header.name for header in headers), rows.count, None, (rows.last_ns - rows.first_ns) * 1e-9)
+    if table_map.file.format is not None:
+        return _import_format(table_map, source, map_path, output, force, progress)
+    if up:
+        if table_map.phase:
+            raise ConfigError(
+                f"{map_path}: names phases, so that one that lasts all the time, {up} up, can't be said too"
+            )
+        face_name(up)
+    rows = open_rows(source, output, table_map, progress)
+    streams = _streams(table_map)
+    learnt = {
+        sensor.name: resolution
+        for stream in streams
+        for sensor, resolution in _learnt(stream, rows, table_map, block_rows)
+    }
+    headers = [_header(sensor, table_map, learnt.get(sensor.name)) for sensor in table_map.sensor]
+    headers += [_thermometer_header(item) for item in table_map.thermometer]
+    with LogWriter(output, headers, source="imported", epoch=NO_WALL_TIME, force=force) as log:
+        recording = _Recording(log, table_map, {header.name: header for header in headers}, streams)
+        for stream in recording.streams:
+            for block, where in rows.blocks(stream.plan.columns, stream.plan.kind, block_rows):
+                stream.add(block, where)
+        recording.finish(str(source), str(map_path), up)
+        remarks = [*rows.remarks, *recording.remarks(learnt)]
+        remarks += flag_clipped(log, [header for header in headers if header.is_triad])
+    each = {name: count for stream in recording.streams for name, count in stream.rows_of.items()}
+    return Summary(
+        tuple(header.name for header in headers),
+        max(each.values()),
+        None,
+        recording.seconds,
+        same_rows=len(set(each.values())) == 1,
+        remarks=tuple(remarks),
+    )
 
 
-def _header(sensor: SensorTable, table_map: TableMap) -> SensorHeader:
+def _import_format(
+    table_map: TableMap,
+    source: str | PathLike[str],
+    map_path: str | PathLike[str],
+    output: str | PathLike[str],
+    force: bool,
+    progress: Callable[[int], None],
+) -> Summary:
+    """A recording of a format that has a name; ConfigError for what a map can't add to it."""
+    name = str(table_map.file.format)
+    try:
+        read = importer(name)
+    except KeyError:
+        raise ConfigError(f"{map_path}: file: format {name!r}: no such format") from None
+    if table_map.phase:
+        raise ConfigError(f"{map_path}: phase: a recording of format {name!r} has none")
+    return read(source, output, force=force, progress=progress)
+
+
+class Plan(NamedTuple):
+    """The sensors, thermometers and the reference that share rows: a time column (None: a rate) and a kind."""
+
+    time_column: Reference | None
+    kind: str | None
+    items: tuple[Streamed, ...]
+
+    @property
+    def columns(self) -> list[Reference]:
+        """Every column once; that of time first."""
+        named = [] if self.time_column is None else [self.time_column]
+        return list(dict.fromkeys([*named, *(column for item in self.items for column in columns_of(item))]))
+
+
+def _streams(table_map: TableMap) -> list[Plan]:
+    """What shares its rows, together."""
+    items: list[Streamed] = [*table_map.sensor, *table_map.thermometer]
+    items += [table_map.reference] if table_map.reference is not None else []
+    together: dict[tuple[Reference | None, str | None], list[Streamed]] = {}
+    for item in items:
+        column = table_map.clock.column if item.time_column is None else item.time_column
+        together.setdefault((column, item.kind), []).append(item)
+    return [Plan(column, kind, tuple(those)) for (column, kind), those in together.items()]
+
+
+def _learnt(plan: Plan, rows: Rows, table_map: TableMap, block_rows: int) -> Iterator[tuple[SensorTable, Resolution]]:
+    """Range and sensitivity of sensors whose columns are in a unit and of which the map leaves something open: what it
+    says, and the rest from the values, for which the recording is read once more.
+    """
+    sensors = [item for item in plan.items if isinstance(item, SensorTable) and item.is_physical]
+    largest = dict.fromkeys((sensor.name for sensor in sensors), 0.0)
+    samples: dict[str, list[npt.NDArray[np.float64]]] = {sensor.name: [] for sensor in sensors}
+    open_ = [sensor for sensor in sensors if sensor.range is None or sensor.counts_per_unit is None]
+    seen = 0
+    if open_:
+        for block, where in rows.blocks(plan.columns, plan.kind, block_rows):
+            at = dict(zip(plan.columns, where, strict=True))
+            for sensor in open_:
+                cells = [block.column(at[column], repr(column)) for column in sensor.columns]
+                kept = ~_blank(cells)
+                values = np.concatenate([numbers(cell.where(kept)) for cell in cells]) * sensor.log_units
+                largest[sensor.name] = max(largest[sensor.name], float(np.abs(values).max(initial=0.0)))
+                if seen < SAMPLE_ROWS:
+                    samples[sensor.name].append(values)
+            seen += len(block.lines)
+    for sensor in open_:
+        sample = np.concatenate([np.zeros(0), *samples[sensor.name]])
+        known = None if sensor.counts_per_unit is None else sensor.counts_per_unit / sensor.log_units
+        stated = None if sensor.range is None else sensor.range * sensor.log_units
+        yield sensor, resolution_of(sensor.quantity, sample, largest[sensor.name], stated, known)
+
+
+def _header(sensor: SensorTable, table_map: TableMap, learnt: Resolution | None) -> SensorHeader:
     x, y, z = sensor.position_mm
-    thermometer = sensor.thermometer
+    scale = None if sensor.thermometer is None else ThermometerScale(*sensor.thermometer.scale)
+    per_unit = sensor.counts_per_unit
     return SensorHeader(
         name=sensor.name,
         chip=sensor.chip,
         quantity=sensor.quantity,
-        unit=sensor.unit,
-        range=sensor.range,
-        sensitivity=sensor.sensitivity,
-        rate_hz=table_map.time.rate_hz or 0.0,
+        unit=next(iter(UNITS_OF[sensor.quantity])),
+        range=learnt.range if learnt else float(sensor.range or 0.0) * sensor.log_units,
+        sensitivity=learnt.sensitivity if learnt else float(per_unit or 0.0) / sensor.log_units,
+        rate_hz=table_map.clock.rate_hz or 0.0,
         axes=sensor.axes,
         position_mm=(x, y, z),
         has_temperature=sensor.temperature_column is not None,
-        extra={} if thermometer is None else ThermometerScale(**thermometer.model_dump()).attributes,
+        compensated=(ARRIVAL,) if table_map.clock.stamps == "arrival" else (),
+        extra={} if scale is None else scale.attributes,
     )
 
 
-class _Rows:
-    """The state of one import: rows and time so far, and the times of the rows that phases begin and end with."""
+def _thermometer_header(item: OwnThermometer) -> SensorHeader:
+    scale = ThermometerScale(*item.scale)
+    return SensorHeader(
+        name=item.name,
+        chip=item.chip,
+        quantity="temperature",
+        unit="degC",
+        range=0.0,
+        sensitivity=abs(scale.lsb_per_degc),
+        columns=("t",),
+        has_temperature=True,
+        compensated=("temperature",),
+        extra=scale.attributes,
+    )
 
-    def __init__(self, log: LogWriter, table_map: TableMap, where: dict[str | int, int]) -> None:
-        self.log = log
-        self.map = table_map
-        self.where = where
-        self.count = self.first_ns = self.last_ns = 0
-        self.wanted = {row for phase in table_map.phase for row in phase.rows}
+
+def _blank(cells: Sequence[Column]) -> Mask:
+    """(n,) rows in which a sensor read nothing: all its cells are blank."""
+    blank = cells[0].blank()
+    for cell in cells[1:]:
+        if not blank.any():
+            break
+        blank = blank & cell.blank()
+    return blank
+
+
+class _Rounding:
+    """What became of values in a unit when they were rounded to counts."""
+
+    def __init__(self, is_learnt: bool) -> None:
+        self.is_learnt = is_learnt
+        self.rows = 0
+        self._off = self._steps = np.zeros(3)
+
+    def add(self, values: npt.NDArray[np.float64], whole: npt.NDArray[np.int16]) -> None:
+        """Values (n, 3) in counts, and the counts."""
+        self.rows += len(values)
+        self._off = self._off + ((values - whole) ** 2).sum(axis=0)
+        self._steps = self._steps + (np.diff(values, axis=0) ** 2).sum(axis=0) / 2
+
+    def remark(self, name: str, unit: str, sensitivity: float) -> str:
+        """A sentence, if anything is worth saying."""
+        if self.rows < 2:
+            return ""
+        off, noise = np.sqrt(self._off / self.rows), np.sqrt(self._steps / (self.rows - 1))
+        if (noise < VANISHED).any() and (off > 1e-3).any():
+            axes = "".join("xyz"[axis] for axis in np.flatnonzero(noise < VANISHED))
+            return (
+                f"{name} {axes}: its values change by {float(noise.min()):.2g} counts only and are rounded away:"
+                f" {sensitivity:.6g} counts per {unit} are too few, or the unit is another"
+            )
+        if (off > 0.1).any() and not self.is_learnt:
+            return f"{name}: its values are no whole counts at {sensitivity:.6g} per {unit}; they were rounded"
+        return ""
+
+
+class _Stream:
+    """Sensors that share their rows, on the way into a log."""
+
+    def __init__(
+        self, log: LogWriter, plan: Plan, table_map: TableMap, headers: dict[str, SensorHeader], wanted: set[int]
+    ) -> None:
+        time = table_map.clock
+        self.log, self.plan, self._time, self._headers = log, plan, time, headers
+        self._clock = Clock(time.unit or "ns", time.ticks, time.wraps_at, time.ties)
+        self._wanted = wanted
         self.time_of: dict[int, int] = {}
+        self.count = self.padding = 0
+        self.first_ns = self.last_ns = 0
+        names = [item.name for item in plan.items if isinstance(item, Recorded)]
+        self.rows_of = dict.fromkeys(names, 0)
+        triads = [item for item in plan.items if isinstance(item, SensorTable)]
+        self._rounding = {item.name: _Rounding(item.counts_per_unit is None) for item in triads if item.is_physical}
 
-    def add(self, block: Block) -> None:
+    def add(self, block: Block, where: Sequence[int]) -> None:
         """Write the rows of one block."""
-        time = self._time(block)
+        cells = {
+            column: block.column(index, repr(column)) for column, index in zip(self.plan.columns, where, strict=True)
+        }
+        cells = self._without_padding(cells)
+        length = next(iter(cells.values())).rows
+        if not length:
+            return
+        time = self._times(cells, length)
         if self.count == 0:
             self.first_ns = int(time[0])
-        for sensor in self.map.sensor:
-            self.log.append(sensor.name, self._rows_of(sensor, block, time))
-        inside = range(self.count, self.count + len(time))
-        self.time_of |= {row: int(time[row - self.count]) for row in self.wanted if row in inside}
-        self.count += len(time)
+        inside = range(self.count, self.count + length)
+        self.time_of |= {row: int(time[row - self.count]) for row in self._wanted if row in inside}
+        self.count += length
         self.last_ns = int(time[-1])
+        for item in self.plan.items:
+            if isinstance(item, SensorTable):
+                self._add_triad(item, cells, time)
+            elif isinstance(item, OwnThermometer):
+                self._add_degrees(item, cells, time)
+            elif isinstance(item, ReferenceTable):
+                self._add_reference(item, cells, time)
 
-    def _time(self, block: Block) -> Times:
+    def _without_padding(self, cells: dict[Reference, Column]) -> dict[Reference, Column]:
+        """Without rows of zeros, time too, behind others: what a program has reserved and not filled; and without those
+        that have no time because none of the sensors that share it read anything.
+        """
+        column = self.plan.time_column
+        if column is None:
+            return cells
+        blank = cells[column].blank()
+        if blank.any():
+            blank = blank & np.all([cell.blank() for cell in cells.values()], axis=0)
+        zero = _zeros(cells[column])
+        if zero.any():
+            began = self._clock.last_ns is not None and self._clock.last_ns > 0
+            zero &= began | np.logical_or.accumulate(~zero)
+            zero = np.all([zero, *(_zeros(cell) for cell in cells.values())], axis=0)
+            self.padding += int(np.count_nonzero(zero))
+        kept = ~(zero | blank)
+        return cells if kept.all() else {name: cell.where(kept) for name, cell in cells.items()}
+
+    def _times(self, cells: dict[Reference, Column], length: int) -> Times:
         """(n,) ns from the time column, or from the rate."""
-        column, unit, rate_hz = self.map.time.column, self.map.time.unit, self.map.time.rate_hz
-        if column is not None and unit is not None:
-            cells = block.column(self.where[column], repr(column))
-            return nanoseconds(cells, NS_PER_UNIT[unit], self.last_ns if self.count else None)
-        period_ns = 1_000_000_000 / Fraction(rate_hz or 1.0).limit_denominator(1_000_000)
-        rows = range(self.count, self.count + len(block.lines))
+        if self.plan.time_column is not None:
+            return self._clock.nanoseconds(cells[self.plan.time_column])
+        period_ns = 1_000_000_000 / Fraction(self._time.rate_hz or 1.0).limit_denominator(1_000_000)
+        rows = range(self.count, self.count + length)
         return np.array([row * period_ns.numerator // period_ns.denominator for row in rows], np.int64)
 
-    def _rows_of(self, sensor: SensorTable, block: Block, time: Times) -> LogBlock:
-        """One sensor's part of a block."""
-        sensitivity = sensor.sensitivity if sensor.values == "physical" else None
-        axes = [counts(block.column(self.where[column], repr(column)), sensitivity) for column in sensor.columns]
-        triads = np.stack(axes, axis=1)
+    def _add_triad(self, sensor: SensorTable, cells: dict[Reference, Column], time: Times) -> None:
+        triad = [cells[column] for column in sensor.columns]
+        kept = ~_blank(triad)
+        per_unit = self._headers[sensor.name].sensitivity * sensor.log_units if sensor.is_physical else None
+        codes = Codes(per_unit, sensor.offset, sensor.bits)
+        triads = np.stack([counts(cell.where(kept), codes) for cell in triad], axis=1)
+        if per_unit is not None:
+            values = np.stack([numbers(cell.where(kept)) for cell in triad], axis=1) * per_unit
+            self._rounding[sensor.name].add(values, triads)
         full = ((triads == INT16[0]) | (triads == INT16[1])).any(axis=1)
         degrees = None
         if sensor.temperature_column is not None:
-            degrees = counts(block.column(self.where[sensor.temperature_column], repr(sensor.temperature_column)))
-        return LogBlock(time, triads, np.where(full, SATURATED, 0).astype(np.uint16), degrees)
+            degrees = _degrees(cells[sensor.temperature_column].where(kept), sensor.thermometer)
+        late = {name: np.zeros(len(triads)) for name in self._headers[sensor.name].compensated}
+        status = np.where(full, SATURATED, 0).astype(np.uint16)
+        self.log.append(sensor.name, LogBlock(time[kept], triads, status, degrees, late))
+        self.rows_of[sensor.name] += len(triads)
 
-    def finish(self, source: str, map_path: str) -> None:
-        """The phases, and where the log came from; SourceError without rows, ConfigError for a phase beyond them."""
-        if self.count == 0:
-            raise SourceError(f"{source}: no data rows; expected rows of numbers as {map_path} describes them")
-        for number, phase in enumerate(self.map.phase, start=1):
-            if phase.rows[1] not in self.time_of:
-                problem = f"rows {phase.rows}, but {source} has data rows 0 to {self.count - 1}"
+    def _add_degrees(self, item: OwnThermometer, cells: dict[Reference, Column], time: Times) -> None:
+        kept = ~cells[item.column].blank()
+        degrees = _degrees(cells[item.column].where(kept), item)
+        zero_degc, lsb_per_degc = item.scale
+        status = np.zeros(len(degrees), np.uint16)
+        warm = {"temperature": zero_degc + degrees / lsb_per_degc}
+        self.log.append(item.name, LogBlock(time[kept], degrees[:, None].astype(np.int32), status, degrees, warm))
+        self.rows_of[item.name] += len(degrees)
+
+    def _add_reference(self, item: ReferenceTable, cells: dict[Reference, Column], time: Times) -> None:
+        kept = ~_blank([cells[column] for column in columns_of(item)])
+        triads = []
+        for quantity in ("specific_force", "angular_rate"):
+            triad = item.specific_force if quantity == "specific_force" else item.angular_rate
+            if triad is None:
+                triads.append(np.full((int(kept.sum()), 3), np.nan))
+                continue
+            unit, factor = next(iter(UNITS_OF[quantity])), UNITS_OF[quantity][triad.unit]
+            values = np.stack([numbers(cells[column].where(kept)) for column in triad.columns], axis=1)
+            triads.append(values * factor * SI_PER_UNIT[unit])
+        warm = np.full(int(kept.sum()), np.nan)
+        if item.temperature is not None:
+            warm = numbers(cells[item.temperature.column].where(kept)) + ZERO_OF_UNIT[item.temperature.unit]
+        self.log.stimulus("reference", Stimulus(time[kept], triads[0], triads[1], warm))
+
+    def remarks(self) -> Iterator[str]:
+        """What was changed or left out, in sentences."""
+        if self.padding:
+            yield f"{counted(self.padding, 'row')} of nothing but zeros, time too, left out: padding"
+        if self._clock.tied:
+            yield f"{counted(self._clock.tied, 'row')} with the time of the row before put 1 ns later"
+        if self._clock.wrapped:
+            yield f"the time column began anew {counted(self._clock.wrapped, 'time')}"
+        for name, count in self.rows_of.items():
+            if count < self.count:
+                yield f"{name}: no reading in {self.count - count} of {self.count} rows, whose cells are blank"
+        for name, rounding in self._rounding.items():
+            header = self._headers[name]
+            if text := rounding.remark(name, header.unit, header.sensitivity):
+                yield text
+
+
+def _zeros(cell: Column) -> Mask:
+    """(n,) cells that are zero."""
+    if cell.values is not None:
+        return np.asarray(cell.values == 0, bool)
+    return np.array([text != "" and not text.strip("0.+- ") for text in cell.texts], bool)
+
+
+def _degrees(cell: Column, thermometer: ThermometerTable | None) -> npt.NDArray[np.int16]:
+    """(n,) counts of a thermometer."""
+    if thermometer is None or thermometer.unit == "counts":
+        return counts(cell)
+    zero_degc, lsb_per_degc = thermometer.scale
+    values = (numbers(cell) + ZERO_OF_UNIT[thermometer.unit] - zero_degc) * lsb_per_degc
+    return counts(Column(cell.source, cell.label, cell.lines, (), np.rint(values)))
+
+
+class _Recording:
+    """All streams of one import, and what is said of the whole."""
+
+    def __init__(
+        self, log: LogWriter, table_map: TableMap, headers: dict[str, SensorHeader], plans: Sequence[Plan]
+    ) -> None:
+        self._log, self._map, self._headers = log, table_map, headers
+        rows = {row for phase in table_map.phase for row in phase.rows or ()}
+        self.streams = [_Stream(log, plan, table_map, headers, rows) for plan in plans]
+        self._counted_out: list[str] = []
+
+    @property
+    def seconds(self) -> float:
+        """From the first row of all to the last."""
+        with_rows = [stream for stream in self.streams if stream.count]
+        first, last = min(one.first_ns for one in with_rows), max(one.last_ns for one in with_rows)
+        return (last - first) * 1e-9
+
+    def finish(self, source: str, map_path: str, up: str) -> None:
+        """The clock, the phases, and where the log came from; SourceError without rows, ConfigError for a phase beyond
+        them.
+        """
+        for stream in self.streams:
+            empty = next((name for name, count in stream.rows_of.items() if not count), None)
+            if stream.count == 0 or empty is not None:
+                which = f" of kind {stream.plan.kind!r}" if stream.plan.kind else ""
+                whose = "" if stream.count == 0 else f" with a reading of {empty}"
+                raise SourceError(
+                    f"{source}: no data rows{which}{whose}; expected rows of numbers as {map_path} describes them"
+                )
+        first = self.streams[0]
+        times = dict(first.time_of)
+        sensor = next(iter(first.rows_of))
+        if self._map.clock.stamps == "arrival":
+            places = {row: first_at(self._log[sensor].time, time_ns) for row, time_ns in times.items()}
+            for stream in self.streams:
+                for name in stream.rows_of:
+                    if ARRIVAL in self._headers[name].compensated:
+                        self._counted_out += count_out(self._log, name)
+            read = self._log[sensor].time
+            times = {row: int(read[place]) for row, place in places.items()}
+        for number, phase in enumerate(self._map.phase, start=1):
+            if phase.rows is not None and phase.rows[1] not in times:
+                problem = f"rows {phase.rows}, but {source} has data rows 0 to {first.count - 1}"
                 raise ConfigError(f"{map_path}: phase {number} {phase.name!r}: {problem}")
-            self.log.phase(_phase(phase, self.time_of))
-        clock = f"column {self.map.time.column!r}" if self.map.time.column is not None else "the first row"
-        note = (
-            f"from {Path(source).name} by {Path(map_path).name}; no wall time: the epoch stands for the zero of {clock}"
+            self._log.phase(_phase(phase, times, first.first_ns))
+        if up:
+            begin = min(stream.first_ns for stream in self.streams)
+            end = max(stream.last_ns for stream in self.streams)
+            self._log.phase(Phase(begin, end + 1, face_name(up), up))
+        clock = self._map.clock
+        zero = f"column {clock.column!r}" if clock.column is not None else "the first row"
+        wall = "the times are UTC" if clock.unit == ISO else f"no wall time: the epoch stands for the zero of {zero}"
+        self._log.event(
+            Event(first.first_ns, "", "imported", f"from {Path(source).name} by {Path(map_path).name}; {wall}")
         )
-        self.log.event(Event(self.first_ns, "", "imported", note))
+        for text in self._changes():
+            self._log.event(Event(first.first_ns, "", "import", text))
+
+    def _changes(self) -> list[str]:
+        return [*(text for stream in self.streams for text in stream.remarks()), *self._counted_out]
+
+    def remarks(self, learnt: dict[str, Resolution]) -> list[str]:
+        """What was learnt, changed and left out, in sentences."""
+        told = []
+        for name, found in learnt.items():
+            unit = self._headers[name].unit
+            how = "as the grid of its values says"
+            if not found.is_exact:
+                how = "so that 16 bits hold its values, rounded; of several files of one array the map says both"
+            told.append(f"{name}: {found.sensitivity:.6g} counts per {unit}, range {found.range:g} {unit}, {how}")
+        return [*told, *self._changes()]
 
 
-def _phase(phase: PhaseTable, time_of: dict[int, int]) -> Phase:
+def _phase(phase: PhaseTable, time_of: dict[int, int], first_ns: int) -> Phase:
     """The stretch that holds both its first and its last row; a log's phases end before `end_ns`."""
-    first, last = phase.rows
-    return Phase(time_of[first], time_of[last] + 1, phase.name, phase.up)
+    if phase.rows is not None:
+        first, last = phase.rows
+        return Phase(time_of[first], time_of[last] + 1, phase.name, phase.box_up)
+    begin_s, end_s = phase.seconds or (0.0, 0.0)
+    return Phase(first_ns + round(begin_s * 1e9), first_ns + round(end_s * 1e9), phase.name, phase.box_up)

@@ -7,16 +7,18 @@ import glob
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.log import groups
 from imuarray.log.format import CACHE_BYTES, Event, Phase
-from imuarray.log.layout import BESIDE, CHUNK, NOTES, Columns, Group, Notes, groups_of
+from imuarray.log.layout import BESIDE, CHUNK, NOTES, STIMULI, Columns, Group, Notes, groups_of
 from imuarray.log.preamble import Preamble
 from imuarray.log.room import Allowance, write_errors
 from imuarray.log.texts import CHECK_SUMS, check_sums
@@ -26,6 +28,9 @@ if sys.platform != "win32":
 
 _EMPTY_BYTES = 1 << 14
 """What HDF5 takes for a group and its columns, generously."""
+
+_REVISED_CHUNKS = 16
+"""Chunks of a column that are revised at once: half a megabyte."""
 
 _TEXT_BYTES = 64
 _SETTLED_BYTES = 1 << 24
@@ -85,6 +90,7 @@ class Draft:
         self.groups = groups_of(preamble.sensors)
         self.notes = Notes()
         self._end_ns = 0
+        self._known: set[tuple[str, str]] = set()
         self._epoch, self._chunk = preamble.epoch, chunk
         self._waiting: list[list[Columns]] = [[] for _ in self.groups]
         self._rows = [0] * len(self.groups)
@@ -136,6 +142,8 @@ class Draft:
         self._room.ask(count * group.row_bytes)
         self._asked += count * group.row_bytes
         rows = group.joined(self._waiting[number])
+        if group.path in STIMULI:
+            self._known |= {(group.path, name) for name, values in rows.items() if np.isfinite(values[:count]).any()}
         self._end_ns = max(self._end_ns, int(rows["time"][count - 1]) + 1)
         for name, values in rows.items():
             dataset = self.file[group.path][name]
@@ -164,6 +172,24 @@ class Draft:
             return []
         return [{name: np.asarray(self.file[group.path][name][:]) for name, _, _ in group.columns}]
 
+    def revise(self, number: int, name: str, change: Callable[[Columns], npt.NDArray[Any]]) -> None:
+        """Put other values in the place of a column of a group: those that `change` makes of each stretch of rows, as
+        many; ValueError if times no longer increase.
+        """
+        self.flush()
+        group = self.groups[number]
+        last_ns: int | None = None
+        for start in range(0, self._rows[number], _REVISED_CHUNKS * self._chunk):
+            part = slice(start, min(start + _REVISED_CHUNKS * self._chunk, self._rows[number]))
+            values = change({column: np.asarray(self.file[group.path][column][part]) for column, _, _ in group.columns})
+            if name == "time":
+                if (np.diff(values) <= 0).any() or (last_ns is not None and values[0] <= last_ns):
+                    raise ValueError(f"/{group.path}: time is not strictly increasing")
+                last_ns = int(values[-1])
+                self._end_ns = max(self._end_ns, last_ns + 1)
+            with write_errors(self.path):
+                self.file[group.path][name][part] = values
+
     def close(self) -> None:
         """Write all there is and close; `part` is then a whole log, and if it is `durable` it is on the disk."""
         self.flush()
@@ -180,6 +206,10 @@ class Draft:
         """Write what stands beside the columns, and close the file."""
         for group in self.groups:
             if group.path in self.file:
+                if group.path in STIMULI:  # what nobody measured is missing, and no column of nan
+                    for name, _, _ in group.columns:
+                        if (group.path, name) not in self._known:
+                            del self.file[group.path][name]
                 groups.attach_scales(self.file[group.path])
         names = [group.path.removeprefix("sensors/") for group in self.groups if "/" in group.path]
         if names:

@@ -51,6 +51,10 @@ MOST_SENSORS = 512
 THERMOMETER_ATTRIBUTES = ("thermometer_zero_degc", "thermometer_lsb_per_degc")
 """Attributes of a sensor whose log says itself what its `temperature_counts` mean; both or none."""
 
+ARRIVAL = "arrival_delay"
+"""Column (n,) of a sensor whose rows arrived in bursts and whose `time` was counted out: by how many s each row arrived
+after that. `time` plus it is when the row arrived, to the nanosecond."""
+
 SOURCES = ("i2c", "serial", "emulated", "simulated", "imported", "replay")
 
 LONG_NAME: Mapping[str, str] = {

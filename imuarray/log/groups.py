@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from imuarray.log.format import FORMAT, FORMAT_VERSION, LONG_NAME, PLOTS, SensorHeader
+from imuarray.log.format import ARRIVAL, FORMAT, FORMAT_VERSION, LONG_NAME, PLOTS, SensorHeader
 from imuarray.log.layout import BESIDE, BESIDE_UNITS, STIMULI, Group, sensor_group
 from imuarray.log.preamble import Preamble
 from imuarray.units import SI_NAME, SI_PER_UNIT
@@ -89,7 +89,7 @@ def create_sensor(
         counts["scale_factor"] = SI_PER_UNIT[header.unit] / header.sensitivity
         counts["add_offset"] = 0.0
     for name in header.compensated:
-        group[name].attrs["units"] = {"temperature": "degC", "pressure": "Pa"}.get(name, "1")
+        group[name].attrs["units"] = {"temperature": "degC", "pressure": "Pa", ARRIVAL: "s"}.get(name, "1")
     return group
 
 

@@ -39,7 +39,8 @@ def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> S
 def recorded_header(sensor: SensorLog) -> SensorHeader:
     """The header with which a log like the one that `sensor` is from would be written."""
     x, y, z = sensor.position_mm.tolist()
-    columns = ("ut", "up") if sensor.quantity == "pressure" else ("x", "y", "z")
+    columns = {"pressure": ("ut", "up"), "temperature": ("t",)}.get(sensor.quantity, ("x", "y", "z"))
+    compensated = {"pressure": ("temperature", "pressure"), "temperature": ("temperature",)}.get(sensor.quantity, ())
     return SensorHeader(
         name=sensor.name,
         chip=sensor.chip,
@@ -53,6 +54,6 @@ def recorded_header(sensor: SensorLog) -> SensorHeader:
         position_mm=(x, y, z),
         columns=columns,
         has_temperature=sensor.temperature_counts is not None,
-        compensated=("temperature", "pressure") if sensor.quantity == "pressure" else (),
+        compensated=compensated,
         extra={} if sensor.thermometer is None else sensor.thermometer.attributes,
     )

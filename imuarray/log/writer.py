@@ -9,11 +9,11 @@ takes its own name when it is complete, and of which nothing is left if that nev
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, NoReturn, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,7 @@ from imuarray.log.layout import CHUNK, CLOCKS, STIMULI, Begun, Columns, note_col
 from imuarray.log.live import KEPT, Live
 from imuarray.log.preamble import Preamble
 from imuarray.log.room import WATERMARK
+from imuarray.log.sensor_log import SensorLog
 
 SYNC_S = 1.0
 """Seconds after which acknowledged rows survive a power cut."""
@@ -54,6 +55,10 @@ class Stimulus(NamedTuple):
     specific_force: npt.NDArray[np.float64]
     angular_rate: npt.NDArray[np.float64]
     temperature: npt.NDArray[np.float64]
+
+
+def _no_log(path: Path) -> NoReturn:
+    raise LogError(f"{path}: is still being written")
 
 
 class LogWriter:
@@ -137,6 +142,22 @@ class LogWriter:
     def event(self, event: Event) -> None:
         """Note that something happened."""
         self._put(len(self._groups) - 1, note_columns(event))
+
+    def __getitem__(self, sensor: str) -> SensorLog:
+        """The rows of a sensor so far, as they are read from a log; KeyError for a log that is kept."""
+        if self._live is not None:
+            raise KeyError(sensor)
+        self._draft.flush()
+        return SensorLog(self._draft.file[f"sensors/{sensor}"], f"{self.path}: sensor {sensor}", self, _no_log)
+
+    def revise(self, sensor: str, column: str, change: Callable[[Columns], npt.NDArray[Any]]) -> None:
+        """Put other values in a column ("status", "time", ...) of a sensor's rows so far: those that `change` makes of
+        the columns of each stretch of rows. What is known of a recording only at its end comes into a log in this way.
+        ValueError if times no longer increase, KeyError for a log that is kept.
+        """
+        if self._live is not None:
+            raise KeyError(sensor)
+        self._draft.revise(self._numbers[sensor], column, change)
 
     def _put(self, number: int, columns: Columns) -> None:
         checked = self._groups[number].checked(columns)

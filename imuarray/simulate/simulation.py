@@ -64,6 +64,7 @@ def plan_like(log: Log, only: Collection[str] = ()) -> Plan:
     LogError for a sensor that the log does not have.
     """
     chosen = {name: log[name] for name in only or log.sensors}
+    chosen = {name: sensor for name, sensor in chosen.items() if sensor.quantity != "temperature"}  # no chip is known
     known = {sensor.name: sensor for sensor in parse_array(log.config).sensors} if log.config else {}
     sensors = {
         name: (header_of(known[name], {}) if name in known else recorded_header(sensor), Recorded(sensor))

@@ -37,7 +37,7 @@ def test_the_shortest_map(tmp_path: Path) -> None:
     path.write_text(TIME + SENSOR)
     table_map = load_map(path)
     (sensor,) = table_map.sensor
-    assert (sensor.values, sensor.axes, sensor.temperature_column) == ("counts", "+X+Y+Z", None)
+    assert (sensor.is_physical, sensor.axes, sensor.temperature_column) == (False, "+X+Y+Z", None)
     assert (table_map.file.delimiter, table_map.file.skip_rows, table_map.file.comment) == (",", 0, "#")
     assert list(table_map.columns()) == ["t", "x", "y", "z"]
 
@@ -48,10 +48,14 @@ def test_the_shortest_map(tmp_path: Path) -> None:
         (
             "range = 16",
             "rnage = 16",
-            "sensor 1 'A': rnage: unknown key (did you mean 'range'?); allowed are name, chip,",
+            "sensor 1 'A': rnage: unknown key (did you mean 'range'?); allowed are ",
         ),
-        ("[time]", "[tmie]\n[time]", "tmie: unknown key (did you mean 'time'?); allowed are file, time, sensor, phase"),
-        ('unit = "s"', 'unit = "s"\nzone = 1', "time: zone: unknown key; allowed are column, unit, rate_hz"),
+        (
+            "[time]",
+            "[tmie]\n[time]",
+            "tmie: unknown key (did you mean 'time'?); allowed are file, time, sensor, thermometer,",
+        ),
+        ('unit = "s"', 'unit = "s"\nzone = 1', "time: zone: unknown key; allowed are column, unit, rate_hz, ticks,"),
         ("range = 16", "", "sensor 1 'A': range: is missing"),
         (
             "range = 16",
@@ -70,8 +74,15 @@ def test_the_shortest_map(tmp_path: Path) -> None:
             'sensitivity = "512"',
             "sensor 1 'A': sensitivity: '512': a number without quotes is wanted",
         ),
-        ('unit = "g"', 'unit = "dps"', "sensor 1 'A': unit 'dps': allowed for specific_force is g"),
-        ('unit = "g"', 'unit = "m/s2"', "sensor 1 'A': unit: Input should be 'g', 'dps' or 'gauss'"),
+        ('unit = "g"', 'unit = "dps"', "sensor 1 'A': unit 'dps': allowed for specific_force are g, mg, m/s2"),
+        ('unit = "g"', 'unit = "m"', "sensor 1 'A': unit 'm': allowed for specific_force are g, mg, m/s2"),
+        ('unit = "g"', 'unit = "g"\nscale = 0.002', "sensor 1 'A': sensitivity and scale say the same"),
+        (
+            "sensitivity = 512",
+            'values = "counts"',
+            "sensor 1 'A': sensitivity: is missing, or scale; columns of counts",
+        ),
+        ("sensitivity = 512", "offset = 7", "sensor 1 'A': offset and bits are of counts; these columns are in a unit"),
         ('"specific_force"', '"pressure"', "quantity: Input should be 'specific_force', 'angular_rate' or"),
         ('["x", "y", "z"]', '["x", "y"]', "sensor 1 'A': columns: List should have at least 3 items"),
         ('["x", "y", "z"]', '["x", "y", "y"]', "sensor 1 'A': columns ['x', 'y', 'y']: each column comes once"),
@@ -81,13 +92,42 @@ def test_the_shortest_map(tmp_path: Path) -> None:
         ('name = "A"', 'name = "A/B"', "sensor 1 'A/B': name: String should match pattern"),
         ("range = 16", 'range = 16\naxes = "+X+Y-Z"', "sensor 1 'A': axes '+X+Y-Z': this triad is left-handed"),
         ("range = 16", 'range = 16\nvalues = "si"', "sensor 1 'A': values: Input should be 'counts' or 'physical'"),
-        ('unit = "s"\n', "", "time: unit goes with column; allowed are s, ms, us, ns"),
+        ('unit = "s"\n', "", "time: unit goes with column; allowed are s, ms, us, ns, iso8601"),
         ('unit = "s"', 'unit = "s"\nrate_hz = 100', "time: needs either column and unit, or rate_hz"),
         ('column = "t"\nunit = "s"', "", "time: needs either column and unit, or rate_hz"),
         ('column = "t"\nunit = "s"', "rate_hz = 0", "time: rate_hz: Input should be greater than or equal to 0.001"),
         ("[time]", '[file]\ndelimiter = "tab"\n[time]', "file: delimiter: Input should be ',', ';', '\\t', ' ' or '|'"),
         ("[time]", "[file]\nskip_rows = -1\n[time]", "file: skip_rows: Input should be greater than or equal to 0"),
         ("[time]", '[[phase]]\nname = "p"\nrows = [5, 4]\n[time]', "phase 1 'p': rows [5, 4]: [first, last], last not"),
+        ("[time]", '[[phase]]\nname = "p"\n[time]', "phase 1 'p': needs either rows or seconds: [first, last]"),
+        (
+            "[time]",
+            '[[phase]]\nname = "p"\nseconds = [2, 1]\n[time]',
+            "phase 1 'p': seconds [2.0, 1.0]: [begin, end], end",
+        ),
+        (
+            "[time]",
+            '[[phase]]\nname = "z_up"\nup = "+X"\nrows = [1, 1]\n[time]',
+            "up '+X', but the name 'z_up' says +Z",
+        ),
+        (
+            "[time]",
+            '[file]\ndecimal = ","\n[time]',
+            "file: decimal and delimiter are both ','; a table of decimal commas",
+        ),
+        (
+            "[time]",
+            '[file]\nformat = "mimu4444"\n[time]',
+            "file: format knows its time and its sensors: leave them out",
+        ),
+        ('unit = "s"\n', 'unit = "iso8601"\nwraps_at = 4.0\n', "time: ticks and wraps_at go with a column of numbers"),
+        ("[time]", "[reference]\n[time]", "reference: names no column; specific_force, angular_rate and temperature"),
+        (
+            "[time]",
+            '[reference]\nangular_rate = { columns = [1, 2, 3], unit = "g" }\n[time]',
+            "'g': allowed for angular_rate",
+        ),
+        ("[time]", '[[thermometer]]\nname = "T"\ncolumn = "w"\n[time]', "thermometer 1 'T': counts need zero_degc and"),
         ("[time]", '[[phase]]\nname = "p"\nrows = [-5, 4]\n[time]', "phase 1 'p': rows 1: Input should be greater"),
         ("[time]", "[time", "not TOML: "),
     ],
@@ -130,4 +170,4 @@ def test_a_map_that_is_not_there_or_no_text(tmp_path: Path) -> None:
 def test_faces_say_what_is_up(tmp_path: Path, name: str, up: str) -> None:
     path = tmp_path / "map.toml"
     path.write_text(TIME + SENSOR + f'[[phase]]\nname = "{name}"\nrows = [0, 0]\n')
-    assert load_map(path).phase[0].up == up
+    assert load_map(path).phase[0].box_up == up

@@ -225,7 +225,10 @@ def test_a_phase_beyond_the_table(tmp_path: Path) -> None:
         ("", "data.csv: no data rows; expected rows of numbers as map.toml describes them"),
         ("# nothing\n\n", "data.csv: no data rows"),
         ("0,1,2," + "3" * 70_000, "data.csv: line 1: longer than 65536 characters; is this a table?"),
-        ("0;1;2;3\n", "data.csv: line 1, column 0: '0;1;2;3' is no number"),
+        (
+            "0;1;2;3\n",
+            "data.csv: line 1: 1 cells, so there is no column 1 (counted from 0); do they have another delimiter?",
+        ),
     ],
 )
 def test_cells_that_are_wrong(tmp_path: Path, table: str, message: str) -> None:
@@ -249,7 +252,8 @@ def test_headers_that_are_wrong(tmp_path: Path, table: str, message: str) -> Non
 
 def test_a_physical_value_that_no_count_can_hold(tmp_path: Path) -> None:
     message = refused(tmp_path, "0,1,2,3\n1,4,5,100\n", NUMBERED + 'values = "physical"\n')
-    assert message == "data.csv: line 2, column 3: 100 is 51200 counts; allowed are -32768 to 32767"
+    wanted = "data.csv: line 2, column 3: 100 is 51200 counts; allowed are -32768 to 32767"
+    assert message == wanted + "; are unit and sensitivity those of the column?"
 
 
 @pytest.mark.parametrize("content", [bytes(range(256)) * 10, b"\x00" * 100, b'"' + b"1,\n" * 100_000])

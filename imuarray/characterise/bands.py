@@ -1,0 +1,167 @@
+"""Lines of a spectrum that are wider than a bin or two: of a motor whose speed wanders, of a fan, of a slow sway.
+
+Boxes of neighbouring bins, from a few to many, are compared with the bins on either side of them: the mean density in a
+box over the higher of the two sides' medians, so that neither a slope nor the corner of a filter looks like a line. Of
+noise this ratio follows Fisher's F law; the chance that any box of any width exceeds it is at most that of the whole
+search (Bonferroni). Narrow lines (`imuarray.characterise.lines`) are levelled first. Boxes begin at the third bin,
+where no floor that needs many bins below it can be had: slow lines are found here even if they are narrow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
+
+from imuarray.characterise.lines import FALSE_ALARM, Line
+from imuarray.characterise.spectrum import Spectrum
+
+Vector = npt.NDArray[np.float64]
+Bins = npt.NDArray[np.intp]
+
+WIDTHS = (4, 8, 16, 32, 64, 128)
+"""Bins of a box; the narrowest is the main lobe of the Hann window."""
+
+RISES = 1.35
+"""By so much a box stands above both its sides at least: ripples of filters and of floors are no lines."""
+
+SLACK = 1.08
+"""What is granted to the curvature of a floor: a box may rise so much above its sides' medians without a line."""
+
+_FIRST = 3
+_LOWEST = 2
+"""Bins 0 and 1 have lost power with the mean of their segment."""
+
+_LEAST_SIDE = 4
+_SIDE = 2
+"""A side is so many boxes wide, and begins half a box away: a line that is as wide as its box has skirts."""
+
+_SHARED = 1.94
+"""Bins that are as sure as one alone: Hann-windowed neighbours correlate by 4/9 and 1/36 in power."""
+
+_MEDIAN = 0.64
+"""A median is as sure as the mean of so many of its values."""
+
+_CLEARED = 3
+"""Bins on either side of a narrow line that hold its power."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """A wide line: the middle and the `width_hz` of its power (twice its standard deviation), and the amplitude of a
+    sine of that power, in the series' unit. `false_alarm` and `over_floor` as of a `Line`.
+    """
+
+    frequency_hz: float
+    frequency_error_hz: float
+    amplitude: float
+    amplitude_error: float
+    false_alarm: float
+    over_floor: float
+    width_hz: float
+
+
+@dataclass(frozen=True)
+class _Box:
+    """Bins [first, stop), the density of the floor about them, and the chance of noise so high in all boxes."""
+
+    first: int
+    stop: int
+    floor: float
+    chance: float
+
+
+def find_bands(
+    spectrum: Spectrum, column: int = 0, narrow: Sequence[Line] = (), false_alarm: float = FALSE_ALARM
+) -> tuple[Band, ...]:
+    """The wide lines in one column of a spectrum, strongest first, beside the `narrow` ones that are known."""
+    density = np.array(spectrum.density[:, column])
+    density[-1] *= 2  # the bin at half the rate has no twin
+    last = len(density) - 1
+    if last < 4 * WIDTHS[0] or not (density[_FIRST:] > 0).all():
+        return ()
+    for line in narrow:
+        _level(density, round(line.frequency_hz / spectrum.resolution_hz))
+    boxes = sorted(_boxes(density, float(np.median(spectrum.freedom)), false_alarm), key=lambda box: box.chance)
+    taken = np.zeros(len(density), bool)
+    found = []
+    for box in boxes:
+        around = slice(max(box.first - (box.stop - box.first), 0), box.stop + (box.stop - box.first))
+        if not taken[around].any():
+            found.append(_band(spectrum, density, box))
+            taken[around] = True
+    return tuple(sorted(found, key=lambda band: -band.amplitude))
+
+
+def _level(density: Vector, at: int) -> None:
+    """Put what lies beside a narrow line in its place."""
+    first, stop = max(at - _CLEARED, 0), min(at + _CLEARED + 1, len(density))
+    beside = np.concatenate([density[max(first - 2 * _CLEARED, 2) : first], density[stop : stop + 2 * _CLEARED]])
+    if len(beside):
+        density[first:stop] = np.median(beside)
+
+
+def _boxes(density: Vector, freedom: float, false_alarm: float) -> list[_Box]:
+    """Boxes that stand above their sides further than noise does, of all widths."""
+    from scipy.stats import f  # its weight is for those who ask
+
+    widths = [width for width in WIDTHS if 8 * width < len(density)]
+    tried = sum(2 * len(density) // width for width in widths)
+    mirrored = np.concatenate([density, density[-2 : -2 - 4 * WIDTHS[-1] : -1]])  # the bins above half the rate
+    found = []
+    for width in widths:
+        starts = np.arange(_FIRST, len(density) - width, width // 2)
+        floor, bins = _floors(mirrored, starts, width)
+        means = sliding_window_view(density, width)[starts].mean(axis=1)
+        ratio = means / floor
+        sure = freedom * max(width / _SHARED, 1.0), freedom * np.maximum(_MEDIAN * bins / _SHARED, 1.0)
+        chance = tried * f.sf(ratio / SLACK, *sure)
+        for at in np.flatnonzero((ratio > RISES) & (chance < false_alarm)).tolist():
+            first = int(starts[at])
+            found.append(_Box(first, first + width, float(floor[at]), float(chance[at])))
+    return found
+
+
+def _floors(density: Vector, starts: Bins, width: int) -> tuple[Vector, Bins]:
+    """The higher of the medians of the sides of each box (b,), inf where there is no room for one, and how many bins
+    the shorter side has.
+    """
+    span = _SIDE * width
+    floor, bins = np.full(len(starts), np.inf), np.full(len(starts), span)
+    windows = sliding_window_view(density, span)
+    below = starts - width // 2 - span
+    whole = below >= _LOWEST
+    above = np.median(windows[starts + 3 * width // 2], axis=1)
+    floor[whole] = np.maximum(np.median(windows[below[whole]], axis=1), above[whole])
+    for at in np.flatnonzero(~whole).tolist():
+        side = density[_LOWEST : max(int(starts[at]) - width // 2, _LOWEST)]
+        if len(side) >= _LEAST_SIDE:
+            floor[at], bins[at] = max(float(np.median(side)), float(above[at])), len(side)
+    return floor, bins
+
+
+def _band(spectrum: Spectrum, density: Vector, box: _Box) -> Band:
+    """The line in a box: its power above the floor, there and as far beside it as it rises."""
+    width = box.stop - box.first
+    bins = np.arange(max(box.first - width // 2, 1), min(box.stop + width // 2, len(density)))
+    excess = density[bins] - box.floor
+    kept = np.maximum(excess, 0.0)
+    total = max(float(excess.sum()), float(kept.max()))
+    weights = kept**2 / float((kept**2).sum())
+    middle = float(bins @ weights)
+    spread = sqrt(max(float(((bins - middle) ** 2) @ (kept / float(kept.sum()))), 0.25))
+    sure = float(np.median(spectrum.freedom)) * max(spread / _SHARED, 1.0)
+    amplitude = sqrt(2 * total * spectrum.resolution_hz)
+    return Band(
+        middle * spectrum.resolution_hz,
+        spread * spectrum.resolution_hz / sqrt(sure / 2),
+        amplitude,
+        amplitude / 2 * sqrt(2 / sure),
+        min(1.0, box.chance),
+        float(np.max(density[box.first : box.stop])) / box.floor,
+        2 * spread * spectrum.resolution_hz,
+    )

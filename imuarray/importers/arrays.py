@@ -1,0 +1,175 @@
+"""Arrays as columns: NumPy's .npz, and MATLAB's .mat of versions 5 and 7.3 (HDF5).
+
+An array of one dimension is a column of its name; one of several columns, `acc`, is `acc[0]`, `acc[1]`, ...; fields of
+structs are `imu.acc`. A file that holds one array of several columns has these columns by index, too. Nothing is
+unpickled.
+"""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+from numpy.lib import format as npy
+
+from imuarray.errors import SourceError
+from imuarray.importers.cells import Block
+from imuarray.printable import printable
+
+Array = npt.NDArray[Any]
+
+MOST_COLUMNS = 64
+"""Of one array; a longer side is that of the rows."""
+
+MOST_BYTES = 1 << 33
+"""Of what is read of one file; an hour of fifty sensors at a kilohertz takes 4 GB."""
+
+_MATLAB73 = b"MATLAB 7.3 MAT-file"
+
+
+def open_rows(path: Path, progress: Callable[[int], None]) -> ArrayRows:
+    """The arrays of a file; SourceError."""
+    with path.open("rb") as file:
+        first = file.read(len(_MATLAB73))
+    try:
+        if first.startswith(b"PK"):
+            arrays = dict(_of_npz(path))
+        elif first.startswith((b"\x89HDF", _MATLAB73)):
+            arrays = dict(_of_hdf5(path))
+        else:
+            arrays = dict(_of_mat(path))
+    except (
+        ValueError,
+        TypeError,
+        OSError,
+        EOFError,
+        KeyError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise SourceError(f"{path}: damaged, or no arrays that can be read: {printable(str(error))[:200]}") from None
+    return ArrayRows(path, arrays, progress)
+
+
+class ArrayRows:
+    """Arrays of numbers, (n,) or (n, k), by name."""
+
+    def __init__(self, path: Path, arrays: Mapping[str, Array], progress: Callable[[int], None]) -> None:
+        self._path, self._progress = path, progress
+        self.remarks: list[str] = []
+        tables = [(name, _upright(array)) for name, array in arrays.items()]
+        self._columns: dict[str, Array] = {}
+        for name, array in tables:
+            if array.ndim == 1:
+                self._columns[name] = array
+            else:
+                self._columns |= {f"{name}[{index}]": array[:, index] for index in range(array.shape[1])}
+        wide = [array for _, array in tables if array.ndim == 2]
+        self._only = wide[0] if len(wide) == 1 else None
+        if not self._columns:
+            raise SourceError(f"{path}: no array of numbers in it")
+
+    def names(self) -> Mapping[str, Sequence[str]]:
+        """Of all columns."""
+        return {"": list(self._columns)}
+
+    def _column(self, column: str | int) -> Array:
+        """SourceError for one that there is not."""
+        if isinstance(column, int):
+            if self._only is None or column >= self._only.shape[1]:
+                raise SourceError(f"{self._path}: no column {column}; by index are those of a single array of columns")
+            return np.asarray(self._only[:, column])
+        if column not in self._columns:
+            known = ", ".join(self._columns)
+            raise SourceError(f"{self._path}: no column {column!r}; it has {printable(known)[:200]}")
+        return self._columns[column]
+
+    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+        """The rows of columns that are equally long; SourceError."""
+        if kind is not None:
+            raise SourceError(
+                f"{self._path}: kind {kind!r}: arrays have no kinds of rows; each sensor names its columns"
+            )
+        arrays = [self._column(column) for column in columns]
+        lengths = {len(array) for array in arrays}
+        if len(lengths) > 1:
+            told = ", ".join(f"{column} {len(array)}" for column, array in zip(columns, arrays, strict=True))
+            raise SourceError(
+                f"{self._path}: columns of different lengths: {told}; has each sensor its own time_column?"
+            )
+        (length,) = lengths
+        for start in range(0, length, rows):
+            part = slice(start, min(start + rows, length))
+            block = Block(str(self._path), range(part.start, part.stop), [array[part] for array in arrays])
+            yield block, list(range(len(columns)))
+        self._progress(self._path.stat().st_size)
+
+
+def _upright(array: Array) -> Array:
+    """With the rows along the first dimension: there are more of them than columns."""
+    if array.ndim == 2 and array.shape[0] < array.shape[1] and array.shape[0] <= MOST_COLUMNS:
+        array = array.T
+    return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
+
+
+def _is_column(array: Any) -> bool:
+    """Whether it is an array of numbers of a shape that can be columns."""
+    if not isinstance(array, np.ndarray | h5py.Dataset) or array.dtype.kind not in "iufb":
+        return False
+    return array.size > 1 and (len(array.shape) == 1 or (len(array.shape) == 2 and min(array.shape) <= MOST_COLUMNS))
+
+
+def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
+    """Every array of numbers, and every field of a structured one."""
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        if sum(member.file_size for member in members) > MOST_BYTES:
+            raise ValueError(f"more than {MOST_BYTES} bytes")
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as file:
+                array: Array = npy.read_array(file, allow_pickle=False)
+            if array.dtype.names:
+                yield from ((f"{name}.{part}", array[part]) for part in array.dtype.names if _is_column(array[part]))
+            elif _is_column(array):
+                yield name, array
+
+
+def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:
+    """Every array of a MATLAB file of version 5, those in structs too."""
+    from scipy.io import loadmat
+
+    def inside(name: str, value: Any) -> Iterator[tuple[str, Array]]:
+        if isinstance(value, dict):
+            for key, item in value.items():
+                yield from inside(f"{name}.{key}" if name else str(key), item)
+        elif _is_column(value):
+            yield name, value
+
+    yield from inside("", loadmat(path, simplify_cells=True))
+
+
+def _of_hdf5(path: Path) -> Iterator[tuple[str, Array]]:
+    """Every array of a MATLAB file of version 7.3, which is HDF5 with its dimensions the other way; or of any HDF5."""
+    with h5py.File(path, "r") as file:
+        found: dict[str, Array] = {}
+        names: list[str] = []
+        file.visit(names.append)
+        total = 0
+        for name in names:
+            item = file.get(name, getlink=False)
+            if name.startswith("#") or not _is_column(item):
+                continue
+            total += item.size * item.dtype.itemsize
+            if total > MOST_BYTES:
+                raise ValueError(f"more than {MOST_BYTES} bytes")
+            values = np.asarray(item[()])
+            found[name.replace("/", ".")] = values[0] if values.ndim == 2 and values.shape[0] == 1 else values
+        yield from found.items()

@@ -1,0 +1,50 @@
+"""Flags on readings that clip, when all of a recording is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.characterise.rails import SPAN, Rails, find_rails
+from imuarray.log import LogWriter
+from imuarray.log.format import SATURATED, SensorHeader
+from imuarray.log.layout import Columns
+from imuarray.printable import counted
+
+
+def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
+    """Flag rows of triads that stand at a rail; which they are, in sentences, one for sensors that clip alike."""
+    told: dict[str, list[str]] = {}
+    for header in headers:
+        rails = find_rails(log[header.name])
+        if not rails.rows.any():
+            continue
+        ends = np.concatenate([rails.low, rails.high])
+        ends = ends[np.isfinite(ends)]
+        if ((ends > SPAN[0]) & (ends < SPAN[1])).any():
+            log.revise(header.name, "status", _flagging(rails))
+        told.setdefault(_where(header, rails), []).append(
+            f"{header.name} ({counted(int(rails.rows.sum()), 'reading')})"
+        )
+    return [f"{', '.join(names)}: {where}; flagged as saturated" for where, names in told.items()]
+
+
+def _flagging(rails: Rails) -> Callable[[Columns], npt.NDArray[np.uint16]]:
+    def status(columns: Columns) -> npt.NDArray[np.uint16]:
+        flagged = np.where(rails.clipped(columns["counts"]), SATURATED, 0).astype(np.uint16)
+        return np.asarray(columns["status"] | flagged)
+
+    return status
+
+
+def _where(header: SensorHeader, rails: Rails) -> str:
+    """Where axes clip."""
+    axes: dict[str, str] = {}
+    for axis, name in enumerate("xyz"):
+        ends = [int(code) for code in (rails.low[axis], rails.high[axis]) if np.isfinite(code)]
+        if ends:
+            values = " and ".join(f"{code} ({code / header.sensitivity:.4g} {header.unit})" for code in ends)
+            axes[values] = axes.get(values, "") + name
+    return "; ".join(f"{names} clips at {values}" for values, names in axes.items())

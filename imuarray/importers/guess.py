@@ -1,0 +1,523 @@
+"""A proposed map of a recording, with its doubts as comments, for a person to edit.
+
+Cells are told apart as a text shows them; columns get their meaning by their names and, where these say nothing, by
+what their numbers are like: time increases, three columns that differ in x, y and z are a triad, gravity is 1 g. The
+proposal is then tried (`imuarray.importers.table`), and what the report of that import doubts goes into the comments.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import log as ln
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import ImuArrayError, SourceError
+from imuarray.importers import open_source, unpacked
+from imuarray.importers.mapping import parse_map
+from imuarray.importers.plausibility import report_of, turns_of
+from imuarray.importers.resolution import SENSITIVITIES
+from imuarray.importers.sources import open_rows, reader_of
+from imuarray.importers.table import import_table
+from imuarray.log import open_log
+from imuarray.printable import counted, printable
+from imuarray.units import STANDARD_GRAVITY, UNITS_OF
+
+Values = npt.NDArray[np.float64]
+
+LOOKED_AT_ROWS = 20_000
+"""Rows that tell what columns are like."""
+
+_WIDTH = 110
+_HEAD_BYTES = 1 << 18
+_DELIMITERS = (",", ";", "\t", "|", " ")
+_COMMENTS = ("#", "%", "//")
+_UNIT_IN_NAME = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]|_(ms|us|ns|s|g|mg|dps|uT|degC|C)$")
+_SPELLINGS: Mapping[str, str] = {
+    "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "°/s": "dps", "deg/s": "dps",
+    "º/s": "dps", "rad/sec": "rad/s", "radps": "rad/s", "µt": "uT", "μt": "uT", "ut": "uT", "mgauss": "mgauss",
+    "g": "g", "gs": "gauss", "°c": "degC", "c": "degC", "degc": "degC", "sec": "s", "seconds": "s", "msec": "ms",
+    "µs": "us", "usec": "us",
+}  # fmt: skip
+_QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
+    ("magnetic_field", re.compile(r"mag|compass|field|^[mih]\*|^b\*", re.IGNORECASE)),
+    ("angular_rate", re.compile(r"gyr|rot|omega|ang|rate|^[gwpr]\*|^r?g\*", re.IGNORECASE)),
+    ("specific_force", re.compile(r"acc|force|^l?a\*|^f\*|gravity|lin", re.IGNORECASE)),
+)
+_NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
+_TIME = re.compile(r"time|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
+_TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
+_COUNTS_OF_MAGNETOMETER = 1090.0
+"""Counts per gauss of an HMC5883L as it wakes up (HMC-21), the commonest of its kind."""
+_COUNTS_OF_GYROSCOPE = 131.0
+_PART = re.compile(r"(.*)\[\d+\]")
+_TRIAD_AND_TIME = 4
+"""Columns of an array up to which it is one triad, perhaps with its time."""
+_WRAPS = (2.0**32, 2.0**24, 2.0**16)
+
+
+@dataclass
+class _Layout:
+    """How a text is cut into cells."""
+
+    delimiter: str = ","
+    decimal: str = "."
+    skip_rows: int = 0
+    comment: str = "#"
+    named: bool = True
+    kind_column: int | None = None
+
+    def lines(self) -> list[str]:
+        """What `[file]` has to say."""
+        said = []
+        if self.delimiter != ",":
+            said.append(f"delimiter = {_quoted(self.delimiter)}")
+        if self.decimal != ".":
+            said.append('decimal = ","')
+        if self.skip_rows:
+            said.append(f"skip_rows = {self.skip_rows}")
+        if self.comment != "#":
+            said.append(f"comment = {_quoted(self.comment)}")
+        if self.kind_column is not None:
+            said.append(f"kind_column = {self.kind_column}")
+        return ["[file]", *said, ""] if said else []
+
+
+@dataclass
+class _Proposal:
+    """A map in the making: its lines, and what is doubtful."""
+
+    layout: _Layout
+    time: list[str] = field(default_factory=list)
+    items: list[list[str]] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+
+    def text(self, head: Sequence[str]) -> str:
+        """As TOML."""
+        comments = [f"# {line}" for line in head]
+        for doubt in self.doubts:
+            comments += textwrap.wrap(printable(doubt), _WIDTH, initial_indent="# ? ", subsequent_indent="#   ")
+        parts = [*comments, "", *self.layout.lines(), "[time]", *self.time]
+        for item in self.items:
+            parts += ["", *item]
+        return "\n".join(parts) + "\n"
+
+
+def guess_map(source: str | Path) -> str:
+    """A map of the recording `source` as TOML text; SourceError where there is nothing that a map could describe."""
+    path = Path(source)
+    proposal = _proposed(path)
+    head = [f"A guess at {path.name}: read it, mend it, and say chips, axes and ranges as they were."]
+    remarks, factor = _tried(proposal.text([]), path)
+    if factor is not None and _mended(proposal, factor):
+        remarks, _ = _tried(proposal.text([]), path)
+    proposal.doubts += [text for text in remarks if text not in proposal.doubts]
+    return proposal.text(head)
+
+
+def _tried(text: str, path: Path) -> tuple[list[str], float | None]:
+    """What an import by this map says, and by how much the gyroscope's scale is off (None if nothing tells)."""
+    with TemporaryDirectory() as folder:
+        place = Path(folder)
+        (place / "map.toml").write_text(text, encoding="utf-8")
+        try:
+            summary = import_table(path, place / "map.toml", place / "run.h5")
+            with open_log(place / "run.h5") as log:
+                report = report_of(log)
+                return [*summary.remarks, *report.quirks, *report.doubts], turns_of(log)
+        except ImuArrayError as error:
+            return [f"as it is, it can't be imported: {str(error).replace(folder, '').lstrip('/')}"], None
+
+
+def _mended(proposal: _Proposal, factor: float) -> bool:
+    """Put the sensitivity of a data sheet in the place of a gyroscope's that was guessed, if a known one fits."""
+    for item in proposal.items:
+        line = next((line for line in item if line.startswith("sensitivity") and "# ?" in line), None)
+        if line is None or 'quantity = "angular_rate"' not in item or factor <= 0:
+            continue
+        wanted = _COUNTS_OF_GYROSCOPE / factor
+        nearest = min(SENSITIVITIES["angular_rate"], key=lambda one: abs(ln(one / wanted)))
+        if nearest == _COUNTS_OF_GYROSCOPE:
+            return False
+        item[item.index(line)] = f"sensitivity = {nearest:.6g}   # ? by how gravity turned in the accelerometer"
+        at = next(number for number, text in enumerate(item) if text.startswith("range"))
+        item[at] = f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits"
+        return True
+    return False
+
+
+def _proposed(path: Path) -> _Proposal:
+    """By names and numbers."""
+    if reader_of(path) is None:
+        layout, names, rows = _read_text(path)
+        if layout.kind_column is not None:
+            kinds = sorted({row[layout.kind_column] for row in rows})
+            proposal = _Proposal(layout, ["column = 1   # ?", 'unit = "ms"   # ?'])
+            proposal.doubts.append(
+                f"rows of several kinds: {', '.join(kinds)[:100]}; each sensor says kind and columns"
+            )
+            for kind in kinds:
+                of_kind = [row for row in rows if row[layout.kind_column] == kind and len(row) >= 5]
+                if of_kind:
+                    cells = _columns([row[: len(of_kind[0])] for row in of_kind], layout)
+                    _propose_kind(proposal, kind, cells)
+            return proposal
+        columns = _columns(rows, layout)
+        return _propose(layout, names, columns, _dates(rows, names), path.name.partition(".")[0])
+    map_ = parse_map(_PROBE, "guess")
+    source = open_rows(path, path.with_suffix(".guess"), map_, lambda done: None)
+    proposal = _Proposal(_Layout())
+    for kind, listed in source.names().items():
+        columns = []
+        for name in listed:
+            block = next(
+                (block.column(at[0], name) for block, at in source.blocks([name], kind or None, LOOKED_AT_ROWS)), None
+            )
+            columns.append(np.zeros(0) if block is None else _finite(block.values))
+        found = _propose(_Layout(), list(listed), columns, set())
+        for item in found.items:
+            if kind:
+                item.insert(2, f"kind = {_quoted(kind)}")
+                if any(item[1] == other[1] for other in proposal.items):
+                    item[1] = item[1][:-1] + f'{len(proposal.items) + 1}"'
+        proposal.time = proposal.time or found.time
+        proposal.items += found.items
+        proposal.doubts += [f"{kind}: {text}" if kind else text for text in found.doubts]
+    return proposal
+
+
+_PROBE = """
+time = { rate_hz = 1 }
+sensor = [{ name = "A", chip = "a", quantity = "angular_rate", columns = [0, 1, 2], unit = "dps" }]
+"""
+"""A map of nothing, to open what is no text with."""
+
+
+def _finite(values: npt.NDArray[np.number] | None) -> Values:
+    return np.zeros(0) if values is None else np.asarray(values, np.float64)
+
+
+def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
+    """How a text is cut, its columns' names ([] of a table without a header), and some rows; SourceError."""
+    with open_source(path, path.with_suffix(".guess")) as file:
+        data = unpacked(file).read(_HEAD_BYTES)
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    whole = data.decode(encoding, "replace").split("\n")
+    whole = whole[:-1] if len(data) == _HEAD_BYTES else whole
+    lines = [(number, line.strip("\r\0 ")) for number, line in enumerate(whole)]
+    lines = [(number, line) for number, line in lines if line and "\0" not in line]
+    comment = next((mark for mark in _COMMENTS if any(line.startswith(mark) for _, line in lines)), "#")
+    lines = [(number, line) for number, line in lines if not line.startswith(comment)]
+    if not lines:
+        raise SourceError(f"{path}: no line of text in it that could be a row")
+    layout = _Layout(comment=comment)
+    tail = [line for _, line in lines[len(lines) // 2 :]][:200]
+    layout.delimiter = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
+    rows = [(number, _cells(line, layout.delimiter)) for number, line in lines]
+    if layout.delimiter != "," and sum(cell.count(",") for _, row in rows[-20:] for cell in row) >= len(rows[-20:]):
+        layout.decimal = ","
+    numeric = [sum(_is_number(cell, layout) for cell in row) >= max(1, len(row) // 2) for _, row in rows]
+    if not any(numeric):
+        raise SourceError(f"{path}: no row of numbers in its first {len(whole)} lines")
+    first = numeric.index(True)
+    widths = {len(row) for _, row in rows[first:]}
+    starts = {row[0] for _, row in rows[first:] if row and not _is_number(row[0], layout)}
+    if len(widths) > 1 and 1 < len(starts) < 20:
+        layout.kind_column, layout.named = 0, False
+        return layout, [], [row for _, row in rows[first:]]
+    width = len(rows[first][1])
+    header = rows[first - 1] if first else None
+    layout.named = header is not None and abs(len(header[1]) - width) <= 1
+    begin = header[0] if header is not None and layout.named else rows[first][0]
+    layout.skip_rows = begin if any(line and not line.startswith(comment) for line in whole[:begin]) else 0
+    names = [name.strip() for name in header[1]] if header is not None and layout.named else []
+    body = [row for _, row in rows[first:] if len(row) >= min(width, len(names) or width)]
+    return layout, names, body[:LOOKED_AT_ROWS]
+
+
+def _fitness(lines: Sequence[str], delimiter: str) -> float:
+    """How well a delimiter cuts lines into as many numbers each."""
+    rows = [_cells(line, delimiter) for line in lines]
+    widths = [len(row) for row in rows]
+    usual = max(set(widths), key=widths.count)
+    layout = _Layout(delimiter, "," if delimiter != "," else ".")
+    good = sum(_is_number(cell, layout) or _is_number(cell, _Layout(delimiter)) for row in rows for cell in row)
+    return (widths.count(usual) / len(rows)) * (usual > 1) * good / max(1, sum(widths)) * min(usual, 20)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+
+
+def _is_number(cell: str, layout: _Layout) -> bool:
+    text = cell.strip().replace(",", ".") if layout.decimal == "," else cell.strip()
+    try:
+        float(text)
+    except ValueError:
+        return not text
+    return True
+
+
+def _columns(rows: Sequence[Sequence[str]], layout: _Layout) -> list[Values]:
+    """The numbers of each column, nan for what is none."""
+    width = min(len(row) for row in rows)
+    columns = []
+    for index in range(width):
+        texts = (row[index].strip() for row in rows)
+        texts = (text.replace(",", ".") for text in texts) if layout.decimal == "," else texts
+        columns.append(np.array([float(text) if _is_number(text, _Layout()) and text else np.nan for text in texts]))
+    return columns
+
+
+def _dates(rows: Sequence[Sequence[str]], names: Sequence[str]) -> set[int]:
+    """Which columns hold dates and times."""
+    return {index for index, cell in enumerate(rows[0]) if re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:", cell.strip())}
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t") + '"'
+
+
+def _unit_in(name: str) -> str:
+    """A unit that a column's name says; "" if it says none."""
+    match = _UNIT_IN_NAME.search(name)
+    if match is None:
+        return ""
+    text = match[1] or match[2] or ""
+    return _SPELLINGS.get(text.lower(), text)
+
+
+def _without_padding(columns: Sequence[Values]) -> list[Values]:
+    """Without the rows of zeros that a program has reserved at the end and not filled."""
+    if not columns or len({len(column) for column in columns}) > 1 or not len(columns[0]):
+        return list(columns)
+    filled = np.flatnonzero(np.any([column != 0 for column in columns], axis=0))
+    return [column[: int(filled[-1]) + 1] if len(filled) else column for column in columns]
+
+
+def _propose(
+    layout: _Layout, names: list[str], columns: Sequence[Values], dates: set[int], stem: str = ""
+) -> _Proposal:
+    """A map of a table whose columns have names, or none."""
+    proposal = _Proposal(layout)
+    labels: list[str | int] = list(names) if names else list(range(len(columns)))
+    if names and any(names.count(name) > 1 for name in names):
+        proposal.doubts.append("columns have the same names: sensors of one name can't be told apart by it")
+    columns = _without_padding(columns)
+    time = _time_index(names, columns, dates)
+    taken = set() if time is None else {time}
+    triads = sorted(_triads(names, columns, taken, stem), key=lambda triad: triad[0] != "specific_force")
+    if time is None:
+        proposal.time.append("rate_hz = 100   # ? no column increases as time does")
+    else:
+        proposal.time += _time_lines(names, labels, columns, time, dates, proposal)
+    force_unit = ""
+    for quantity, indices in triads:
+        item, unit = _sensor(quantity, names, labels, columns, indices, force_unit, proposal)
+        force_unit = unit if quantity == "specific_force" else force_unit
+        proposal.items.append(item)
+        taken |= set(indices)
+    if not triads:
+        proposal.doubts.append("no three columns that differ in x, y and z, or in 0, 1 and 2: which are a triad?")
+    for index, name in enumerate(names):
+        if index not in taken and index < len(columns) and _TEMPERATURE.search(name):
+            _propose_thermometer(proposal, name, columns[index])
+    return proposal
+
+
+def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Values]) -> None:
+    """Rows of a kind: time, and three columns behind it."""
+    quantity = next((what for what, words in _QUANTITIES if words.search(kind)), "specific_force")
+    labels: list[str | int] = list(range(len(columns)))
+    item, _ = _sensor(quantity, [], labels, columns, (2, 3, 4), "", proposal)
+    number = sum(other[1].startswith(f'name = "{_NAMES[quantity]}') for other in proposal.items)
+    item[1] = f'name = "{_NAMES[quantity]}{number + 1 if number else ""}"'
+    item.insert(2, f"kind = {_quoted(kind)}")
+    proposal.items.append(item)
+
+
+def _time_index(names: Sequence[str], columns: Sequence[Values], dates: set[int]) -> int | None:
+    """The column of time: called so, and increasing (a counter may begin anew)."""
+    if dates:
+        return min(dates)
+    increasing = [index for index, values in enumerate(columns) if _increases(values)]
+    called = [index for index in increasing if index < len(names) and _TIME.search(names[index])]
+    return next(iter([*called, *increasing]), None)
+
+
+def _increases(values: Values) -> bool:
+    steps = np.diff(values)
+    return len(steps) > 1 and bool(np.isfinite(steps).all()) and float(np.mean(steps < 0)) < 1e-2 and steps.max() > 0
+
+
+def _time_lines(
+    names: Sequence[str],
+    labels: Sequence[str | int],
+    columns: Sequence[Values],
+    index: int,
+    dates: set[int],
+    proposal: _Proposal,
+) -> list[str]:
+    label = labels[index]
+    lines = [f"column = {_quoted(label) if isinstance(label, str) else label}"]
+    if index in dates:
+        return [*lines, 'unit = "iso8601"']
+    if index < len(names) and names[index].lower() == "sampletimefine":
+        return [*lines, 'unit = "us"', "ticks = 100   # of Xsens: a clock of 10 kHz"]
+    steps = np.diff(columns[index])
+    said = _unit_in(names[index]) if index < len(names) else ""
+    step = float((columns[index][-1] - columns[index][0]) / len(steps))
+    if (steps < 0).any():
+        step = float(np.median(steps[steps > 0]))
+    unit = said if said in ("s", "ms", "us", "ns") else next(
+        (unit for unit, most in (("s", 0.2), ("ms", 200.0), ("us", 2e5)) if step < most), "ns"
+    )  # fmt: skip
+    factor = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+    sure = "" if said == unit else "   # ?"
+    lines.append(f'unit = "{unit}"{sure or "   #"} {1 / max(step * factor, 1e-12):.4g} rows a second, if so')
+    if (steps < 0).any():
+        most = float(columns[index].max())
+        wraps = [one for one in _WRAPS if 0.9 * one < most <= one]
+        if wraps:
+            lines.append(f"wraps_at = {wraps[0]:.0f}")
+        else:
+            times = counted(int(np.count_nonzero(steps < 0)), "time")
+            proposal.doubts.append(
+                f"column {label!r} goes back {times}: a counter that begins anew (wraps_at), or several recordings,"
+                " which are imported one by one"
+            )
+    if (steps == 0).any():
+        lines.append("ties = true   # rows of one and the same time")
+    return lines
+
+
+def _triads(
+    names: Sequence[str], columns: Sequence[Values], taken: set[int], stem_of_file: str
+) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Quantity and columns of each triad."""
+    if not names:
+        free = [index for index in range(len(columns)) if index not in taken]
+        yield from _nameless(columns, free)
+        return
+    used: set[int] = set()
+    for prefix in dict.fromkeys(match[1] for name in names if (match := _PART.fullmatch(name))):
+        parts = [index for index, name in enumerate(names) if (match := _PART.fullmatch(name)) and match[1] == prefix]
+        if len(parts) > _TRIAD_AND_TIME:
+            yield from _nameless(columns, [index for index in parts if index not in taken])
+            used.update(parts)
+    for axes in ("xyz", "XYZ", "012", "123"):
+        for index, name in enumerate(names):
+            for place in (at for at, letter in enumerate(name) if letter == axes[0]):
+                stems = [name[:place] + letter + name[place + 1 :] for letter in axes]
+                if index in used or not all(stem in names for stem in stems):
+                    continue
+                indices = (names.index(stems[0]), names.index(stems[1]), names.index(stems[2]))
+                if used.intersection(indices) or taken.intersection(indices):
+                    continue
+                used.update(indices)
+                stem = name[:place] + "*" + name[place + 1 :]
+                called = stem if stem.strip("*_.- []()") else stem_of_file
+                quantity = next((what for what, words in _QUANTITIES if words.search(called)), "specific_force")
+                yield quantity, indices
+
+
+def _nameless(columns: Sequence[Values], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Threes in order; a force keeps its length while its axes turn, so the first is taken for one."""
+    order = ("specific_force", "angular_rate", "magnetic_field")
+    for quantity, start in zip(order, range(0, len(free) - 2, 3), strict=False):
+        yield quantity, (free[start], free[start + 1], free[start + 2])
+
+
+def _sensor(
+    quantity: str,
+    names: Sequence[str],
+    labels: Sequence[str | int],
+    columns: Sequence[Values],
+    indices: tuple[int, int, int],
+    force_unit: str,
+    proposal: _Proposal,
+) -> tuple[list[str], str]:
+    """The lines of a sensor, and the unit that was chosen."""
+    values = np.stack([columns[index][: min(map(len, columns))] for index in indices], axis=1)
+    values = values[np.isfinite(values).all(axis=1)]
+    length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
+    said = _unit_in(names[indices[0]]) if names else ""
+    whole = bool(len(values)) and bool((values == np.rint(values)).all()) and length > 5
+    listed = ", ".join(
+        _quoted(label) if isinstance(label, str) else str(label) for label in (labels[i] for i in indices)
+    )
+    name = _NAMES[quantity]
+    number = sum(item[1].startswith(f'name = "{name}') for item in proposal.items)
+    item = [
+        "[[sensor]]",
+        f'name = "{name}{number + 1 if number else ""}"',
+        'chip = "unknown"   # ?',
+        f'quantity = "{quantity}"' if names else f'quantity = "{quantity}"   # ? the columns have no names',
+        f"columns = [{listed}]",
+    ]
+    if said in UNITS_OF[quantity]:  # type: ignore[index]
+        return [*item, f'unit = "{said}"'], said
+    unit, lines = _counted(quantity, length) if whole else _measured(quantity, length, force_unit)
+    return [*item, *lines], unit
+
+
+def _counted(quantity: str, length: float) -> tuple[str, list[str]]:
+    """Unit and scale of columns of whole numbers."""
+    if quantity == "specific_force":
+        per_g = 2.0 ** round(ln(length) / ln(2))
+        return "g", [
+            'unit = "g"',
+            f"range = {32768 / per_g:g}   # ? of 16 bits",
+            f"sensitivity = {per_g:g}   # ? by gravity: {length:.5g} counts",
+        ]
+    if quantity == "angular_rate":
+        known = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
+        return "dps", [
+            'unit = "dps"',
+            "range = 250   # ?",
+            f"sensitivity = {_COUNTS_OF_GYROSCOPE:g}   # ? nothing at rest tells it; common are {known}",
+        ]
+    return "gauss", [
+        'unit = "gauss"',
+        "range = 1.3   # ?",
+        f"sensitivity = {_COUNTS_OF_MAGNETOMETER:g}   # ? the earth has 0.2 to 0.7 gauss, here are {length:.4g} counts",
+    ]
+
+
+def _measured(quantity: str, length: float, force_unit: str) -> tuple[str, list[str]]:
+    """Unit of columns that are in one."""
+    if quantity == "angular_rate":
+        unit = "rad/s" if force_unit == "m/s2" else "dps"
+        return unit, [f'unit = "{unit}"   # ? dps or rad/s: the report after the import compares turns, if it turned']
+    if quantity == "specific_force":
+        sizes = {"g": 1.0, "m/s2": STANDARD_GRAVITY, "mg": 1000.0}
+    else:
+        sizes = {"gauss": 0.45, "uT": 45.0, "mgauss": 450.0, "T": 4.5e-5, "nT": 4.5e4}
+    unit = min(sizes, key=lambda one: abs(ln(max(length, 1e-12) / sizes[one])))
+    return unit, [f'unit = "{unit}"   # ? by its size: {length:.4g}']
+
+
+def _propose_thermometer(proposal: _Proposal, name: str, values: Values) -> None:
+    """A column of temperatures: degrees, or counts of which nobody knows what they mean."""
+    known = values[np.isfinite(values)]
+    if len(known) == 0:
+        return
+    if known.min() > -60 and known.max() < 150 and (known != np.rint(known)).any():
+        number = sum(item[0] == "[[thermometer]]" for item in proposal.items)
+        called = f"Thermometer{number + 1 if number else ''}"
+        proposal.items.append(
+            ["[[thermometer]]", f'name = "{called}"', f"column = {_quoted(name)}", 'unit = "degC"   # ? by its size']
+        )
+        return
+    span = f"{known.min():g} to {known.max():g}"
+    proposal.doubts.append(
+        f"column {name!r} may be a chip's thermometer ({span} counts): of its sensor say temperature_column ="
+        f" {_quoted(name)} and thermometer = {{ zero_degc, lsb_per_degc }}, by its data sheet"
+    )

@@ -1,0 +1,76 @@
+"""Parquet files, by pyarrow: columns of numbers by name; times of a type of their own are ns since 1970, UTC."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.errors import MissingExtraError, SourceError
+from imuarray.importers.cells import Block
+from imuarray.printable import printable
+
+
+def open_rows(path: Path, progress: Callable[[int], None]) -> ParquetRows:
+    """The columns of a file; SourceError, MissingExtraError without pyarrow."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise MissingExtraError("pyarrow", "import") from None
+    try:
+        return ParquetRows(path, parquet.ParquetFile(path), progress)
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
+        raise SourceError(f"{path}: damaged, or no Parquet file: {printable(str(error))[:200]}") from None
+
+
+class ParquetRows:
+    """An open file."""
+
+    def __init__(self, path: Path, file: Any, progress: Callable[[int], None]) -> None:
+        self._path, self._file, self._progress = path, file, progress
+        self.remarks: list[str] = []
+        self._names = [str(name) for name in file.schema_arrow.names]
+
+    def names(self) -> Mapping[str, Sequence[str]]:
+        """Of all columns."""
+        return {"": self._names}
+
+    def _name(self, column: str | int) -> str:
+        """SourceError for one that there is not."""
+        if isinstance(column, int) and column < len(self._names):
+            return self._names[column]
+        if isinstance(column, str) and column in self._names:
+            return column
+        raise SourceError(f"{self._path}: no column {column!r}; it has {printable(', '.join(self._names))[:200]}")
+
+    def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+        """The rows, batch by batch; SourceError."""
+        import pyarrow
+
+        if kind is not None:
+            raise SourceError(f"{self._path}: kind {kind!r}: a Parquet file has no kinds of rows")
+        names = [self._name(column) for column in columns]
+        start = 0
+        try:
+            for batch in self._file.iter_batches(batch_size=rows, columns=list(dict.fromkeys(names))):
+                arrays = [self._numbers(batch.column(name), name) for name in names]
+                yield Block(str(self._path), range(start, start + batch.num_rows), arrays), list(range(len(names)))
+                start += batch.num_rows
+        except (pyarrow.ArrowException, OSError) as error:
+            raise SourceError(f"{self._path}: damaged behind row {start}: {printable(str(error))[:200]}") from None
+        self._progress(self._path.stat().st_size)
+
+    def _numbers(self, array: Any, name: str) -> npt.NDArray[np.number]:
+        """(n,) numbers, nan for what is absent; SourceError for a column of something else."""
+        import pyarrow
+
+        kind = array.type
+        if pyarrow.types.is_timestamp(kind):
+            array = array.cast(pyarrow.timestamp("ns"), safe=False).cast(pyarrow.int64())
+        elif not (pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind)):
+            raise SourceError(f"{self._path}: column {name!r} is of type {kind}; numbers are wanted")
+        return np.asarray(array.to_numpy(zero_copy_only=False))

@@ -1,0 +1,108 @@
+"""Counts per unit of columns that are in a unit: learnt from the grid on which the values lie, or from their size.
+
+Most recordings in units are counts that a driver has multiplied: then the values lie on a grid, whose step is the
+scale, and the counts come back as they were. Other values are rounded to counts as fine as 16 bits allow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.importers.cells import INT16
+
+Values = npt.NDArray[np.float64]
+
+RANGES = {
+    "specific_force": (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 100.0, 200.0, 400.0),
+    "angular_rate": (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0),
+    "magnetic_field": (1.3, 4.0, 8.0, 16.0, 50.0),
+}
+"""Measuring ranges that chips have, in the unit of a log (g, dps, gauss)."""
+
+SENSITIVITIES = {
+    "specific_force": tuple(float(1 << power) for power in range(5, 16)),
+    "angular_rate": tuple(131.0 / (1 << power) for power in range(5))
+    + tuple(1000 / step for step in (4.375, 8.75, 17.5, 35.0, 70.0)),
+    "magnetic_field": (),
+}
+"""Counts per unit that data sheets have: a grid that is within `NEAR` of one is that."""
+
+NEAR = 3e-4
+"""By how much a step that is read off rounded values differs from the data sheet's, as a share."""
+
+FULL_SPAN = 1.05 * 32768
+"""Counts of a chip of 16 bits over its range, which may be a little less than what it gives. A finer grid is that of
+the digits of a text."""
+
+SAMPLE_ROWS = 20_000
+"""So many rows tell the grid."""
+
+_FEWEST_VALUES = 8
+_OFF_GRID = 0.1
+"""Share of a step by which values may miss the grid: digits of a text are rounded."""
+
+_ON_GRID = 0.98
+_DIVISORS = (1, 2, 3)
+"""The nearest two values may lie so many steps apart."""
+
+
+def grid_step(values: Values) -> float | None:
+    """The step of a grid through zero on which the values (n,) lie; None if they lie on none."""
+    distinct = np.unique(values[np.isfinite(values)])
+    if len(distinct) < _FEWEST_VALUES:
+        return None
+    nearest = float(np.diff(distinct).min())
+    for divisor in _DIVISORS:
+        step = _refined(distinct, nearest / divisor)
+        off = np.abs(distinct / step - np.rint(distinct / step))
+        if float(np.mean(off < _OFF_GRID)) > _ON_GRID:
+            return step
+    return None
+
+
+def _refined(distinct: Values, step: float) -> float:
+    """A step that fits near zero, fitted to values further and further away."""
+    base = float(distinct[np.abs(distinct).argmin()])
+    away = distinct - base
+    reach = 8.0
+    while True:
+        inside = np.abs(away) <= reach * step
+        number = np.rint(away[inside] / step)
+        if (number != 0).any():
+            step = float(away[inside] @ number / (number @ number))
+        if inside.all():
+            break
+        reach *= 4
+    whole = np.rint(distinct / step)
+    return float(distinct @ whole / (whole @ whole)) if whole.any() else step
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Counts per unit and range, both in the log's unit; `is_exact`: the values lie on the grid of these counts."""
+
+    sensitivity: float
+    range: float
+    is_exact: bool
+
+
+def resolution_of(
+    quantity: str, sample: Values, largest: float, range_: float | None, sensitivity: float | None
+) -> Resolution:
+    """Of values in the log's unit, of which `sample` (n,) are some and `largest` is the largest; `range_` and
+    `sensitivity` where they are known.
+    """
+    if range_ is None:
+        range_ = next((one for one in RANGES[quantity] if largest <= one), largest)
+    if sensitivity is None:
+        step = grid_step(sample)
+        if step is not None:
+            sensitivity = next((one for one in SENSITIVITIES[quantity] if abs(one * step - 1) < NEAR), 1 / step)
+            if largest * sensitivity <= INT16[1] and range_ * sensitivity <= FULL_SPAN:
+                return Resolution(sensitivity, range_, True)
+        return Resolution(INT16[1] / max(range_, largest), range_, False)
+    off = sample * sensitivity - np.rint(sample * sensitivity)
+    return Resolution(sensitivity, range_, bool(len(off)) and float(np.mean(np.abs(off) < _OFF_GRID)) > _ON_GRID)

@@ -1,0 +1,103 @@
+"""Where the rows of a recording come from: a text, arrays in a file (.npz, .mat, .parquet), messages in a bag.
+
+What kind of file it is its first bytes say (`open_rows`). A text is read as it streams; so are bags and Parquet files.
+The arrays of .npz and .mat files are read whole, as these formats hold them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from typing import Protocol, cast
+
+from imuarray.errors import SourceError
+from imuarray.importers import open_source, unpacked, unreadable
+from imuarray.importers.cells import Block, Table
+from imuarray.importers.mapping import TableMap
+
+Reference = str | int
+"""A column, by its name or its index."""
+
+Progress = Callable[[int], None]
+
+
+class Rows(Protocol):
+    """A recording's rows. SourceError where they can't be had."""
+
+    remarks: list[str]
+    """What was left out, and what is worth saying of the file, in sentences."""
+
+    def names(self) -> Mapping[str, Sequence[str]]:
+        """The columns' names, by kind of rows ("" where there is but one kind)."""
+
+    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+        """The rows (of a kind), `rows` at a time, and where in a block each of the `columns` is."""
+
+
+class TextRows:
+    """The rows of a text, packed by gzip or not."""
+
+    def __init__(
+        self, source: str | PathLike[str], output: str | PathLike[str], table_map: TableMap, progress: Progress
+    ) -> None:
+        self._source, self._output, self._map, self._progress = source, output, table_map, progress
+        self.remarks: list[str] = []
+
+    def names(self) -> Mapping[str, Sequence[str]]:
+        """As its first row has them."""
+        with open_source(self._source, self._output) as file:
+            return {"": Table(unpacked(file), str(self._source), self._map.file, named=True).names}
+
+    def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
+        """The rows from the beginning of the file."""
+        named = any(isinstance(column, str) for column in self._map.columns())
+        with open_source(self._source, self._output) as file:
+            table = Table(unpacked(file), str(self._source), self._map.file, named)
+            where = [table.index(column) for column in columns]
+            for block in table.blocks(rows, kind):
+                yield block, where
+                self._progress(file.tell())
+            self.remarks += [text for text in table.remarks() if text not in self.remarks]
+
+
+READERS: Mapping[bytes, str] = {
+    b"PK\x03\x04": "arrays",
+    b"MATLAB 5.0 MAT-file": "arrays",
+    b"MATLAB 7.3 MAT-file": "arrays",
+    b"\x89HDF\r\n\x1a\n": "arrays",
+    b"PAR1": "parquet",
+    b"#ROSBAG V2.0": "bags",
+    b"\x89MCAP0\r\n": "bags",
+    b"SQLite format 3\0": "bags",
+}
+"""First bytes of a file that is no text, and the module that reads it as `open_rows(source, output, progress)`."""
+
+
+def reader_of(source: str | PathLike[str]) -> str | None:
+    """The module that reads what is no text; None for a text. A folder is taken for a ROS 2 bag."""
+    path = Path(source)
+    if path.is_dir():
+        if not (path / "metadata.yaml").is_file():
+            raise SourceError(f"{path}: is a folder without a metadata.yaml, so no ROS 2 bag; a recording is one file")
+        return "bags"
+    try:
+        with path.open("rb") as file:
+            first = file.read(max(map(len, READERS)))
+    except OSError as error:
+        raise unreadable(path, error) from None
+    return next((module for magic, module in READERS.items() if first.startswith(magic)), None)
+
+
+def open_rows(
+    source: str | PathLike[str], output: str | PathLike[str], table_map: TableMap, progress: Progress
+) -> Rows:
+    """The rows of any recording that a map can describe; SourceError, MissingExtraError."""
+    reader = reader_of(source)
+    if reader is None:
+        return TextRows(source, output, table_map, progress)
+    if not Path(source).is_dir():
+        open_source(source, output).close()
+    module = import_module(f"imuarray.importers.{reader}")
+    return cast(Rows, module.open_rows(Path(source), progress))

@@ -1,0 +1,76 @@
+"""Where a sensor clips: by its range, by a pile at its last code; and where it only seems to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.characterise import characterise_log
+from imuarray.characterise.findings import findings
+from imuarray.characterise.rails import find_rails
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import SensorHeader
+
+EPOCH = "2013-09-16T08:30:00Z"
+
+
+def logged(folder: Path, counts: np.ndarray, range_g: float = 8.0, sensitivity: float = 1024.0) -> Path:
+    header = SensorHeader("S", "any", "specific_force", "g", range_g, sensitivity)
+    with LogWriter(folder / "run.h5", [header], source="imported", epoch=EPOCH, force=True) as log:
+        time = np.arange(len(counts)) * 10_000_000
+        log.append("S", Block(time, counts.astype(np.int16), np.zeros(len(counts), np.uint16)))
+    return folder / "run.h5"
+
+
+def shaken(at: float, rows: int = 4000, low: float | None = None) -> np.ndarray:
+    return np.rint(np.random.default_rng(1).normal(0, at / 2, (rows, 3))).clip(-at if low is None else low, at)
+
+
+@pytest.mark.parametrize(
+    ("counts", "high", "low"),
+    [
+        (shaken(8192), 8192, -8192),  # range times sensitivity
+        (shaken(8191, low=-8192), 8191, -8192),  # two's complement of 14 bits
+        (shaken(8400), 8400, -8400),  # a little beyond the range, as chips go
+        (shaken(5000), 5000, -5000),  # another range than the log says
+        (shaken(5000, low=-40_000), 5000, -np.inf),  # one end only
+        (shaken(8192, rows=40) // 3, np.inf, -np.inf),
+        (np.rint(np.random.default_rng(2).normal(0, 300, (4000, 3))), np.inf, -np.inf),
+        (np.rint(np.random.default_rng(2).normal(0, 0.4, (4000, 3))), np.inf, -np.inf),  # hardly any code
+        (np.zeros((400, 3)), np.inf, -np.inf),
+    ],
+)
+def test_rails(counts: np.ndarray, high: float, low: float, tmp_path: Path) -> None:
+    with open_log(logged(tmp_path, counts)) as log:
+        rails = find_rails(log["S"])
+    np.testing.assert_array_equal(rails.high, [high] * 3)
+    np.testing.assert_array_equal(rails.low, [low] * 3)
+    expected = ((counts >= high) | (counts <= low)).sum(axis=0)
+    np.testing.assert_array_equal(rails.rows, expected)
+    np.testing.assert_array_equal(rails.clipped(counts), ((counts >= high) | (counts <= low)).any(axis=1))
+
+
+def test_a_log_that_flags_none_is_told_so(tmp_path: Path) -> None:
+    with open_log(logged(tmp_path, shaken(8192))) as log:
+        told = [text for text in findings(characterise_log(log)) if "clips at -8192 and 8192" in text]
+    assert told and all("the log flags none of them as saturated: import it again" in text for text in told)
+
+
+@pytest.mark.slow
+def test_uniform_noise_is_no_clipping(tmp_path: Path) -> None:
+    """Its density does not fall, and ends at once."""
+    counts = np.random.default_rng(3).integers(-3000, 3001, (20_000, 3))
+    with open_log(logged(tmp_path, counts)) as log:
+        assert not find_rails(log["S"]).rows.any()
+
+
+@pytest.mark.slow
+def test_gaussian_noise_is_never_called_clipped(tmp_path: Path) -> None:
+    """40 recordings of six ends each, at a level of one in a million."""
+    rng = np.random.default_rng(4)
+    for spread in rng.uniform(1, 2000, 40):
+        counts = np.rint(rng.normal(0, spread, (2000, 3))).clip(-8000, 8000)
+        with open_log(logged(tmp_path, counts)) as log:
+            assert not find_rails(log["S"]).rows.any()

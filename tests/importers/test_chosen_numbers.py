@@ -1,0 +1,42 @@
+"""What was chosen for imports: a change by a factor of two is noticed here, and has to be meant."""
+
+from __future__ import annotations
+
+import pytest
+
+from imuarray.characterise import bands, columns, rails
+from imuarray.importers import arrays, plausibility, resolution, table
+
+CHOSEN = {
+    (plausibility, "WINDOW_S"): 0.5,
+    (plausibility, "FEWEST_ROWS"): 32,
+    (plausibility, "GRAVITY_OFF"): 0.12,
+    (plausibility, "NEAR_FACTOR"): 0.1,
+    (plausibility, "OVER_RANGE"): 1.05,
+    (plausibility, "STILL"): 2.5,
+    (plausibility, "TURNED"): 0.02,
+    (plausibility, "FEWEST_TURNS"): 20,
+    (plausibility, "FOLLOWS"): 0.8,
+    (plausibility, "SAME_SCALE"): 1.4,
+    (plausibility, "STALE_SHARE"): 0.015,
+    (plausibility, "LISTED"): 3,
+    (rails, "LEAST_PILE"): 5,
+    (rails, "BEFORE"): 8,
+    (rails, "SURE"): 1e-6,
+    (rails, "NOMINAL"): 2,
+    (rails, "NEAR_RANGE"): 0.1,
+    (rails, "MOVING_STEPS"): 20,
+    (resolution, "NEAR"): 3e-4,
+    (resolution, "SAMPLE_ROWS"): 20_000,
+    (table, "VANISHED"): 0.3,
+    (arrays, "MOST_COLUMNS"): 64,
+    (columns, "HARMONICS"): 8,
+    (columns, "CHANCE"): 0.02,
+    (bands, "RISES"): 1.35,
+    (bands, "SLACK"): 1.08,
+}
+
+
+@pytest.mark.parametrize(("module", "name"), CHOSEN)
+def test_it_is_as_chosen(module: object, name: str) -> None:
+    assert getattr(module, name) == pytest.approx(CHOSEN[module, name])  # type: ignore[index]

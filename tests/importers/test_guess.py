@@ -1,0 +1,144 @@
+"""`imuarray import DATA --guess`: a map that imports at once, and what in it is doubtful."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.cli import main
+from imuarray.importers.guess import guess_map
+from imuarray.importers.mapping import parse_map
+from imuarray.log import open_log
+from tests.importers.test_odd_recordings import G, counts_of, lines_of, several_tables, walk
+
+COUNTS = counts_of(walk())
+SI = np.hstack([COUNTS[:, :3] / 4096 * G, np.radians(COUNTS[:, 3:] / 131)])
+
+
+def text_of(header: str | None, values: np.ndarray, time_s: np.ndarray | None = None, form: str = "{:.9g}") -> str:
+    lines = lines_of(walk().time_s if time_s is None else time_s, values, form)
+    return "\n".join([*([header] if header else []), *lines]) + "\n"
+
+
+CASES: dict[str, tuple[str, list[str]]] = {
+    "short names": (
+        text_of("t,ax,ay,az,gx,gy,gz", COUNTS, form="{:d}"),
+        ['unit = "s"', "sensitivity = 4096   # ? by gravity", "sensitivity = 131"],
+    ),
+    "long names with units": (
+        text_of(
+            "Time [s],Accel_X [m/s^2],Accel_Y [m/s^2],Accel_Z [m/s^2],Gyro_X [rad/s],Gyro_Y [rad/s],Gyro_Z [rad/s]", SI
+        ),
+        ['unit = "m/s2"', 'unit = "rad/s"', 'columns = ["Accel_X [m/s^2]", "Accel_Y [m/s^2]", "Accel_Z [m/s^2]"]'],
+    ),
+    "no header": (text_of(None, SI), ["column = 0", "columns = [1, 2, 3]", 'unit = "m/s2"   # ? by its size', "rad/s"]),
+    "decimal commas behind two lines of text": (
+        "Logger 3\nmade today\n" + text_of("t,ax,ay,az,wx,wy,wz", SI).replace(",", ";").replace(".", ","),
+        ['delimiter = ";"', 'decimal = ","', "skip_rows = 2", 'unit = "m/s2"'],
+    ),
+    "milliseconds, tabs": (
+        text_of("millis,acc.x,acc.y,acc.z,rot.x,rot.y,rot.z", SI, walk().time_s * 1000).replace(",", "\t"),
+        ['delimiter = "\\t"', 'column = "millis"', 'unit = "ms"'],
+    ),
+    "ties": (text_of("t,ax,ay,az,gx,gy,gz", SI, np.floor(walk().time_s * 50) / 50), ["ties = true"]),
+    "a counter of microseconds": (
+        text_of(
+            "micros,ax,ay,az,gx,gy,gz",
+            COUNTS,
+            (np.rint(walk().time_s * 1e6) + 2**32 - 5_000_000) % 2**32,
+            "{:d}",
+        ),
+        ['unit = "us"', "wraps_at = 4294967296"],
+    ),
+    "another range of the gyroscope": (
+        text_of("t,ax,ay,az,gx,gy,gz", COUNTS // np.array([1, 1, 1, 8, 8, 8]), form="{:d}"),
+        ["sensitivity = 16.375   # ? by how gravity turned in the accelerometer", "range = 2000"],
+    ),
+    "a temperature in degrees": (
+        text_of("t,ax,ay,az,gx,gy,gz,Temp", np.hstack([COUNTS, 20 + np.arange(2000)[:, None] / 997])),
+        ["[[thermometer]]", 'unit = "degC"   # ? by its size'],
+    ),
+}
+
+
+QUICK = ("long names with units", "another range of the gyroscope")
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
+def test_a_guess_imports_at_once(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text, expected = CASES[name]
+    (tmp_path / "data.csv").write_text(text)
+    guessed = guess_map(tmp_path / "data.csv")
+    for line in expected:
+        assert line in guessed, guessed
+    (tmp_path / "map.toml").write_text(guessed)
+    arguments = [str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *arguments]) == 0
+    report = capsys.readouterr().out
+    assert "2000 rows" in report and "?" not in report
+    with open_log(tmp_path / "run.h5") as log:
+        assert {sensor.quantity for sensor in log.sensors.values()} >= {"specific_force", "angular_rate"}
+        assert np.linalg.norm(np.mean(log["Acc"].counts[:900], axis=0)) / log["Acc"].sensitivity == pytest.approx(
+            1, rel=0.01
+        )
+
+
+def test_a_matrix_with_time_and_padding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As a MATLAB script keeps it: a row a reading, time first, and rows of zeros that were never filled."""
+    from scipy.io import savemat
+
+    matrix = np.vstack([np.column_stack([walk().time_s + 1, SI]), np.zeros((300, 7))])
+    savemat(tmp_path / "data.mat", {"measured": matrix})
+    (tmp_path / "map.toml").write_text(guess_map(tmp_path / "data.mat"))
+    guessed = (tmp_path / "map.toml").read_text()
+    assert 'columns = ["measured[4]", "measured[5]", "measured[6]"]' in guessed
+    assert "wraps_at" not in guessed
+    arguments = [str(tmp_path / "data.mat"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *arguments]) == 0
+    report = " ".join(capsys.readouterr().out.split())
+    assert "2000 rows each over 20.0 s" in report and "300 rows of nothing but zeros" in report
+
+
+def test_a_file_that_is_called_as_its_sensor(tmp_path: Path) -> None:
+    """Phones write a file for each sensor, with columns x, y, z."""
+    values = SI[:, 5:2:-1]
+    (tmp_path / "Gyroscope.csv").write_text(text_of("seconds_elapsed,z,y,x", values))
+    guessed = guess_map(tmp_path / "Gyroscope.csv")
+    assert 'quantity = "angular_rate"' in guessed and 'columns = ["x", "y", "z"]' in guessed
+
+
+def test_recordings_one_after_the_other(tmp_path: Path) -> None:
+    (tmp_path / "data.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS, walk().time_s % 7, "{:d}"))
+    assert "goes back 2 times: a counter that begins anew (wraps_at)" in guess_map(tmp_path / "data.csv")
+
+
+def test_rows_of_several_kinds_are_told_apart(tmp_path: Path) -> None:
+    (tmp_path / "data.csv").write_bytes(several_tables())
+    guessed = guess_map(tmp_path / "data.csv")
+    found = parse_map(guessed, "guess")
+    assert found.file.kind_column == 0
+    assert {(sensor.kind, sensor.quantity) for sensor in found.sensor} == {
+        ("ACC", "specific_force"),
+        ("GYR", "angular_rate"),
+    }
+    assert "rows of several kinds: ACC, GYR" in guessed
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 100, b"nothing but\nwords in it\n"])
+def test_what_no_map_can_describe(data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "data.csv").write_bytes(data)
+    assert main(["import", str(tmp_path / "data.csv"), "--guess"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_guess_overwrites_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "data.csv").write_text(CASES["short names"][0])
+    (tmp_path / "map.toml").write_text("mine")
+    assert main(["import", str(tmp_path / "data.csv"), "--guess", "-o", str(tmp_path / "map.toml")]) == 2
+    assert (tmp_path / "map.toml").read_text() == "mine"
+    assert main(["import", str(tmp_path / "data.csv"), "--guess", "-o", str(tmp_path / "data.csv"), "--force"]) == 2
+    assert main(["import", str(tmp_path / "data.csv"), "--guess", "--up", "+Z"]) == 2

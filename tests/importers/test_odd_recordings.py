@@ -1,0 +1,410 @@
+"""Recordings as other people's programs leave them, and what is said of each: a table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from imuarray.cli import main
+
+G = 9.80665
+ROWS = 2000
+PER_G, PER_DPS = 4096.0, 131.0
+
+HEAD = "t,ax,ay,az,gx,gy,gz"
+ACC = """
+[[sensor]]
+name = "Acc"
+chip = "any"
+quantity = "specific_force"
+columns = ["ax", "ay", "az"]
+unit = "g"
+range = 8
+sensitivity = 4096
+"""
+GYRO = """
+[[sensor]]
+name = "Gyro"
+chip = "any"
+quantity = "angular_rate"
+columns = ["gx", "gy", "gz"]
+unit = "dps"
+range = 250
+sensitivity = 131
+"""
+SECONDS = '[time]\ncolumn = "t"\nunit = "s"\n'
+MAP = SECONDS + ACC + GYRO
+INDEXED = MAP.replace('"t"', "0").replace('["ax", "ay", "az"]', "[1, 2, 3]").replace('["gx", "gy", "gz"]', "[4, 5, 6]")
+
+
+class Walk(NamedTuple):
+    """What a box felt that turned slowly, to and fro, about two axes: s, g, dps."""
+
+    time_s: np.ndarray
+    force_g: np.ndarray
+    rate_dps: np.ndarray
+
+
+def walk(rows: int = ROWS, rate_hz: float = 100.0, still: bool = False) -> Walk:
+    """Noise of 5 mg and 0.1 dps; turns of up to 60 degrees, in closed form, in the second half."""
+    rng = np.random.default_rng(22)
+    time_s = np.arange(rows) / rate_hz
+    begin_s = time_s[rows // 2]
+    phase = np.where(time_s < begin_s, 0.0, 0.8 * (time_s - begin_s)) * (not still)
+    angle = np.radians(60) * np.sin(phase) ** 2
+    rate = np.radians(60) * np.sin(2 * phase) * np.where(time_s < begin_s, 0.0, 0.8) * (not still)
+    # About x: gravity, up along +Z at first, turns in the y-z plane, df/dt = -omega x f.
+    force = np.stack([0 * angle, np.sin(angle), np.cos(angle)], axis=1)
+    turn = np.stack([rate, 0 * rate, 0 * rate], axis=1)
+    return Walk(time_s, force + rng.normal(0, 5e-3, force.shape), np.degrees(turn) + rng.normal(0.3, 0.1, turn.shape))
+
+
+def counts_of(recording: Walk) -> np.ndarray:
+    """(n, 6) whole numbers."""
+    return np.rint(np.hstack([recording.force_g * PER_G, recording.rate_dps * PER_DPS])).astype(int)
+
+
+def lines_of(time_s: np.ndarray, values: np.ndarray, form: str = "{:g}") -> list[str]:
+    return [
+        f"{stamp:.6f}," + ",".join(form.format(value) for value in row)
+        for stamp, row in zip(time_s.tolist(), values.tolist(), strict=True)
+    ]
+
+
+def plain(header: str = HEAD) -> list[str]:
+    recording = walk()
+    return [header, *lines_of(recording.time_s, counts_of(recording), "{:d}")]
+
+
+def joined(lines: list[str]) -> bytes:
+    return ("\n".join(lines) + "\n").encode()
+
+
+def units_taken_for_others() -> bytes:
+    recording = walk()
+    counts = counts_of(recording)
+    values = np.hstack([counts[:, :3] / PER_G * G, np.radians(counts[:, 3:] / PER_DPS)])
+    return joined([HEAD, *lines_of(recording.time_s, values, "{:.7f}")])
+
+
+def si_units() -> str:
+    return MAP.replace('"g"\nrange = 8\nsensitivity = 4096', '"m/s2"').replace(
+        '"dps"\nrange = 250\nsensitivity = 131', '"rad/s"'
+    )
+
+
+def clipped(at_g: float) -> bytes:
+    """Shaken with 3 g (rms), cut off at a range, as counts."""
+    recording = walk()
+    shaken = np.random.default_rng(7).normal(0, 3, (ROWS, 3)).clip(-at_g, at_g)
+    values = counts_of(recording._replace(force_g=shaken)).clip(-32768, 32767)
+    return joined([HEAD, *lines_of(recording.time_s, values, "{:d}")])
+
+
+def bursts() -> bytes:
+    """A host that is busy stamps what a driver has kept, eight rows in two milliseconds, then none for some time."""
+    recording = walk(4000)
+    rng = np.random.default_rng(3)
+    sizes = rng.integers(2, 14, 700)
+    ends = np.cumsum(sizes)
+    ends = ends[ends <= 4000]
+    stamps = np.concatenate(
+        [
+            recording.time_s[end - 1] + 1e-3 + np.arange(size) * 2e-4
+            for end, size in zip(ends.tolist(), sizes.tolist(), strict=False)
+        ]
+    )
+    rows = len(stamps)
+    return joined([HEAD, *lines_of(stamps, counts_of(recording)[:rows], "{:d}")])
+
+
+def stalls() -> bytes:
+    recording = walk(still=True)
+    stamps = recording.time_s + 2.5 * (np.arange(ROWS) // 50)
+    return joined([HEAD, *lines_of(stamps, counts_of(recording), "{:d}")])
+
+
+def with_counter(span: int) -> bytes:
+    recording = walk()
+    ticks = (np.rint(recording.time_s * 1e6).astype(np.int64) + span - 5_000_000) % span
+    rows = counts_of(recording)
+    return joined(
+        [
+            HEAD,
+            *(f"{tick}," + ",".join(map(str, row)) for tick, row in zip(ticks.tolist(), rows.tolist(), strict=True)),
+        ]
+    )
+
+
+def several_tables() -> bytes:
+    """Rows of a gyroscope, and of an accelerometer at half its rate, each with a time of its own."""
+    recording, rows = walk(), counts_of(walk())
+    lines = []
+    for number in range(ROWS):
+        stamp = f"{recording.time_s[number]:.6f}"
+        lines.append(f"GYR,{stamp}," + ",".join(map(str, rows[number, 3:].tolist())))
+        if number % 2 == 0:
+            lines.append(f"ACC,{stamp}," + ",".join(map(str, rows[number, :3].tolist())) + ",checked")
+    return joined(lines)
+
+
+def wide_with_blanks() -> bytes:
+    recording, rows = walk(), counts_of(walk()).astype(object)
+    rows[np.arange(ROWS) % 4 != 0, :3] = ""
+    return joined([HEAD, *lines_of(recording.time_s, rows, "{}")])
+
+
+KINDS = "[file]\nkind_column = 0\n" + MAP.replace('"t"', "1").replace(
+    '["ax", "ay", "az"]', '[2, 3, 4]\nkind = "ACC"'
+).replace('["gx", "gy", "gz"]', '[2, 3, 4]\nkind = "GYR"')
+
+
+def edited(change: Callable[[list[str]], list[str]]) -> bytes:
+    return joined(change(plain()))
+
+
+def insert(at: int, *lines: str) -> Callable[[list[str]], list[str]]:
+    return lambda all_: [*all_[:at], *lines, *all_[at:]]
+
+
+CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
+    "sound": (joined(plain()), MAP, 0, ["~ Acc: feels 0.9998 g at rest", "~ Gyro: reads 0.5"]),
+    "m/s2 and rad/s as g and dps": (
+        units_taken_for_others(),
+        MAP.replace("4096", "2048")
+        .replace("range = 8", "range = 16")
+        .replace("range = ", 'values = "physical"\nrange = '),
+        0,
+        [
+            "? Acc: feels 9.8",
+            "the columns may be in m/s2 that were taken for g",
+            "? Gyro: turns 0.0164 times as fast as gravity does in the accelerometers: the columns may be in rad/s",
+        ],
+    ),
+    "rad/s as dps, of a coarse gyroscope": (
+        units_taken_for_others(),
+        si_units().replace('"rad/s"', '"dps"\nrange = 2000\nsensitivity = 16.4\nvalues = "physical"'),
+        0,
+        ["Gyro xyz: its values change by", "are rounded away: 16.4 counts per dps are too few, or the unit is another"],
+    ),
+    "m/s2 and rad/s, said so": (
+        units_taken_for_others(),
+        si_units(),
+        0,
+        [
+            "~ Acc: feels 0.9998 g at rest",
+            "Acc: 4096 counts per g, range 2 g, as the grid of its values says",
+            "Gyro: 131 counts per dps",
+        ],
+    ),
+    "mg as g": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) / [4.096, 4.096, 4.096, 1, 1, 1])]),
+        MAP.replace('unit = "g"\nrange = 8\nsensitivity = 4096', 'unit = "g"'),
+        0,
+        ["g at rest, where 1 g is there: the columns may be in mg that were taken for g"],
+    ),
+    "another range's sensitivity": (
+        joined(plain()),
+        MAP.replace("4096", "16384").replace("range = 8", "range = 2"),
+        0,
+        ["? Acc: feels 0.25 g at rest, where 1 g is there", "the counts per g 4 times too large"],
+    ),
+    "milliseconds as seconds": (
+        joined([HEAD, *lines_of(walk().time_s * 1000, counts_of(walk()), "{:d}")]),
+        MAP,
+        0,
+        ["0.1 rows a second: the unit of time may be a thousand times smaller"],
+    ),
+    "an axis that is not connected": (
+        edited(lambda lines: [lines[0], *(re.sub(r"^(.*?,.*?),.*?,", r"\1,0,", line) for line in lines[1:])]),
+        MAP,
+        0,
+        ["? Acc: y is always 0"],
+    ),
+    "a column named twice": (
+        joined(plain()),
+        MAP + GYRO.replace("Gyro", "Gyro2"),
+        0,
+        ["? Gyro2: has the readings of Gyro: are its columns named twice?"],
+    ),
+    "clipping at the range": (clipped(8.0), MAP, 0, ["Acc (", "clips at -32768 (-8 g) and 32767 (8 g)"]),
+    "clipping below the range": (
+        clipped(4.0),
+        MAP,
+        0,
+        ["xyz clips at -16384 (-4 g) and 16384 (4 g); flagged as saturated"],
+    ),
+    "bursts": (bursts(), MAP, 0, ["rows arrive in bursts", "The true rate is 1", "stamps = 'arrival'"]),
+    "bursts, counted out": (
+        bursts(),
+        MAP.replace('unit = "s"', 'unit = "s"\nstamps = "arrival"', 1),
+        0,
+        ["Acc: times counted out at 10", "rows arrived up to"],
+    ),
+    "stalls": (stalls(), MAP, 0, ["rows stall for 2.51 s after every 50 rows"]),
+    "unsigned codes": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) + 32768, "{:d}")]),
+        MAP,
+        2,
+        ["allowed are -32768 to 32767; of unsigned codes the map says their offset, or how many bits"],
+    ),
+    "unsigned codes with their offset": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) + 32768, "{:d}")]),
+        MAP.replace("range", "offset = 32768\nrange"),
+        0,
+        ["~ Acc: feels 0.9998 g at rest"],
+    ),
+    "two's complement read as unsigned": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) % 65536, "{:d}")]),
+        MAP.replace("range", "bits = 16\nrange"),
+        0,
+        ["~ Acc: feels 0.9998 g at rest"],
+    ),
+    "12 bits with an offset that nobody says": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) // 16 + 2048, "{:d}")]),
+        MAP.replace("4096", "256").replace("131", "8.1875"),
+        0,
+        ["all codes are positive on every axis: are they unsigned, with an offset?"],
+    ),
+    "separators at the ends of lines": (
+        edited(lambda lines: [lines[0], *(line + "," for line in lines[1:])]),
+        MAP,
+        0,
+        ["2000 rows each"],
+    ),
+    "a header that comes again": (
+        edited(lambda lines: insert(1200, HEAD)(insert(700, HEAD)(lines))),
+        MAP,
+        0,
+        ["2000 rows each", "2 lines that repeat the header left out"],
+    ),
+    "NUL bytes of a power cut": (
+        edited(insert(900, "\0" * 512 + "9.01,1,2")),
+        MAP,
+        0,
+        ["2000 rows each", "1 line with NUL bytes left out"],
+    ),
+    "a last line that is cut off": (
+        joined(plain())[:-12],
+        MAP,
+        0,
+        ["1999 rows each", "1 line at the end of the file left out"],
+    ),
+    "a last table of zeros": (
+        edited(lambda lines: [*lines, *["0,0,0,0,0,0,0"] * 300]),
+        MAP,
+        0,
+        ["2000 rows each", "300 rows of nothing but zeros, time too, left out: padding"],
+    ),
+    "decimal commas": (
+        joined(plain()).replace(b",", b";").replace(b".", b","),
+        '[file]\ndelimiter = ";"\n' + MAP,
+        2,
+        ["; of decimal commas the map says decimal = ','"],
+    ),
+    "decimal commas, said so": (
+        joined(plain()).replace(b",", b";").replace(b".", b","),
+        '[file]\ndelimiter = ";"\ndecimal = ","\n' + MAP,
+        0,
+        ["2000 rows each"],
+    ),
+    "a header that no column is named by": (
+        joined(plain()),
+        INDEXED,
+        2,
+        ["'t' is no number; of a header the map names the columns, or says skip_rows = 1"],
+    ),
+    "another delimiter": (joined(plain()).replace(b",", b"\t"), INDEXED, 2, ["; do they have another delimiter?"]),
+    "UTF-16 of a Windows shell": ("\n".join(plain()).encode("utf-16"), MAP, 0, ["2000 rows each"]),
+    "a clock of milliseconds": (
+        joined([HEAD, *lines_of(np.floor(walk().time_s * 50) / 50, counts_of(walk()), "{:d}")]),
+        MAP,
+        2,
+        ["0.000000 is not later than the row before", "; of a coarse clock the map says ties = true"],
+    ),
+    "a clock of milliseconds, said so": (
+        joined([HEAD, *lines_of(np.floor(walk().time_s * 50) / 50, counts_of(walk()), "{:d}")]),
+        MAP.replace('unit = "s"', 'unit = "s"\nties = true', 1),
+        0,
+        ["1000 rows with the time of the row before put 1 ns later"],
+    ),
+    "a counter that begins anew": (
+        with_counter(1 << 32),
+        MAP.replace('unit = "s"', 'unit = "us"\nwraps_at = 4294967296', 1),
+        0,
+        ["2000 rows each over 20.0 s", "the time column began anew 1 time"],
+    ),
+    "a counter that begins anew, and nobody says it": (
+        with_counter(1 << 32),
+        MAP.replace('unit = "s"', 'unit = "us"', 1),
+        2,
+        ["of a counter that begins anew the map says wraps_at"],
+    ),
+    "several tables of different rates": (several_tables(), KINDS, 0, ["2000 rows at most over 20.0 s"]),
+    "blank cells of a slower sensor": (wide_with_blanks(), MAP, 0, ["Acc: no reading in 1500 of 2000 rows"]),
+    "gravity taken out": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()._replace(force_g=walk().force_g * 0.05)), "{:d}")]),
+        MAP,
+        0,
+        ["? Acc: feels 0.0", "gravity may have been taken out (linear acceleration), or the unit is another"],
+    ),
+    "exchanged signs": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) * [1, 1, 1, -1, -1, -1], "{:d}")]),
+        MAP,
+        0,
+        ["? Gyro: turns against the accelerometers: axes of one of them are mirrored or exchanged"],
+    ),
+    "only even codes": (
+        joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) // 2 * 2, "{:d}")]),
+        MAP,
+        0,
+        ["~ Acc, Gyro: only even codes"],
+    ),
+}
+
+
+SLOW = (
+    "rad/s as dps, of a coarse gyroscope",
+    "mg as g",
+    "milliseconds as seconds",
+    "a column named twice",
+    "bursts",
+    "unsigned codes with their offset",
+    "two's complement read as unsigned",
+    "12 bits with an offset that nobody says",
+    "separators at the ends of lines",
+    "a last line that is cut off",
+    "decimal commas, said so",
+    "UTF-16 of a Windows shell",
+    "a clock of milliseconds, said so",
+    "gravity taken out",
+    "only even codes",
+)
+"""Of the slow half, so that the quick one stays quick."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in CASES]
+)
+def test_what_is_said(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, table_map, code, said = CASES[name]
+    (tmp_path / "data.csv").write_bytes(data)
+    (tmp_path / "map.toml").write_text(table_map, encoding="utf-8")
+    arguments = [str(tmp_path / "data.csv"), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "run.h5")]
+    assert main(["import", *arguments]) == code
+    captured = capsys.readouterr()
+    text = " ".join((captured.out + captured.err).split())
+    for sentence in said:
+        assert sentence in text, text
+    if name == "sound":
+        assert "?" not in text
+    assert (tmp_path / "run.h5").exists() == (code == 0)
+
+
+def test_there_are_twenty_at_least() -> None:
+    assert len(CASES) >= 20
