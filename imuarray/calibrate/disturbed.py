@@ -89,7 +89,7 @@ def moved_within(readings: PoseReadings) -> dict[int, str]:
     }
 
 
-def chance_of_misfit(with_it: float, without: float, number: int, freedom: int) -> float:
+def chance_of_misfit(with_it: float, without: float, number: int, freedom: float) -> float:
     """Probability that `number` readings fit as badly by chance: the F test of a mean shift.
 
     `with_it` and `without` are the sums of weighted squares of a fit with them and one without, which has `freedom`

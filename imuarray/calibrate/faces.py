@@ -154,6 +154,7 @@ def accelerometer_of(sensor: SensorLog, fit: TriadFit) -> SensorCalibration:
         bias_covariance_lsb2=fit.bias_covariance_lsb2,
         response_lsb_per_unit=fit.coefficients[:, :3],
         response_sem_lsb_per_unit=fit.response_sem.max(axis=1),
+        response_covariance_lsb2_per_unit2=fit.response_covariance,
     )
 
 

@@ -50,7 +50,11 @@ _SHORT = 80
 GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "bias": ("bias_sem_lsb", "bias_lsb", "bias_covariance_lsb2", "temperature_degc"),
-        "response": ("response_sem_lsb_per_unit", "response_lsb_per_unit"),
+        "response": (
+            "response_sem_lsb_per_unit",
+            "response_lsb_per_unit",
+            "response_covariance_lsb2_per_unit2",
+        ),
         "g_sensitivity": ("g_sensitivity_lsb_per_g", "g_sensitivity_sem_lsb_per_g"),
         "noise": ("noise_lsb", "noise_sem_lsb", "noise_correlation", "noise_lines"),
         "drift": ("drift",),
@@ -69,7 +73,8 @@ class SensorCalibration:
     Shapes: `bias_lsb`, `bias_sem_lsb`, `response_sem_lsb_per_unit` (one figure per sensor axis), `noise_lsb` (standard
     deviation of single readings), its standard error and `noise_correlation` (of one reading with the next) (3,);
     `response_lsb_per_unit`, `g_sensitivity_lsb_per_g` and its standard errors (3, 3), rows sensor axes, columns box
-    axes; `bias_covariance_lsb2` (3, 3) over the sensor axes. `noise_lines` are periodic parts of `noise_lsb`.
+    axes; `bias_covariance_lsb2` (3, 3) over the sensor axes; `response_covariance_lsb2_per_unit2` (9, 9) over the
+    entries of the response row by row. `noise_lines` are periodic parts of `noise_lsb`.
     `temperature_degc` is that of the bias. `provenance` says by group (`GROUPS`) where figures came from.
     """
 
@@ -86,6 +91,7 @@ class SensorCalibration:
     range: float | None = None
     """The measuring range, in `unit`, at which this holds."""
     bias_covariance_lsb2: Floats | None = None
+    response_covariance_lsb2_per_unit2: Floats | None = None
     g_sensitivity_sem_lsb_per_g: Floats | None = None
     thermal: Thermal | None = None
     turn_on: TurnOn | None = None
@@ -132,6 +138,16 @@ class SensorCalibration:
         """Specific force (m/s2) or angular rate (rad/s) in the box frame (n, 3) from counts (n, 3)."""
         inverse = np.linalg.inv(self.response_lsb_per_unit) * SI_PER_UNIT[self.unit]
         return np.asarray((np.asarray(counts, float) - self.bias_lsb) @ inverse.T)
+
+    def response_covariance(self) -> Floats | None:
+        """(9, 9) covariance of the response's entries, row by row; None if the response was not measured. Where a file
+        has standard errors of the axes alone, each entry is taken to have that of its axis, independent of the others.
+        """
+        if self.response_sem_lsb_per_unit is None:
+            return None
+        if self.response_covariance_lsb2_per_unit2 is not None:
+            return self.response_covariance_lsb2_per_unit2
+        return np.diag(np.repeat(self.response_sem_lsb_per_unit**2, 3))
 
     def bias_in_units(self) -> Floats:
         """(3,) bias in the sensor's unit (g or dps), along its own axes."""

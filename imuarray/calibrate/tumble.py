@@ -182,10 +182,13 @@ def _at_rest(
 
 
 def _with_turns(known: SensorCalibration, turned: TurnFit) -> SensorCalibration:
-    """The response from turns, if they tell all of it."""
-    if turned.untold:
-        return known
-    return replace(known, response_lsb_per_unit=turned.response, response_sem_lsb_per_unit=turned.sem.max(axis=1))
+    """The response from turns, and from the data sheet's tolerance where they tell less than that."""
+    return replace(
+        known,
+        response_lsb_per_unit=turned.response,
+        response_sem_lsb_per_unit=turned.sem.max(axis=1),
+        response_covariance_lsb2_per_unit2=turned.covariance,
+    )
 
 
 def _force_g(known: SensorCalibration, mean_lsb: Floats) -> Floats:

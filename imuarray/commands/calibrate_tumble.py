@@ -144,7 +144,8 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
         for index, axis in enumerate("xyz"):
             cells = [f"{a:10.3f} +-{b:6.3f}" for a, b in zip(response[index], sem[index], strict=True)]
             click.echo(f"{row['name'] + ' ' + axis:14} {' '.join(cells)}")
-        told = f"; not told, so the data sheet stays: turns about box {', '.join(turns['untold'])} are wanted"
+        axes = ", ".join(turns["untold"])
+        told = f"; rates about box {axes} within the data sheet's tolerance only: turns about box {axes} are wanted"
         click.echo(
             f"{'':14} {turns['used']} turns, missed by {turns['residual_deg']:.2f} deg rms"
             f"{told if turns['untold'] else ''}"

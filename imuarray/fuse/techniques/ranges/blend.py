@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Flags, Floats, Frames, entries
-from imuarray.fuse.solve import frame_gains, solve_frames, weighted
+from imuarray.fuse.solve import SlowErrors, frame_gains, solve_frames, weighted
 from imuarray.fuse.techniques.ranges.fading import Fading, widest
 from imuarray.fuse.techniques.ranges.moments import GAP_S, Rows
 from imuarray.fuse.techniques.ranges.relative import States, Tracker
@@ -36,7 +36,7 @@ class RangeBlend:
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         """FusionError where the noise of an axis is not known."""
-        self._rows, self._noise = directions(axes), known_noise_of(axes)
+        self._rows, self._noise, self._slow = directions(axes), known_noise_of(axes), SlowErrors(axes)
         self._weights = range_weights(axes)
         self._fading = Fading(axes) if changes(axes) else None
         self.tracker = Tracker(axes, self._weights, self._noise)
@@ -48,7 +48,7 @@ class RangeBlend:
     def __call__(self, frames: Frames) -> Estimate:
         """The estimate of the next block."""
         if self._fading is None:
-            return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise)
+            return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise, self._slow)
         wide = self._weights * ~self._fading.fades.repeat(3) * frames.valid
         share = self._fading(frames, solve_frames(frames.values, wide, self._rows) @ self._rows.T)
         weights = self._weights * share * frames.valid
@@ -59,7 +59,7 @@ class RangeBlend:
         first = solve_frames(level, weights, self._rows)
         slope = self._slope(frames.time, first)
         level += delay / (1 + scale) * (slope @ self._rows.T)
-        estimate = weighted(level, weights, self._rows, self._noise)
+        estimate = weighted(level, weights, self._rows, self._noise, self._slow)
         extra = self._uncertainty(states, weights, frames.valid, share, estimate.triad_box, slope)
         return replace(estimate, covariance_box=estimate.covariance_box + extra)
 
