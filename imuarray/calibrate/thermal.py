@@ -105,7 +105,9 @@ def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
 
 
 def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | None], segment_s: float) -> list[Heating]:
-    """The sensor in every log, all about the mean temperature of the first."""
+    """The sensor in every log, all about the middle of the first one's temperatures: a parabola's slope there is the
+    mean one over them, wherever the box spent most of its time.
+    """
     found: list[Heating] = []
     for log, up in zip(logs, ups, strict=True):
         here = log[sensor.name]
@@ -116,7 +118,11 @@ def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | Non
             raise CalibrationError(f"{here.where}: no thermometer: no barometer, no reference, and none in the chips")
         if found and thermometer.kind != found[0].thermometer:
             raise CalibrationError(f"{here.where}: another thermometer than in {sensor.where}")
-        reference = found[0].fit.reference_degc if found else round(float(thermometer.degc.mean()), 2)
+        reference = (
+            found[0].fit.reference_degc
+            if found
+            else round(float(thermometer.degc.min() + thermometer.degc.max()) / 2, 2)
+        )
         found.append(_heating(here, log, up, thermometer, reference, segment_s))
     return found
 
@@ -146,16 +152,15 @@ def _heating(
 
 def _combined(sensor: SensorLog, heatings: Sequence[Heating]) -> SensorCalibration:
     """One sensor's slopes from all its heatings; the lag of the one that knows it best."""
-    slopes, sems, curves, gravity = (
-        np.array(values)
-        for values in zip(
-            *(
-                (h.fit.slope_lsb_per_degc, h.fit.slope_sem_lsb_per_degc, h.fit.quadratic_lsb_per_degc2, h.gravity_g)
-                for h in heatings
-            ),
-            strict=True,
-        )
+    slopes, sems = (
+        np.array([getattr(h.fit, f"slope_{name}") for h in heatings]) for name in ("lsb_per_degc", "sem_lsb_per_degc")
     )
+    curves, curve_sems = (
+        np.array([getattr(h.fit, f"quadratic_{name}") for h in heatings])
+        for name in ("lsb_per_degc2", "sem_lsb_per_degc2")
+    )
+    curve_sem = np.sqrt(np.sum(curve_sems**2, axis=0)) / len(heatings)
+    gravity = np.array([heating.gravity_g for heating in heatings])
     feels = sensor.quantity == "specific_force"
     axes = [_axis(slopes[:, k], sems[:, k], gravity[:, k] * feels, sensor.sensitivity) for k in range(3)]
     bias, bias_sem, scale, scale_sem = np.array([values for values, _ in axes]).T
@@ -171,6 +176,7 @@ def _combined(sensor: SensorLog, heatings: Sequence[Heating]) -> SensorCalibrati
         quadratic_lsb_per_degc2=np.mean(curves, axis=0) if curves.any() else None,
         scale_slope_per_degc=scale if np.isfinite(scale).any() else None,
         scale_slope_sem_per_degc=scale_sem if np.isfinite(scale).any() else None,
+        quadratic_sem_lsb_per_degc2=curve_sem if np.isfinite(curve_sem).all() else None,
     )
     return replace(nominal(sensor), thermal=thermal)
 

@@ -77,6 +77,7 @@ thermals = st.builds(
     quadratic_lsb_per_degc2=st.none() | triples(numbers),
     scale_slope_per_degc=st.none() | unknown_or_positive,
     scale_slope_sem_per_degc=st.none() | unknown_or_positive,
+    quadratic_sem_lsb_per_degc2=st.none() | triples(positive),
 )
 states = st.builds(
     BiasState, bias_lsb=triples(numbers), share=st.floats(0, 1), runs=st.lists(counts, max_size=4).map(tuple)
