@@ -32,6 +32,7 @@ from imuarray.calibrate.stability import Drift, NoiseLine, Provenance, Thermal, 
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
+from imuarray.spelling import guess
 from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
@@ -45,7 +46,6 @@ _LIST = re.compile(r'\[\n\s+((?:(?:[-+.\w]+|"[^"\\\n]*"),\s+)*(?:[-+.\w]+|"[^"\\
 """A list of numbers or plain texts as tomli_w writes it, a line each. No text holds a line's end: TOML escapes it."""
 
 _SHORT = 80
-
 
 GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -90,6 +90,8 @@ class SensorCalibration:
     temperature_degc: float | None = None
     range: float | None = None
     """The measuring range, in `unit`, at which this holds."""
+    chip: str | None = None
+    """The chip that this holds for, as its log has it."""
     bias_covariance_lsb2: Floats | None = None
     response_covariance_lsb2_per_unit2: Floats | None = None
     g_sensitivity_sem_lsb_per_g: Floats | None = None
@@ -184,8 +186,19 @@ class Calibration:
         return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
 
     def of(self, sensor: Described) -> SensorCalibration:
-        """What is known of `sensor`: the calibration if there is one, else the data sheet. CalibrationError if it
-        does not fit.
+        """What was calibrated of `sensor`. CalibrationError if that does not fit it, or if other sensors were
+        calibrated and not this one; a calibration of nothing gives the data sheet's values.
+        """
+        if self.sensors and sensor.name not in self.sensors:
+            raise CalibrationError(
+                f"{sensor.where}: not calibrated; the calibration knows {', '.join(self.sensors)}"
+                f"{guess(sensor.name, self.sensors)}"
+            )
+        return self.or_nominal(sensor)
+
+    def or_nominal(self, sensor: Described) -> SensorCalibration:
+        """What was calibrated of `sensor`, else what the data sheet says: no bias, the configured axes.
+        CalibrationError if the calibration does not fit it.
         """
         known = self.sensors.get(sensor.name)
         if known is None:
@@ -198,6 +211,8 @@ class Calibration:
             raise CalibrationError(
                 f"{sensor.where}: calibrated at a range of {known.range:g} {known.unit}, logged at {sensor.range:g}"
             )
+        if known.chip not in (None, sensor.chip):
+            raise CalibrationError(f"{sensor.where}: calibrated as chip {known.chip}, logged as {sensor.chip}")
         ratio = known.scale_lsb_per_unit / (sensor.sensitivity or np.nan)
         if (np.abs(np.log2(ratio)) > 1).any():  # no chip is off by a factor of two; another range is
             raise CalibrationError(
@@ -232,6 +247,7 @@ def nominal(sensor: Described) -> SensorCalibration:
         bias_lsb=np.zeros(3),
         response_lsb_per_unit=sensor.sensitivity * np.asarray(sensor.orientation, float).T,
         range=sensor.range,
+        chip=sensor.chip or None,
     )
 
 
@@ -253,6 +269,7 @@ def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibrat
         newer,
         **kept,
         range=older.range if newer.range is None else newer.range,
+        chip=older.chip if newer.chip is None else newer.chip,
         provenance={group: origin for group, origin in origins.items() if origin is not None},
     )
 

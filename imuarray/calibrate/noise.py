@@ -59,7 +59,9 @@ def with_noise_of(log: Log, calibration: Calibration) -> Calibration:
     """The calibration, with the noise that the log itself shows at rest for the sensors of which it knows none.
     CalibrationError if the log shows none.
     """
-    known = {sensor.name: calibration.of(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL}
+    known = {
+        sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL
+    }
     lacking = [name for name, sensor in known.items() if sensor.noise_lsb is None]
     if not lacking:
         return calibration

@@ -96,6 +96,7 @@ _SENSOR: Mapping[str, Reader] = {
     "drift": table(Drift, DRIFT),
     "temperature_degc": number(),
     "range": number(),
+    "chip": text(),
     "thermal": table(Thermal, THERMAL),
     "turn_on": table(TurnOn, TURN_ON),
     "provenance": named_tables(Provenance, PROVENANCE, tuple(GROUPS)),

@@ -73,7 +73,7 @@ def with_noise(log: Log, calibration: Calibration, technique: str | None) -> Cal
     from imuarray.calibrate.noise import with_noise_of
     from imuarray.fuse import NEEDS_NOISE
 
-    known = {sensor.name: calibration.of(sensor) for sensor in inertial(log)}
+    known = {sensor.name: calibration.or_nominal(sensor) for sensor in inertial(log)}
     needless = technique is not None and technique not in NEEDS_NOISE
     if needless or all(sensor.noise_lsb is not None for sensor in known.values()):
         return calibration

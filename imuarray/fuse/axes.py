@@ -65,7 +65,7 @@ def axes_of(sensors: Sequence[Described], calibration: Calibration) -> list[Axis
     """Every axis of `sensors`, in order."""
     axes = []
     for sensor in sensors:
-        known = calibration.of(sensor)
+        known = calibration.or_nominal(sensor)
         x_m, y_m, z_m = (1e-3 * float(part) for part in sensor.position_mm)
         errors = _errors_of(known)
         for index, direction in enumerate(known.directions_box):

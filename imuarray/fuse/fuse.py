@@ -147,6 +147,12 @@ class _Array(Generic[_Sensor]):
         self.groups: dict[str, list[_Sensor]] = groups
         self.calibration, self.technique, self.watch = calibration, technique, watch
         self.inertial: list[_Sensor] = [sensor for sensors in groups.values() for sensor in sensors]
+        names = [sensor.name for sensor in self.inertial]
+        if calibration.sensors and not any(name in calibration.sensors for name in names):
+            raise FusionError(
+                f"the calibration knows {', '.join(calibration.sensors)}, and none of those to be fused:"
+                f" {', '.join(names)}"
+            )
         self.is_optimal = technique == OPTIMAL
 
     @property

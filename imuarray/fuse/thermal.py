@@ -19,7 +19,7 @@ _OF_THE_BOX = ("barometer", "reference")
 
 def slopes_of(calibration: Calibration, sensor: Described) -> Thermal | None:
     """The slopes of a sensor's bias; None where none were measured, or none of its axes is known to be one of bias."""
-    thermal = calibration.of(sensor).thermal
+    thermal = calibration.or_nominal(sensor).thermal
     return thermal if thermal is not None and BIAS in thermal.meaning else None
 
 

@@ -90,7 +90,7 @@ def error_model(
     covariances: dict[str, Floats] = {}
     responses: dict[str, Floats] = {}
     for sensor in sensors:
-        known, told = calibration.of(sensor), watched is None or sensor.name in watched
+        known, told = calibration.or_nominal(sensor), watched is None or sensor.name in watched
         usual = USUAL[sensor.quantity]
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
         timing_s = _AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S
