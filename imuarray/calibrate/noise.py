@@ -11,6 +11,7 @@ import numpy as np
 
 from imuarray.calibrate.drift import LEAST_SEGMENTS, MOST_SEGMENTS, fit_drift
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
+from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.poses import Pose, find_poses
 from imuarray.calibrate.scatter import scatter_of
 from imuarray.calibrate.segments import Segments, segment_means, thermometer_of
@@ -71,7 +72,11 @@ def with_noise_of(log: Log, calibration: Calibration) -> Calibration:
 
 def _still_stretches(log: Log) -> list[Pose]:
     named = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name in _STILL_PHASES]
-    return named or find_poses(log)
+    poses = named or find_poses(log)
+    refuse_motion(
+        log, [(f"phase {p.phase.name!r}" if named else p.phase.name, p.phase.start_ns, p.phase.end_ns) for p in poses]
+    )
+    return poses
 
 
 def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float) -> SensorCalibration:

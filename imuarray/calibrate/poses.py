@@ -160,7 +160,7 @@ def _rests(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> lis
             f"{sensors[0].where}: {(end - begin) * 1e-9:.1f} s of data, too short to hold several poses"
         )
     starts_ns = begin + width_ns * np.arange(count)
-    mean, std = _windows(sensors, begin, count, width_ns)
+    mean, std = windows_of(sensors, begin, count, width_ns)
     # Most logs are still for a good part of the time: the quiet quarter of the windows shows the noise at rest.
     known = np.isfinite(std)
     still = known & (std <= 2.5 * np.quantile(std[known], 0.25)) if known.any() else known
@@ -195,7 +195,7 @@ def _turning(
     """
     if not gyroscopes or not still.any():
         return np.zeros(len(starts_ns), bool)
-    mean_dps, std_dps = _windows(gyroscopes, int(starts_ns[0]), len(starts_ns), width_ns)
+    mean_dps, std_dps = windows_of(gyroscopes, int(starts_ns[0]), len(starts_ns), width_ns)
     usual = np.median(mean_dps[still], axis=0)
     rows = max(1.0, width_ns * 1e-9 * min(len(sensor) / _length_s(sensor) for sensor in gyroscopes))
     noise = float(np.median(std_dps[still])) / np.sqrt(rows)
@@ -207,9 +207,11 @@ def _length_s(sensor: SensorLog) -> float:
     return max((int(sensor.time[len(sensor) - 1]) - int(sensor.time[0])) * 1e-9, 1e-9)
 
 
-def _windows(sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int) -> tuple[Floats, Floats]:
+def windows_of(
+    sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int, flags: int = 0
+) -> tuple[Floats, Floats]:
     """Mean (w, 3) and largest standard deviation (w,) of every window from `begin` (ns), in the sensors' unit, averaged
-    over the sensors.
+    over the sensors; infinite scatter where nothing was read. Rows with one of `flags` don't count.
 
     Each sensor's axes are turned into the box frame first, so that what moves is the box and not one chip.
     """
@@ -219,6 +221,8 @@ def _windows(sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int
         for block in sensor.blocks():
             window = (np.asarray(sensor.time[block]) - begin) // width_ns
             inside = (window >= 0) & (window < count)
+            if flags:
+                inside &= (np.asarray(sensor.status[block]) & flags) == 0
             value = np.asarray(sensor.counts[block], float)[inside] / sensor.sensitivity @ sensor.orientation.T
             np.add.at(sums, window[inside], value)
             np.add.at(squares, window[inside], value**2)
