@@ -43,7 +43,7 @@ class LeftOut:
 
 def left_out_of(pose: Pose, reason: str) -> LeftOut:
     """The note of a pose that is not used."""
-    return LeftOut(pose.phase.name, "" if pose.log is None else str(pose.log.path), reason)
+    return LeftOut(pose.label, "" if pose.log is None else str(pose.log.path), reason)
 
 
 def another_go(poses: Sequence[Pose]) -> dict[int, str]:

@@ -7,7 +7,7 @@ agree. In a log without accelerometers its gyroscopes tell, or else its magnetom
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -78,6 +78,16 @@ class Pose:
         return here, here.between(self.phase.start_ns, self.phase.end_ns)
 
     @property
+    def label(self) -> str:
+        """Its phase, and what was up if the name does not say that."""
+        name = self.phase.name
+        return name if not self.phase.up or face_up(name) else f"{name} ({self.phase.up})"
+
+    def where(self, sensor: SensorLog) -> str:
+        """The sensor in the log that the pose is in, for messages."""
+        return self.rows_of(sensor)[0].where
+
+    @property
     def is_check(self) -> bool:
         """A face that was read again to see the drift; it is not part of a fit."""
         return self.phase.name.endswith("_check")
@@ -96,9 +106,26 @@ class Reading:
     change_lsb: Floats
 
 
+_NOT_AT_REST = ("motion", "heat", "cool")
+"""Phases in which the box moves, or biases do: no faces, though they may say what was up."""
+
+
+def noted_faces(logs: Sequence[Log]) -> list[Pose]:
+    """The faces of several logs: the poses that their phases name; if none does, those whose phases say which axis was
+    up, whatever they are called. CalibrationError for an `up` that names no axis.
+    """
+    named = [pose for log in logs for pose in named_faces(log)]
+    return named or [pose for log in logs for pose in _faces(log, lambda phase: phase.name not in _NOT_AT_REST)]
+
+
 def named_faces(log: Log) -> list[Pose]:
     """The poses that the log's own phases name, in file order; CalibrationError for an `up` that names no axis."""
-    faces = [phase for phase in log.phases if phase.up and face_up(phase.name)]
+    return _faces(log, lambda phase: bool(face_up(phase.name)))
+
+
+def _faces(log: Log, is_face: Callable[[Phase], bool]) -> list[Pose]:
+    """Phases that are faces and say what was up."""
+    faces = [phase for phase in log.phases if phase.up and is_face(phase)]
     for phase in faces:
         if phase.up not in UP_AXES:
             raise CalibrationError(

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.axes import UP_AXES, face_up
 from imuarray.calibrate.disturbed import LeftOut
-from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces
+from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces, tell_all
 from imuarray.calibrate.fits import TriadFit
 from imuarray.calibrate.g_sensitivity import fit_g_sensitivity
 from imuarray.calibrate.gravity import fit_gravity
 from imuarray.calibrate.model import Calibration, SensorCalibration
-from imuarray.calibrate.poses import Pose, find_poses, named_faces
+from imuarray.calibrate.poses import Pose, find_poses, noted_faces
 from imuarray.calibrate.readings import read_poses
 from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
@@ -23,6 +24,10 @@ from imuarray.log import Log, SensorLog
 from imuarray.units import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
+
+
+UNSURE_G = 0.01
+"""A bias whose standard error is larger is warned of: a table tells it ten times better."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,8 @@ class Tumble:
     fits: Mapping[str, TriadFit] = field(default_factory=lambda: MappingProxyType({}))
     turns: Mapping[str, TurnFit] = field(default_factory=lambda: MappingProxyType({}))
     left_out: tuple[LeftOut, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """Sentences on what the poses tell badly."""
 
 
 @dataclass(frozen=True)
@@ -75,16 +82,18 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
     """Bias and response of the accelerometers, bias, g-sensitivity and (from turns) response of the gyroscopes: from
     one log or from several of the same array (a log a face, say).
 
-    With named faces by Appendix B; without, from at least nine static poses that are found in the logs. `progress`
-    hears what is being done, and how much of it is done. CalibrationError says what is missing or which face does not
-    fit.
+    With faces that phases name, or of which they say what was up, by Appendix B; without, from at least nine static
+    poses that are found in the logs. `progress` hears what is being done, and how much of it is done. CalibrationError
+    says what is missing or which face does not fit.
     """
     first = logs[0]
     accelerometers, gyroscopes = first.of("specific_force"), first.of("angular_rate")
     if not accelerometers:
         raise CalibrationError(f"{first.path}: no accelerometer in it; tumble needs gravity")
-    named = [pose for log in logs for pose in named_faces(log)]
-    faces = sound_faces(accelerometers, named) if named else None
+    noted = noted_faces(logs)
+    if noted and not face_up(noted[0].phase.name) and not tell_all(noted):
+        noted = []  # a few phases that say what was up, in logs of any poses
+    faces = sound_faces(accelerometers, noted) if noted else None
     reference = _by_gravity(accelerometers, logs, progress) if faces is None else _by_faces(accelerometers, faces)
     known, fits, drift = dict(reference.known), dict(reference.fits), dict(reference.drift_lsb)
     turns: dict[str, TurnFit] = {}
@@ -112,7 +121,32 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
         fits,
         turns,
         reference.left_out,
+        tuple(_warnings(accelerometers, known, reference, faces)),
     )
+
+
+def _warnings(
+    accelerometers: Sequence[SensorLog],
+    known: Mapping[str, SensorCalibration],
+    reference: _Reference,
+    faces: Faces | None,
+) -> Iterator[str]:
+    """What a user must know before he believes the calibration."""
+    if faces is not None:
+        ups = {pose.phase.up for pose in faces.fitted}
+        if missing := [up for up in UP_AXES if up not in ups]:
+            yield (
+                f"no face with {', '.join(missing)} up: nothing checks the opposite one, and an error of it is one of"
+                " bias and scale factor; read all six"
+            )
+    for sensor in accelerometers:
+        sem = known[sensor.name].bias_sem_lsb
+        worst = None if sem is None else int((sem / sensor.sensitivity).argmax())
+        if sem is not None and worst is not None and sem[worst] > UNSURE_G * sensor.sensitivity:
+            yield (
+                f"{sensor.name} {'xyz'[worst]}: bias within +- {1e3 * sem[worst] / sensor.sensitivity:.3g} mg only:"
+                " poses disagree with each other; was the box still, and as noted?"
+            )
 
 
 def _by_gravity(
@@ -130,7 +164,7 @@ def _by_gravity(
         dict(zip(names, fit.calibrations, strict=True)),
         dict(zip(names, fit.fits, strict=True)),
         dict(zip(names, fit.drift_lsb, strict=True)),
-        tuple(pose.phase.name for pose in fit.poses),
+        tuple(pose.label for pose in fit.poses),
         dict(zip(names, fit.force_g - 1, strict=True)),
         dict(zip(names, fit.force_apart_g - 1, strict=True)),
         fit.left_out,
@@ -159,7 +193,7 @@ def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
         known,
         fits,
         {name: drift for name, (_, drift) in found.items()},
-        tuple(everything[place].phase.name for place in fitted),
+        tuple(everything[place].label for place in fitted),
         {s.name: np.linalg.norm(force[fitted], axis=1) - 1 for s, force in zip(accelerometers, forces, strict=True)},
         {sensor.name: faces_apart(sensor, faces.fitted) for sensor in accelerometers},
         faces.left_out,

@@ -33,6 +33,7 @@ def report_of(log: Log, result: Tumble) -> dict[str, Any]:
             for name, residual in result.pose_residual_g.items()
         },
         "left_out": [vars(each) for each in result.left_out],
+        "warnings": list(result.warnings),
         "sensors": [_sensor(sensor, result) for sensor in inertial],
         "cancellation": [vars(pair) for pair in cancellation(inertial, result.calibration)],
     }
@@ -95,9 +96,13 @@ def print_report(report: dict[str, Any]) -> None:
     _print_g_sensitivity([row for row in report["sensors"] if "g_sensitivity_lsb_per_g" in row], report["method"])
     _print_turns([row for row in report["sensors"] if "turns" in row])
     _print_residuals(report)
+    several = len({each["log"] for each in report["left_out"]}) > 1
     for each in report["left_out"]:
-        click.echo(printable(f"left out: {each['phase']}: {each['reason']}"))
+        of = f" of {each['log']}" if several else ""
+        click.echo(printable(f"left out: {each['phase']}{of}: {each['reason']}"))
     _print_cancellation(report["cancellation"])
+    for sentence in report["warnings"]:
+        click.echo(printable(f"warning: {sentence}"))
 
 
 def _print_axes(rows: Sequence[dict[str, Any]]) -> None:
@@ -179,7 +184,7 @@ def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
     click.echo("bias in the box frame: axes of one design that point along, those against, and both ways averaged")
     for pair in pairs:
         factor, unit = READABLE[pair["unit"]]
-        line = f"  {pair['chip']:10} {pair['box_axis']}:"
+        line = f"  {pair['chip']:10} {pair['quantity'].replace('_', ' '):14} {pair['box_axis']}:"
         for key in ("along", "against", "opposed"):
             line += f"  {key} {'none' if pair[key] is None else f'{factor * pair[key]:.2f}':>9}"
         click.echo(f"{line}  single rms {factor * pair['single_rms']:9.2f} {unit}")
