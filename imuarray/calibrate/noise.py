@@ -56,14 +56,14 @@ def calibrate_noise(
     return Calibration(found, tuple(str(log.path) for log in logs))
 
 
-def with_noise_of(log: Log, calibration: Calibration) -> Calibration:
-    """The calibration, with the noise that the log itself shows at rest for the sensors of which it knows none.
-    CalibrationError if the log shows none.
+def with_noise_of(log: Log, calibration: Calibration, names: Sequence[str] = ()) -> Calibration:
+    """The calibration, with the noise that the log itself shows at rest for the sensors (only `names`, if there are
+    any) of which it knows none. CalibrationError if the log shows none.
     """
     known = {
         sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL
     }
-    lacking = [name for name, sensor in known.items() if sensor.noise_lsb is None]
+    lacking = [name for name, each in known.items() if each.noise_lsb is None and (not names or name in names)]
     if not lacking:
         return calibration
     measured = calibrate_noise(log, known=calibration)

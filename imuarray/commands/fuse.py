@@ -20,7 +20,12 @@ if TYPE_CHECKING:
     from imuarray.fuse import Error, FaultEvent, FusedBlock, Told
     from imuarray.log import Log
 
-_NOTHING = "nothing on this array, it gives the mean (opposed: as many axes each way balance there already)"
+_NOTHING = {
+    "opposed": "nothing on this array: where a design's axes point both ways, as many do each way, and balance",
+    "planes": "nothing on this array: in-plane and out-of-plane axes of a design err too much alike",
+    "ranges": "nothing on this array: all its sensors of a quantity have one measuring range",
+}
+"""What to say of a technique that gives the mean."""
 _WORDS = {
     "rms": "rms error against the truth",
     "noise": "scatter from frame to frame",
@@ -97,7 +102,7 @@ def command(
         uncalibrated = without_calibration(log, calibration, names, calibration_file)
         calibration, starts, names = in_states_of(log, calibration, names)
         thermal = followed_by_temperature(log, calibration, names)
-        calibration = with_noise(log, calibration, None if evaluate else technique)
+        calibration = with_noise(log, calibration, None if evaluate else technique, names)
         work = _Work(log, calibration, technique, names, causal, watch)
         report: dict[str, Any] = {
             "technique": technique,
@@ -244,7 +249,7 @@ def _print_results(report: dict[str, Any]) -> None:
         click.echo(f"  {fault['sentence']}")
     if technique not in ("mean", "optimal"):
         changes = ", ".join(report["changes"])
-        click.echo(f"  {technique} changes {changes or _NOTHING}")
+        click.echo(f"  {technique} changes {changes or _NOTHING[technique]}")
     for line in pair_lines(report["pairs"], follows_temperature=bool(report["thermal"])):
         click.echo(f"  {line}")
     for quantity in report["results"]["mean"]:
