@@ -18,6 +18,8 @@ from imuarray.calibrate.gravity import fit_gravity
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.calibrate.poses import Pose, find_poses, noted_faces
 from imuarray.calibrate.readings import read_poses
+from imuarray.calibrate.segments import Thermometer, thermometer_of
+from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
@@ -246,13 +248,18 @@ def _rms(values: Floats) -> float:
 
 
 def _temperature(log: Log, poses: Sequence[Pose]) -> float | None:
-    """Mean temperature over the poses in degC, from an independent thermometer if the log has one."""
-    for sensor in log.of("pressure"):
-        parts = []
-        for pose in poses:
-            here, rows = pose.rows_of(sensor)
-            parts.append(np.asarray(here.compensated("temperature")[rows]))
-        values = np.concatenate(parts) if parts else np.array([])
-        if len(values):
-            return float(values.mean())
-    return None
+    """Mean temperature over the poses in degC, by the best thermometer of the logs that has a zero."""
+    parts = []
+    logs = [log if pose.log is None else pose.log for pose in poses]
+    for own in {id(each): each for each in logs}.values():
+        thermometer = next((found for sensor in own.of("specific_force") if (found := _thermometer(own, sensor))), None)
+        if thermometer is None:
+            return None
+        here = [pose.phase for pose, each in zip(poses, logs, strict=True) if each is own]
+        parts.append(thermometer.at(np.array([(phase.start_ns + phase.end_ns) * 0.5e-9 for phase in here])))
+    return float(np.concatenate(parts).mean()) if parts else None
+
+
+def _thermometer(log: Log, sensor: SensorLog) -> Thermometer | None:
+    found = thermometer_of(log, sensor, SEGMENT_S) if len(sensor) else None
+    return None if found is None or found.kind == "relative" else found

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.fuse_inputs import followed_by_temperature, in_states_of, with_noise, without_calibration
+from imuarray.commands.fuse_inputs import (
+    followed_by_temperature,
+    in_states_of,
+    temperature_lines,
+    with_noise,
+    without_calibration,
+)
 from imuarray.commands.fuse_pairs import pair_lines, pairs_of
 from imuarray.commands.fuse_told import told_sentences
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
@@ -109,6 +115,7 @@ def command(
             "uncalibrated": uncalibrated,
             "start_up": starts,
             "thermal": thermal,
+            "temperature": temperature_lines(log, calibration, names),
             "changes": _changes(log, calibration, technique, names),
             "pairs": pairs_of(log, calibration, names) if technique == "opposed" else [],
         }
@@ -232,6 +239,8 @@ def _print(report: dict[str, Any], told: Told | None) -> None:
         click.echo(f"  {sentence}")
     if report["thermal"]:
         click.echo(f"  bias follows the log's temperature: {', '.join(report['thermal'])}")
+    for sentence in report["temperature"]:
+        click.echo(f"  {sentence}")
     if "fused" in report:
         _print_results(report)
     for sentence in told_sentences(told) if told else ():

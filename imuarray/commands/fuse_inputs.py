@@ -61,6 +61,14 @@ def followed_by_temperature(log: Log, calibration: Calibration, names: Sequence[
     return list(warm)
 
 
+def temperature_lines(log: Log, calibration: Calibration, names: Sequence[str]) -> list[str]:
+    """What to say of sensors that were calibrated at another temperature."""
+    from imuarray.fuse import away_from, away_sentences
+
+    fused = [sensor for sensor in inertial(log) if not names or sensor.name in names]
+    return list(away_sentences(calibration, away_from(log, fused, calibration)))
+
+
 def inertial(log: Log) -> list[SensorLog]:
     """The accelerometers and gyroscopes of a log."""
     return [sensor for quantity in INERTIAL for sensor in log.of(quantity)]
