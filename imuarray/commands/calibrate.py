@@ -181,6 +181,32 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
     _tell({**report, "configuration": str(output)}, print_report, output, as_json)
 
 
+@command.command("compare")
+@click.argument("files", metavar="A.toml B.toml...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@json_option
+def compare(files: tuple[Path, ...], as_json: bool) -> None:
+    """What changed from one calibration of an array to the next, and by how many standard errors.
+
+    And which part of what biases did is common to the units of a design, and what axes that oppose each other cancel of
+    it. Biases are compared at one temperature where the calibrations know theirs and their slopes.
+
+    \b
+    imuarray calibrate compare march.toml june.toml
+    """
+    from imuarray.calibrate import load_calibration
+    from imuarray.calibrate.comparison import compare_calibrations
+    from imuarray.characterise.result import json_ready
+    from imuarray.commands.calibrate_compare import print_report, report_of
+
+    if len(set(files)) < len(files):
+        raise click.UsageError("a calibration is named twice")
+    report = json_ready(report_of(compare_calibrations({str(file): load_calibration(file) for file in files})))
+    if as_json:
+        print_json(report)
+    else:
+        print_report(report)
+
+
 @contextmanager
 def _opened(runs: Sequence[Path], output: Path, update: bool, force: bool) -> Iterator[list[Log]]:
     """The logs, once it is sure that the output can be written."""
