@@ -113,7 +113,7 @@ def files_of(changes: Floats, axes: tuple[str, ...]) -> dict[str, Calibration]:
 
 def test_what_is_common_by_hand() -> None:
     """Two units, three calibrations: (-1, -3), (0, 0), (1, 3). Common: -2, 0, 2; mean square 2 * 8 / 2 = 8; what is
-    left, +-1, 0, +-1: 4 / 2 = 2. Common variance (8 - 2) / 2 = 3; F = 4 with 2 and 2 degrees of freedom: p = 1 / (1 + 4).
+    left, +-1, 0, +-1: 4 / 2 = 2. Common variance (8 - 2) / 2 = 3; F = 4, 2 and 2 degrees of freedom: p = 1 / (1 + 4).
     """
     found = compare_calibrations(files_of(np.array([[-1.0, -3], [0, 0], [1, 3]]), ("+X+Y+Z", "+X+Y+Z")))
     (x, _, _) = found.common
