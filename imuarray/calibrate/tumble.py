@@ -14,9 +14,10 @@ from imuarray.calibrate.disturbed import LeftOut
 from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces, tell_all
 from imuarray.calibrate.fits import TriadFit
 from imuarray.calibrate.g_sensitivity import fit_g_sensitivity
-from imuarray.calibrate.gravity import fit_gravity
+from imuarray.calibrate.gravity import MIN_POSES, fit_gravity
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.calibrate.poses import Pose, find_poses, noted_faces
+from imuarray.calibrate.quasi_static import fit_path
 from imuarray.calibrate.readings import read_poses
 from imuarray.calibrate.segments import Thermometer, thermometer_of
 from imuarray.calibrate.thermal import SEGMENT_S
@@ -28,6 +29,9 @@ from imuarray.units import STANDARD_GRAVITY
 Floats = npt.NDArray[np.float64]
 
 
+PATH = "path"
+"""The method where the box never rested (`quasi_static.py`)."""
+
 UNSURE_G = 0.01
 """A bias whose standard error is larger is warned of: a table tells it ten times better."""
 
@@ -36,12 +40,13 @@ UNSURE_G = 0.01
 class Tumble:
     """The calibration, how it was made and how well it fits.
 
-    `method` is "faces" or "gravity", `poses` how many readings were used. By sensor: `drift_lsb` (3,), first reading
-    less last of the same bias, as a face read twice or a fitted drift says; `fits`; `turns` of gyroscopes that had
-    enough of them. By accelerometer, over the poses named `pose_names` (k): `pose_residual_g` (k,) length of the
-    calibrated specific force less one g, a fitted drift allowed for, and `residual_g` its rms; `residual_apart_g` the
-    rms in poses that the calibration had not seen (nan where those that remain are too few); `residual_steady_g` the
-    rms by the mean bias alone, which is what the calibration keeps. `left_out` names what was not used, and why.
+    `method` is "faces", "gravity" or "path" (a box that never rested), `poses` how many readings were used. By sensor:
+    `drift_lsb` (3,), first reading less last of the same bias, as a face read twice or a fitted drift says; `fits`;
+    `turns` of gyroscopes that had enough of them. By accelerometer, over the poses named `pose_names` (k):
+    `pose_residual_g` (k,) length of the calibrated specific force less one g, a fitted drift allowed for, and
+    `residual_g` its rms; `residual_apart_g` the rms in poses that the calibration had not seen (nan where those that
+    remain are too few); `residual_steady_g` the rms by the mean bias alone, which is what the calibration keeps.
+    `left_out` names what was not used, and why.
     """
 
     calibration: Calibration
@@ -100,7 +105,7 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
     known, fits, drift = dict(reference.known), dict(reference.fits), dict(reference.drift_lsb)
     turns: dict[str, TurnFit] = {}
     felt = [(sensor, known[sensor.name]) for sensor in accelerometers]
-    for done, sensor in enumerate(gyroscopes, start=1):
+    for done, sensor in enumerate(() if reference.method == PATH else gyroscopes, start=1):
         at_rest = _at_rest(sensor, reference, faces)
         known[sensor.name], fits[sensor.name], drift[sensor.name] = at_rest
         turned = fit_turns(sensor, known[sensor.name], reference.poses, reference.up_box, reference.up_covariance, felt)
@@ -123,12 +128,12 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
         fits,
         turns,
         reference.left_out,
-        tuple(_warnings(accelerometers, known, reference, faces)),
+        tuple(_warnings([*accelerometers, *gyroscopes], known, reference, faces)),
     )
 
 
 def _warnings(
-    accelerometers: Sequence[SensorLog],
+    sensors: Sequence[SensorLog],
     known: Mapping[str, SensorCalibration],
     reference: _Reference,
     faces: Faces | None,
@@ -141,8 +146,11 @@ def _warnings(
                 f"no face with {', '.join(missing)} up: nothing checks the opposite one, and an error of it is one of"
                 " bias and scale factor; read all six"
             )
-    for sensor in accelerometers:
-        sem = known[sensor.name].bias_sem_lsb
+    apart = [sensor.name for sensor in sensors if sensor.name not in known]
+    if apart:
+        yield f"{', '.join(apart)} not calibrated: a box that never rests does not tell a gyroscope's bias"
+    for sensor in sensors:
+        sem = known[sensor.name].bias_sem_lsb if sensor.quantity == "specific_force" else None
         worst = None if sem is None else int((sem / sensor.sensitivity).argmax())
         if sem is not None and worst is not None and sem[worst] > UNSURE_G * sensor.sensitivity:
             yield (
@@ -156,10 +164,20 @@ def _by_gravity(
 ) -> _Reference:
     """Any poses."""
     poses = [pose for log in logs for pose in find_poses(log)]
-    fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))
+    method = "gravity" if len(poses) >= MIN_POSES else PATH
+    if method == PATH:
+        try:
+            fit = fit_path(accelerometers, logs)
+        except CalibrationError as error:
+            raise CalibrationError(
+                f"{accelerometers[0].where}: {len(poses)} static poses, at least {MIN_POSES} are wanted; nor does what"
+                f" lies between them tell enough ({error})"
+            ) from None
+    else:
+        fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))
     names = [sensor.name for sensor in accelerometers]
     return _Reference(
-        "gravity",
+        method,
         fit.poses,
         fit.up_box,
         fit.up_covariance,

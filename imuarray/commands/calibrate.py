@@ -47,9 +47,10 @@ def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_j
     """Bias and response of accelerometers; bias, g-sensitivity and response of gyroscopes.
 
     With phases that name the six faces (z_up, x_down, ...) or say what was up (`imuarray log --up`), in one log or in a
-    log each, by the paper's Appendix B; without, from at least nine static poses that are found in the logs. Gyroscopes
-    get their scale factors and axes from at least six turns between poses of one log. Faces and poses that were
-    disturbed are left out and named.
+    log each, by the paper's Appendix B; without, from at least nine static poses that are found in the logs; of a box
+    that was turned slowly to all sides and never rested, accelerometers from gravity's length along the path.
+    Gyroscopes get their scale factors and axes from at least six turns between poses of one log. Faces and poses that
+    were disturbed are left out and named.
 
     \b
     imuarray calibrate tumble z_up.h5 x_up.h5 y_up.h5 z_down.h5 x_down.h5 y_down.h5 -o cal.toml

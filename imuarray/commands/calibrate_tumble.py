@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from imuarray.log import Log, SensorLog
 
 
+_METHODS = {
+    "faces": "named faces (Appendix B)",
+    "gravity": "static poses found in the log",
+    "path": "stretches of a path without stops, each by how much it moved",
+}
+
+
 def report_of(log: Log, result: Tumble) -> dict[str, Any]:
     """Everything that was found, JSON-ready; residuals in mg, biases in g or dps, what can't be told None."""
     from imuarray.calibrate import cancellation
@@ -90,8 +97,7 @@ def _turns(fit: TurnFit) -> dict[str, Any]:
 
 def print_report(report: dict[str, Any]) -> None:
     """Appendix B and Table 4, gyroscopes by turns, residuals, what was left out, and what opposing axes cancel."""
-    how = "named faces (Appendix B)" if report["method"] == "faces" else "static poses found in the log"
-    click.echo(f"{report['poses']} {how}")
+    click.echo(f"{report['poses']} {_METHODS[report['method']]}")
     _print_axes(report["sensors"])
     _print_g_sensitivity([row for row in report["sensors"] if "g_sensitivity_lsb_per_g" in row], report["method"])
     _print_turns([row for row in report["sensors"] if "turns" in row])
