@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from imuarray.calibrate.opposed import cancelled
 from imuarray.calibrate.segments import Segments, Thermometer, segment_means
 from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
 from imuarray.calibrate.thermal_fit import fit_axes
+from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, Stimulus, open_log
 from imuarray.log.format import Phase, SensorHeader
@@ -432,3 +435,31 @@ def test_two_temperatures_alone_tell_no_curve() -> None:
 def test_a_log_without_inertial_sensors_is_refused(write: Write) -> None:
     with pytest.raises(CalibrationError, match="no inertial sensor"):
         run(write([]))
+
+
+RECORDING = (
+    Path(os.environ.get("IMUARRAY_RECORDINGS") or Path(__file__).parents[3] / "shared" / "data")
+    / "freeimu_thermal"
+    / "thermal.csv.gz"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not RECORDING.exists(), reason="the published recording is not here")
+def test_a_published_curved_ramp(tmp_path: Path) -> None:
+    """An MPU-6050 that warmed up from 10.6 to 28.9 degC (freeimu_thermal): the z axis of its accelerometer changes by
+    -28.2 LSB per degC by a straight line through all of it, and by -32.9 in the middle of its temperatures by numpy's
+    parabola through means of 5 s, each as heavy as the next. Four standard errors hold that, and the straight line's
+    slope lies between those in the middle and at the warm end.
+    """
+    data = tmp_path / "thermal.csv"
+    data.write_bytes(gzip.decompress(RECORDING.read_bytes()))
+    mapping = Path(__file__).parents[2] / "configs" / "imports" / "freeimu_thermal.toml"
+    assert main(["import", str(data), "--map", str(mapping), "-o", str(tmp_path / "run.h5")]) == 0
+    thermal = run(tmp_path / "run.h5").calibration.sensors["Acc"].thermal
+    assert thermal is not None and thermal.quadratic_lsb_per_degc2 is not None
+    slope, sem = thermal.slope_lsb_per_degc[2], thermal.slope_sem_lsb_per_degc[2]
+    assert thermal.reference_degc == pytest.approx(19.75, abs=0.1)
+    assert sem < 2 and abs(slope + 32.9) < 4 * sem
+    assert thermal.quadratic_lsb_per_degc2[2] > 0
+    assert slope < -28.2 < slope + 2 * thermal.quadratic_lsb_per_degc2[2] * (28.9 - thermal.reference_degc)
