@@ -1,6 +1,7 @@
 """From counts to parameters of each sensor, and the file that keeps them."""
 
 from imuarray.calibrate.cancellation import Cancellation, cancellation
+from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations
 from imuarray.calibrate.disturbed import LeftOut
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.noise import calibrate_noise
@@ -12,6 +13,7 @@ from imuarray.calibrate.turns import TurnFit
 
 __all__ = [
     "Calibration",
+    "CalibrationComparison",
     "Cancellation",
     "LeftOut",
     "SensorCalibration",
@@ -24,6 +26,7 @@ __all__ = [
     "calibrate_tumble",
     "calibrate_turn_on",
     "cancellation",
+    "compare_calibrations",
     "holm",
     "load_calibration",
     "nominal",

@@ -35,7 +35,7 @@ def cancellation(sensors: Sequence[SensorLog], calibration: Calibration) -> list
     """A row for every design (chip) and box axis of the inertial `sensors`."""
     biases: dict[tuple[str, str, str, int], dict[int, list[float]]] = {}
     for sensor in sensors:
-        known = calibration.of(sensor)
+        known = calibration.or_nominal(sensor)
         for direction, bias in zip(known.directions_box, known.bias_in_units(), strict=True):
             axis = int(np.abs(direction).argmax())
             sign = 1 if direction[axis] > 0 else -1

@@ -43,7 +43,7 @@ class LeftOut:
 
 def left_out_of(pose: Pose, reason: str) -> LeftOut:
     """The note of a pose that is not used."""
-    return LeftOut(pose.phase.name, "" if pose.log is None else str(pose.log.path), reason)
+    return LeftOut(pose.label, "" if pose.log is None else str(pose.log.path), reason)
 
 
 def another_go(poses: Sequence[Pose]) -> dict[int, str]:
@@ -89,7 +89,7 @@ def moved_within(readings: PoseReadings) -> dict[int, str]:
     }
 
 
-def chance_of_misfit(with_it: float, without: float, number: int, freedom: int) -> float:
+def chance_of_misfit(with_it: float, without: float, number: int, freedom: float) -> float:
     """Probability that `number` readings fit as badly by chance: the F test of a mean shift.
 
     `with_it` and `without` are the sums of weighted squares of a fit with them and one without, which has `freedom`

@@ -118,13 +118,17 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and (value != value or abs(value) < _BEYOND)
 
 
-def covariance(value: object, where: str) -> Floats:
-    """A reader of a 3 x 3 covariance: symmetric, no negative variance in any direction."""
-    matrix = np.asarray(numbers(3, 3)(value, where))
-    slack = _ASYMMETRY * float(np.abs(matrix).max())
-    if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
-        raise CalibrationError(f"{where} is no covariance: not symmetric, or a variance is negative")
-    return matrix
+def covariance(size: int) -> Reader:
+    """A reader of a covariance (size, size): symmetric, no negative variance in any direction."""
+
+    def read(value: object, where: str) -> Floats:
+        matrix = np.asarray(numbers(size, size)(value, where))
+        slack = _ASYMMETRY * float(np.abs(matrix).max())
+        if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
+            raise CalibrationError(f"{where} is no covariance: not symmetric, or a variance is negative")
+        return matrix
+
+    return read
 
 
 def number(lowest: float = -_HUGE, highest: float = _HUGE) -> Reader:

@@ -76,11 +76,18 @@ def sound_faces(accelerometers: Sequence[SensorLog], poses: Sequence[Pose]) -> F
 
 def _refuse_too_few(sensor: SensorLog, faces: Sequence[Pose], left_out: Sequence[LeftOut]) -> None:
     """Faces that don't tell a bias and three columns apart."""
-    ups = np.array([pose.up_box for pose in faces], float).reshape(-1, 3)
-    if len(faces) < 4 or np.linalg.matrix_rank(np.column_stack([ups, np.ones(len(ups))])) < 4:
-        names = ", ".join(pose.phase.name for pose in faces) or "none"
+    if not tell_all(faces):
+        names = ", ".join(pose.label for pose in faces) or "none"
         why = "".join(f"; phase {each.phase!r}: {each.reason}" for each in left_out)
-        raise CalibrationError(f"{sensor.where}: faces {names}: too few; {_WANTED}{why}")
+        logs = list(dict.fromkeys(str(pose.log.path) for pose in faces if pose.log is not None))
+        where = sensor.where if len(logs) < 2 else f"{', '.join(logs)}: sensor {sensor.name}"
+        raise CalibrationError(f"{where}: faces {names}: too few; {_WANTED}{why}")
+
+
+def tell_all(faces: Sequence[Pose]) -> bool:
+    """Whether faces tell a bias and the three columns of a response."""
+    ups = np.array([pose.up_box for pose in faces if not pose.is_check], float).reshape(-1, 3)
+    return len(ups) >= 4 and int(np.linalg.matrix_rank(np.column_stack([ups, np.ones(len(ups))]))) == 4
 
 
 def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tuple[int, str] | None:
@@ -110,12 +117,13 @@ def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tup
     alike = np.flatnonzero(off_g > 0.9 * off_g[found])
     promised = np.linalg.norm(force - up_box[used] - np.median(force - up_box[used], axis=0), axis=1)
     order = alike[np.argsort(promised[alike])[::-1]]
-    names = [readings.poses[used[place]].phase.name for place in order]
+    poses = [readings.poses[used[place]] for place in order]
+    names = [pose.label for pose in poses]
     words = f"{1e3 * off_g[found]:.0f} mg off the straight line through the other faces"
     if len(order) > 1 and promised[order[0]] < 2 * promised[order[1]]:
         either = " or ".join(f"phase {name!r}" for name in sorted(names))
         raise CalibrationError(
-            f"{readings.sensors[0].where}: {either} is {words}: moved or disturbed; read these faces again"
+            f"{poses[0].where(readings.sensors[0])}: {either} is {words}: moved or disturbed; read these faces again"
         )
     return used[int(order[0])], words
 
@@ -154,6 +162,7 @@ def accelerometer_of(sensor: SensorLog, fit: TriadFit) -> SensorCalibration:
         bias_covariance_lsb2=fit.bias_covariance_lsb2,
         response_lsb_per_unit=fit.coefficients[:, :3],
         response_sem_lsb_per_unit=fit.response_sem.max(axis=1),
+        response_covariance_lsb2_per_unit2=fit.response_covariance,
     )
 
 

@@ -54,6 +54,12 @@ class TriadFit:
         return np.sqrt(np.diag(self.bias_covariance_lsb2))
 
     @property
+    def response_covariance(self) -> Floats:
+        """(9, 9) over the response's entries, row by row."""
+        places = (self._width * np.arange(3)[:, None] + np.arange(3)).ravel()
+        return np.asarray(self.covariance[np.ix_(places, places)])
+
+    @property
     def response_sem(self) -> Floats:
         """(3, 3) standard errors of the response's entries."""
         return np.sqrt(np.diag(self.covariance)).reshape(3, self._width)[:, :3]

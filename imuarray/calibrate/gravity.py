@@ -109,6 +109,22 @@ def fit_readings(everything: PoseReadings, progress: Callable[[int], None] = lam
         bad[kept[strange]] = left_out_of(poses[kept[strange]], reason)
 
 
+def fit_weighted(readings: PoseReadings, variance_g2: Floats, left_out: Sequence[LeftOut] = ()) -> GravityFit:
+    """Every axis in every pose by the variances (3 s, k) that are given, in g squared, without a drift.
+
+    CalibrationError where the poses don't spread enough.
+    """
+    scale = readings.sensitivity[:, None, None]
+    values = _by_axis(readings.mean_lsb / scale)
+    terms = np.ones((len(readings.poses), 1))
+    bundle = solve(values, 1 / variance_g2, terms, directions_of(readings))
+    if bundle.stiffness < _SOFTEST:
+        raise CalibrationError(same_sides(readings.sensors[0]))
+    chi_squared, freedom = _by_noise(bundle)
+    joint = _Joint(readings, values, bundle.weight, terms, bundle, np.zeros(len(values)), chi_squared, freedom)
+    return _told(joint, np.full((len(readings.sensors), len(readings.poses)), np.nan), left_out)
+
+
 def _refuse_few(sensor: SensorLog, count: int, left_out: Sequence[LeftOut]) -> None:
     if count < MIN_POSES:
         why = "".join(f"; {each.phase}: {each.reason}" for each in left_out)

@@ -46,8 +46,8 @@ def check_labels(readings: PoseReadings, up_box: Floats) -> None:
             if turn is not None:
                 raise CalibrationError(_mounted(sensor, turn))
             raise CalibrationError(
-                f"{sensor.where}: phase {readings.poses[face].phase.name!r}: it felt {UP_AXES[own[face]]} up, most"
-                f" accelerometers {UP_AXES[majority[face]]}"
+                f"{readings.poses[face].where(sensor)}: phase {readings.poses[face].label!r}: it felt"
+                f" {UP_AXES[own[face]]} up, most accelerometers {UP_AXES[majority[face]]}"
             )
 
 
@@ -69,12 +69,14 @@ def _one_turn(said: Indices, felt: Indices) -> Floats | None:
 
 def _mislabelled(readings: PoseReadings, force: Floats, up_box: Floats, wrong: Indices, majority: Indices) -> str:
     off = np.median(np.linalg.norm(force - up_box, axis=2), axis=0)
+    first = readings.sensors[0]
+    wheres = [readings.poses[face].where(first) for face in wrong]
     names = [
-        f"phase {readings.poses[face].phase.name!r} is {off[face]:.2f} g off the other faces:"
-        f" {UP_AXES[majority[face]]} points up in it"
-        for face in wrong
+        f"{'' if where == wheres[0] else where + ': '}phase {readings.poses[face].label!r} is {off[face]:.2f} g off the"
+        f" other faces: {UP_AXES[majority[face]]} points up in it"
+        for where, face in zip(wheres, wrong, strict=True)
     ]
-    return f"{readings.sensors[0].where}: {'; '.join(names)}; mislabelled"
+    return f"{wheres[0]}: {'; '.join(names)}; mislabelled"
 
 
 def _mounted(sensor: SensorLog, turn: Floats) -> str:
@@ -85,7 +87,7 @@ def _mounted(sensor: SensorLog, turn: Floats) -> str:
 
 def _or_else(readings: PoseReadings, wrong: Sequence[int] | Indices, turn: Floats) -> str:
     """The other explanation: labels that were exchanged."""
-    faces = " and ".join(repr(readings.poses[face].phase.name) for face in wrong)
+    faces = " and ".join(repr(readings.poses[face].label) for face in wrong)
     whose = f", as do all {len(readings.sensors)} accelerometers" if len(readings.sensors) > 1 else ""
     chip = ", and no chip is mirrored" if np.linalg.det(turn) < 0 else ""
     return f"{whose}; or the labels of {faces} are exchanged{chip}"

@@ -32,6 +32,7 @@ from imuarray.calibrate.stability import Drift, NoiseLine, Provenance, Thermal, 
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
+from imuarray.spelling import guess
 from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
@@ -46,11 +47,14 @@ _LIST = re.compile(r'\[\n\s+((?:(?:[-+.\w]+|"[^"\\\n]*"),\s+)*(?:[-+.\w]+|"[^"\\
 
 _SHORT = 80
 
-
 GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "bias": ("bias_sem_lsb", "bias_lsb", "bias_covariance_lsb2", "temperature_degc"),
-        "response": ("response_sem_lsb_per_unit", "response_lsb_per_unit"),
+        "response": (
+            "response_sem_lsb_per_unit",
+            "response_lsb_per_unit",
+            "response_covariance_lsb2_per_unit2",
+        ),
         "g_sensitivity": ("g_sensitivity_lsb_per_g", "g_sensitivity_sem_lsb_per_g"),
         "noise": ("noise_lsb", "noise_sem_lsb", "noise_correlation", "noise_lines"),
         "drift": ("drift",),
@@ -69,7 +73,8 @@ class SensorCalibration:
     Shapes: `bias_lsb`, `bias_sem_lsb`, `response_sem_lsb_per_unit` (one figure per sensor axis), `noise_lsb` (standard
     deviation of single readings), its standard error and `noise_correlation` (of one reading with the next) (3,);
     `response_lsb_per_unit`, `g_sensitivity_lsb_per_g` and its standard errors (3, 3), rows sensor axes, columns box
-    axes; `bias_covariance_lsb2` (3, 3) over the sensor axes. `noise_lines` are periodic parts of `noise_lsb`.
+    axes; `bias_covariance_lsb2` (3, 3) over the sensor axes; `response_covariance_lsb2_per_unit2` (9, 9) over the
+    entries of the response row by row. `noise_lines` are periodic parts of `noise_lsb`.
     `temperature_degc` is that of the bias. `provenance` says by group (`GROUPS`) where figures came from.
     """
 
@@ -85,7 +90,10 @@ class SensorCalibration:
     temperature_degc: float | None = None
     range: float | None = None
     """The measuring range, in `unit`, at which this holds."""
+    chip: str | None = None
+    """The chip that this holds for, as its log has it."""
     bias_covariance_lsb2: Floats | None = None
+    response_covariance_lsb2_per_unit2: Floats | None = None
     g_sensitivity_sem_lsb_per_g: Floats | None = None
     thermal: Thermal | None = None
     turn_on: TurnOn | None = None
@@ -133,6 +141,16 @@ class SensorCalibration:
         inverse = np.linalg.inv(self.response_lsb_per_unit) * SI_PER_UNIT[self.unit]
         return np.asarray((np.asarray(counts, float) - self.bias_lsb) @ inverse.T)
 
+    def response_covariance(self) -> Floats | None:
+        """(9, 9) covariance of the response's entries, row by row; None if the response was not measured. Where a file
+        has standard errors of the axes alone, each entry is taken to have that of its axis, independent of the others.
+        """
+        if self.response_sem_lsb_per_unit is None:
+            return None
+        if self.response_covariance_lsb2_per_unit2 is not None:
+            return self.response_covariance_lsb2_per_unit2
+        return np.diag(np.repeat(self.response_sem_lsb_per_unit**2, 3))
+
     def bias_in_units(self) -> Floats:
         """(3,) bias in the sensor's unit (g or dps), along its own axes."""
         return np.asarray(self.bias_lsb / self.scale_lsb_per_unit)
@@ -168,8 +186,19 @@ class Calibration:
         return replace(self, sensors={name: _stamped(sensor, logs) for name, sensor in self.sensors.items()})
 
     def of(self, sensor: Described) -> SensorCalibration:
-        """What is known of `sensor`: the calibration if there is one, else the data sheet. CalibrationError if it
-        does not fit.
+        """What was calibrated of `sensor`. CalibrationError if that does not fit it, or if other sensors were
+        calibrated and not this one; a calibration of nothing gives the data sheet's values.
+        """
+        if self.sensors and sensor.name not in self.sensors:
+            raise CalibrationError(
+                f"{sensor.where}: not calibrated; the calibration knows {', '.join(self.sensors)}"
+                f"{guess(sensor.name, self.sensors)}"
+            )
+        return self.or_nominal(sensor)
+
+    def or_nominal(self, sensor: Described) -> SensorCalibration:
+        """What was calibrated of `sensor`, else what the data sheet says: no bias, the configured axes.
+        CalibrationError if the calibration does not fit it.
         """
         known = self.sensors.get(sensor.name)
         if known is None:
@@ -182,6 +211,8 @@ class Calibration:
             raise CalibrationError(
                 f"{sensor.where}: calibrated at a range of {known.range:g} {known.unit}, logged at {sensor.range:g}"
             )
+        if known.chip not in (None, sensor.chip):
+            raise CalibrationError(f"{sensor.where}: calibrated as chip {known.chip}, logged as {sensor.chip}")
         ratio = known.scale_lsb_per_unit / (sensor.sensitivity or np.nan)
         if (np.abs(np.log2(ratio)) > 1).any():  # no chip is off by a factor of two; another range is
             raise CalibrationError(
@@ -216,6 +247,7 @@ def nominal(sensor: Described) -> SensorCalibration:
         bias_lsb=np.zeros(3),
         response_lsb_per_unit=sensor.sensitivity * np.asarray(sensor.orientation, float).T,
         range=sensor.range,
+        chip=sensor.chip or None,
     )
 
 
@@ -237,6 +269,7 @@ def _merge(older: SensorCalibration, newer: SensorCalibration) -> SensorCalibrat
         newer,
         **kept,
         range=older.range if newer.range is None else newer.range,
+        chip=older.chip if newer.chip is None else newer.chip,
         provenance={group: origin for group, origin in origins.items() if origin is not None},
     )
 

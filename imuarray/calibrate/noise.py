@@ -11,6 +11,7 @@ import numpy as np
 
 from imuarray.calibrate.drift import LEAST_SEGMENTS, MOST_SEGMENTS, fit_drift
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
+from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.poses import Pose, find_poses
 from imuarray.calibrate.scatter import scatter_of
 from imuarray.calibrate.segments import Segments, segment_means, thermometer_of
@@ -55,12 +56,14 @@ def calibrate_noise(
     return Calibration(found, tuple(str(log.path) for log in logs))
 
 
-def with_noise_of(log: Log, calibration: Calibration) -> Calibration:
-    """The calibration, with the noise that the log itself shows at rest for the sensors of which it knows none.
-    CalibrationError if the log shows none.
+def with_noise_of(log: Log, calibration: Calibration, names: Sequence[str] = ()) -> Calibration:
+    """The calibration, with the noise that the log itself shows at rest for the sensors (only `names`, if there are
+    any) of which it knows none. CalibrationError if the log shows none.
     """
-    known = {sensor.name: calibration.of(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL}
-    lacking = [name for name, sensor in known.items() if sensor.noise_lsb is None]
+    known = {
+        sensor.name: calibration.or_nominal(sensor) for sensor in log.sensors.values() if sensor.quantity in INERTIAL
+    }
+    lacking = [name for name, each in known.items() if each.noise_lsb is None and (not names or name in names)]
     if not lacking:
         return calibration
     measured = calibrate_noise(log, known=calibration)
@@ -69,7 +72,11 @@ def with_noise_of(log: Log, calibration: Calibration) -> Calibration:
 
 def _still_stretches(log: Log) -> list[Pose]:
     named = [Pose(phase, None, log) for phase in log.phases if phase.up or phase.name in _STILL_PHASES]
-    return named or find_poses(log)
+    poses = named or find_poses(log)
+    refuse_motion(
+        log, [(f"phase {p.phase.name!r}" if named else p.phase.name, p.phase.start_ns, p.phase.end_ns) for p in poses]
+    )
+    return poses
 
 
 def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float) -> SensorCalibration:

@@ -7,7 +7,7 @@ agree. In a log without accelerometers its gyroscopes tell, or else its magnetom
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -78,6 +78,16 @@ class Pose:
         return here, here.between(self.phase.start_ns, self.phase.end_ns)
 
     @property
+    def label(self) -> str:
+        """Its phase, and what was up if the name does not say that."""
+        name = self.phase.name
+        return name if not self.phase.up or face_up(name) else f"{name} ({self.phase.up})"
+
+    def where(self, sensor: SensorLog) -> str:
+        """The sensor in the log that the pose is in, for messages."""
+        return self.rows_of(sensor)[0].where
+
+    @property
     def is_check(self) -> bool:
         """A face that was read again to see the drift; it is not part of a fit."""
         return self.phase.name.endswith("_check")
@@ -96,9 +106,26 @@ class Reading:
     change_lsb: Floats
 
 
+_NOT_AT_REST = ("motion", "heat", "cool")
+"""Phases in which the box moves, or biases do: no faces, though they may say what was up."""
+
+
+def noted_faces(logs: Sequence[Log]) -> list[Pose]:
+    """The faces of several logs: the poses that their phases name; if none does, those whose phases say which axis was
+    up, whatever they are called. CalibrationError for an `up` that names no axis.
+    """
+    named = [pose for log in logs for pose in named_faces(log)]
+    return named or [pose for log in logs for pose in _faces(log, lambda phase: phase.name not in _NOT_AT_REST)]
+
+
 def named_faces(log: Log) -> list[Pose]:
     """The poses that the log's own phases name, in file order; CalibrationError for an `up` that names no axis."""
-    faces = [phase for phase in log.phases if phase.up and face_up(phase.name)]
+    return _faces(log, lambda phase: bool(face_up(phase.name)))
+
+
+def _faces(log: Log, is_face: Callable[[Phase], bool]) -> list[Pose]:
+    """Phases that are faces and say what was up."""
+    faces = [phase for phase in log.phases if phase.up and is_face(phase)]
     for phase in faces:
         if phase.up not in UP_AXES:
             raise CalibrationError(
@@ -160,7 +187,7 @@ def _rests(log: Log, sensors: Sequence[SensorLog], only: Collection[str]) -> lis
             f"{sensors[0].where}: {(end - begin) * 1e-9:.1f} s of data, too short to hold several poses"
         )
     starts_ns = begin + width_ns * np.arange(count)
-    mean, std = _windows(sensors, begin, count, width_ns)
+    mean, std = windows_of(sensors, begin, count, width_ns)
     # Most logs are still for a good part of the time: the quiet quarter of the windows shows the noise at rest.
     known = np.isfinite(std)
     still = known & (std <= 2.5 * np.quantile(std[known], 0.25)) if known.any() else known
@@ -195,7 +222,7 @@ def _turning(
     """
     if not gyroscopes or not still.any():
         return np.zeros(len(starts_ns), bool)
-    mean_dps, std_dps = _windows(gyroscopes, int(starts_ns[0]), len(starts_ns), width_ns)
+    mean_dps, std_dps = windows_of(gyroscopes, int(starts_ns[0]), len(starts_ns), width_ns)
     usual = np.median(mean_dps[still], axis=0)
     rows = max(1.0, width_ns * 1e-9 * min(len(sensor) / _length_s(sensor) for sensor in gyroscopes))
     noise = float(np.median(std_dps[still])) / np.sqrt(rows)
@@ -207,9 +234,11 @@ def _length_s(sensor: SensorLog) -> float:
     return max((int(sensor.time[len(sensor) - 1]) - int(sensor.time[0])) * 1e-9, 1e-9)
 
 
-def _windows(sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int) -> tuple[Floats, Floats]:
+def windows_of(
+    sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int, flags: int = 0
+) -> tuple[Floats, Floats]:
     """Mean (w, 3) and largest standard deviation (w,) of every window from `begin` (ns), in the sensors' unit, averaged
-    over the sensors.
+    over the sensors; infinite scatter where nothing was read. Rows with one of `flags` don't count.
 
     Each sensor's axes are turned into the box frame first, so that what moves is the box and not one chip.
     """
@@ -219,6 +248,8 @@ def _windows(sensors: Sequence[SensorLog], begin: int, count: int, width_ns: int
         for block in sensor.blocks():
             window = (np.asarray(sensor.time[block]) - begin) // width_ns
             inside = (window >= 0) & (window < count)
+            if flags:
+                inside &= (np.asarray(sensor.status[block]) & flags) == 0
             value = np.asarray(sensor.counts[block], float)[inside] / sensor.sensitivity @ sensor.orientation.T
             np.add.at(sums, window[inside], value)
             np.add.at(squares, window[inside], value**2)

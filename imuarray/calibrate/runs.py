@@ -103,6 +103,15 @@ def read_runs(logs: Sequence[Log], sensor: SensorLog) -> Runs:
     )
 
 
+def run_stretches(log: Log, place: int) -> list[tuple[str, int, int]]:
+    """Name, start and end (ns) of every run of one log: its phases `run <k>`, else all of it."""
+    named = [phase for phase in log.phases if _RUN.fullmatch(phase.name)]
+    if named:
+        return [(f"{log.path}, {phase.name}", phase.start_ns, phase.end_ns) for phase in named]
+    times = [(int(sensor.time[0]), int(sensor.time[len(sensor) - 1])) for sensor in log.sensors.values() if len(sensor)]
+    return [(f"run {place}, {log.path}", min(times)[0], max(end for _, end in times))] if times else []
+
+
 def _runs_in(log: Log, sensor: SensorLog, place: int) -> list[tuple[int, slice, str]]:
     """(number, rows, up) of the runs of one log."""
     named = [(phase, _RUN.fullmatch(phase.name)) for phase in log.phases]

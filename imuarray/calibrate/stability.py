@@ -34,7 +34,8 @@ class Thermal:
     Shapes: everything (3,), one figure per sensor axis, but `lag_interval_s` (2,): 95 % likelihood interval. `meaning`
     says what the slope of an axis is: "bias", or "bias or scale" where one orientation could not tell. `scale_slope`
     is a share of the scale factor, nan where no two orientations told it. For a "relative" thermometer degrees have no
-    zero and compare with nothing but that thermometer.
+    zero and compare with nothing but that thermometer. `quadratic_sem` is known where a curvature was looked for, and
+    `quadratic` where one was significant; the slope is that at the reference either way.
     """
 
     slope_lsb_per_degc: Floats
@@ -47,6 +48,7 @@ class Thermal:
     quadratic_lsb_per_degc2: Floats | None = None
     scale_slope_per_degc: Floats | None = None
     scale_slope_sem_per_degc: Floats | None = None
+    quadratic_sem_lsb_per_degc2: Floats | None = None
 
     @property
     def significant_lag_s(self) -> float:
@@ -158,6 +160,7 @@ THERMAL: Mapping[str, Reader] = MappingProxyType(
         "quadratic_lsb_per_degc2": _TRIPLE,
         "scale_slope_per_degc": numbers(3, unknown=True),
         "scale_slope_sem_per_degc": numbers(3, lowest=0.0, unknown=True),
+        "quadratic_sem_lsb_per_degc2": _POSITIVE,
     }
 )
 """Readers of the file's keys, here and below."""

@@ -7,21 +7,23 @@ one such equation and two unknowns (section 5.2.5 of the paper); logs of opposit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.axes import UP_AXES, up_vector
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
+from imuarray.calibrate.motion import refuse_motion
 from imuarray.calibrate.opposed import OpposedSlopes, opposed_slopes
 from imuarray.calibrate.segments import Thermometer, segment_means, thermometer_of
 from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.calibrate.thermal_fit import AxesFit, fit_axes
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
-from imuarray.units import INERTIAL
+from imuarray.units import INERTIAL, READABLE
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,6 +34,11 @@ CARRIES_G = 0.5
 scale."""
 
 _FEWEST_SEGMENTS = 20
+
+UNTOLD_PER_DEGC: Mapping[str, float] = MappingProxyType({"specific_force": 0.01, "angular_rate": 0.5})
+"""Standard error of a slope per degC, by quantity in its unit, from which on nothing was measured: ten times what data
+sheets promise of the slope itself (ADX-62, BMA-115, L3G-71).
+"""
 _LEAST_CHANGE_DEGC = 2.0
 _LEAST_BEND = 0.05
 
@@ -74,14 +81,40 @@ def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult
     sensors = [sensor for sensor in first.sensors.values() if sensor.quantity in INERTIAL and len(sensor)]
     if not sensors:
         raise CalibrationError(f"{first.path}: no inertial sensor in it")
+    for log in logs:
+        _refuse_moving(log)
     ups = [up_of(log, segment_s) for log in logs]
     found = {sensor.name: _heatings(sensor, logs, ups, segment_s) for sensor in sensors}
     fitted = {sensor.name: _combined(sensor, found[sensor.name]) for sensor in sensors}
+    for sensor in sensors:
+        _refuse_unknown(sensor, fitted[sensor.name].thermal)
     return ThermalResult(
         Calibration(fitted, tuple(str(log.path) for log in logs)).stamped(logs),
         tuple(heating for each in found.values() for heating in each),
         tuple(opposed_slopes(sensors, fitted)),
     )
+
+
+def _refuse_moving(log: Log) -> None:
+    """CalibrationError for a log in which the box moved outside the phases `motion`."""
+    times = [(int(sensor.time[0]), int(sensor.time[len(sensor) - 1])) for sensor in log.sensors.values() if len(sensor)]
+    if times:
+        whole = ("", min(times)[0], max(end for _, end in times))
+        refuse_motion(log, [whole], [phase for phase in log.phases if phase.name == "motion"])
+
+
+def _refuse_unknown(sensor: SensorLog, thermal: Thermal | None) -> None:
+    """CalibrationError for slopes that the logs don't tell."""
+    if thermal is None:
+        return
+    per_degc = thermal.slope_sem_lsb_per_degc / sensor.sensitivity
+    worst = int(per_degc.argmax())
+    if per_degc[worst] > UNTOLD_PER_DEGC[sensor.quantity]:
+        factor, unit = READABLE[sensor.unit]
+        raise CalibrationError(
+            f"{sensor.where}: these logs tell the slope of its axis {'xyz'[worst]} to no better than"
+            f" {factor * per_degc[worst]:.3g} {unit}/degC: what else changes, or drifts, is larger"
+        )
 
 
 def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
@@ -105,7 +138,9 @@ def up_of(log: Log, segment_s: float = SEGMENT_S) -> Floats | None:
 
 
 def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | None], segment_s: float) -> list[Heating]:
-    """The sensor in every log, all about the mean temperature of the first."""
+    """The sensor in every log, all about the middle of the first one's temperatures: a parabola's slope there is the
+    mean one over them, wherever the box spent most of its time.
+    """
     found: list[Heating] = []
     for log, up in zip(logs, ups, strict=True):
         here = log[sensor.name]
@@ -116,7 +151,11 @@ def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | Non
             raise CalibrationError(f"{here.where}: no thermometer: no barometer, no reference, and none in the chips")
         if found and thermometer.kind != found[0].thermometer:
             raise CalibrationError(f"{here.where}: another thermometer than in {sensor.where}")
-        reference = found[0].fit.reference_degc if found else round(float(thermometer.degc.mean()), 2)
+        reference = (
+            found[0].fit.reference_degc
+            if found
+            else round(float(thermometer.degc.min() + thermometer.degc.max()) / 2, 2)
+        )
         found.append(_heating(here, log, up, thermometer, reference, segment_s))
     return found
 
@@ -146,16 +185,15 @@ def _heating(
 
 def _combined(sensor: SensorLog, heatings: Sequence[Heating]) -> SensorCalibration:
     """One sensor's slopes from all its heatings; the lag of the one that knows it best."""
-    slopes, sems, curves, gravity = (
-        np.array(values)
-        for values in zip(
-            *(
-                (h.fit.slope_lsb_per_degc, h.fit.slope_sem_lsb_per_degc, h.fit.quadratic_lsb_per_degc2, h.gravity_g)
-                for h in heatings
-            ),
-            strict=True,
-        )
+    slopes, sems = (
+        np.array([getattr(h.fit, f"slope_{name}") for h in heatings]) for name in ("lsb_per_degc", "sem_lsb_per_degc")
     )
+    curves, curve_sems = (
+        np.array([getattr(h.fit, f"quadratic_{name}") for h in heatings])
+        for name in ("lsb_per_degc2", "sem_lsb_per_degc2")
+    )
+    curve_sem = np.sqrt(np.sum(curve_sems**2, axis=0)) / len(heatings)
+    gravity = np.array([heating.gravity_g for heating in heatings])
     feels = sensor.quantity == "specific_force"
     axes = [_axis(slopes[:, k], sems[:, k], gravity[:, k] * feels, sensor.sensitivity) for k in range(3)]
     bias, bias_sem, scale, scale_sem = np.array([values for values, _ in axes]).T
@@ -171,6 +209,7 @@ def _combined(sensor: SensorLog, heatings: Sequence[Heating]) -> SensorCalibrati
         quadratic_lsb_per_degc2=np.mean(curves, axis=0) if curves.any() else None,
         scale_slope_per_degc=scale if np.isfinite(scale).any() else None,
         scale_slope_sem_per_degc=scale_sem if np.isfinite(scale).any() else None,
+        quadratic_sem_lsb_per_degc2=curve_sem if np.isfinite(curve_sem).all() else None,
     )
     return replace(nominal(sensor), thermal=thermal)
 

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.axes import UP_AXES, face_up
 from imuarray.calibrate.disturbed import LeftOut
-from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces
+from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces, tell_all
 from imuarray.calibrate.fits import TriadFit
 from imuarray.calibrate.g_sensitivity import fit_g_sensitivity
-from imuarray.calibrate.gravity import fit_gravity
+from imuarray.calibrate.gravity import MIN_POSES, fit_gravity
 from imuarray.calibrate.model import Calibration, SensorCalibration
-from imuarray.calibrate.poses import Pose, find_poses, named_faces
+from imuarray.calibrate.poses import Pose, find_poses, noted_faces
+from imuarray.calibrate.quasi_static import fit_path
 from imuarray.calibrate.readings import read_poses
+from imuarray.calibrate.segments import Thermometer, thermometer_of
+from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
@@ -25,16 +29,24 @@ from imuarray.units import STANDARD_GRAVITY
 Floats = npt.NDArray[np.float64]
 
 
+PATH = "path"
+"""The method where the box never rested (`quasi_static.py`)."""
+
+UNSURE_G = 0.01
+"""A bias whose standard error is larger is warned of: a table tells it ten times better."""
+
+
 @dataclass(frozen=True)
 class Tumble:
     """The calibration, how it was made and how well it fits.
 
-    `method` is "faces" or "gravity", `poses` how many readings were used. By sensor: `drift_lsb` (3,), first reading
-    less last of the same bias, as a face read twice or a fitted drift says; `fits`; `turns` of gyroscopes that had
-    enough of them. By accelerometer, over the poses named `pose_names` (k): `pose_residual_g` (k,) length of the
-    calibrated specific force less one g, a fitted drift allowed for, and `residual_g` its rms; `residual_apart_g` the
-    rms in poses that the calibration had not seen (nan where those that remain are too few); `residual_steady_g` the
-    rms by the mean bias alone, which is what the calibration keeps. `left_out` names what was not used, and why.
+    `method` is "faces", "gravity" or "path" (a box that never rested), `poses` how many readings were used. By sensor:
+    `drift_lsb` (3,), first reading less last of the same bias, as a face read twice or a fitted drift says; `fits`;
+    `turns` of gyroscopes that had enough of them. By accelerometer, over the poses named `pose_names` (k):
+    `pose_residual_g` (k,) length of the calibrated specific force less one g, a fitted drift allowed for, and
+    `residual_g` its rms; `residual_apart_g` the rms in poses that the calibration had not seen (nan where those that
+    remain are too few); `residual_steady_g` the rms by the mean bias alone, which is what the calibration keeps.
+    `left_out` names what was not used, and why.
     """
 
     calibration: Calibration
@@ -49,6 +61,8 @@ class Tumble:
     fits: Mapping[str, TriadFit] = field(default_factory=lambda: MappingProxyType({}))
     turns: Mapping[str, TurnFit] = field(default_factory=lambda: MappingProxyType({}))
     left_out: tuple[LeftOut, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """Sentences on what the poses tell badly."""
 
 
 @dataclass(frozen=True)
@@ -75,21 +89,23 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
     """Bias and response of the accelerometers, bias, g-sensitivity and (from turns) response of the gyroscopes: from
     one log or from several of the same array (a log a face, say).
 
-    With named faces by Appendix B; without, from at least nine static poses that are found in the logs. `progress`
-    hears what is being done, and how much of it is done. CalibrationError says what is missing or which face does not
-    fit.
+    With faces that phases name, or of which they say what was up, by Appendix B; without, from at least nine static
+    poses that are found in the logs. `progress` hears what is being done, and how much of it is done. CalibrationError
+    says what is missing or which face does not fit.
     """
     first = logs[0]
     accelerometers, gyroscopes = first.of("specific_force"), first.of("angular_rate")
     if not accelerometers:
         raise CalibrationError(f"{first.path}: no accelerometer in it; tumble needs gravity")
-    named = [pose for log in logs for pose in named_faces(log)]
-    faces = sound_faces(accelerometers, named) if named else None
+    noted = noted_faces(logs)
+    if noted and not face_up(noted[0].phase.name) and not tell_all(noted):
+        noted = []  # a few phases that say what was up, in logs of any poses
+    faces = sound_faces(accelerometers, noted) if noted else None
     reference = _by_gravity(accelerometers, logs, progress) if faces is None else _by_faces(accelerometers, faces)
     known, fits, drift = dict(reference.known), dict(reference.fits), dict(reference.drift_lsb)
     turns: dict[str, TurnFit] = {}
     felt = [(sensor, known[sensor.name]) for sensor in accelerometers]
-    for done, sensor in enumerate(gyroscopes, start=1):
+    for done, sensor in enumerate(() if reference.method == PATH else gyroscopes, start=1):
         at_rest = _at_rest(sensor, reference, faces)
         known[sensor.name], fits[sensor.name], drift[sensor.name] = at_rest
         turned = fit_turns(sensor, known[sensor.name], reference.poses, reference.up_box, reference.up_covariance, felt)
@@ -112,7 +128,35 @@ def calibrate_tumble(*logs: Log, progress: Callable[[str, int, int], None] = lam
         fits,
         turns,
         reference.left_out,
+        tuple(_warnings([*accelerometers, *gyroscopes], known, reference, faces)),
     )
+
+
+def _warnings(
+    sensors: Sequence[SensorLog],
+    known: Mapping[str, SensorCalibration],
+    reference: _Reference,
+    faces: Faces | None,
+) -> Iterator[str]:
+    """What a user must know before he believes the calibration."""
+    if faces is not None:
+        ups = {pose.phase.up for pose in faces.fitted}
+        if missing := [up for up in UP_AXES if up not in ups]:
+            yield (
+                f"no face with {', '.join(missing)} up: nothing checks the opposite one, and an error of it is one of"
+                " bias and scale factor; read all six"
+            )
+    apart = [sensor.name for sensor in sensors if sensor.name not in known]
+    if apart:
+        yield f"{', '.join(apart)} not calibrated: a box that never rests does not tell a gyroscope's bias"
+    for sensor in sensors:
+        sem = known[sensor.name].bias_sem_lsb if sensor.quantity == "specific_force" else None
+        worst = None if sem is None else int((sem / sensor.sensitivity).argmax())
+        if sem is not None and worst is not None and sem[worst] > UNSURE_G * sensor.sensitivity:
+            yield (
+                f"{sensor.name} {'xyz'[worst]}: bias within +- {1e3 * sem[worst] / sensor.sensitivity:.3g} mg only:"
+                " poses disagree with each other; was the box still, and as noted?"
+            )
 
 
 def _by_gravity(
@@ -120,17 +164,27 @@ def _by_gravity(
 ) -> _Reference:
     """Any poses."""
     poses = [pose for log in logs for pose in find_poses(log)]
-    fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))
+    method = "gravity" if len(poses) >= MIN_POSES else PATH
+    if method == PATH:
+        try:
+            fit = fit_path(accelerometers, logs)
+        except CalibrationError as error:
+            raise CalibrationError(
+                f"{accelerometers[0].where}: {len(poses)} static poses, at least {MIN_POSES} are wanted; nor does what"
+                f" lies between them tell enough ({error})"
+            ) from None
+    else:
+        fit = fit_gravity(accelerometers, poses, lambda done: progress("leaving out poses in turn", done, len(poses)))
     names = [sensor.name for sensor in accelerometers]
     return _Reference(
-        "gravity",
+        method,
         fit.poses,
         fit.up_box,
         fit.up_covariance,
         dict(zip(names, fit.calibrations, strict=True)),
         dict(zip(names, fit.fits, strict=True)),
         dict(zip(names, fit.drift_lsb, strict=True)),
-        tuple(pose.phase.name for pose in fit.poses),
+        tuple(pose.label for pose in fit.poses),
         dict(zip(names, fit.force_g - 1, strict=True)),
         dict(zip(names, fit.force_apart_g - 1, strict=True)),
         fit.left_out,
@@ -159,7 +213,7 @@ def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
         known,
         fits,
         {name: drift for name, (_, drift) in found.items()},
-        tuple(everything[place].phase.name for place in fitted),
+        tuple(everything[place].label for place in fitted),
         {s.name: np.linalg.norm(force[fitted], axis=1) - 1 for s, force in zip(accelerometers, forces, strict=True)},
         {sensor.name: faces_apart(sensor, faces.fitted) for sensor in accelerometers},
         faces.left_out,
@@ -182,10 +236,13 @@ def _at_rest(
 
 
 def _with_turns(known: SensorCalibration, turned: TurnFit) -> SensorCalibration:
-    """The response from turns, if they tell all of it."""
-    if turned.untold:
-        return known
-    return replace(known, response_lsb_per_unit=turned.response, response_sem_lsb_per_unit=turned.sem.max(axis=1))
+    """The response from turns, and from the data sheet's tolerance where they tell less than that."""
+    return replace(
+        known,
+        response_lsb_per_unit=turned.response,
+        response_sem_lsb_per_unit=turned.sem.max(axis=1),
+        response_covariance_lsb2_per_unit2=turned.covariance,
+    )
 
 
 def _force_g(known: SensorCalibration, mean_lsb: Floats) -> Floats:
@@ -209,13 +266,18 @@ def _rms(values: Floats) -> float:
 
 
 def _temperature(log: Log, poses: Sequence[Pose]) -> float | None:
-    """Mean temperature over the poses in degC, from an independent thermometer if the log has one."""
-    for sensor in log.of("pressure"):
-        parts = []
-        for pose in poses:
-            here, rows = pose.rows_of(sensor)
-            parts.append(np.asarray(here.compensated("temperature")[rows]))
-        values = np.concatenate(parts) if parts else np.array([])
-        if len(values):
-            return float(values.mean())
-    return None
+    """Mean temperature over the poses in degC, by the best thermometer of the logs that has a zero."""
+    parts = []
+    logs = [log if pose.log is None else pose.log for pose in poses]
+    for own in {id(each): each for each in logs}.values():
+        thermometer = next((found for sensor in own.of("specific_force") if (found := _thermometer(own, sensor))), None)
+        if thermometer is None:
+            return None
+        here = [pose.phase for pose, each in zip(poses, logs, strict=True) if each is own]
+        parts.append(thermometer.at(np.array([(phase.start_ns + phase.end_ns) * 0.5e-9 for phase in here])))
+    return float(np.concatenate(parts).mean()) if parts else None
+
+
+def _thermometer(log: Log, sensor: SensorLog) -> Thermometer | None:
+    found = thermometer_of(log, sensor, SEGMENT_S) if len(sensor) else None
+    return None if found is None or found.kind == "relative" else found

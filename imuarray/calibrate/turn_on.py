@@ -17,12 +17,13 @@ import numpy.typing as npt
 from scipy.special import fdtrc
 
 from imuarray.calibrate.model import Calibration, nominal
-from imuarray.calibrate.runs import Runs, read_runs
+from imuarray.calibrate.motion import motion_in, refuse_other_poses
+from imuarray.calibrate.runs import Runs, read_runs, run_stretches
 from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.calibrate.states import SIGNIFICANT, BootFault, Ranges, explained_range, runs_apart, two_states
 from imuarray.errors import CalibrationError
-from imuarray.log import Log
-from imuarray.units import INERTIAL
+from imuarray.log import Log, SensorLog
+from imuarray.units import INERTIAL, READABLE
 
 Floats = npt.NDArray[np.float64]
 
@@ -30,6 +31,11 @@ NO_RANGES: Ranges = MappingProxyType({})
 _NONE: Mapping[float, float] = MappingProxyType({})
 
 _FEWEST_RUNS = 3
+
+UNTOLD: Mapping[str, float] = MappingProxyType({"specific_force": 0.05, "angular_rate": 10.0})
+"""Standard error of the change from run to run, by quantity in its unit, from which on nothing was measured: data
+sheets promise the whole zero level to be as good (BMA-113: 60 mg; L3G-70: 10 dps).
+"""
 
 
 @dataclass(frozen=True)
@@ -89,12 +95,44 @@ def calibrate_turn_on(
     sensors = [sensor for sensor in logs[0].sensors.values() if sensor.quantity in INERTIAL]
     if not sensors:
         raise CalibrationError(f"{logs[0].path}: no inertial sensor in it")
+    _refuse_moving(logs)
     results, known = [], {}
     for sensor in sensors:
         result = compare_runs(read_runs(logs, sensor), ranges.get(sensor.chip, {}), seed, SIGNIFICANT / len(sensors))
+        _refuse_unknown(sensor, result.turn_on())
         results.append(result)
         known[sensor.name] = replace(nominal(sensor), turn_on=result.turn_on())
     return Calibration(known, tuple(str(log.path) for log in logs)).stamped(logs), tuple(results)
+
+
+def _refuse_moving(logs: Sequence[Log]) -> None:
+    """CalibrationError for runs in which the box moved, or that were not of one pose."""
+    names: list[str] = []
+    forces: list[Floats] = []
+    for place, log in enumerate(logs, start=1):
+        for name, start_ns, end_ns in run_stretches(log, place):
+            if words := motion_in(log, start_ns, end_ns):
+                raise CalibrationError(f"{name}: {words}")
+            felt = [
+                np.median(counts, axis=0) @ sensor.orientation.T / sensor.sensitivity
+                for sensor in log.of("specific_force")
+                if sensor.sensitivity > 0 and len(counts := sensor.counts[sensor.between(start_ns, end_ns)])
+            ]
+            names.append(name)
+            forces.append(np.mean(felt, axis=0) if felt else np.full(3, np.nan))
+    refuse_other_poses(names, np.array(forces).reshape(-1, 3))
+
+
+def _refuse_unknown(sensor: SensorLog, told: TurnOn) -> None:
+    """CalibrationError where the runs don't tell what is asked of them."""
+    per_unit = told.rms_sem_lsb / sensor.sensitivity
+    worst = int(per_unit.argmax())
+    if per_unit[worst] > UNTOLD[sensor.quantity]:
+        factor, unit = READABLE[sensor.unit]
+        raise CalibrationError(
+            f"{sensor.where}: these runs tell the change of its {'xyz'[worst]} bias from run to run to no better than"
+            f" {factor * per_unit[worst]:.3g} {unit}: readings change as much within a run"
+        )
 
 
 def compare_runs(

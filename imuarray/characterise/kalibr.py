@@ -1,7 +1,8 @@
 """Noise figures as Kalibr's `imu.yaml` has them (ethz-asl/kalibr, wiki "IMU Noise Model"): SI, one file an IMU.
 
 An IMU there has one figure for all three axes: the largest of them, which Kalibr's own advice errs towards. The random
-walk is that of the bias (rate random walk K); where none is seen, the bound that the log allows stands in its place.
+walk is that of the bias (rate random walk K); where none is seen there is no figure, only a comment with the bound that
+the log allows: what Kalibr reads is measured.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ def imu_files(result: Mapping[str, Any]) -> dict[str, str]:
     """
     units: dict[str, list[Mapping[str, Any]]] = {}
     for sensor in result["sensors"]:
-        if sensor["quantity"] in _PREFIX and _worst(sensor, "white") is not None:
+        if sensor["quantity"] in _PREFIX and _bound(sensor, "white") is not None:
             units.setdefault(_unit_name(sensor["name"]), []).append(sensor)
     return {f"imu_{name}.yaml": _joined(sensors, result) for name, sensors in units.items()}
 
@@ -30,7 +31,7 @@ def imu_text(result: Mapping[str, Any]) -> str | None:
     """
     sensors = [sensor for sensor in result["sensors"] if sensor["quantity"] in _PREFIX]
     alone = len({sensor["quantity"] for sensor in sensors}) == len(sensors) > 0
-    fitted = all(_worst(sensor, "white") is not None for sensor in sensors)
+    fitted = all(_bound(sensor, "white") is not None for sensor in sensors)
     return _joined(sensors, result) if alone and fitted else None
 
 
@@ -50,23 +51,35 @@ def _text(sensors: list[Mapping[str, Any]], result: Mapping[str, Any]) -> Iterat
     yield f"# {result['software']}: noise at rest, {seconds:.0f} s; the largest of three axes, discretised by no factor"
     for sensor in sensors:
         prefix, unit = _PREFIX[sensor["quantity"]], _UNITS[sensor["quantity"]]
-        density, walk = _worst(sensor, "white"), _worst(sensor, "random walk")
-        yield f"{prefix}_noise_density: {density:.6g}  # {unit}/sqrt(Hz)"
+        density, walk, bound = _worst(sensor, "white"), _worst(sensor, "random walk"), _bound(sensor, "random walk")
+        if density is not None:
+            yield f"{prefix}_noise_density: {density:.6g}  # {unit}/sqrt(Hz)"
+        else:
+            yield f"# {prefix}_noise_density: none was seen, at most {_bound(sensor, 'white'):.6g} {unit}/sqrt(Hz)"
         if walk is not None:
-            yield f"{prefix}_random_walk: {walk:.6g}  # {unit}/s/sqrt(Hz){_note(sensor)}"
+            yield f"{prefix}_random_walk: {walk:.6g}  # {unit}/s/sqrt(Hz)"
+        elif bound is not None:
+            yield f"# {prefix}_random_walk: none was seen, at most {bound:.6g} {unit}/s/sqrt(Hz)"
     if any(axis["fit"]["verdict"] for sensor in sensors for axis in sensor["axes"] if axis.get("fit")):
         yield "# the Allan curve of one of the axes is none of these noises': see what stands out before trusting this"
     yield f"update_rate: {sensors[0]['rate_hz']:.6g}  # Hz"
 
 
 def _worst(sensor: Mapping[str, Any], term: str) -> float | None:
-    """The largest of the axes' coefficients in SI (a bound where the term was not seen); None without a fit."""
+    """The largest of the axes' coefficients in SI, of those in which the term was seen; None if it was in none."""
+    return _largest(sensor, [item["value"] for item in _terms(sensor, term) if item["significant"]])
+
+
+def _bound(sensor: Mapping[str, Any], term: str) -> float | None:
+    """What the term stays below in all axes, in SI; None without a fit."""
+    return _largest(sensor, [item["high"] for item in _terms(sensor, term)])
+
+
+def _terms(sensor: Mapping[str, Any], term: str) -> list[Mapping[str, Any]]:
     found = [axis["fit"]["terms"].get(term) for axis in sensor["axes"] if axis.get("fit")]
-    values = [item["value"] if item["significant"] else item["high"] for item in found if item]
+    return [item for item in found if item]
+
+
+def _largest(sensor: Mapping[str, Any], values: list[float]) -> float | None:
     scale = sensor["si_per_count"]
     return max(values) * scale if values and scale is not None else None
-
-
-def _note(sensor: Mapping[str, Any]) -> str:
-    seen = any(axis["fit"]["terms"]["random walk"]["significant"] for axis in sensor["axes"] if axis.get("fit"))
-    return "" if seen else "; an upper bound: none was seen"

@@ -46,9 +46,11 @@ def command(context: click.Context) -> None:
 def tumble(runs: tuple[Path, ...], output: Path, update: bool, force: bool, as_json: bool) -> None:
     """Bias and response of accelerometers; bias, g-sensitivity and response of gyroscopes.
 
-    With phases that name the six faces (z_up, x_down, ...), in one log or in a log each, by the paper's Appendix B;
-    without, from at least nine static poses that are found in the logs. Gyroscopes get their scale factors and axes
-    from at least six turns between poses of one log. Faces and poses that were disturbed are left out and named.
+    With phases that name the six faces (z_up, x_down, ...) or say what was up (`imuarray log --up`), in one log or in a
+    log each, by the paper's Appendix B; without, from at least nine static poses that are found in the logs; of a box
+    that was turned slowly to all sides and never rested, accelerometers from gravity's length along the path.
+    Gyroscopes get their scale factors and axes from at least six turns between poses of one log. Faces and poses that
+    were disturbed are left out and named.
 
     \b
     imuarray calibrate tumble z_up.h5 x_up.h5 y_up.h5 z_down.h5 x_down.h5 y_down.h5 -o cal.toml
@@ -178,6 +180,32 @@ def axes(run: Path, output: Path, poses: str, force: bool, as_json: bool) -> Non
         report = report_of(found, {name: sensor.axes for name, sensor in log.sensors.items()})
     write_text(output, text, force=force)
     _tell({**report, "configuration": str(output)}, print_report, output, as_json)
+
+
+@command.command("compare")
+@click.argument("files", metavar="A.toml B.toml...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@json_option
+def compare(files: tuple[Path, ...], as_json: bool) -> None:
+    """What changed from one calibration of an array to the next, and by how many standard errors.
+
+    And which part of what biases did is common to the units of a design, and what axes that oppose each other cancel of
+    it. Biases are compared at one temperature where the calibrations know theirs and their slopes.
+
+    \b
+    imuarray calibrate compare march.toml june.toml
+    """
+    from imuarray.calibrate import load_calibration
+    from imuarray.calibrate.comparison import compare_calibrations
+    from imuarray.characterise.result import json_ready
+    from imuarray.commands.calibrate_compare import print_report, report_of
+
+    if len(set(files)) < len(files):
+        raise click.UsageError("a calibration is named twice")
+    report = json_ready(report_of(compare_calibrations({str(file): load_calibration(file) for file in files})))
+    if as_json:
+        print_json(report)
+    else:
+        print_report(report)
 
 
 @contextmanager

@@ -45,7 +45,9 @@ def _heating(heating: Heating) -> dict[str, Any]:
         "slope_lsb_per_degc": fit.slope_lsb_per_degc.tolist(),
         "slope_sem_lsb_per_degc": fit.slope_sem_lsb_per_degc.tolist(),
         "drift_lsb_per_s": fit.drift_lsb_per_s.tolist(),
+        "reference_degc": fit.reference_degc,
         "quadratic_lsb_per_degc2": fit.quadratic_lsb_per_degc2.tolist(),
+        "quadratic_sem_lsb_per_degc2": fit.quadratic_sem_lsb_per_degc2.tolist(),
         "lag_s": fit.lag_s,
         "lag_interval_s": fit.lag_interval_s.tolist(),
     }
@@ -61,19 +63,37 @@ def print_report(report: dict[str, Any]) -> None:
         first = next(heating for heating in report["heatings"] if heating["log"] == log)
         low, high = first["span_degc"]
         click.echo(f"{log}: {low:.1f} to {high:.1f} degC by {first['thermometer']}")
-    click.echo(f"{'axis':14} {'slope':>10} {'+-':>8}  {'lag':>6} {'95 % from':>9} {'to':>6}  of")
-    click.echo(f"{'':14} {'LSB/degC':>10} {'':>8}  {'s':>6} {'s':>9} {'s':>6}")
+    click.echo(
+        f"{'axis':14} {'slope':>10} {'+-':>8} {'curvature':>11} {'+-':>8}  {'lag':>6} {'95 % from':>9} {'to':>6}  of"
+    )
+    click.echo(f"{'':14} {'LSB/degC':>10} {'':>8} {'LSB/degC^2':>11} {'':>8}  {'s':>6} {'s':>9} {'s':>6}")
     for row in report["sensors"]:
         low, high = row.get("lag_interval_s", (row["lag_s"], row["lag_s"]))
         for index, axis in enumerate("xyz"):
             slope, sem = row["slope_lsb_per_degc"][index], row["slope_sem_lsb_per_degc"][index]
-            line = f"{row['name'] + ' ' + axis:14} {slope:10.4f} {sem:8.4f}  {row['lag_s']:6.0f} {low:9.0f} {high:6.0f}"
+            line = f"{row['name'] + ' ' + axis:14} {slope:10.4f} {sem:8.4f} {_curvature(row, index)}"
+            line += f"  {row['lag_s']:6.0f} {low:9.0f} {high:6.0f}"
             click.echo(f"{line}  {row['meaning'][index]}{_scale(row, index)}")
+    references = sorted({row["reference_degc"] for row in report["sensors"]})
+    click.echo(
+        f"slope: at {' and '.join(f'{each:.1f}' for each in references)} degC, the middle of the temperatures, where it"
+        " is the mean one over them;"
+    )
+    click.echo("  curvature: half of what it changes by in a degree, in brackets where chance makes as much")
     click.echo(
         "lag: how long the sensor follows the thermometer, with its 95 % interval; of: what has the slope (an axis that"
     )
     click.echo("  feels gravity and was warmed on one face alone can't tell its bias from its scale)")
     _print_pairs(report["pairs"])
+
+
+def _curvature(row: dict[str, Any], index: int) -> str:
+    """The quadratic term and its standard error, as far as there are any."""
+    if row.get("quadratic_sem_lsb_per_degc2") is None:
+        return f"{'-':>11} {'':>8}"
+    curvature = row.get("quadratic_lsb_per_degc2") or [0.0] * 3
+    told = f"{curvature[index]:.5f}" if curvature[index] else "[0]"
+    return f"{told:>11} {row['quadratic_sem_lsb_per_degc2'][index]:8.5f}"
 
 
 def _scale(row: dict[str, Any], index: int) -> str:

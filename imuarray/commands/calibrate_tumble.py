@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from imuarray.log import Log, SensorLog
 
 
+_METHODS = {
+    "faces": "named faces (Appendix B)",
+    "gravity": "static poses found in the log",
+    "path": "stretches of a path without stops, each by how much it moved",
+}
+
+
 def report_of(log: Log, result: Tumble) -> dict[str, Any]:
     """Everything that was found, JSON-ready; residuals in mg, biases in g or dps, what can't be told None."""
     from imuarray.calibrate import cancellation
@@ -33,6 +40,7 @@ def report_of(log: Log, result: Tumble) -> dict[str, Any]:
             for name, residual in result.pose_residual_g.items()
         },
         "left_out": [vars(each) for each in result.left_out],
+        "warnings": list(result.warnings),
         "sensors": [_sensor(sensor, result) for sensor in inertial],
         "cancellation": [vars(pair) for pair in cancellation(inertial, result.calibration)],
     }
@@ -89,15 +97,18 @@ def _turns(fit: TurnFit) -> dict[str, Any]:
 
 def print_report(report: dict[str, Any]) -> None:
     """Appendix B and Table 4, gyroscopes by turns, residuals, what was left out, and what opposing axes cancel."""
-    how = "named faces (Appendix B)" if report["method"] == "faces" else "static poses found in the log"
-    click.echo(f"{report['poses']} {how}")
+    click.echo(f"{report['poses']} {_METHODS[report['method']]}")
     _print_axes(report["sensors"])
     _print_g_sensitivity([row for row in report["sensors"] if "g_sensitivity_lsb_per_g" in row], report["method"])
     _print_turns([row for row in report["sensors"] if "turns" in row])
     _print_residuals(report)
+    several = len({each["log"] for each in report["left_out"]}) > 1
     for each in report["left_out"]:
-        click.echo(printable(f"left out: {each['phase']}: {each['reason']}"))
+        of = f" of {each['log']}" if several else ""
+        click.echo(printable(f"left out: {each['phase']}{of}: {each['reason']}"))
     _print_cancellation(report["cancellation"])
+    for sentence in report["warnings"]:
+        click.echo(printable(f"warning: {sentence}"))
 
 
 def _print_axes(rows: Sequence[dict[str, Any]]) -> None:
@@ -144,7 +155,8 @@ def _print_turns(rows: Sequence[dict[str, Any]]) -> None:
         for index, axis in enumerate("xyz"):
             cells = [f"{a:10.3f} +-{b:6.3f}" for a, b in zip(response[index], sem[index], strict=True)]
             click.echo(f"{row['name'] + ' ' + axis:14} {' '.join(cells)}")
-        told = f"; not told, so the data sheet stays: turns about box {', '.join(turns['untold'])} are wanted"
+        axes = ", ".join(turns["untold"])
+        told = f"; rates about box {axes} within the data sheet's tolerance only: turns about box {axes} are wanted"
         click.echo(
             f"{'':14} {turns['used']} turns, missed by {turns['residual_deg']:.2f} deg rms"
             f"{told if turns['untold'] else ''}"
@@ -178,7 +190,7 @@ def _print_cancellation(pairs: Sequence[dict[str, Any]]) -> None:
     click.echo("bias in the box frame: axes of one design that point along, those against, and both ways averaged")
     for pair in pairs:
         factor, unit = READABLE[pair["unit"]]
-        line = f"  {pair['chip']:10} {pair['box_axis']}:"
+        line = f"  {pair['chip']:10} {pair['quantity'].replace('_', ' '):14} {pair['box_axis']}:"
         for key in ("along", "against", "opposed"):
             line += f"  {key} {'none' if pair[key] is None else f'{factor * pair[key]:.2f}':>9}"
         click.echo(f"{line}  single rms {factor * pair['single_rms']:9.2f} {unit}")

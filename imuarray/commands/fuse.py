@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from imuarray.commands.fuse_inputs import followed_by_temperature, in_states_of, with_noise, without_calibration
+from imuarray.commands.fuse_inputs import (
+    followed_by_temperature,
+    in_states_of,
+    temperature_lines,
+    with_noise,
+    without_calibration,
+)
 from imuarray.commands.fuse_pairs import pair_lines, pairs_of
 from imuarray.commands.fuse_told import told_sentences
 from imuarray.commands.options import force_option, json_option, log_argument, print_json, progress, refuse_existing
@@ -20,7 +26,12 @@ if TYPE_CHECKING:
     from imuarray.fuse import Error, FaultEvent, FusedBlock, Told
     from imuarray.log import Log
 
-_NOTHING = "nothing on this array, it gives the mean (opposed: as many axes each way balance there already)"
+_NOTHING = {
+    "opposed": "nothing on this array: where a design's axes point both ways, as many do each way, and balance",
+    "planes": "nothing on this array: in-plane and out-of-plane axes of a design err too much alike",
+    "ranges": "nothing on this array: all its sensors of a quantity have one measuring range",
+}
+"""What to say of a technique that gives the mean."""
 _WORDS = {
     "rms": "rms error against the truth",
     "noise": "scatter from frame to frame",
@@ -97,13 +108,14 @@ def command(
         uncalibrated = without_calibration(log, calibration, names, calibration_file)
         calibration, starts, names = in_states_of(log, calibration, names)
         thermal = followed_by_temperature(log, calibration, names)
-        calibration = with_noise(log, calibration, None if evaluate else technique)
+        calibration = with_noise(log, calibration, None if evaluate else technique, names)
         work = _Work(log, calibration, technique, names, causal, watch)
         report: dict[str, Any] = {
             "technique": technique,
             "uncalibrated": uncalibrated,
             "start_up": starts,
             "thermal": thermal,
+            "temperature": temperature_lines(log, calibration, names),
             "changes": _changes(log, calibration, technique, names),
             "pairs": pairs_of(log, calibration, names) if technique == "opposed" else [],
         }
@@ -227,6 +239,8 @@ def _print(report: dict[str, Any], told: Told | None) -> None:
         click.echo(f"  {sentence}")
     if report["thermal"]:
         click.echo(f"  bias follows the log's temperature: {', '.join(report['thermal'])}")
+    for sentence in report["temperature"]:
+        click.echo(f"  {sentence}")
     if "fused" in report:
         _print_results(report)
     for sentence in told_sentences(told) if told else ():
@@ -244,7 +258,7 @@ def _print_results(report: dict[str, Any]) -> None:
         click.echo(f"  {fault['sentence']}")
     if technique not in ("mean", "optimal"):
         changes = ", ".join(report["changes"])
-        click.echo(f"  {technique} changes {changes or _NOTHING}")
+        click.echo(f"  {technique} changes {changes or _NOTHING[technique]}")
     for line in pair_lines(report["pairs"], follows_temperature=bool(report["thermal"])):
         click.echo(f"  {line}")
     for quantity in report["results"]["mean"]:

@@ -61,21 +61,30 @@ def followed_by_temperature(log: Log, calibration: Calibration, names: Sequence[
     return list(warm)
 
 
+def temperature_lines(log: Log, calibration: Calibration, names: Sequence[str]) -> list[str]:
+    """What to say of sensors that were calibrated at another temperature."""
+    from imuarray.fuse import away_from, away_sentences
+
+    fused = [sensor for sensor in inertial(log) if not names or sensor.name in names]
+    return list(away_sentences(calibration, away_from(log, fused, calibration)))
+
+
 def inertial(log: Log) -> list[SensorLog]:
     """The accelerometers and gyroscopes of a log."""
     return [sensor for quantity in INERTIAL for sensor in log.of(quantity)]
 
 
-def with_noise(log: Log, calibration: Calibration, technique: str | None) -> Calibration:
+def with_noise(log: Log, calibration: Calibration, technique: str | None, names: Sequence[str] = ()) -> Calibration:
     """The calibration, with the noise measured in the log itself where the technique (None: any of them) needs it and
-    the file has none.
+    the file has none for one of the sensors that are fused (`names`, all if there are none).
     """
     from imuarray.calibrate.noise import with_noise_of
     from imuarray.fuse import NEEDS_NOISE
 
-    known = {sensor.name: calibration.of(sensor) for sensor in inertial(log)}
-    needless = technique is not None and technique not in NEEDS_NOISE
-    if needless or all(sensor.noise_lsb is not None for sensor in known.values()):
+    fused = [sensor for sensor in inertial(log) if not names or sensor.name in names]
+    lacking = [sensor.name for sensor in fused if calibration.or_nominal(sensor).noise_lsb is None]
+    if not lacking or (technique is not None and technique not in NEEDS_NOISE):
         return calibration
-    click.echo("imuarray: no noise in the calibration; measured where this log stands still", err=True)
-    return with_noise_of(log, calibration)
+    of = "" if len(lacking) == len(fused) else f" of {', '.join(lacking)}"
+    click.echo(f"imuarray: no noise{of} in the calibration; measured where this log stands still", err=True)
+    return with_noise_of(log, calibration, lacking)

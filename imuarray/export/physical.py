@@ -38,7 +38,7 @@ def physical_columns(
     known does not fit, or nothing is. Counts stay where there is no way to a unit.
     """
     if sensor.is_triad:
-        return (_triad(sensor, calibration.of(sensor), units, warm.get(sensor.name)), *_temperature(sensor))
+        return (_triad(sensor, calibration.or_nominal(sensor), units, warm.get(sensor.name)), *_temperature(sensor))
     return compensated_columns(sensor)
 
 

@@ -18,7 +18,7 @@ from imuarray.fuse.store import write_fused
 from imuarray.fuse.stored_events import FusedEvent
 from imuarray.fuse.stream import FusionStream
 from imuarray.fuse.techniques import TECHNIQUES, changes
-from imuarray.fuse.thermal import element_temperatures, slopes_of
+from imuarray.fuse.thermal import allowing_for, away_from, away_sentences, element_temperatures, slopes_of
 from imuarray.fuse.told import Told, told_by
 
 __all__ = [
@@ -49,6 +49,9 @@ __all__ = [
     "Told",
     "Watch",
     "aligned",
+    "allowing_for",
+    "away_from",
+    "away_sentences",
     "axes_of",
     "changes",
     "coasting",

@@ -22,7 +22,7 @@ from imuarray.fuse.pipeline import EachAlone, Making, Pipeline
 from imuarray.fuse.running import Warming, running_temperatures
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
-from imuarray.fuse.thermal import element_temperatures
+from imuarray.fuse.thermal import allowing_for, away_from, element_temperatures
 from imuarray.fuse.told import Told, told_by
 from imuarray.fuse.watched import Watched
 from imuarray.log import Block, Log, SensorLog
@@ -78,7 +78,8 @@ def fuse(
     """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`, one of `NAMES` or what makes
     a pipeline for their axes; FusionError if they can't feed it.
 
-    Biases follow the temperature that the log tells, where the calibration says how. `causal`: by what was known when
+    Biases follow the temperature that the log tells, where the calibration says how; covariances allow for what a
+    calibration at another temperature leaves unknown. `causal`: by what was known when
     each frame was read, as `live` does; otherwise `optimal` smooths: every frame by what the whole log tells. `told`
     hears, after the last block, what the technique has found out about the sensors.
 
@@ -89,7 +90,11 @@ def fuse(
     (['angular_rate', 'specific_force'], 3)
     """
     everything = list(log.sensors.values())
-    array = _Array(_chosen(everything, only, str(log.path)), calibration, technique, watch)
+    chosen = _chosen(everything, only, str(log.path))
+    if not causal and technique != OPTIMAL:  # which follows the temperature itself
+        inertial = [sensor for sensors in chosen.values() for sensor in sensors]
+        calibration = allowing_for(calibration, away_from(log, inertial, calibration))
+    array = _Array(chosen, calibration, technique, watch)
     if causal:
         warming = running_temperatures(everything, array.inertial, calibration, of_all=array.is_optimal)
     else:
@@ -147,6 +152,12 @@ class _Array(Generic[_Sensor]):
         self.groups: dict[str, list[_Sensor]] = groups
         self.calibration, self.technique, self.watch = calibration, technique, watch
         self.inertial: list[_Sensor] = [sensor for sensors in groups.values() for sensor in sensors]
+        names = [sensor.name for sensor in self.inertial]
+        if calibration.sensors and not any(name in calibration.sensors for name in names):
+            raise FusionError(
+                f"the calibration knows {', '.join(calibration.sensors)}, and none of those to be fused:"
+                f" {', '.join(names)}"
+            )
         self.is_optimal = technique == OPTIMAL
 
     @property

@@ -5,7 +5,7 @@ counts, less a constant.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -24,8 +24,10 @@ Counts = npt.NDArray[Any]
 class FixedWeighing(Protocol):
     """A technique that does with every whole frame the same."""
 
-    def whole(self) -> tuple[Floats, Estimate]:
-        """The gain (3, m) that makes a triad of values, and the estimate of one frame of zeros, all axes valid."""
+    def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
+        """The gain (3, m) that makes a triad of values, and what makes the estimate of frames, all axes valid, of their
+        triads (n, 3).
+        """
         ...
 
 
@@ -33,20 +35,14 @@ class Plain:
     """One quantity by a technique that weighs alike in every frame."""
 
     def __init__(self, technique: FixedWeighing, units: Sequence[Unit]) -> None:
-        gain, self._one = technique.whole()
+        gain, self._estimate = technique.whole()
         bias = np.concatenate([unit.known.bias_lsb for unit in units])
         scale = np.concatenate([unit.known.lsb_per_si for unit in units])
         self._triads = ConstantGain(gain / scale, bias)
 
     def __call__(self, counts: Sequence[Counts]) -> Estimate:
         """The estimate of the frames whose counts (n, 3) of each sensor these are."""
-        frames = len(counts[0])
-        covariance, used = self._one.covariance_box[0], self._one.used[0]
-        return Estimate(
-            self._triads(counts),
-            np.broadcast_to(covariance, (frames, *covariance.shape)),
-            np.broadcast_to(used, (frames, *used.shape)),
-        )
+        return self._estimate(self._triads(counts))
 
 
 def plain_of(techniques: Mapping[str, object], units: Mapping[str, Sequence[Unit]]) -> dict[str, Plain]:

@@ -1,4 +1,7 @@
-"""Weighted least squares of axis values, frame by frame: ``values = directions @ truth_box + errors``."""
+"""Weighted least squares of axis values, frame by frame: ``values = directions @ truth_box + errors``.
+
+Errors are noise and what a calibration leaves unknown: biases, and responses times the stimulus.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, entries
 
 Floats = npt.NDArray[np.float64]
@@ -44,11 +48,40 @@ class ConstantGain:
         return triads
 
 
-def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats) -> Estimate:
-    """The weighted least squares of each frame, its covariance by the `noise` (m,) of the axes, and the axes in use."""
+class SlowErrors:
+    """What the calibrations of axes leave unknown, and what gains make of it."""
+
+    def __init__(self, axes: Sequence[Axis]) -> None:
+        m = len(axes)
+        terms = np.zeros((4, 4, m, m))  # what goes with (1, X, Y, Z) of the stimulus
+        for i, axis in enumerate(axes):
+            for j, other in enumerate(axes):
+                if axis.errors is not None and axis.sensor == other.sensor:
+                    terms[0, 0, i, j] = axis.errors.bias_si2[axis.index, other.index]
+                    terms[1:, 1:, i, j] = axis.errors.response[axis.index, :, other.index]
+        self._terms = terms.reshape(16, m, m)
+        self.known = bool(terms.any())
+        """Whether anything is told of them."""
+
+    def covariance(self, gains: Floats, triads: Floats) -> Floats:
+        """(n, 6) (`frames.ENTRIES`) of triads (n, 3) that were made with `gains` (n, 3, m), or (1, 3, m) for all."""
+        ones = np.concatenate([np.ones((len(triads), 1)), triads], axis=1)
+        pairs = (ones[:, :, None] * ones[:, None, :]).reshape(len(triads), 16)
+        if len(gains) == 1:
+            return np.asarray(pairs @ entries(gains[0] @ self._terms @ gains[0].T))
+        unsure = (pairs @ self._terms.reshape(16, -1)).reshape(len(triads), *self._terms.shape[1:])
+        return entries(gains @ unsure @ np.swapaxes(gains, 1, 2))
+
+
+def weighted(values: Floats, weights: Floats, rows: Floats, noise: Floats, slow: SlowErrors | None = None) -> Estimate:
+    """The weighted least squares of each frame, its covariance by the `noise` (m,) and the `slow` errors of the axes,
+    and the axes in use.
+    """
     used = weights > 0
     triad, gains, solvable = _solved(values, weights, rows)
     covariance = _covariances(gains, solvable, used[: len(gains)], noise)
+    if slow is not None and slow.known:
+        covariance = covariance + slow.covariance(gains, triad)
     return Estimate(triad, np.broadcast_to(covariance, (len(values), 6)), used)
 
 

@@ -65,7 +65,7 @@ class FusionStream(Generic[Out]):
         self._rows = {name: Rows() for name in (*self._names, *(set(self._feeds) - set(self._names)))}
         self._units = [
             Unit(
-                calibration.of(sensor),
+                calibration.or_nominal(sensor),
                 sensor.range * sensor.sensitivity,
                 warming.elements.get(sensor.name),
                 1 / sensor.rate_hz if sensor.rate_hz > 0 else 0.0,

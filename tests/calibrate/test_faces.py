@@ -296,3 +296,50 @@ def refused(pattern: str) -> Iterator[None]:
         yield
     assert "\n" not in str(caught.value)
     assert "sensor A" in str(caught.value)
+
+
+def test_faces_noted_by_what_was_up_are_faces(write_log: WriteLog) -> None:
+    """Six logs whose phases are all called `static` and say what was up, as `imuarray log --up` notes it."""
+    named = calibrate_tumble(open_log(sloppy(write_log)))
+    noted = calibrate_tumble(open_log(sloppy(write_log, name="up.h5", labels=[("static", up) for _, up, _ in FACES])))
+    assert noted.method == named.method == "faces"
+    assert "static (-X)" in noted.pose_names
+    for name, sensor in noted.calibration.sensors.items():
+        other = named.calibration.sensors[name]
+        # The reading of +Z that is a check by its name is one more here.
+        assert sensor.response_lsb_per_unit == pytest.approx(other.response_lsb_per_unit, abs=6.0)
+        assert sensor.bias_lsb == pytest.approx(other.bias_lsb, abs=6.0)
+
+
+def test_five_faces_are_warned_of(write_log: WriteLog) -> None:
+    """All but z_down; of six nothing is said."""
+    rng = np.random.default_rng(3)
+    parts = [Part(accelerometer("A"), skewed("+X+Y+Z", 2048, rng), np.array([30.0, -20, 10]), 3.0)]
+    ups = np.array([up for _, _, up in FACES], float)
+    names = [(label, up) for label, up, _ in FACES]
+    five = calibrate_tumble(open_log(write_log(parts, ups[:5], names=names[:5], name="five.h5")))
+    (warning,) = five.warnings
+    assert warning.startswith("no face with -Z up: nothing checks the opposite one")
+    assert calibrate_tumble(open_log(write_log(parts, ups, names=names, name="six.h5"))).warnings == ()
+
+
+def test_poses_that_disagree_are_warned_of(write_log: WriteLog) -> None:
+    """A table that leans by three degrees another way for each face: 50 mg."""
+    rng = np.random.default_rng(4)
+    parts = [Part(accelerometer("A"), ideal("+X+Y+Z", 2048), np.zeros(3), 3.0)]
+    ups = np.array([up for _, _, up in FACES], float)[:6] + rng.normal(0, 0.05, (6, 3))
+    ups /= np.linalg.norm(ups, axis=1, keepdims=True)
+    found = calibrate_tumble(open_log(write_log(parts, ups, names=[(label, up) for label, up, _ in FACES[:6]])))
+    assert any("bias within +-" in warning and "mg only" in warning for warning in found.warnings)
+
+
+def test_the_file_of_a_mislabelled_face_is_named(write_log: WriteLog) -> None:
+    """A log a face; x_up was in truth the box on its y face."""
+    rng = np.random.default_rng(5)
+    parts = [Part(accelerometer("A"), skewed("+X+Y+Z", 2048, rng), np.zeros(3), 3.0)]
+    logs = []
+    for label, up, direction in FACES[:6]:
+        felt = (0, 1, 0) if label == "x_up" else direction
+        logs.append(open_log(write_log(parts, np.array([felt], float), names=[(label, up)], name=f"log_{label}.h5")))
+    with pytest.raises(CalibrationError, match=r"log_x_up\.h5, sensor A: phase 'x_up' is 1\.\d+ g off the other faces"):
+        calibrate_tumble(*logs)

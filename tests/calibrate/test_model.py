@@ -23,7 +23,8 @@ from imuarray.calibrate.stability import (
     Thermal,
     TurnOn,
 )
-from imuarray.errors import CalibrationError, ImuArrayError, OutputExistsError
+from imuarray.errors import CalibrationError, FusionError, ImuArrayError, OutputExistsError
+from imuarray.fuse import fuse
 from imuarray.log import open_log
 from tests.calibrate.conftest import Part, WriteLog, accelerometer, gyroscope, ideal
 
@@ -77,6 +78,7 @@ thermals = st.builds(
     quadratic_lsb_per_degc2=st.none() | triples(numbers),
     scale_slope_per_degc=st.none() | unknown_or_positive,
     scale_slope_sem_per_degc=st.none() | unknown_or_positive,
+    quadratic_sem_lsb_per_degc2=st.none() | triples(positive),
 )
 states = st.builds(
     BiasState, bias_lsb=triples(numbers), share=st.floats(0, 1), runs=st.lists(counts, max_size=4).map(tuple)
@@ -138,6 +140,8 @@ sensors = st.builds(
     temperature_degc=st.none() | st.floats(-40, 85),
     bias_covariance_lsb2=st.none() | matrices.map(lambda m: np.array(m) @ np.array(m).T + np.eye(3)),
     g_sensitivity_sem_lsb_per_g=st.none() | st.lists(triples(positive), min_size=3, max_size=3).map(np.array),
+    chip=st.none() | st.just("bma180"),
+    response_covariance_lsb2_per_unit2=st.none() | st.just(np.diag(np.arange(1.0, 10.0))),
     thermal=st.none() | thermals,
     turn_on=st.none() | turn_ons,
     provenance=st.dictionaries(st.sampled_from(sorted(GROUPS)), origins, max_size=3),
@@ -492,6 +496,23 @@ def test_a_calibration_at_another_range_is_refused(write_log: WriteLog) -> None:
     part = Part(accelerometer("A", sensitivity=256.0), ideal("+X+Y+Z", 256), np.zeros(3))
     with open_log(write_log([part], np.eye(3))) as log, pytest.raises(CalibrationError):
         Calibration({"A": TUMBLED}).of(log["A"])
+
+
+def test_a_calibration_of_another_array_is_refused(write_log: WriteLog) -> None:
+    """It knows other sensors, or one of the same name that is another chip."""
+    part = Part(accelerometer("BMA1", "+X+Y+Z"), ideal("+X+Y+Z", 2048), np.zeros(3))
+    with open_log(write_log([part], np.eye(3))) as log:
+        with pytest.raises(
+            CalibrationError, match="sensor BMA1: not calibrated; the calibration knows BMA2; did you mean"
+        ):
+            Calibration({"BMA2": known(name="BMA2")}).of(log["BMA1"])
+        with pytest.raises(CalibrationError, match="sensor BMA1: calibrated as chip mpu6050, logged as bma180"):
+            Calibration({"BMA1": known(name="BMA1", chip="mpu6050")}).of(log["BMA1"])
+        own = Calibration({"BMA1": known(name="BMA1", chip=log["BMA1"].chip, bias_lsb=np.ones(3))})
+        assert own.of(log["BMA1"]).bias_lsb.tolist() == [1, 1, 1]
+        assert Calibration({"BMA2": known(name="BMA2")}).or_nominal(log["BMA1"]).bias_lsb.tolist() == [0, 0, 0]
+        with pytest.raises(FusionError, match="the calibration knows BMA2, and none of those to be fused: BMA1"):
+            next(fuse(log, Calibration({"BMA2": known(name="BMA2")}), "mean"))
 
 
 def test_counts_become_a_triad_in_the_box_frame() -> None:

@@ -45,7 +45,27 @@ def test_an_accelerometer_and_a_gyroscope_are_one_imu(still: Path, tmp_path: Pat
     density = SIGMA / np.sqrt(RATE_HZ)
     assert found["accelerometer_noise_density"] == pytest.approx(density * 9.80665 / 4096, rel=0.05)
     assert found["gyroscope_noise_density"] == pytest.approx(density * np.radians(1 / 114.3), rel=0.05)
-    assert {"accelerometer_random_walk", "gyroscope_random_walk"} <= set(found)
+    # White noise alone: of a random walk there is a bound, which is no figure for a program to read.
+    text = (tmp_path / "imu.yaml").read_text()
+    for name in ("accelerometer", "gyroscope"):
+        assert f"{name}_random_walk" not in found
+        assert f"# {name}_random_walk: none was seen, at most " in text
+
+
+def test_a_walk_that_one_axis_shows_is_that_axis_s_and_no_bound(still: Path, tmp_path: Path) -> None:
+    """The value of the axis in which it is significant, though another's bound is larger."""
+    with open_log(still) as log:
+        result = characterise_log(log)
+    for sensor in result["sensors"]:
+        for index, axis in enumerate(sensor["axes"]):
+            seen = {"value": 3.0, "low": 2.0, "high": 4.0, "significant": True}
+            unseen = {"value": 1.0, "low": 0.0, "high": 9.0, "significant": False}
+            axis["fit"]["terms"]["random walk"] = seen if index == 1 else unseen
+    (tmp_path / "c.json").write_text(json.dumps(result))
+    export(tmp_path / "c.json", tmp_path / "i.yaml")
+    found = yaml.safe_load((tmp_path / "i.yaml").read_text())
+    assert found["accelerometer_random_walk"] == pytest.approx(3.0 * 9.80665 / 4096)
+    assert found["gyroscope_random_walk"] == pytest.approx(3.0 * np.radians(1 / 114.3), rel=1e-5)
 
 
 def test_more_sensors_are_a_file_each(still: Path, tmp_path: Path) -> None:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
+from imuarray.calibrate import Calibration
+from imuarray.cli import main
 from imuarray.fuse import TECHNIQUES, Axis, Estimate, Frames, fuse
+from imuarray.fuse.techniques import changes
 from imuarray.fuse.techniques.ranges import RangeBlend
 from imuarray.fuse.techniques.ranges.fading import SETTLED, Fading, settling_s
 from imuarray.log import open_log
 from tests.fuse.arrays import HIGH_MG, LOW_MG, at_once, low_and_high, triad, weights
-from tests.fuse.conftest import Floats, G, Motion, WriteRun, calibration, joined, nothing
+from tests.fuse.conftest import Floats, G, Motion, Part, WriteRun, calibration, joined, nothing
 
 LOW_G, HIGH_G = LOW_MG / 1e3, HIGH_MG / 1e3
 SHARE = LOW_G**-2 / (LOW_G**-2 + HIGH_G**-2)
@@ -46,6 +51,60 @@ def test_ranges_weigh_by_inverse_variance_and_leave_other_designs_alone() -> Non
     # 1 : 1/9 within the design, which counts for two of three sensors as in the average.
     expected = np.array([0.9 * 2 / 3, 0.1 * 2 / 3, 1 / 3])
     assert weights(TECHNIQUES["ranges"](axes), 9)[1, [1, 4, 7]] == pytest.approx(expected)
+
+
+def test_ranges_of_different_chips_are_ranges() -> None:
+    """Designs with a range each: 1 : 1/9 by inverse variance, of two units of the high range 1/18 each; a chip with the
+    same range as another gains nothing on it, and full scales of 2000 and 2048 are one range.
+    """
+    axes = [
+        *triad("LOW", "+X+Y+Z", (1.0, 1.0, 1.0), chip="c", span=10.0),
+        *triad("HIGH", "+X+Y+Z", (3.0, 3.0, 3.0), chip="d", span=100.0),
+        *triad("TOO", "+X+Y+Z", (3.0, 3.0, 3.0), chip="e", span=100.0),
+    ]
+    found = weights(TECHNIQUES["ranges"](axes), 9)[1, [1, 4, 7]]
+    assert found == pytest.approx(np.array([9, 1, 1]) / 11)
+    assert changes("ranges", axes) == ["c"]
+    one = [
+        *triad("A", "+X+Y+Z", (1.0,) * 3, chip="c", span=2000.0),
+        *triad("B", "+X+Y+Z", (1.0,) * 3, chip="d", span=2048.0),
+    ]
+    assert changes("ranges", one) == []
+
+
+def test_a_low_range_of_another_chip_fades_out_and_leaves_no_step(write_run: WriteRun) -> None:
+    """From 0 to 3 g over a chip of 1.5 g and another of 16 g that read otherwise by 50 mg: no step at the hand-over; by
+    the noise of the calibration, in a log that never rests.
+    """
+    low, high = low_and_high(sigma=False)
+    low = low._replace(chip="mpu9150", error=lambda seconds: np.full((len(seconds), 3), 0.05))
+    motion: Motion = lambda seconds: np.outer(seconds, [0.3, 0.0, 0.0])  # noqa: E731
+    known = calibration([part._replace(chip=one.chip) for part, one in zip(low_and_high(), (low, high), strict=True)])
+    with open_log(write_run([low, high], force=motion)) as log:
+        time, fused = joined(list(fuse(log, known, "ranges")))
+    error = fused[:, 0] / G - 0.3 * time * 1e-9
+    assert np.abs(error - SHARE * 0.05).max() < 1.5 / 2048
+
+
+def test_the_noise_of_the_calibration_needs_no_rest(
+    write_run: WriteRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A log that never rests, of two chips whose noise is known and a third, which is not fused, whose is not."""
+    low, high = low_and_high()
+    parts = [low._replace(chip="mpu9150"), high, Part("THIRD", sigma=0.02)]
+    known = calibration(parts)
+    known = Calibration({**known.sensors, "THIRD": replace(known.sensors["THIRD"], noise_lsb=None)})
+    known.save(tmp_path / "cal.toml")
+    motion: Motion = lambda seconds: np.sin(np.outer(seconds, [9.0, 7.0, 8.0]))  # noqa: E731
+    run = str(write_run(parts, force=motion))
+    fused = ["fuse", run, "--calibration", str(tmp_path / "cal.toml"), "-o", str(tmp_path / "f.h5"), "--technique"]
+    assert main([*fused, "ranges", "--only", "LOW,HIGH"]) == 0
+    said = capsys.readouterr()
+    assert "no noise" not in said.err and "ranges changes mpu9150" in said.out
+    assert main([*fused, "opposed", "--only", "LOW,HIGH", "--force"]) == 0
+    assert "opposed changes nothing on this array: where a design's axes point both ways" in capsys.readouterr().out
+    assert main([*fused, "ranges", "--only", "HIGH", "--force"]) == 0
+    assert "all its sensors of a quantity have one measuring range" in capsys.readouterr().out
 
 
 def low_share(level: float, axis: int = 0) -> float:

@@ -88,12 +88,13 @@ class ErrorModel:
     """The errors of every axis, by sensor and index of the axis, and of every design, by chip and index.
 
     `bias_covariances` (3, 3), by sensor, come on top of the axes' own `bias`: what a calibration left of the three
-    axes together.
+    axes together. `response_covariances` (9, 9), by sensor, row by row, come in place of the axes' own `response`.
     """
 
     axes: Mapping[tuple[str, int], AxisErrors]
     designs: Mapping[tuple[str, int], DesignErrors] = field(default_factory=lambda: MappingProxyType({}))
     bias_covariances: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
+    response_covariances: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
 
     def of(self, axes: Sequence[Axis]) -> list[AxisErrors]:
         """The errors of these axes, in their order; FusionError for one that is not in the model."""

@@ -17,7 +17,9 @@ import numpy.typing as npt
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.model import Described
 from imuarray.calibrate.stability import BIAS, TurnOn
+from imuarray.calibrate.turns import TOLERANCE
 from imuarray.errors import FusionError
+from imuarray.fuse.axes import response_shares
 from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
 from imuarray.units import STANDARD_GRAVITY
 
@@ -46,7 +48,7 @@ USUAL: Mapping[str, Usual] = MappingProxyType(
         # bias: of BMA180s; slopes: Table 8; turn-on: Table 11, deviation of the runs' means over that of readings;
         # drift: the same of the uninterrupted run, less the means' own noise
         "specific_force": Usual(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02, 0.03, 0.5),
-        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, 0.02, 0.8, 0.0083 * _DPS),
+        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, TOLERANCE, 0.8, 0.0083 * _DPS),
     }
 )
 """By quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales; of
@@ -86,8 +88,9 @@ def error_model(
     axes: dict[tuple[str, int], AxisErrors] = {}
     designs: dict[tuple[str, int], DesignErrors] = {}
     covariances: dict[str, Floats] = {}
+    responses: dict[str, Floats] = {}
     for sensor in sensors:
-        known, told = calibration.of(sensor), watched is None or sensor.name in watched
+        known, told = calibration.or_nominal(sensor), watched is None or sensor.name in watched
         usual = USUAL[sensor.quantity]
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
         timing_s = _AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S
@@ -105,7 +108,12 @@ def error_model(
             designs[place] = _of_both(designs[place], shared) if place in designs else shared
         if known.bias_covariance_lsb2 is not None:
             covariances[sensor.name] = known.bias_covariance_lsb2 / np.outer(known.lsb_per_si, known.lsb_per_si)
-    return ErrorModel(MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances))
+        shares = response_shares(known)
+        if shares is not None:
+            responses[sensor.name] = shares
+    return ErrorModel(
+        MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances), MappingProxyType(responses)
+    )
 
 
 def _of_design(wander: float, slope: float, told: bool) -> DesignErrors:

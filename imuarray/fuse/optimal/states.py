@@ -67,7 +67,7 @@ def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> State
     rows = {kind: np.zeros((len(axes) + others, len(found))) for kind in ("steady", "thermal", "X", "Y", "Z")}
     for column, state in enumerate(found):
         rows[state.kind][list(state.members), column] = 1.0
-    responses = [rows[kind] for kind in "XYZ"] if any(error.response for error in errors) else []
+    responses = [rows[kind] for kind in "XYZ"] if any(state.kind in "XYZ" for state in found) else []
     return States(
         names=tuple(state.name for state in found),
         prior=_prior(found, axes, model),
@@ -81,12 +81,19 @@ def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> State
 def _of_axis(axes: Sequence[Axis], errors: Sequence[AxisErrors], model: ErrorModel, index: int) -> list[_State]:
     axis, error = axes[index], errors[index]
     calibrated = model.bias_covariances.get(axis.sensor)
+    together = model.response_covariances.get(axis.sensor)
+    off = [error.response] * 3
+    if together is not None:
+        off = np.sqrt(np.diag(together)[3 * axis.index : 3 * axis.index + 3]).tolist()
     bias = np.sqrt(error.bias**2 + (0.0 if calibrated is None else calibrated[axis.index, axis.index]))
     states = [
         _State(f"{axis.label} bias", float(bias), np.inf, [index]),
         _State(f"{axis.label} drift", error.drift, error.drift_time_constant_s, [index]),
         _State(f"{axis.label} slope", error.slope_per_degc, np.inf, [index], "thermal"),
-        *(_State(f"{axis.label} response {box}", error.response, np.inf, [index], box) for box in "XYZ"),
+        *(
+            _State(f"{axis.label} response {box}", spread, np.inf, [index], box)
+            for box, spread in zip("XYZ", off, strict=True)
+        ),
     ]
     return [state for state in states if state.spread > 0]
 
@@ -108,7 +115,7 @@ def _of_designs(axes: Sequence[Axis], model: ErrorModel) -> list[_State]:
 
 
 def _prior(states: Sequence[_State], axes: Sequence[Axis], model: ErrorModel) -> Floats:
-    """Diagonal, but for biases of one sensor that were calibrated together."""
+    """Diagonal, but for biases and responses of one sensor that were calibrated together."""
     prior = np.diag(np.array([state.spread**2 for state in states]))
     place = {state.members[0]: row for row, state in enumerate(states) if state.name.endswith(" bias")}
     for one, row in place.items():
@@ -116,4 +123,14 @@ def _prior(states: Sequence[_State], axes: Sequence[Axis], model: ErrorModel) ->
             covariance = model.bias_covariances.get(axes[one].sensor)
             if one != other and covariance is not None and axes[one].sensor == axes[other].sensor:
                 prior[row, column] = covariance[axes[one].index, axes[other].index]
+    turned = [
+        (row, axes[state.members[0]], "XYZ".index(state.kind))
+        for row, state in enumerate(states)
+        if state.kind in "XYZ"
+    ]
+    for row, axis, box in turned:
+        together = model.response_covariances.get(axis.sensor)
+        for column, other_axis, other_box in turned if together is not None else ():
+            if together is not None and axis.sensor == other_axis.sensor:
+                prior[row, column] = together[3 * axis.index + box, 3 * other_axis.index + other_box]
     return prior

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Frames
-from imuarray.fuse.solve import solve_frames, weighted
+from imuarray.fuse.solve import SlowErrors, solve_frames, weighted
 from imuarray.fuse.techniques.common_mode import CommonMode, opposing_groups
 from imuarray.fuse.techniques.technique import Technique, noise_of
 
@@ -18,7 +18,7 @@ def opposed(axes: Sequence[Axis]) -> Technique:
     temperature, the mean of even-order terms. Where as many axes of a design point one way as the other the average
     does it already; where all point the same way nothing can be seen. `pairs.capabilities` says what it can cancel.
     """
-    rows, noise = directions(axes), noise_of(axes)
+    rows, noise, slow = directions(axes), noise_of(axes), SlowErrors(axes)
     modes = [CommonMode(group) for group in opposing_groups(axes)]
 
     def fused(frames: Frames) -> Estimate:
@@ -27,7 +27,7 @@ def opposed(axes: Sequence[Axis]) -> Technique:
         values = frames.values.copy()
         for mode in modes:
             values[:, mode.members] -= mode.estimate(frames.time, residual, frames.valid)[:, None]
-        return weighted(values, weights, rows, noise)
+        return weighted(values, weights, rows, noise, slow)
 
     return fused
 

@@ -64,7 +64,7 @@ def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list
     """Every pair of opposing axes of two of `sensors` (of one quantity) of one design, by their calibrated directions;
     measuring ranges may differ.
     """
-    known = {sensor.name: calibration.of(sensor) for sensor in sensors}
+    known = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
     return [
         Pair(
             first.label,

@@ -16,7 +16,7 @@ import numpy as np
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Floats, Frames
-from imuarray.fuse.solve import solve_frames, weighted
+from imuarray.fuse.solve import SlowErrors, solve_frames, weighted
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
 from imuarray.units import READABLE_SI
 
@@ -63,6 +63,7 @@ class PlaneBlend:
     def __init__(self, axes: Sequence[Axis]) -> None:
         """FusionError where the noise of an axis is not known."""
         self._axes, self._rows, self._noise = axes, directions(axes), known_noise_of(axes)
+        self._slow = SlowErrors(axes)
         self._weights = plane_weights(axes)
         self._watched = np.flatnonzero(self._weights < 1 - 1e-9)
         self._sums = np.zeros((3, len(self._watched)))
@@ -71,7 +72,7 @@ class PlaneBlend:
         """The estimate of the next block."""
         if len(self._watched):
             self._watch(frames)
-        return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise)
+        return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise, self._slow)
 
     def monitors(self) -> list[Monitor]:
         """What the axes that weigh less have shown so far."""

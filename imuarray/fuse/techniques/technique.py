@@ -10,7 +10,7 @@ import numpy as np
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Floats, Frames
-from imuarray.fuse.solve import weighted, whole_gain
+from imuarray.fuse.solve import SlowErrors, weighted, whole_gain
 
 Technique = Callable[[Frames], Estimate]
 """Frames of one quantity, block after block in order, to their estimate; the result does not depend on the blocks."""
@@ -19,22 +19,32 @@ Technique = Callable[[Frames], Estimate]
 @dataclass(frozen=True)
 class FixedWeights:
     """A technique that gives each axis (m,) the same weight in every frame, as long as its reading is valid; `rows`
-    (m, 3) are the directions of the axes, `noise` (m,) is theirs.
+    (m, 3) are the directions of the axes, `noise` (m,) is theirs, `slow` what their calibrations leave unknown.
     """
 
     rows: Floats
     weights: Floats
     noise: Floats
+    slow: SlowErrors | None = None
 
     def __call__(self, frames: Frames) -> Estimate:
         """Weighted least squares."""
-        return weighted(frames.values, self.weights * frames.valid, self.rows, self.noise)
+        return weighted(frames.values, self.weights * frames.valid, self.rows, self.noise, self.slow)
 
-    def whole(self) -> tuple[Floats, Estimate]:
-        """The gain (3, m) of frames whose readings are all valid, and the estimate of one of zeros."""
+    def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
+        """The gain (3, m) of frames whose readings are all valid, and what makes their estimate of their triads."""
         zeros = np.zeros((1, len(self.weights)))
-        nothing = Frames(np.zeros(1, np.int64), zeros, zeros == 0)
-        return whole_gain(self.weights, self.rows), self(nothing)
+        alone = weighted(zeros, self.weights[None], self.rows, self.noise)
+        gain = whole_gain(self.weights, self.rows)
+
+        def of(triads: Floats) -> Estimate:
+            count = len(triads)
+            covariance = np.broadcast_to(alone.covariance_box[0], (count, 6))
+            if self.slow is not None and self.slow.known:
+                covariance = covariance + self.slow.covariance(gain[None], triads)
+            return Estimate(triads, covariance, np.broadcast_to(alone.used[0], (count, len(self.weights))))
+
+        return gain, of
 
 
 Maker = Callable[[Sequence[Axis]], Technique]

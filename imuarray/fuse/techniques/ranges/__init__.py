@@ -1,4 +1,4 @@
-"""`ranges`: low and high measuring ranges of one design blended, without a trace of the low one's end of range.
+"""`ranges`: low and high measuring ranges blended, of one design or several, without a trace of the low one's end.
 
 `fading` says how far a low-range sensor may be trusted (off the end of its range, its filter settled), `relative`
 tracks what the sensors read differently while all of them are trusted, `blend` puts the two together.

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Flags, Floats, Frames, entries
-from imuarray.fuse.solve import frame_gains, solve_frames, weighted
-from imuarray.fuse.techniques.ranges.fading import Fading, widest
+from imuarray.fuse.solve import SlowErrors, frame_gains, solve_frames, weighted
+from imuarray.fuse.techniques.ranges.fading import Fading, has_low_range
 from imuarray.fuse.techniques.ranges.moments import GAP_S, Rows
 from imuarray.fuse.techniques.ranges.relative import States, Tracker
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
@@ -21,7 +21,9 @@ FOLLOWED_PERIODS = 3
 
 
 def ranges(axes: Sequence[Axis]) -> Technique:
-    """Low and high measuring ranges of one design blended by inverse variance (paper, section 2.3): a `RangeBlend`."""
+    """Low and high measuring ranges blended by inverse variance (paper, section 2.3; there of one design, here also of
+    designs that have a range each): a `RangeBlend`.
+    """
     return RangeBlend(axes)
 
 
@@ -36,7 +38,7 @@ class RangeBlend:
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         """FusionError where the noise of an axis is not known."""
-        self._rows, self._noise = directions(axes), known_noise_of(axes)
+        self._rows, self._noise, self._slow = directions(axes), known_noise_of(axes), SlowErrors(axes)
         self._weights = range_weights(axes)
         self._fading = Fading(axes) if changes(axes) else None
         self.tracker = Tracker(axes, self._weights, self._noise)
@@ -48,7 +50,7 @@ class RangeBlend:
     def __call__(self, frames: Frames) -> Estimate:
         """The estimate of the next block."""
         if self._fading is None:
-            return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise)
+            return weighted(frames.values, self._weights * frames.valid, self._rows, self._noise, self._slow)
         wide = self._weights * ~self._fading.fades.repeat(3) * frames.valid
         share = self._fading(frames, solve_frames(frames.values, wide, self._rows) @ self._rows.T)
         weights = self._weights * share * frames.valid
@@ -59,7 +61,7 @@ class RangeBlend:
         first = solve_frames(level, weights, self._rows)
         slope = self._slope(frames.time, first)
         level += delay / (1 + scale) * (slope @ self._rows.T)
-        estimate = weighted(level, weights, self._rows, self._noise)
+        estimate = weighted(level, weights, self._rows, self._noise, self._slow)
         extra = self._uncertainty(states, weights, frames.valid, share, estimate.triad_box, slope)
         return replace(estimate, covariance_box=estimate.covariance_box + extra)
 
@@ -100,15 +102,15 @@ class RangeBlend:
 
 
 def range_weights(axes: Sequence[Axis]) -> Floats:
-    """(m,) Within a design each measuring range weighs by its inverse variance, a mean over its units and axes.
+    """(m,) Within a design of several measuring ranges each weighs by its inverse variance, a mean over its units and
+    axes; so do the ranges of the designs that have but one, taken together.
 
-    A design with one range, or whose ranges scatter too much alike for a gain, weighs as in the average, and no design
-    gains on another. FusionError where the noise of an axis is not known.
+    Ranges that scatter too much alike for a gain weigh as in the average, and no design gains on another of the same
+    range. FusionError where the noise of an axis is not known.
     """
     noise = known_noise_of(axes)
     weights = np.ones(len(axes))
-    for chip in {axis.chip for axis in axes}:
-        members = [index for index, axis in enumerate(axes) if axis.chip == chip]
+    for members in _families(axes):
         spans = {axes[index].range_si for index in members}
         variance = {span: np.mean([noise[i] ** 2 for i in members if axes[i].range_si == span]) for span in spans}
         if max(variance.values()) > WORTH_WEIGHING * min(variance.values()):
@@ -117,6 +119,17 @@ def range_weights(axes: Sequence[Axis]) -> Floats:
     return weights
 
 
+def _families(axes: Sequence[Axis]) -> list[list[int]]:
+    """The axes (indices) of every design of several ranges, and those of all other designs together."""
+    ranges_of: dict[str, set[float]] = {}
+    for axis in axes:
+        ranges_of.setdefault(axis.chip, set()).add(axis.range_si)
+    families: dict[str, list[int]] = {}
+    for index, axis in enumerate(axes):
+        families.setdefault(axis.chip if len(ranges_of[axis.chip]) > 1 else "", []).append(index)
+    return list(families.values())
+
+
 def changes(axes: Sequence[Axis]) -> list[str]:
     """The designs of which it fades out a low range."""
-    return sorted({axis.chip for axis in axes if axis.range_si < widest(axes, axis.chip)})
+    return sorted({axis.chip for axis in axes if has_low_range(axis, axes)})

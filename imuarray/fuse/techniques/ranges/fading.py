@@ -28,12 +28,20 @@ SETTLED = 0.1
 UNKNOWN_BANDWIDTH_HZ = 10.0
 """Taken for a sensor whose bandwidth is not known: the slowest low-pass of a BMA180 (BMA-81)."""
 
+OTHER_RANGE = 0.9
+"""Share of the widest range from which on a range is as wide: two chips' full scales of 2000 and 2048 are one range."""
+
 _NEVER = np.iinfo(np.int64).min // 2
 
 
-def widest(axes: Sequence[Axis], chip: str) -> float:
-    """The widest measuring range of a design."""
-    return max(axis.range_si for axis in axes if axis.chip == chip)
+def widest(axes: Sequence[Axis]) -> float:
+    """The widest measuring range, whatever chip has it."""
+    return max(axis.range_si for axis in axes)
+
+
+def has_low_range(axis: Axis, axes: Sequence[Axis]) -> bool:
+    """Whether another of the axes goes on where this one ends."""
+    return axis.range_si < OTHER_RANGE * widest(axes)
 
 
 def settling_s(bandwidth_hz: float | None, excess_si: float, noise_si: float) -> float:
@@ -50,7 +58,7 @@ class Fading:
     A sensor's three axes, which follow each other as `axes_of` gives them, fade together, by the largest of them,
     smoothly to exactly zero at `TAPER[1]` of its range. Once it was there, or clipped, or the wide ranges felt more
     than it can, it stays out for its settling time (`settling_s`), counted from the middle between the last frame out
-    and the first one in, and comes in again over another such time. The widest range of a design never fades.
+    and the first one in, and comes in again over another such time. The widest range never fades.
 
     A sensor clips before its low-pass: of a step steeper than the filter, the few frames until the wide ranges,
     filtered too, show that it was too much are not known for what they are.
@@ -58,13 +66,13 @@ class Fading:
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         sensors = axes[::3]
-        self.fades = np.array([axis.range_si < widest(axes, axis.chip) for axis in sensors])
+        self.fades = np.array([has_low_range(axis, axes) for axis in sensors])
         self._span = np.array([axis.range_si for axis in sensors])
         self._settling_ns = 1e9 * np.array(
             [
                 settling_s(
                     axis.bandwidth_hz,
-                    widest(axes, axis.chip) - axis.range_si,
+                    widest(axes) - axis.range_si,
                     min(its.noise_si or math.inf for its in axes[3 * index : 3 * index + 3]),
                 )
                 if fades

@@ -1,0 +1,289 @@
+"""Several calibrations of one array beside each other: what changed from one to the next and by how many standard
+errors, which part of it is common to the units of a design, and what opposing axes cancel of it.
+
+A figure that was measured n times with standard errors s_i is taken to have changed if ``sum of (x_i - mean)^2 /
+s_i^2`` about the weighted mean is more than chi-square of n - 1 degrees of freedom makes by chance, all figures allowed
+for (Holm). Biases are compared at one temperature where the calibrations know theirs and their slopes.
+
+What changes alike in all U units of a design along one of their own axes, c_k in calibration k, is told from what each
+does alone by the analysis of variance: ``F = U sum c_k^2 / (n - 1)`` over the mean square of the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtrc, fdtrc, stdtr
+
+from imuarray.calibrate.model import Calibration, SensorCalibration
+from imuarray.calibrate.turn_on import holm
+from imuarray.errors import CalibrationError
+
+Floats = npt.NDArray[np.float64]
+
+CHANGED = 0.05
+"""Probability, all figures allowed for, below which one changed."""
+
+_OPPOSITE = -0.9
+"""Cosine between two axes that oppose each other."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One figure of one axis in the calibrations that have it (n): values and standard errors in `unit`; the chance
+    `p_value` of such values if nothing changed, all figures allowed for; `sigmas` between the two that are furthest
+    apart, by number in `calibrations`, and by how much they differ.
+    """
+
+    sensor: str
+    axis: str
+    figure: str
+    unit: str
+    calibrations: tuple[int, ...]
+    values: tuple[float, ...]
+    sems: tuple[float, ...]
+    p_value: float
+    first: int
+    last: int
+    difference: float
+    sigmas: float
+
+    @property
+    def changed(self) -> bool:
+        """Whether chance does not explain it."""
+        return self.p_value < CHANGED
+
+
+@dataclass(frozen=True)
+class CommonChange:
+    """Biases of a design along one of its own axes: standard deviations over calibrations of what all `units` have in
+    common and of what each has alone, in `unit`, and the chance of as much in common if they had nothing.
+    """
+
+    chip: str
+    axis: str
+    unit: str
+    units: tuple[str, ...]
+    common: float
+    own: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class OpposedChange:
+    """Biases of two axes of one design that oppose each other along a box axis: rms change over calibrations of either
+    alone and of their mean in the box frame, in `unit`; the `correlation` of their changes along their own axes and the
+    chance of as large a one if they had nothing in common (nan of two calibrations).
+    """
+
+    chip: str
+    first: str
+    second: str
+    box_axis: str
+    unit: str
+    alone: float
+    together: float
+    correlation: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class CalibrationComparison:
+    """Everything; `names` are those of the calibrations. Without calibrations that share a sensor there is nothing."""
+
+    names: tuple[str, ...]
+    changes: tuple[Change, ...]
+    common: tuple[CommonChange, ...]
+    opposed: tuple[OpposedChange, ...]
+
+
+def compare_calibrations(calibrations: Mapping[str, Calibration]) -> CalibrationComparison:
+    """Calibrations by name, two at least. CalibrationError for fewer, for sensors of one name that are two, and if no
+    sensor is in two of them.
+    """
+    names, files = tuple(calibrations), list(calibrations.values())
+    if len(files) < 2:
+        raise CalibrationError("two calibrations at least are wanted to compare")
+    found: dict[str, dict[int, SensorCalibration]] = {}
+    for number, file in enumerate(files):
+        for name, sensor in file.sensors.items():
+            found.setdefault(name, {})[number] = sensor
+    shared = {name: each for name, each in found.items() if len(each) > 1}
+    if not shared:
+        raise CalibrationError(f"{', '.join(names)}: no sensor is in two of them")
+    for name, each in shared.items():
+        _refuse_two(name, names, each)
+    changes = [change for name, each in shared.items() for change in _changes(name, each)]
+    allowed = holm([change.p_value for change in changes])
+    biases = {name: _biases(each) for name, each in shared.items() if len(_biases(each)) == len(files)}
+    return CalibrationComparison(
+        names,
+        tuple(replace(change, p_value=float(p)) for change, p in zip(changes, allowed, strict=True)),
+        tuple(_common(shared, biases)),
+        tuple(_opposed(shared, biases)),
+    )
+
+
+def _refuse_two(name: str, names: Sequence[str], each: Mapping[int, SensorCalibration]) -> None:
+    """CalibrationError for calibrations of two sensors that have one name."""
+    (first, one), *others = each.items()
+    for number, other in others:
+        for what in ("quantity", "unit", "chip", "range"):
+            mine, its = getattr(one, what), getattr(other, what)
+            if None not in (mine, its) and mine != its:
+                raise CalibrationError(
+                    f"sensor {name}: {what} {mine} in {names[first]}, {its} in {names[number]}: two sensors of one name"
+                )
+
+
+def _changes(name: str, each: Mapping[int, SensorCalibration]) -> Iterator[Change]:
+    """Every figure that two calibrations measured, its probability before allowing for the others."""
+    temperature = _temperature(each)
+    rows: dict[tuple[str, str, str], dict[int, tuple[float, float]]] = {}
+    for number, sensor in each.items():
+        for axis, figure, unit, value, sem in _figures(sensor, temperature):
+            if np.isfinite(value) and np.isfinite(sem) and sem > 0:
+                rows.setdefault((axis, figure, unit), {})[number] = value, sem
+    for (axis, figure, unit), known in rows.items():
+        if len(known) < 2:
+            continue
+        numbers = tuple(known)
+        values, sems = np.array(list(known.values())).T
+        weights = sems**-2
+        mean = float(np.sum(weights * values) / weights.sum())
+        chi_squared = float(np.sum(weights * (values - mean) ** 2))
+        apart = np.abs(values[:, None] - values) / np.hypot(sems[:, None], sems)
+        first, last = sorted(np.unravel_index(int(apart.argmax()), apart.shape))
+        yield Change(
+            name,
+            axis,
+            figure,
+            unit,
+            numbers,
+            tuple(values.tolist()),
+            tuple(sems.tolist()),
+            float(chdtrc(len(values) - 1, chi_squared)),
+            numbers[first],
+            numbers[last],
+            float(values[last] - values[first]),
+            float(apart[first, last]),
+        )
+
+
+def _temperature(each: Mapping[int, SensorCalibration]) -> float | None:
+    """At which biases are compared: the mean of those at which they were measured, if all are known."""
+    known = [sensor.temperature_degc for sensor in each.values() if sensor.bias_sem_lsb is not None]
+    temperatures = [degc for degc in known if degc is not None]
+    return float(np.mean(temperatures)) if temperatures and len(temperatures) == len(known) else None
+
+
+def _figures(sensor: SensorCalibration, degc: float | None) -> Iterator[tuple[str, str, str, float, float]]:
+    """Axis, figure, unit, value and standard error of all that was measured."""
+    scale, unit = sensor.scale_lsb_per_unit, sensor.unit
+    for axis, letter in enumerate("xyz"):
+        if sensor.bias_sem_lsb is not None:
+            bias = sensor.bias_lsb if degc is None else sensor.bias_at(degc)
+            yield letter, "bias", unit, float(bias[axis] / scale[axis]), float(sensor.bias_sem_lsb[axis] / scale[axis])
+        covariance = sensor.response_covariance()
+        if covariance is not None:
+            row, own = sensor.directions_box[axis], covariance[3 * axis : 3 * axis + 3, 3 * axis : 3 * axis + 3]
+            yield letter, "scale factor", f"LSB/{unit}", float(scale[axis]), float(np.sqrt(row @ own @ row))
+            for box in np.argsort(np.abs(row))[:2]:
+                across = np.eye(3)[box] - row[box] * row
+                lean = float(np.degrees(row[box]))
+                yield (
+                    letter,
+                    f"lean to {'XYZ'[box]}",
+                    "deg",
+                    lean,
+                    float(np.degrees(np.sqrt(across @ own @ across) / scale[axis])),
+                )
+        if sensor.noise_lsb is not None and sensor.noise_sem_lsb is not None:
+            noise, sem = sensor.noise_lsb[axis] / scale[axis], sensor.noise_sem_lsb[axis] / scale[axis]
+            yield letter, "noise", unit, float(noise), float(sem)
+        if sensor.thermal is not None:
+            slope, sem = sensor.thermal.slope_lsb_per_degc[axis], sensor.thermal.slope_sem_lsb_per_degc[axis]
+            yield letter, "slope", f"{unit}/degC", float(slope / scale[axis]), float(sem / scale[axis])
+
+
+def _biases(each: Mapping[int, SensorCalibration]) -> Floats:
+    """(n, 3) biases in the sensor's unit less their mean, of the calibrations that measured them."""
+    degc = _temperature(each)
+    known = [sensor for sensor in each.values() if sensor.bias_sem_lsb is not None]
+    rows = [(s.bias_lsb if degc is None else s.bias_at(degc)) / s.scale_lsb_per_unit for s in known]
+    values = np.array(rows).reshape(-1, 3)
+    return np.asarray(values - values.mean(axis=0)) if len(values) else values
+
+
+def _designs(shared: Mapping[str, Mapping[int, SensorCalibration]], names: Sequence[str]) -> dict[str, list[str]]:
+    """The sensors of each design: chip, quantity and unit; by what they measure alone where the chip is not known."""
+    designs: dict[str, list[str]] = {}
+    for name in names:
+        sensor = next(iter(shared[name].values()))
+        chip = next((each.chip for each in shared[name].values() if each.chip), "")
+        designs.setdefault(f"{chip} {sensor.quantity.replace('_', ' ')}".strip(), []).append(name)
+    return designs
+
+
+def _common(
+    shared: Mapping[str, Mapping[int, SensorCalibration]], biases: Mapping[str, Floats]
+) -> Iterator[CommonChange]:
+    for chip, names in _designs(shared, list(biases)).items():
+        if len(names) < 2:
+            continue
+        unit = next(iter(shared[names[0]].values())).unit
+        for axis, letter in enumerate("xyz"):
+            changes = np.array([biases[name][:, axis] for name in names])  # (u, n), rows of zero mean
+            units, freedom = len(changes), changes.shape[1] - 1
+            common = changes.mean(axis=0)
+            between = units * float(np.sum(common**2)) / freedom
+            rest = float(np.sum((changes - common) ** 2)) / ((units - 1) * freedom)
+            yield CommonChange(
+                chip,
+                letter,
+                unit,
+                tuple(names),
+                float(np.sqrt(max(between - rest, 0.0) / units)),
+                float(np.sqrt(rest)),
+                float(fdtrc(freedom, (units - 1) * freedom, between / rest)) if rest > 0 else float(between == 0),
+            )
+
+
+def _opposed(
+    shared: Mapping[str, Mapping[int, SensorCalibration]], biases: Mapping[str, Floats]
+) -> Iterator[OpposedChange]:
+    for chip, names in _designs(shared, list(biases)).items():
+        axes = [(name, axis) for name in names for axis in range(3)]
+        rows = {(n, a): next(iter(shared[n].values())).directions_box[a] for n, a in axes}
+        for place, one in enumerate(axes):
+            for other in axes[place + 1 :]:
+                if one[0] == other[0] or float(rows[one] @ rows[other]) > _OPPOSITE:
+                    continue
+                mine, its = biases[one[0]][:, one[1]], biases[other[0]][:, other[1]]
+                freedom = len(mine) - 1
+                size = float(np.sqrt(np.sum(mine**2) * np.sum(its**2)))
+                correlation = float(np.sum(mine * its)) / size if size > 0 else float("nan")
+                yield OpposedChange(
+                    chip,
+                    f"{one[0]} {'xyz'[one[1]]}",
+                    f"{other[0]} {'xyz'[other[1]]}",
+                    "XYZ"[int(np.abs(rows[one]).argmax())],
+                    next(iter(shared[one[0]].values())).unit,
+                    float(np.sqrt((np.sum(mine**2) + np.sum(its**2)) / 2 / freedom)),
+                    float(np.sqrt(np.sum(((mine - its) / 2) ** 2) / freedom)),
+                    correlation,
+                    _chance_of_correlation(correlation, freedom),
+                )
+
+
+def _chance_of_correlation(correlation: float, freedom: int) -> float:
+    """Of one as large or larger, by Student's t with one degree of freedom less than the changes have; nan of two
+    calibrations, which always correlate fully.
+    """
+    if freedom < 2 or not np.isfinite(correlation):
+        return float("nan")
+    t = correlation * np.sqrt((freedom - 1) / max(1 - correlation**2, 1e-300))
+    return float(stdtr(freedom - 1, -t))

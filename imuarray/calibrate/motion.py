@@ -1,0 +1,89 @@
+"""Whether the box stood still where a calibration needs it to: a figure that is made of motion is none of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate.poses import windows_of
+from imuarray.errors import CalibrationError
+from imuarray.log import Log
+from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
+from imuarray.units import INERTIAL, READABLE
+
+Floats = npt.NDArray[np.float64]
+
+STILL: Mapping[str, float] = MappingProxyType({"specific_force": 0.1, "angular_rate": 5.0})
+"""By quantity, in its unit: seconds in which readings scatter by more, or whose mean is so far from that of the second
+before, are motion. A sensor's own noise is smaller, and a bias drifts by less in a second.
+"""
+
+TILTED_G = 0.3
+"""A mean specific force that is so far from the median one is that of another pose, however slowly it was taken: what
+heating by 40 degC does to a bias is a third of it (ADX-62, BMA-115).
+"""
+
+MOVING_SHARE = 0.1
+"""Share of the seconds that may be motion: a box that is knocked or set down rests all the same."""
+
+TURNED_DEG = 10.0
+"""Poses that differ by more are two: a bias of 0.1 g turns the direction felt by six degrees."""
+
+_WINDOW_NS = 1_000_000_000
+
+
+def motion_in(log: Log, start_ns: int, end_ns: int, left_out: Sequence[Phase] = ()) -> str:
+    """What says that the box moved between two times, as words; "" if it rested, or if nothing tells."""
+    for quantity in INERTIAL:
+        sensors = [sensor for sensor in log.of(quantity) if len(sensor) and sensor.sensitivity > 0]
+        count = (end_ns - start_ns) // _WINDOW_NS
+        if not sensors or count < 1:
+            continue
+        mean, scatter = windows_of(sensors, start_ns, int(count), _WINDOW_NS, STALE | SATURATED | SUSPECT)
+        middle_ns = start_ns + _WINDOW_NS * np.arange(count) + _WINDOW_NS // 2
+        used = np.isfinite(scatter)
+        for phase in left_out:
+            used &= (middle_ns < phase.start_ns) | (middle_ns >= phase.end_ns)
+        if not used.any():
+            continue
+        means, change = mean[used], np.maximum(scatter[used], 0.0)
+        change[1:] = np.maximum(change[1:], np.abs(np.diff(means, axis=0)).max(axis=1))
+        off = np.abs(means - np.median(means, axis=0)).max(axis=1)
+        moving = change > STILL[quantity]
+        if quantity == "specific_force":
+            moving |= off > TILTED_G
+        if moving.mean() > MOVING_SHARE:
+            factor, unit = READABLE[sensors[0].unit]
+            most = factor * float(np.maximum(off, change)[moving].max())
+            return f"the box moved in {100 * moving.mean():.0f} % of it (by up to {most:.3g} {unit}); at rest is wanted"
+    return ""
+
+
+def refuse_motion(log: Log, stretches: Sequence[tuple[str, int, int]], left_out: Sequence[Phase] = ()) -> None:
+    """CalibrationError for the first of the stretches (name, start and end in ns) in which the box moved."""
+    for name, start_ns, end_ns in stretches:
+        if words := motion_in(log, start_ns, end_ns, left_out):
+            raise CalibrationError(f"{log.path}{name and f', {name}'}: {words}")
+
+
+def refuse_other_poses(names: Sequence[str], forces_g: Floats) -> None:
+    """CalibrationError if two or more of the mean specific forces (r, 3), in one frame, point elsewhere than most; the
+    one that does may be of a sensor that came up wrong.
+    """
+    known = np.isfinite(forces_g).all(axis=1)
+    lengths = np.linalg.norm(forces_g, axis=1, keepdims=True)
+    directions = forces_g / np.where(lengths > 0, lengths, 1.0)
+    median = np.median(directions[known], axis=0) if known.any() else np.zeros(3)
+    size = float(np.linalg.norm(median))
+    cosines = directions @ (median / size) if size > 0.1 else np.full(len(names), -1.0)
+    degrees = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    elsewhere = np.flatnonzero(known & (degrees > TURNED_DEG))
+    if len(elsewhere) > 1:
+        listed = ", ".join(names[place] for place in elsewhere[:5])
+        raise CalibrationError(
+            f"{listed}: the box lay {np.median(degrees[elsewhere]):.0f} degrees otherwise than in the other runs; one"
+            " pose is wanted"
+        )

@@ -1,0 +1,83 @@
+"""What `imuarray calibrate compare` says."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from imuarray.printable import printable
+
+if TYPE_CHECKING:
+    from imuarray.calibrate.comparison import CalibrationComparison
+
+_MOST = 40
+"""Changes that are told on the screen."""
+
+_UNITS = {"g": (1e3, "mg"), "dps": (1.0, "dps"), "g/degC": (1e3, "mg/degC"), "gauss": (1e3, "mgauss")}
+
+
+def report_of(found: CalibrationComparison) -> dict[str, Any]:
+    """Everything, JSON-ready."""
+    return {
+        "calibrations": list(found.names),
+        "changes": [{**asdict(change), "changed": change.changed} for change in found.changes],
+        "common": [asdict(each) for each in found.common],
+        "opposed": [asdict(each) for each in found.opposed],
+    }
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """What changed, largest first; what is common; what opposing cancels."""
+    for number, name in enumerate(report["calibrations"], start=1):
+        click.echo(printable(f"{number}: {name}"))
+    _print_changes(report["changes"])
+    if report["common"]:
+        click.echo(
+            "biases over the calibrations, standard deviations: common to all units of a design, and of each alone"
+        )
+        for row in report["common"]:
+            factor, unit = _in_words(row["unit"])
+            units = ", ".join(row["units"])
+            click.echo(
+                printable(
+                    f"  {row['chip']:24} {row['axis']}: common {factor * row['common']:8.3f}, own"
+                    f" {factor * row['own']:8.3f} {unit}, p {row['p_value']:.2g}   ({units})"
+                )
+            )
+    if report["opposed"]:
+        click.echo("opposing axes, rms change of each alone and of their mean; p: of such a correlation by chance")
+        for row in report["opposed"]:
+            factor, unit = _in_words(row["unit"])
+            chance = "-" if row["p_value"] is None else f"{row['p_value']:.2g}"
+            click.echo(
+                printable(
+                    f"  {row['first']} and {row['second']} along {row['box_axis']}: {factor * row['alone']:.3f} alone,"
+                    f" {factor * row['together']:.3f} {unit} together, p {chance}"
+                )
+            )
+
+
+def _print_changes(changes: list[dict[str, Any]]) -> None:
+    changed = sorted((row for row in changes if row["changed"]), key=lambda row: -row["sigmas"])
+    if changed:
+        click.echo(f"{'axis':14} {'figure':14} {'from':>12} {'to':>12} {'change':>12}        {'sigmas':>7} {'p':>8}")
+    for row in changed[:_MOST]:
+        factor, unit = _in_words(row["unit"])
+        values = dict(zip(row["calibrations"], row["values"], strict=True))
+        one, other = (factor * values[row[end]] for end in ("first", "last"))
+        click.echo(
+            printable(
+                f"{row['sensor'] + ' ' + row['axis']:14} {row['figure']:14} {one:12.4f} {other:12.4f}"
+                f" {factor * row['difference']:+12.4f} {unit:7} {row['sigmas']:6.1f} {row['p_value']:8.2g}"
+                f"   {row['first'] + 1} to {row['last'] + 1}"
+            )
+        )
+    if len(changed) > _MOST:
+        click.echo(f"{len(changed) - _MOST} more changes (--json lists all)")
+    click.echo(f"{len(changes) - len(changed)} of {len(changes)} figures agree within their standard errors")
+
+
+def _in_words(unit: str) -> tuple[float, str]:
+    return _UNITS.get(unit, (1.0, unit))

@@ -1,0 +1,126 @@
+"""Calibrations whose logs can't give what is asked say so, and none prints a figure that is made of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.calibrate import calibrate_noise, calibrate_thermal, calibrate_turn_on
+from imuarray.calibrate.motion import STILL, motion_in
+from imuarray.calibrate.turn_on import UNTOLD
+from imuarray.cli import main
+from imuarray.errors import CalibrationError
+from imuarray.log import Block, LogWriter, Stimulus, open_log
+from imuarray.log.format import Phase
+from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope
+
+RATE_HZ = 50.0
+Felt = Callable[[Floats], Floats]
+
+
+def resting(seconds: Floats) -> Floats:
+    return np.tile([0.0, 0.0, 1.0], (len(seconds), 1))
+
+
+def carried(seconds: Floats) -> Floats:
+    """Swung by a walker: half a g at 2 Hz about gravity."""
+    return resting(seconds) + 0.5 * np.sin(2 * np.pi * np.outer(seconds, [2.0, 1.0, 2.0]))
+
+
+def rolled(seconds: Floats) -> Floats:
+    """Turned over within the log, slower than any window notices."""
+    angle = np.pi * seconds / seconds[-1]
+    return np.stack([np.sin(angle), np.zeros(len(seconds)), np.cos(angle)], axis=1)
+
+
+def leaning(degrees: float) -> Felt:
+    return lambda seconds: np.tile([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))], (len(seconds), 1))
+
+
+def record(
+    path: Path,
+    felt: Felt,
+    seed: int,
+    *,
+    seconds: float = 60.0,
+    noise_g: float = 0.02,
+    phase: str = "",
+    warm: Floats | None = None,
+) -> Path:
+    """An accelerometer and a gyroscope that turns as the box swings; ordinary noise."""
+    rng = np.random.default_rng(seed)
+    at_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    force = felt(at_s)
+    rate = np.degrees(np.gradient(force, at_s, axis=0)) / 3
+    time = np.round(at_s * 1e9).astype(np.int64)
+    with LogWriter(path, [accelerometer("A"), gyroscope("G")], source="simulated", epoch=EPOCH) as writer:
+        for name, values, per_unit, sigma in (("A", force, 2048.0, noise_g), ("G", rate, 1 / 0.00875, 0.2)):
+            counts = np.clip(np.rint(per_unit * (values + rng.normal(0, sigma, values.shape))), -32768, 32767)
+            writer.append(name, Block(time, counts.astype(np.int16), np.zeros(len(time), np.uint16)))
+        if phase:
+            writer.phase(Phase(0, int(time[-1]) + 1, phase))
+        if warm is not None:
+            nothing = np.zeros((len(time), 3))
+            writer.stimulus("reference", Stimulus(time, nothing, nothing, np.interp(at_s, *warm)))
+    return path
+
+
+def test_turn_on_of_moving_logs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [record(tmp_path / f"{seed}.h5", carried, seed) for seed in range(3)]
+    assert main(["calibrate", "turn-on", *map(str, paths), "-o", str(tmp_path / "cal.toml")]) == 2
+    said = capsys.readouterr().err
+    assert "run 1" in said and "the box moved in 100 % of it" in said and len(said.splitlines()) == 1
+    assert not (tmp_path / "cal.toml").exists()
+
+
+def test_runs_of_several_poses_are_refused_and_named(tmp_path: Path) -> None:
+    tilts = (0.0, 1.0, 30.0, 0.5, 40.0)
+    logs = [open_log(record(tmp_path / f"{i}.h5", leaning(tilt), i)) for i, tilt in enumerate(tilts)]
+    with pytest.raises(CalibrationError, match=r"run 3, .*2\.h5, run 5, .*4\.h5: the box lay 3\d degrees otherwise"):
+        calibrate_turn_on(logs)
+    for log in logs:
+        log.close()
+
+
+def test_a_change_that_readings_do_not_tell_is_refused(tmp_path: Path) -> None:
+    """Three runs of a tenth of a second that scatter by 0.09 g: less than motion, far more than is asked."""
+    logs = [open_log(record(tmp_path / f"{i}.h5", resting, i, seconds=0.1, noise_g=0.09)) for i in range(3)]
+    with pytest.raises(CalibrationError, match=r"sensor A: these runs tell the change of its . bias from run to run"):
+        calibrate_turn_on(logs)
+    for log in logs:
+        log.close()
+    assert UNTOLD["specific_force"] == 0.05  # BMA-113: 60 mg, and somewhat less
+
+
+@pytest.mark.parametrize("felt", [carried, rolled])
+def test_noise_of_a_phase_that_moves_is_refused(tmp_path: Path, felt: Felt) -> None:
+    with (
+        open_log(record(tmp_path / "run.h5", felt, 1, phase="static")) as log,
+        pytest.raises(CalibrationError, match=r"phase 'static': the box moved in .* of it .*; at rest is wanted"),
+    ):
+        calibrate_noise(log)
+
+
+def test_slopes_of_a_moving_log_are_refused(tmp_path: Path) -> None:
+    warm = np.array([[0.0, 100.0, 300.0], [20.0, 40.0, 25.0]])
+    with (
+        open_log(record(tmp_path / "run.h5", carried, 1, seconds=300.0, warm=warm)) as log,
+        pytest.raises(CalibrationError, match=r"run\.h5: the box moved in"),
+    ):
+        calibrate_thermal(log)
+    with open_log(record(tmp_path / "still.h5", resting, 1, seconds=300.0, warm=warm)) as log:
+        assert set(calibrate_thermal(log).calibration.sensors) == {"A", "G"}
+
+
+def test_a_box_at_rest_is_never_said_to_move(tmp_path: Path) -> None:
+    """20 logs with four times the noise of the paper's accelerometers, and a knock of two seconds in each."""
+
+    def knocked(seconds: Floats) -> Floats:
+        return resting(seconds) + 2.0 * ((seconds > 20) & (seconds < 22))[:, None] * np.sin(50 * seconds)[:, None]
+
+    for seed in range(20):
+        with open_log(record(tmp_path / f"{seed}.h5", knocked, seed, noise_g=STILL["specific_force"] / 1.5)) as log:
+            assert motion_in(log, 0, 60 * 10**9) == ""

@@ -1,0 +1,148 @@
+"""A box that is tumbled by hand and never rests: accelerometers from gravity's length along the path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from imuarray.calibrate import Tumble, calibrate_tumble
+from imuarray.calibrate.quasi_static import STRETCH_S
+from imuarray.cli import main
+from imuarray.errors import CalibrationError
+from imuarray.log import Block, LogWriter, open_log
+from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope, ideal
+
+RATE_HZ, G = 100.0, 9.80665
+PER_G = 2048.0
+NAMES = ("A", "B", "C")
+
+
+def tumbled(seconds: Floats, rng: np.random.Generator, *, turning_dps: float = 35.0, sway_m: float = 0.02) -> Floats:
+    """Specific force (n, 3) in g of a box that is turned to all sides and sways: attitude by small steps of a rate that
+    is a sum of slow sines, place by sines of 0.3 to 1 Hz, whose second derivative is in closed form.
+    """
+    step = seconds[1] - seconds[0]
+
+    def sines(low_hz: float, high_hz: float, order: int = 0) -> Floats:
+        hertz, phase = rng.uniform(low_hz, high_hz, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
+        angle = 2 * np.pi * hertz[:, :, None] * seconds + phase[:, :, None]
+        return np.asarray(((-((2 * np.pi * hertz[:, :, None]) ** 2)) ** order * np.sin(angle)).sum(axis=1).T)
+
+    rate = np.radians(turning_dps) * sines(0.02, 0.12) / np.sqrt(4.5)
+    attitude = [Rotation.random(random_state=rng)]
+    for small in Rotation.from_rotvec(rate[:-1] * step):
+        attitude.append(attitude[-1] * small)
+    carried = sway_m / np.sqrt(4.5) * sines(0.3, 1.0, order=1) / G
+    return np.asarray(Rotation.concatenate(attitude).inv().apply(np.array([0.0, 0.0, 1.0]) + carried))
+
+
+def planted(rng: np.random.Generator) -> dict[str, tuple[Floats, Floats]]:
+    """Responses whose mean is symmetric, so that the box frame is theirs, and biases of 0.1 g."""
+    found = {}
+    for name in NAMES:
+        lean = rng.normal(0, 0.02, (3, 3))
+        found[name] = PER_G * (np.eye(3) + (lean + lean.T) / 2), rng.normal(0, 0.1 * PER_G, 3)
+    return found
+
+
+def record(path: Path, force: Floats, sensors: dict[str, tuple[Floats, Floats]], seed: int, gyro: bool = False) -> Path:
+    """Noise of 5 mg."""
+    rng = np.random.default_rng(seed)
+    time = np.round(np.arange(len(force)) * 1e9 / RATE_HZ).astype(np.int64)
+    status = np.zeros(len(time), np.uint16)
+    headers = [accelerometer(name) for name in sensors] + ([gyroscope("G")] if gyro else [])
+    with LogWriter(path, headers, source="simulated", epoch=EPOCH) as writer:
+        for name, (response, bias) in sensors.items():
+            counts = force @ response.T + bias + rng.normal(0, 0.005 * PER_G, force.shape)
+            writer.append(name, Block(time, np.rint(counts).astype(np.int16), status))
+        if gyro:
+            turning = rng.normal(0, 3000, force.shape)
+            writer.append("G", Block(time, np.rint(turning).astype(np.int16), status))
+    return path
+
+
+def found(path: Path) -> Tumble:
+    with open_log(path) as log:
+        return calibrate_tumble(log)
+
+
+SECONDS = np.arange(0, 120, 1 / RATE_HZ)
+
+
+@pytest.mark.slow
+def test_a_path_without_stops_calibrates_accelerometers(tmp_path: Path) -> None:
+    """Two minutes: biases of 100 mg to a few mg, scale factors to a per cent, within five standard errors each; nothing
+    is claimed of gyroscopes.
+    """
+    rng = np.random.default_rng(1)
+    truth = planted(rng)
+    result = found(record(tmp_path / "run.h5", tumbled(SECONDS, rng), truth, 1, gyro=True))
+    assert result.method == "path"
+    assert set(result.calibration.sensors) == set(NAMES)
+    assert any("G not calibrated" in warning for warning in result.warnings)
+    for name, (response, bias) in truth.items():
+        known = result.calibration.sensors[name]
+        assert known.bias_sem_lsb is not None and known.response_sem_lsb_per_unit is not None
+        assert (known.bias_sem_lsb < 0.01 * PER_G).all()
+        assert (np.abs(known.bias_lsb - bias) < 5 * known.bias_sem_lsb).all()
+        assert np.abs(known.response_lsb_per_unit - response).max() < 5 * known.response_sem_lsb_per_unit.max()
+        assert known.response_sem_lsb_per_unit.max() < 0.01 * PER_G
+
+
+@pytest.mark.slow
+def test_what_it_claims_is_true(tmp_path: Path) -> None:
+    """Biases of 10 hands and boxes. A hand goes to and fro, so that neighbouring stretches err against each other,
+    which the covariance does not reckon with: errors are smaller than it claims, as a rule. Their normalised square is
+    at least a tenth and at most 1.9, which chi-square of the 30 degrees of freedom of ten hands exceeds in one of 400
+    (the sensors of a box err alike); no bias is off by four standard errors.
+    """
+    assert chi2.sf(1.9 * 30, 30) < 1 / 400
+    squares, worst = [], 0.0
+    for seed in range(10):
+        rng = np.random.default_rng(100 + seed)
+        truth = planted(rng)
+        force = tumbled(SECONDS, rng, turning_dps=rng.uniform(25, 50), sway_m=rng.uniform(0.005, 0.03))
+        result = found(record(tmp_path / f"{seed}.h5", force, truth, seed))
+        for name, (_, bias) in truth.items():
+            known = result.calibration.sensors[name]
+            assert known.bias_covariance_lsb2 is not None and known.bias_sem_lsb is not None
+            error = known.bias_lsb - bias
+            squares.append(float(error @ np.linalg.solve(known.bias_covariance_lsb2, error)) / 3)
+            worst = max(worst, float((np.abs(error) / known.bias_sem_lsb).max()))
+    assert 0.1 < np.mean(squares) < 1.9
+    assert worst < 4
+
+
+@pytest.mark.slow
+def test_a_calm_path_is_known_better_than_a_hasty_one(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    truth = planted(rng)
+    sems = []
+    for sway_m in (0.003, 0.03):
+        force = tumbled(SECONDS, np.random.default_rng(4), sway_m=sway_m)
+        known = found(record(tmp_path / f"{sway_m}.h5", force, truth, 1)).calibration.sensors["A"]
+        assert known.bias_sem_lsb is not None
+        sems.append(float(known.bias_sem_lsb.mean()))
+    assert 3 < sems[1] / sems[0] < 30
+
+
+def test_turns_about_one_axis_and_short_paths_are_refused(tmp_path: Path) -> None:
+    truth = {"A": (ideal("+X+Y+Z", PER_G), np.zeros(3))}
+    flat = 2 * np.pi * SECONDS / 30
+    plane = np.stack([np.sin(flat), np.zeros(len(flat)), np.cos(flat)], axis=1)
+    with pytest.raises(CalibrationError, match="0 static poses, at least 9 are wanted; nor does what lies between"):
+        found(record(tmp_path / "plane.h5", plane, truth, 1))
+    short = tumbled(SECONDS, np.random.default_rng(5))[: round(20 * STRETCH_S * RATE_HZ)]
+    with pytest.raises(CalibrationError, match=r"slow stretches of 0\.5 s, at least 30 are wanted"):
+        found(record(tmp_path / "short.h5", short, truth, 1))
+
+
+def test_the_command_says_how(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(1)
+    run = record(tmp_path / "run.h5", tumbled(SECONDS, rng, sway_m=0.003)[:5000], planted(rng), 1)
+    assert main(["calibrate", "tumble", str(run), "-o", str(tmp_path / "cal.toml")]) == 0
+    assert "stretches of a path without stops, each by how much it moved" in capsys.readouterr().out
