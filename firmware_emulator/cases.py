@@ -89,9 +89,7 @@ class Case:
         return cls(array, tuple(chosen), tuple(fittings), severities, seed, rate_hz, reference)
 
     @classmethod
-    def of_world(
-        cls, world: Mapping[str, Any], *mechanisms: tuple[str, float, tuple[str, ...]], seed: int = 0
-    ) -> Self:
+    def of_world(cls, world: Mapping[str, Any], *mechanisms: tuple[str, float, tuple[str, ...]], seed: int = 0) -> Self:
         """In a world that somebody drew: a table with the `array` (TOML text), its `sessions`, `room` and `recorder`
         (`firmware_emulator.sessions`). ValueError, one line, for what isn't known.
         """

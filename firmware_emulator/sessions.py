@@ -1,4 +1,4 @@
-"""A session at a bench that somebody else drew: poses, a course of temperature, motions, the room, the recorder, labels.
+"""A session at a bench that somebody else drew: poses, temperature, motions, the room, the recorder, labels.
 
 ::
 
@@ -21,7 +21,7 @@ from firmware_emulator.attitude import cross, scaled, seen_after_turn
 from firmware_emulator.chip import Triple
 from firmware_emulator.element import stream
 from firmware_emulator.mechanisms.experiments import Experiment
-from firmware_emulator.world import FIELD_UPRIGHT, ROOM_DEGC, STANDARD_GRAVITY, Phase, Stimulus, World
+from firmware_emulator.world import FIELD_UPRIGHT, ROOM_DEGC, STANDARD_GRAVITY, Phase, Stimulus
 
 UPWARDS: Triple = (0.0, 0.0, 1.0)
 RAMP_S = 1.0
@@ -206,7 +206,9 @@ class Course:
         room = self.room
         degc = room.drift_degc_per_s * at_s
         if room.draught_degc:
-            swings = (math.sin(2 * math.pi * at_s / p + f) for p, f in zip(DRAUGHT_PERIODS_S, self._phases, strict=True))
+            swings = (
+                math.sin(2 * math.pi * at_s / p + f) for p, f in zip(DRAUGHT_PERIODS_S, self._phases, strict=True)
+            )
             degc += room.draught_degc * math.sqrt(2 / len(DRAUGHT_PERIODS_S)) * sum(swings)
         if not self.stretches:
             return degc + room.degc
@@ -254,7 +256,9 @@ class Course:
     def _begin_degc(self) -> list[float]:
         reached = [self.room.degc]
         for one in self.stretches[:-1]:
-            reached.append(one.towards_degc + (reached[-1] - one.towards_degc) * math.exp(-one.seconds / one.constant_s))
+            reached.append(
+                one.towards_degc + (reached[-1] - one.towards_degc) * math.exp(-one.seconds / one.constant_s)
+            )
         return reached
 
     @cached_property
@@ -292,7 +296,9 @@ def session(table: Mapping[str, Any], room: Room, seed: int) -> Experiment:
             seed,
             tuple(phases),
         )
-        return Experiment(str(table["name"]), course, float(table["seconds"]), reference_hz=table.get("reference_hz", 0.0))
+        return Experiment(
+            str(table["name"]), course, float(table["seconds"]), reference_hz=table.get("reference_hz", 0.0)
+        )
     except KeyError as error:
         raise ValueError(f"session: {error} is missing") from None
 

@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from firmware_emulator.array import ArrayLike, SensorLike
 
 UNITS = ("paper", "drawn", "toleranced")
-"""The paper's; drawn, but only in what everybody expects of a part; drawn in all that a data sheet leaves to the part."""
+"""The paper's; drawn, but only in what everybody expects of a part; drawn in all that a data sheet leaves to it."""
 TURN_ON_SHARE = 0.003
 """Scatter (one sigma) of a toleranced part's bias between power-ups, as a share of the bias that its sheet allows: what
-the paper's parts have (the left half of its Table 11: up to 0.65 mg and 0.036 dps).
+the paper's parts have (left half of its Table 11: up to 0.65 mg and 0.036 dps).
 """
 RATE_ERROR: Mapping[str, Spread] = MappingProxyType({"bma180": typical(0.10), "l3g4200d": typical(0.02)})
-"""Relative error of a toleranced part's oscillator: BMA-107; an RC oscillator where no sheet says it. That of an ADXL345
-is exact.
+"""Relative error of a toleranced part's oscillator: BMA-107; an RC oscillator where no sheet says it. That of an
+ADXL345 is exact.
 """
 LEAST_SENSORS = {"pair": 2, "design": 2}
 

@@ -1,11 +1,12 @@
-"""Detection limits: the severity of each mechanism, in units of its reference size, at which the full plan just shows
-that something is wrong; measured by `python -m imuarray.validation.detection --seed 1`.
+"""Detection limits on the full fixed plan: the severity of each mechanism, in units of its reference size, at which
+that just shows that something is wrong, as measured on development seeds in November 2026. A random world has limits of
+its own (`imuarray.validation.severity`); for these they are where the search begins.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 
 from imuarray.validation.generator import CHIPS
@@ -25,7 +26,6 @@ LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "thermistor_bow": {"ADXL1": 0.11, "BMA1": 0.021, "Gyro1": 0.046},
         "gain_resistor": {"ADXL1": 6.2, "BMA1": 2.5, "Gyro1": 0.95},
         "board_to_die": {"ADXL1": math.nan, "BMA1": 0.17, "Gyro1": 0.1},
-        "self_heating": {"BMA1": 0.084},
         "stuck_bit": {"ADXL1": 1.6, "BMA1": 3.6, "Gyro1": 1.2},
         "missing_codes": {"ADXL1": 1.9, "BMA1": 0.93, "Gyro1": 2.4},
         "soft_clipping": {"ADXL1": 5.8, "BMA1": 2.8, "Gyro1": 4.8},
@@ -61,14 +61,11 @@ LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 more than the greatest that was tried, 1/64 and 64; what isn't here is there or not.
 """
 
-FURTHEST = 64.0
-"""How far severities go either way, in reference sizes."""
 
-
-def limit(mechanism: str, sensors: Sequence[str]) -> float:
-    """Of a mechanism on these sensors (none: wherever it goes), nan if it never shows; 1.0 for one that is not in the
-    table.
+def limit(mechanism: str, chip: str = "") -> float:
+    """Of a mechanism on a sensor of that chip ("": wherever it goes), nan if it never shows; 1.0 for one that is not in
+    the table.
     """
     found = LIMITS.get(mechanism, {})
-    twin = next((name for name in found if name and sensors and CHIPS[name] == CHIPS[sensors[0]]), "")
+    twin = next((name for name in found if name and CHIPS[name] == chip), "")
     return found.get(twin, next(iter(found.values()), 1.0))

@@ -44,9 +44,9 @@ QUANTITIES = (
     *("thermometers", "barometer", "magnetometer", "reference", "draught", "vibration", "length"),
 )
 """What is drawn evenly over consecutive seeds."""
-_STEPS = tuple(
-    math.sqrt(number) % 1 for number in range(2, 80) if all(number % factor for factor in range(2, number))
-)[: len(QUANTITIES)]
+_STEPS = tuple(math.sqrt(number) % 1 for number in range(2, 80) if all(number % factor for factor in range(2, number)))[
+    : len(QUANTITIES)
+]
 """Square roots of primes: no two quantities go round together."""
 
 _ADDRESSES: Mapping[str, tuple[int, ...]] = MappingProxyType(
@@ -56,8 +56,12 @@ _CHANNELS = 4
 MOST_SENSORS = 16
 _FACES: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
-        **{"+Z": (0.0, 0.0, 1.0), "+X": (1.0, 0.0, 0.0), "+Y": (0.0, 1.0, 0.0)},
-        **{"-X": (-1.0, 0.0, 0.0), "-Y": (0.0, -1.0, 0.0), "-Z": (0.0, 0.0, -1.0)},
+        "+Z": (0.0, 0.0, 1.0),
+        "+X": (1.0, 0.0, 0.0),
+        "+Y": (0.0, 1.0, 0.0),
+        "-X": (-1.0, 0.0, 0.0),
+        "-Y": (0.0, -1.0, 0.0),
+        "-Z": (0.0, 0.0, -1.0),
     }
 )
 _AXES = tuple(
@@ -90,8 +94,11 @@ _LEAST_S: Mapping[str, float] = MappingProxyType(
 """With less an experiment shows nothing."""
 _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        **{"static": (40.0, 300.0), "tumble": (60.0, 180.0), "heating": (120.0, 300.0)},
-        **{"turn-on": (30.0, 100.0), "motion": (25.0, 80.0)},
+        "static": (40.0, 300.0),
+        "tumble": (60.0, 180.0),
+        "heating": (120.0, 300.0),
+        "turn-on": (30.0, 100.0),
+        "motion": (25.0, 80.0),
     }
 )
 """Where the time and the rows allow it."""
@@ -135,6 +142,12 @@ class World:
         """Of all logs and sensors, about."""
         return self.seconds * sum(self.rates.values())
 
+    @property
+    def faces(self) -> int:
+        """On how many different faces the box lies, about."""
+        ups = np.array([pose["up"] for session in self.sessions for pose in session["poses"]])
+        return len(set(np.argmax(ups @ np.array(list(_FACES.values())).T, axis=1).tolist()))
+
     def twins(self) -> list[tuple[str, str]]:
         """Pairs of sensors of one chip and range."""
         pairs = itertools.combinations(self.inertial, 2)
@@ -163,9 +176,7 @@ def draw_world(seed: int) -> World:
         labels = "noted"
     limits = _motion_limits(sensors)
     sessions = [
-        session
-        for kind in kinds
-        for session in _SESSIONS[kind](lengths[kind], _stream(seed, kind), even, limits)
+        session for kind in kinds for session in _SESSIONS[kind](lengths[kind], _stream(seed, kind), even, limits)
     ]
     sessions = [_labelled(session, labels, _stream(seed, "labels")) for session in sessions]
     recorder = _recorder(even, rate_hz, _stream(seed, "recorder"))
@@ -250,7 +261,11 @@ def _sensors(even: Mapping[str, float], random: np.random.Generator) -> list[Tab
         name = f"{'Gyro' if chip == 'l3g4200d' else chip[:3].upper()}{1 + sum(one['chip'] == chip for one in found)}"
         found.append(
             {
-                **{"name": name, "chip": chip, "channel": channel, "address": address, "range": range_},
+                "name": name,
+                "chip": chip,
+                "channel": channel,
+                "address": address,
+                "range": range_,
                 **_filter(chip, random),
                 "axes": str(random.choice(_AXES)),
             }
@@ -339,7 +354,12 @@ def _leaning(face: str, degrees: float, random: np.random.Generator) -> list[flo
 
 def _session(name: str, seconds: float, poses: list[Table], phases: list[list[Any]], **more: Any) -> Table:
     return {
-        **{"name": name, "seconds": seconds, "poses": poses, "turn_s": 2.0, "stretches": [], "motions": []},
+        "name": name,
+        "seconds": seconds,
+        "poses": poses,
+        "turn_s": 2.0,
+        "stretches": [],
+        "motions": [],
         "phases": phases,
         **more,
     }
@@ -359,7 +379,7 @@ def _tumble(seconds: float, random: np.random.Generator, even: Mapping[str, floa
     count = int(random.integers(6, max(min(most, 12), 6) + 1)) if by_hand else int(random.integers(4, min(most, 7) + 1))
     faces = random.permutation(list(_FACES)).tolist()
     faces = (faces + faces)[:count]
-    hold_s = round(seconds / count - turn_s, 2)
+    hold_s = seconds / count - turn_s
     poses = [{"up": _leaning(face, HAND_DEG if by_hand else TILT_DEG, random), "hold_s": hold_s} for face in faces]
     phases = list[list[Any]]()
     for place, face in enumerate(faces):
@@ -380,7 +400,7 @@ def _heating(seconds: float, random: np.random.Generator, even: Mapping[str, flo
         "pulses": [("room", 24.0), ("heat", peak - 8.0), ("cool", 25.0), ("heat", peak), ("cool", 26.0)],
     }[course]
     shares = np.array([0.5 if name == "room" else 1.0 for name, _ in rises])
-    lengths = np.round(seconds * shares / shares.sum(), 2).tolist()
+    lengths = (seconds * shares / shares.sum()).tolist()
     several = random.random() < 0.4
     ups = [faces[place % 3] if several else faces[0] for place in range(len(rises))]
     lean = {face: _leaning(face, TILT_DEG, random) for face in faces}
@@ -436,9 +456,12 @@ def _motion(seconds: float, random: np.random.Generator, even: Mapping[str, floa
         rock_hz = _between(random, (0.3, 2.0))
         motions.append(
             {
-                **{"start_s": start_s, "end_s": end_s, "axis": (axis / np.linalg.norm(axis)).tolist()},
+                "start_s": start_s,
+                "end_s": end_s,
+                "axis": (axis / np.linalg.norm(axis)).tolist(),
                 "angle_rad": min(float(random.uniform(0.2, 0.9)), limits.rate / (2 * math.pi * rock_hz)),
-                **{"rock_hz": rock_hz, "peak_g": min(float(random.uniform(0.0, 0.4)), limits.force_g)},
+                "rock_hz": rock_hz,
+                "peak_g": min(float(random.uniform(0.0, 0.4)), limits.force_g),
                 "shake_hz": _between(random, (1.0, 7.0)),
             }
         )
@@ -470,9 +493,13 @@ def _recorder(even: Mapping[str, float], rate_hz: float, random: np.random.Gener
     share, mean_ms = _between(random, BUSY_SHARE), _between(random, BUSY_MS)
     per_min, stall_s = _between(random, STALLS_PER_MIN), _between(random, STALL_S)
     return {
-        **{"rate_hz": rate_hz, "share": share if busy else 0.0, "mean_ms": mean_ms if busy else 0.0},
-        **{"stalls_per_min": per_min if gaps else 0.0, "stall_s": stall_s if gaps else 0.0},
-        **{"thermometers": even["thermometers"] < 0.7, "reference": even["reference"] < 0.7},
+        "rate_hz": rate_hz,
+        "share": share if busy else 0.0,
+        "mean_ms": mean_ms if busy else 0.0,
+        "stalls_per_min": per_min if gaps else 0.0,
+        "stall_s": stall_s if gaps else 0.0,
+        "thermometers": even["thermometers"] < 0.7,
+        "reference": even["reference"] < 0.7,
     }
 
 
@@ -488,9 +515,14 @@ def _room(even: Mapping[str, float], random: np.random.Generator) -> Table:
     if kind != "none":
         way = {"direction": (direction / np.linalg.norm(direction)).tolist(), "peak_dps": VIBRATION_DPS_PER_G * peak_g}
         cycle = {"cycle_s": 400.0, "share": 0.5} if kind == "fridge" else {}
-        vibrations = [{"hz": hz, "peak_g": peak_g, **way, **cycle}, {"hz": 2 * hz, "peak_g": 0.3 * peak_g, **way, **cycle}]
+        vibrations = [
+            {"hz": hz, "peak_g": peak_g, **way, **cycle},
+            {"hz": 2 * hz, "peak_g": 0.3 * peak_g, **way, **cycle},
+        ]
     return {
-        **{"degc": float(random.uniform(18, 28)), "drift_degc_per_s": drift, "vibrations": vibrations},
+        "degc": float(random.uniform(18, 28)),
+        "drift_degc_per_s": drift,
+        "vibrations": vibrations,
         "draught_degc": swings if even["draught"] < 0.4 else 0.0,
     }
 
