@@ -95,7 +95,8 @@ def validate(
         raise click.UsageError("--size none: --cases FOLDER is wanted with it")
     told = [folder.name for folder in folders]
     if not score_only:
-        _begin(output, {"half": half, "size": size, "seed": seed, "cases": len(planned), "folders": told})
+        plan = {"half": half, "size": size, "seed": seed, "cases": len(planned)}
+        _begin(output, {**plan, "folders": told} if told else plan)
         _run(output, planned, where, workers, again)
     found = _scored(output, planned)
     words = " ".join(f"--cases {name}" for name in told) + " " * bool(told)

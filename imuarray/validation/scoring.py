@@ -16,7 +16,7 @@ to another's is its transfer gap: what it is worth on data that are nobody's her
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from os import PathLike
 from textwrap import wrap
@@ -103,7 +103,7 @@ class Figures:
     reliability: tuple[Bin, ...]
     closures: tuple[Closure, ...]
     world: str = ""
-    elsewhere: Mapping[str, tuple[Row, ...]] = MappingProxyType({})
+    elsewhere: Mapping[str, tuple[Row, ...]] = field(default_factory=dict)
     left_out: tuple[LeftOut, ...] = ()
 
     @property
