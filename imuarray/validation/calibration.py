@@ -69,7 +69,7 @@ class Confused(NamedTuple):
 
     effect: str
     said: str
-    count: int
+    times: int
     cases: int
 
 
@@ -131,7 +131,7 @@ def confused_in(answers: Sequence[Answer]) -> list[Confused]:
         for other, count in counts.items()
         if other != effect and count >= max(2, CONFUSED * sum(counts.values()))
     ]
-    return sorted(found, key=lambda one: (-one.count / one.cases, one.effect, one.said))
+    return sorted(found, key=lambda one: (-one.times / one.cases, one.effect, one.said))
 
 
 def _fold(part: str, chances: Floats, right: Sequence[bool]) -> Fold:
@@ -189,7 +189,7 @@ def program(runs: tuple[Path, ...]) -> None:
             f"Brier score {one.score:.3f}, {one.causes} causes"
         )
     for pair in confused_in(answers):
-        click.echo(f"{pair.effect}: {pair.said} said first in {pair.count} of {pair.cases}")
+        click.echo(f"{pair.effect}: {pair.said} said first in {pair.times} of {pair.cases}")
 
 
 if __name__ == "__main__":

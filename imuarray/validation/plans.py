@@ -243,7 +243,7 @@ def _on_the_bench(one: _Drawn, half: Half, number: int, seed: int) -> Case:
         for name, fact, chosen in zip(one.names, facts, sensors, strict=True)
     )
     extra = {**one.extra, "sensor": _first_of(CHIPS, one.extra["chip"])} if one.extra else {}
-    return _case(one, half, number, seed, puts, extra, plan=one.plan, chips=CHIPS)
+    return _case(one, half, number, seed, puts, extra, one.plan, CHIPS)
 
 
 def _in_a_world(one: _Drawn, half: Half, number: int, seed: int) -> Case:
@@ -256,8 +256,8 @@ def _in_a_world(one: _Drawn, half: Half, number: int, seed: int) -> Case:
         if sensors is None or (one.extra and not extra["sensor"]):
             continue
         puts = tuple(Put(name, math.nan, one.limits, chosen) for name, chosen in zip(one.names, sensors, strict=True))
-        about = {"plan": world.plan, "world": EMULATOR, "draw": world.seed, "is_hidden": one.is_hidden}
-        return _case(one, half, number, seed, puts, extra, **about, chips=world.inertial, strata=world.strata)
+        about = {"world": EMULATOR, "draw": world.seed, "is_hidden": one.is_hidden, "strata": dict(world.strata)}
+        return _case(one, half, number, seed, puts, extra, world.plan, world.inertial, **about)
     raise ValueError(f"{' and '.join(one.names) or one.kind}: no world shows it")
 
 
@@ -327,14 +327,20 @@ def _first_of(chips: Mapping[str, str], chip: str) -> str:
 
 
 def _case(
-    one: _Drawn, half: Half, number: int, seed: int, puts: tuple[Put, ...], extra: Mapping[str, Any], **about: Any
+    one: _Drawn,
+    half: Half,
+    number: int,
+    seed: int,
+    puts: tuple[Put, ...],
+    extra: Mapping[str, Any],
+    plan: str,
+    chips: Mapping[str, str],
+    **about: Any,
 ) -> Case:
     resembles = tuple(tuple(mechanisms()[name]["resembles"]) for name in one.names)
     without = resembles[0] if one.kind == "withheld" else ()
-    table = {key: dict(value) if isinstance(value, Mapping) else value for key, value in about.items()}
-    return Case(
-        number, half, one.kind, puts=puts, seed=seed, without=without, extra=extra, resembles=resembles, **table
-    )
+    more = {"without": without, "extra": extra, "resembles": resembles, "chips": dict(chips), **about}
+    return Case(number, half, one.kind, plan, puts, seed, **more)
 
 
 def _put(mechanism: str, is_graded: bool, limits: float, sensors: tuple[str, ...], chip: str) -> Put:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import isclose, nan
 from typing import NamedTuple
 
-from imuarray.validation.calibration import chances_of, claims_in, rates_of
+from imuarray.validation.calibration import CauseClaim, chances_of, claims_in, rates_of
 from imuarray.validation.rates import calibration_error
 from imuarray.validation.score_answers import Answer
 from imuarray.validation.score_causes import LARGE, is_in_class
@@ -67,11 +67,15 @@ def _left_out(answers: Sequence[Answer], hidden: Hidden) -> Iterator[LeftOut]:
                 own, others = _split(counted, group, part)
                 if min(len(own), len(others)) >= LEAST_CASES:
                     yield LeftOut(f"{group} {part}", name, _share(own, is_hit), _share(others, is_hit), len(own))
-            own, others = (claims_in(part_of) for part_of in _split(answers, group, part))
-            if min(len(own), len(others)) >= LEAST_CASES:
-                rates = rates_of(others)
-                errors = [calibration_error(chances_of(one, rates), [c.is_right for c in one]) for one in (own, others)]
-                yield LeftOut(f"{group} {part}", "calibration error, fitted to the others", *errors, len(own))
+            told, rest = (claims_in(some) for some in _split(answers, group, part))
+            if min(len(told), len(rest)) >= LEAST_CASES:
+                error, usual = (_error(claims, rest) for claims in (told, rest))
+                yield LeftOut(f"{group} {part}", "calibration error, fitted to the others", error, usual, len(told))
+
+
+def _error(claims: Sequence[CauseClaim], fitted_to: Sequence[CauseClaim]) -> float:
+    """Of probabilities with the rates of others."""
+    return calibration_error(chances_of(claims, rates_of(fitted_to)), [one.is_right for one in claims])
 
 
 def _split(answers: Sequence[Answer], group: str, part: str) -> tuple[list[Answer], list[Answer]]:

@@ -114,23 +114,34 @@ class _Pair:
         self.quiet = _quiet(self.counts[:rows])
         self.noise = _density(self.counts[:rows], self.quiet)
         self.anew = _drawn_anew(self.counts[:rows], self.new_counts[:rows], self.quiet)
-        reference = plain.reference
-        is_whole = reference is not None and all(column is not None for column in reference) and len(reference.time) > 1
-        self.reference = reference if is_whole else None
+        self.track = _track(plain)
 
     def told(self, at_ns: Floats) -> tuple[Floats, Floats, Floats]:
         """What the box was told to do at these times: force (n, 3) and rate (n, 3) in the sensor's axes and its unit or
         its companion's, temperature (n,).
         """
         turned = np.asarray(self.sensor.orientation)
-        if self.reference is None:
+        if self.track is None:
             return np.zeros((len(at_ns), 3)), np.zeros((len(at_ns), 3)), np.zeros(len(at_ns))
-        times = np.asarray(self.reference.time[:], float)
+        times, force, rate, degc = self.track
         columns = []
-        for values, unit in ((self.reference.specific_force[:], "g"), (self.reference.angular_rate[:], "dps")):
-            rows = [np.interp(at_ns, times, axis) for axis in np.asarray(values, float).T]
+        for values, unit in ((force, "g"), (rate, "dps")):
+            rows = [np.interp(at_ns, times, axis) for axis in values.T]
             columns.append(np.stack(rows, axis=1) @ turned / SI_PER_UNIT[unit])
-        return columns[0], columns[1], np.interp(at_ns, times, np.asarray(self.reference.temperature[:], float))
+        return columns[0], columns[1], np.interp(at_ns, times, degc)
+
+
+def _track(log: Log) -> tuple[Floats, Floats, Floats, Floats] | None:
+    """Times, force, rate and temperature of a log's reference; None if it doesn't tell all of them."""
+    told = log.reference
+    if told is None or told.specific_force is None or told.angular_rate is None or told.temperature is None:
+        return None
+    if len(told.time) < 2:
+        return None
+    time, force, rate, degc = (
+        np.asarray(one[:], np.float64) for one in (told.time, told.specific_force, told.angular_rate, told.temperature)
+    )
+    return time, force, rate, degc
 
 
 def _columns(log: Log, name: str) -> tuple[Floats, Floats]:
@@ -256,7 +267,7 @@ def _spectrum(pairs: Sequence[_Pair], anew: float) -> Iterator[float]:
 def _answers(pairs: Sequence[_Pair], anew: float) -> Iterator[float]:
     """How the difference follows what the box was told: force, rate, their changes, squares and products."""
     unit = _SENSED[pairs[0].sensor.quantity]
-    parts = [pair for pair in pairs if pair.reference is not None and not pair.quiet.all()]
+    parts = [pair for pair in pairs if pair.track is not None and not pair.quiet.all()]
     if not parts:
         return
     designs, differences, weights = list[Floats](), list[Floats](), list[Floats]()
@@ -290,13 +301,13 @@ def _events(pair: _Pair, anew: float) -> Iterator[float]:
     before, after = pair.counts, pair.new_counts
     limit = _FAR * np.maximum(np.median(np.abs(np.diff(before, 2, axis=0)), axis=0) / 0.6745, 0.5)
     far = [int((np.abs(np.diff(one, 2, axis=0)) > limit).any(axis=1).sum()) for one in (before, after)]
-    yield _counted(*far, anew)
+    yield _counted(far[0], far[1], anew)
     repeated = [int((np.diff(one, axis=0) == 0).all(axis=1).sum()) for one in (before, after)]
-    yield _counted(*repeated, anew)
+    yield _counted(repeated[0], repeated[1], anew)
     period = np.median(np.diff(pair.time))
     for beyond in (0.02, 0.5):
         late = [int((np.abs(np.diff(one) - period) > beyond * period).sum()) for one in (pair.time, pair.new_time)]
-        yield _counted(*late, 0.0)
+        yield _counted(late[0], late[1], 0.0)
     yield _counted(0, abs(len(before) - len(after)), 0.0)
     for step in (2, 4, 8):
         shares = [[(one % step == rest).mean(axis=0) for rest in range(step)] for one in (before, after)]

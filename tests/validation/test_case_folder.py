@@ -43,8 +43,12 @@ def truth(*effects: Any, kind: str = "effect", **more: Any) -> dict[str, Any]:
 
 def effect(name: str | None, severity: float | None = 5.0, axes: str = "x", **more: Any) -> dict[str, Any]:
     return {
-        "effect": "its maker's", "design_name": name, "sensors": ["A"], "axes": list(axes),
-        "severity": severity, **more,
+        "effect": "its maker's",
+        "design_name": name,
+        "sensors": ["A"],
+        "axes": list(axes),
+        "severity": severity,
+        **more,
     }
 
 
