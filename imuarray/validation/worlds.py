@@ -29,8 +29,9 @@ from imuarray.chips import CHIPS
 Floats = npt.NDArray[np.float64]
 Table = dict[str, Any]
 
-MOST_ROWS = 60_000
-"""Of all logs and sensors of a case together: so many are diagnosed in well under a minute of one processor."""
+MOST_ROWS = 30_000
+"""Of all logs and sensors of a case together: so many are compared with forty replicates in some seconds of one
+processor; the search for causes takes several times that."""
 MOST_SECONDS = 600.0
 """Of all logs of a case together."""
 MOST_READINGS_PER_S = 2500.0
@@ -89,7 +90,7 @@ STALLS_PER_MIN, STALL_S = (0.5, 2.0), (0.2, 2.0)
 """Of a recorder that now and then reads nothing."""
 
 _LEAST_S: Mapping[str, float] = MappingProxyType(
-    {"static": 25.0, "tumble": 42.0, "heating": 60.0, "turn-on": 20.0, "motion": 20.0}
+    {"static": 20.0, "tumble": 42.0, "heating": 45.0, "turn-on": 20.0, "motion": 20.0}
 )
 """With less an experiment shows nothing."""
 _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
@@ -166,8 +167,8 @@ def plan_of(kinds: Sequence[str]) -> str:
 def draw_world(seed: int) -> World:
     """The world of a seed. Consecutive seeds cover the strata evenly."""
     even = {name: (seed * step) % 1 for name, step in zip(QUANTITIES, _STEPS, strict=True)}
-    sensors = _sensors(even, _stream(seed, "array"))
     kinds = _kinds(even["plan"])
+    sensors = _sensors(even, _stream(seed, "array"), sum(_LEAST_S[kind] for kind in kinds))
     rate_hz, rates = _rates(even, sensors, kinds, _stream(seed, "rates"))
     lengths = _lengths(kinds, rates, even["length"], _stream(seed, "lengths"))
     labels = _choice(even["labels"], {"noted": 0.5, "missing": 0.2, "some wrong": 0.3})
@@ -241,11 +242,12 @@ def _kinds(even: float) -> tuple[str, ...]:
     return tuple(kind for place, kind in enumerate(KINDS) if bits >> place & 1)
 
 
-def _sensors(even: Mapping[str, float], random: np.random.Generator) -> list[Table]:
-    """Entries of the array's TOML."""
+def _sensors(even: Mapping[str, float], random: np.random.Generator, least_s: float) -> list[Table]:
+    """Entries of the array's TOML; no more than can be read for `least_s`."""
     few = {"1": 0.15, "2": 0.15, "3": 0.2, "4": 0.15, "6": 0.2, "9": 0.1, "16": 0.05}
     most = int(_choice(even["sensors"], few))
     count = int(random.integers({"6": 5, "9": 7, "16": 10}.get(str(most), most), most + 1))
+    count = min(count, int(MOST_ROWS / RATES_HZ[0] / least_s) - 2)  # beside them a barometer and a magnetometer
     kinds = 1 + int(even["chips"] * 3)
     mix = random.permutation(list(_ADDRESSES))[:kinds].tolist()
     slots = {chip: [(channel, address) for channel in range(_CHANNELS) for address in _ADDRESSES[chip]] for chip in mix}
