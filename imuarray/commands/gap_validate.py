@@ -137,8 +137,7 @@ def _run(folder: Path, planned: list[Any], where: str, workers: int, again: bool
 
 
 def _scored(folder: Path, planned: list[Any]) -> Figures:
-    from imuarray.validation.generator import CHIPS
-    from imuarray.validation.plans import HIDDEN
+    from imuarray.validation.bench import CHIPS, HIDDEN
     from imuarray.validation.scoring import score_folder
 
     return score_folder(folder, hidden=HIDDEN, planned=planned, sensors=CHIPS)

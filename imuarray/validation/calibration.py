@@ -11,7 +11,7 @@ probabilities were right; the same of probabilities that are fitted to other wor
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import isfinite, nan
 from pathlib import Path
@@ -25,7 +25,7 @@ from scipy.optimize import OptimizeResult, minimize
 from imuarray.gap.findings.verdict import RATES, Rates, calibrated_probability
 from imuarray.validation.rates import brier, calibration_error, calibration_error_by_chance, rate
 from imuarray.validation.score_answers import Answer, number, read_run
-from imuarray.validation.score_rows import FULL
+from imuarray.validation.score_rows import FULL, grouped
 
 Floats = npt.NDArray[np.float64]
 
@@ -34,6 +34,8 @@ _SOLE = 0.9
 
 FOLDS = 5
 """Of the worlds, each of which is judged by rates fitted to the other four."""
+LEAST_CAUSES = 20
+"""To which rates are fitted, or by which they are judged, where a chip or an experiment is left out."""
 CONFUSED = 0.1
 """Share of an effect's cases in which another is said first, from which on the two are confusable."""
 
@@ -90,8 +92,8 @@ def claims_in(answers: Sequence[Answer]) -> list[CauseClaim]:
 
 
 def cross_validated(answers: Sequence[Answer], folds: int = FOLDS, seed: int = 0) -> list[Fold]:
-    """Rates fitted to all worlds but those of a fold, on these: all folds together ("other worlds"); then those fitted
-    to one kind of world, on each of the others.
+    """Rates fitted to all worlds but those of a fold, on these: all folds together ("other worlds"); those fitted to
+    one kind of world, on each of the others; those fitted to the cases without a chip or an experiment, on those with.
     """
     if not answers:
         return []
@@ -112,7 +114,17 @@ def cross_validated(answers: Sequence[Answer], folds: int = FOLDS, seed: int = 0
             if kind != other and claims and judged:
                 name = f"{other or 'fixed plans'}, fitted to {kind or 'fixed plans'}"
                 found.append(_fold(name, chances_of(judged, rates_of(claims)), [one.is_right for one in judged]))
-    return found
+    return [*found, *_without_a_part(answers)]
+
+
+def _without_a_part(answers: Sequence[Answer]) -> Iterator[Fold]:
+    for group in ("chip", "experiment"):
+        for part, own in grouped(group, answers).items():
+            names = {one.case.name for one in own}
+            claims, rest = claims_in(own), claims_in([one for one in answers if one.case.name not in names])
+            if min(len(claims), len(rest)) >= LEAST_CAUSES:
+                chances = chances_of(claims, rates_of(rest))
+                yield _fold(f"{group} {part}, fitted to those without", chances, [one.is_right for one in claims])
 
 
 def confused_in(answers: Sequence[Answer]) -> list[Confused]:

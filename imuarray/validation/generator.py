@@ -8,32 +8,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from imuarray.errors import ConfigError
 from imuarray.gap.inference.effects import CANDIDATES
+from imuarray.validation.bench import ARRAY, CHIPS, PLANS
 from imuarray.validation.case import Put
 
 PROGRAM = (sys.executable, "-m", "firmware_emulator.cases")
-
-ARRAY = "martin2013"
-CHIPS: Mapping[str, str] = MappingProxyType(
-    {"ADXL1": "adxl345", "BMA1": "bma180", "BMA3": "bma180", "Gyro1": "l3g4200d", "Gyro3": "l3g4200d"}
-)
-"""The array that is emulated, and those of its sensors that are read: twins at one address of two segments, and
-another accelerometer."""
-
-PLANS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "static": ("static",),
-        "tumble": ("static", "tumble"),
-        "heating": ("static", "heating"),
-        "turn-on": ("static", "turn-on"),
-        "full": ("static", "tumble", "heating", "turn-on", "motion"),
-    }
-)
-"""What is recorded: experiments of the emulator's bench."""
 
 
 @cache

@@ -1,7 +1,7 @@
 """Which cases there are: what is at work, how much of it, recorded how, by half, size and seed.
 
 Severities are in units of the detection limit: of a random world, the one of the very case
-(`imuarray.validation.severity`); of the fixed plans, one that was measured once (`imuarray.validation.limits`). No seed
+(`imuarray.validation.severity`); of the fixed plans, one that was measured once (`imuarray.validation.bench`). No seed
 of one half is one of the other.
 """
 
@@ -17,9 +17,19 @@ from itertools import combinations
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from imuarray.validation.bench import (
+    AT_ONE_TEMPERATURE,
+    AT_REST,
+    CHIPS,
+    FULL,
+    HIDDEN,
+    IN_ONE_ATTITUDE,
+    IN_ONE_BOOT,
+    PLANS,
+    limit,
+)
 from imuarray.validation.case import Case, Half, Kind, Put
-from imuarray.validation.generator import CHIPS, PLANS, mechanisms
-from imuarray.validation.limits import limit
+from imuarray.validation.generator import mechanisms
 from imuarray.validation.severity import FURTHEST
 from imuarray.validation.worlds import World, draw_world
 
@@ -27,8 +37,6 @@ EMULATOR = "emulator"
 """The random worlds of the emulated array."""
 RANDOM = ""
 """The plan of a world that is yet to be drawn."""
-FULL = "full"
-"""The plan of all cases but controls, and of those that show what a shorter one can't."""
 
 SEVERITIES = (0.5, 1.0, 2.0, 5.0, 20.0)
 """In detection limits."""
@@ -36,26 +44,7 @@ SEVERITIES = (0.5, 1.0, 2.0, 5.0, 20.0)
 STRONG = 5.0
 """Of what is not told by severity: unnamed and withheld mechanisms, pairs."""
 
-_AT_ONE_TEMPERATURE = ("thermal_bias", "thermal_scale", "thermal_lag")
-_IN_ONE_ATTITUDE = ("scale", "misalignment", "nonlinearity", "g_sensitivity", "saturation", "clock_error")
-_AT_REST = ("skew", "size_effect")
-_IN_ONE_BOOT = ("bias", "turn_on_bias", "bistable_bias")
-_SOMEWHERE_HIDDEN = frozenset((*_AT_ONE_TEMPERATURE, *_IN_ONE_ATTITUDE, *_AT_REST, *_IN_ONE_BOOT))
-
-HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
-    {
-        "static": frozenset((*_AT_ONE_TEMPERATURE, *_IN_ONE_ATTITUDE, *_AT_REST, *_IN_ONE_BOOT)),
-        "tumble": frozenset((*_AT_ONE_TEMPERATURE, *_AT_REST)),
-        "heating": frozenset((*_IN_ONE_ATTITUDE, *_AT_REST)),
-        "turn-on": frozenset((*_AT_ONE_TEMPERATURE, *_IN_ONE_ATTITUDE, *_AT_REST)),
-    }
-)
-"""Effects that a plan can't show, by what they need: another temperature, face or boot, or motion.
-
-What was measured to show is not among them (mechanisms at 5 limits, development seeds): a thermometer that is off shows
-in every log beside the barometer's, a host that comes late in the repeats of gyroscopes that keep their own time, a
-clock that is off by when the box is turned, and an output stage that gives out on the face on which it does.
-"""
+_SOMEWHERE_HIDDEN = frozenset((*AT_ONE_TEMPERATURE, *IN_ONE_ATTITUDE, *AT_REST, *IN_ONE_BOOT))
 
 NEEDED_BY_UNNAMED: Mapping[str, str] = MappingProxyType(
     {"thermal_hysteresis": "heating", "vibration_rectification": "motion", "supply_droop": "motion"}
@@ -72,11 +61,11 @@ def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[s
     moves = "motion" in world.kinds and bool(world.recorder["reference"])
     turns = world.faces >= (2 if for_sure else MANY_FACES)
     needs: Mapping[tuple[str, ...], bool] = {
-        _AT_ONE_TEMPERATURE: "heating" in world.kinds,
-        tuple(set(_IN_ONE_ATTITUDE) - {"g_sensitivity"}): moves or (turns and chip != "l3g4200d"),
+        AT_ONE_TEMPERATURE: "heating" in world.kinds,
+        tuple(set(IN_ONE_ATTITUDE) - {"g_sensitivity"}): moves or (turns and chip != "l3g4200d"),
         ("g_sensitivity",): moves or turns,
-        _AT_REST: moves,
-        _IN_ONE_BOOT: len(world.sessions) > (1 if for_sure else 3),
+        AT_REST: moves,
+        IN_ONE_BOOT: len(world.sessions) > (1 if for_sure else 3),
     }
     return frozenset(name for names, is_there in needs.items() if not is_there for name in names)
 

@@ -1,4 +1,4 @@
-"""What figures are worth elsewhere: in another world, on a chip and a plan that nothing was fitted to."""
+"""What figures are worth elsewhere: in another world; on the cases with a chip or an experiment against all others."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from math import isclose, nan
 from typing import NamedTuple
 
-from imuarray.validation.calibration import CauseClaim, chances_of, claims_in, rates_of
-from imuarray.validation.rates import calibration_error
 from imuarray.validation.score_answers import Answer
 from imuarray.validation.score_causes import LARGE, is_in_class
 from imuarray.validation.score_detection import Hidden, shown_singles
@@ -46,8 +44,8 @@ class LeftOut(NamedTuple):
 
 
 def left_out_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[LeftOut, ...]:
-    """Of each chip and each experiment: detection, causes, and the calibration error of probabilities that are fitted
-    to the cases without it.
+    """Of each chip and each experiment: false alarms, detection and causes. Probabilities that were fitted to the cases
+    without it: `imuarray.validation.calibration`.
     """
     return tuple(_left_out(answers, hidden))
 
@@ -67,15 +65,6 @@ def _left_out(answers: Sequence[Answer], hidden: Hidden) -> Iterator[LeftOut]:
                 own, others = _split(counted, group, part)
                 if min(len(own), len(others)) >= LEAST_CASES:
                     yield LeftOut(f"{group} {part}", name, _share(own, is_hit), _share(others, is_hit), len(own))
-            told, rest = (claims_in(some) for some in _split(answers, group, part))
-            if min(len(told), len(rest)) >= LEAST_CASES:
-                error, usual = (_error(claims, rest) for claims in (told, rest))
-                yield LeftOut(f"{group} {part}", "calibration error, fitted to the others", error, usual, len(told))
-
-
-def _error(claims: Sequence[CauseClaim], fitted_to: Sequence[CauseClaim]) -> float:
-    """Of probabilities with the rates of others."""
-    return calibration_error(chances_of(claims, rates_of(fitted_to)), [one.is_right for one in claims])
 
 
 def _split(answers: Sequence[Answer], group: str, part: str) -> tuple[list[Answer], list[Answer]]:

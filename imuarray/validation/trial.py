@@ -26,10 +26,10 @@ from imuarray.log import open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, Part
 from imuarray.simulate.population import figure_of
+from imuarray.validation.bench import limit
 from imuarray.validation.case import Case, Outcome, Put, write_json
 from imuarray.validation.case_folder import read_case
 from imuarray.validation.generator import mechanisms, record, record_in
-from imuarray.validation.limits import limit
 from imuarray.validation.severity import FURTHEST, Sized, sized
 from imuarray.validation.worlds import draw_world
 

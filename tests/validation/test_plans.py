@@ -10,10 +10,10 @@ import pytest
 
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.parameters import from_table
+from imuarray.validation.bench import CHIPS, HIDDEN, LIMITS, PLANS, limit
 from imuarray.validation.case import Case
-from imuarray.validation.generator import CHIPS, PLANS, mechanisms
-from imuarray.validation.limits import LIMITS, limit
-from imuarray.validation.plans import EXTRAS, HIDDEN, SIZES, Size, cases, hidden_in, shuffled
+from imuarray.validation.generator import mechanisms
+from imuarray.validation.plans import EXTRAS, SIZES, Size, cases, hidden_in, shuffled
 from imuarray.validation.worlds import draw_world
 
 BENCH = Size(controls=200, singles=20, others=4, withheld=4, unnamed=20, pairs=100, removals=12)

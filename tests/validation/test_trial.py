@@ -6,7 +6,7 @@ import pytest
 
 from imuarray.gap.model.populations import usual_model
 from imuarray.simulate.streams import Streams
-from imuarray.validation.generator import CHIPS
+from imuarray.validation.bench import CHIPS
 from imuarray.validation.plans import EXTRAS
 from imuarray.validation.trial import model_with
 from tests.gap.made import header
