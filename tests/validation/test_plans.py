@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.parameters import from_table
+from imuarray.validation import plans
 from imuarray.validation.bench import CHIPS, HIDDEN, LIMITS, PLANS, limit
 from imuarray.validation.case import Case
 from imuarray.validation.generator import mechanisms
@@ -128,3 +130,14 @@ def test_worlds_are_shuffled_together() -> None:
     first = [one.world for one in shuffled([*planned, *foreign], 0)[:20]]
     assert 5 < first.count("foreign") < 15
     assert shuffled(planned, 0) == planned
+
+
+@pytest.mark.parametrize("page", ["README.md", "VALIDATION.md"])
+def test_the_pages_know_how_many_cases_there_are(page: str) -> None:
+    text = (Path(__file__).parents[2] / page).read_text(encoding="utf-8")
+    counts = {name: sum(1 for _ in plans._all(size)) for name, size in SIZES.items()}
+    told = {"short": f"{counts['short']} cases", "full": f"{counts['full']}"}
+    if page == "VALIDATION.md":
+        told = {name: f"`{name}` ({count}" for name, count in counts.items() if name != "none"}
+    for name, said in told.items():
+        assert said in text, name

@@ -103,6 +103,7 @@ def test_what_never_shows_has_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     found = sized(lambda size: [], [], 5.0, 1.0)
     assert math.isnan(found.limits)
     assert found.severity == 64.0
+    assert LIMIT == 4.0
 
 
 @pytest.mark.slow
