@@ -18,7 +18,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Self, cast
@@ -33,9 +33,10 @@ from firmware_emulator.mechanisms.experiments import EXPERIMENTS, Experiment, kn
 from firmware_emulator.mechanisms.fitted import FittedBoard, Fitting
 from firmware_emulator.mechanisms.host import HostClock
 from firmware_emulator.mechanisms.query import checked, fitting_of, split
+from firmware_emulator.sessions import Course, Recorder, Room, Told, of_table, sessions
 from firmware_emulator.world import Phase, World
 from imuarray.acquire import record
-from imuarray.array import ArrayConfig, load_array
+from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.atomic import write_text
 from imuarray.bus.protocol import OpenBus
 from imuarray.commands.options import find_config
@@ -56,6 +57,7 @@ class Case:
 
     `seed` draws units, noise and whatever mechanisms leave to chance. `severities` go into the truth, a fitting each.
     With `reference` the logs tell what the bench was told to do; without, only its phases and what the barometer felt.
+    `recorder` is the program that reads them, if it isn't one that always comes in time; its parts are toleranced.
     """
 
     array: ArrayConfig
@@ -65,6 +67,7 @@ class Case:
     seed: int = 0
     rate_hz: float = RATE_HZ
     reference: bool = True
+    recorder: Recorder | None = None
 
     @classmethod
     def of(
@@ -84,6 +87,18 @@ class Case:
         fittings = [checked(array, fitting_of(array, *mechanism)) for mechanism in mechanisms]
         severities = tuple(severity for _, severity, _ in mechanisms)
         return cls(array, tuple(chosen), tuple(fittings), severities, seed, rate_hz, reference)
+
+    @classmethod
+    def of_world(cls, world: Mapping[str, Any], *mechanisms: tuple[str, float, tuple[str, ...]], seed: int = 0) -> Self:
+        """In a world that somebody drew: a table with the `array` (TOML text), its `sessions`, `room` and `recorder`
+        (`firmware_emulator.sessions`). ValueError, one line, for what isn't known.
+        """
+        if missing := sorted({"array", "sessions", "room", "recorder"} - set(world)):
+            raise ValueError(f"world: {missing[0]} is missing")
+        array, recorder = parse_array(world["array"], "world"), of_table(Recorder, world["recorder"])
+        chosen = sessions(world["sessions"], Room.of_table(world["room"]), seed)
+        plain = cls.of(array, chosen, *mechanisms, seed=seed, rate_hz=recorder.rate_hz, reference=recorder.reference)
+        return replace(plain, recorder=recorder)
 
     def write(self, folder: Path, truth: Path, *, force: bool = False) -> list[Path]:
         """Record every log into `folder` and seal the truth in another place; the logs' paths.
@@ -129,10 +144,17 @@ class Case:
         boards: list[FittedBoard] = []
 
         def board(name: str, world: World, seed: int) -> FittedBoard:
-            boards.append(FittedBoard(self.array, world, seed, self.fittings, run=run, units="drawn"))
-            return boards[-1]
+            units = "toleranced" if self.recorder else "drawn"
+            made = FittedBoard(self.array, world, seed, self.fittings, run=run, units=units)
+            if self.recorder:
+                per_s = self.rate_hz * len(self.array.sensors)
+                made.host.waits_ns.append(self.recorder.waits_ns(seed, run, per_s))
+            boards.append(made)
+            return made
 
         bus = open_array(self.array, world=experiment.world, seed=self.seed, board=board)
+        if isinstance(experiment.world, Course):
+            bus.truth = Told(experiment.world)
         if not self.reference:
             del bus.truth  # nobody is told
         summary = record(
@@ -145,6 +167,8 @@ class Case:
             wall_time=FIRST_LOG + run * BETWEEN_LOGS,
             force=force,
         )
+        if self.recorder and not self.recorder.thermometers:
+            leave_thermometers_out(path)
         if self.reference:
             call_it_reference(path)
         if self.reference and experiment.reference_hz:
@@ -170,6 +194,14 @@ def as_shown(phases: Sequence[Phase], bus: EmulatedBus) -> tuple[Phase, ...]:
     )
 
 
+def leave_thermometers_out(path: Path) -> None:
+    """As a program that doesn't read the chips' own thermometers writes it."""
+    with h5py.File(path, "r+") as file:
+        for group in file["sensors"].values():
+            if "temperature_counts" in group:
+                del group["temperature_counts"]
+
+
 def call_it_reference(path: Path) -> None:
     """What the emulated world says of itself is what the bench was told to do."""
     with h5py.File(path, "r+") as file:
@@ -179,7 +211,8 @@ def call_it_reference(path: Path) -> None:
 def read_reference(path: Path, experiment: Experiment, begun_ns: int) -> None:
     """The reference at its own rate, by a clock of its own that is right, from `begun_ns` of the world on."""
     times = np.arange(0, round(experiment.seconds * 1e9), round(1e9 / experiment.reference_hz))
-    felt = [experiment.world(begun_ns + at_ns) for at_ns in times.tolist()]
+    world = Told(experiment.world) if isinstance(experiment.world, Course) else experiment.world
+    felt = [world(begun_ns + at_ns) for at_ns in times.tolist()]
     columns = {
         "time": times,
         "specific_force": np.array([one.force_box for one in felt]),
@@ -257,12 +290,19 @@ def program(
     reference: bool,
     force: bool,
 ) -> None:
-    """Write the logs of one case of the emulated array of CONFIG, and seal what is wrong with it."""
-    array = load_array(find_config(config))
-    array = array.only(tuple(only.split(","))) if only else array
+    """Write the logs of one case of the emulated array of CONFIG, and seal what is wrong with it.
+
+    A CONFIG that ends in .json is a whole world: array, sessions, room and recorder.
+    """
     try:
-        mechanisms, chosen = asked(mechanism, severity, sensor), experiments.split(",")
-        case = Case.of(array, chosen, *mechanisms, seed=seed, rate_hz=rate_hz, reference=reference)
+        mechanisms = asked(mechanism, severity, sensor)
+        if config.suffix == ".json":
+            case = Case.of_world(json.loads(config.read_text(encoding="utf-8")), *mechanisms, seed=seed)
+        else:
+            array = load_array(find_config(config))
+            array = array.only(tuple(only.split(","))) if only else array
+            chosen = experiments.split(",")
+            case = Case.of(array, chosen, *mechanisms, seed=seed, rate_hz=rate_hz, reference=reference)
         paths = case.write(output, truth, force=force)
     except ValueError as error:
         raise click.UsageError(str(error)) from None

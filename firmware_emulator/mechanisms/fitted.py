@@ -4,26 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from firmware_emulator.board import MUXES, Board, named
 from firmware_emulator.chip import Chip, Target
 from firmware_emulator.clock import Clock
-from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, Unit
+from firmware_emulator.element import IDENTITY, NOTHING, SensingElement, Unit, stream
 from firmware_emulator.mechanisms.element import MountedElement
 from firmware_emulator.mechanisms.host import HostClock, LatentWire, Reading, WatchedMux
 from firmware_emulator.mechanisms.line import Line
 from firmware_emulator.mechanisms.mechanism import Mechanism
 from firmware_emulator.mechanisms.site import INERTIAL, Site
 from firmware_emulator.mux import Pca9544a
-from firmware_emulator.units import drawn_unit, unit_of
+from firmware_emulator.units import TOLERANCES, Spread, drawn_unit, typical, unit_of
 from firmware_emulator.wire import Wire
 from firmware_emulator.world import Delayed, World
 
 if TYPE_CHECKING:
     from firmware_emulator.array import ArrayLike, SensorLike
 
-UNITS = ("paper", "drawn")
+UNITS = ("paper", "drawn", "toleranced")
+"""The paper's; drawn, but only in what everybody expects of a part; drawn in all that a data sheet leaves to it."""
+TURN_ON_SHARE = 0.003
+"""Scatter (one sigma) of a toleranced part's bias between power-ups, as a share of the bias that its sheet allows: what
+the paper's parts have (left half of its Table 11: up to 0.65 mg and 0.036 dps).
+"""
+RATE_ERROR: Mapping[str, Spread] = MappingProxyType({"bma180": typical(0.10), "l3g4200d": typical(0.02)})
+"""Relative error of a toleranced part's oscillator: BMA-107; an RC oscillator where no sheet says it. That of an
+ADXL345 is exact.
+"""
 LEAST_SENSORS = {"pair": 2, "design": 2}
 
 
@@ -43,6 +53,17 @@ def plain_part(chip: str, name: str, full_scale: float, seed: int) -> Unit:
     """
     drawn = drawn_unit(chip, name, full_scale, seed)
     return replace(drawn, scale_slope_per_degc=0.0, g_sensitivity=NOTHING, thermometer_offset_degc=0.0)
+
+
+def toleranced_part(chip: str, name: str, full_scale: float, seed: int, run: int) -> Unit:
+    """A part drawn in all that its data sheet leaves to the part; its bias scatters from power-up to power-up."""
+    drawn, random = drawn_unit(chip, name, full_scale, seed), stream(seed, f"power-up {run} of {name}")
+    allowed = [spread.limit for spread in TOLERANCES[chip](full_scale).bias]
+    scattered = [
+        bias + TURN_ON_SHARE * limit * float(random.standard_normal())
+        for bias, limit in zip(drawn.bias, allowed, strict=True)
+    ]
+    return replace(drawn, bias=(scattered[0], scattered[1], scattered[2]))
 
 
 def sites_of(array: ArrayLike, fitting: Fitting) -> list[SensorLike]:
@@ -159,6 +180,8 @@ class FittedBoard(Board):
         """The imperfections of one unit."""
         if self.units == "drawn":
             return plain_part(sensor.chip, sensor.name, sensor.range or 0.0, self.seed)
+        if self.units == "toleranced":
+            return toleranced_part(sensor.chip, sensor.name, sensor.range or 0.0, self.seed, self.run)
         return unit_of(self.array, sensor.name, sensor.chip, sensor.range or 0.0, self.seed)
 
     def kind(self, sensor: SensorLike) -> Callable[..., Chip]:
@@ -169,8 +192,11 @@ class FittedBoard(Board):
         return kind
 
     def switches(self, sensor: SensorLike) -> Mapping[str, Any]:
-        """What mechanisms set."""
-        return self._sites[sensor.name].switches if sensor.name in self._sites else {}
+        """What mechanisms set, and the oscillator of a toleranced part."""
+        own: dict[str, Any] = {}
+        if self.units == "toleranced" and sensor.chip in RATE_ERROR:
+            own["rate_error"] = RATE_ERROR[sensor.chip].draw(stream(self.seed, f"oscillator of {sensor.name}"))
+        return {**own, **(self._sites[sensor.name].switches if sensor.name in self._sites else {})}
 
     def generator_key(self, sensor: SensorLike) -> str:
         """Another noise after each power-up."""

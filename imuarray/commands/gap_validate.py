@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from imuarray.validation.case import Half
     from imuarray.validation.scoring import Figures
 
-_SIZES = ("glance", "reduced", "short", "medium", "full")
+_SIZES = ("none", "glance", "reduced", "bench", "short", "medium", "full")
 """`imuarray.validation.plans.SIZES`, which costs too much to import for a list of names; a test compares."""
 
 
@@ -29,7 +29,21 @@ _SIZES = ("glance", "reduced", "short", "medium", "full")
     metavar="DIR",
     help="outcomes, sealed truth and results; the same command again goes on where it stopped",
 )
-@click.option("--size", type=click.Choice(_SIZES), default="reduced", show_default=True, help="how many cases")
+@click.option(
+    "--size",
+    type=click.Choice(_SIZES),
+    default="reduced",
+    show_default=True,
+    help="how many cases: of random worlds from short on, before that on fixed plans; none: those of --cases alone",
+)
+@click.option(
+    "--cases",
+    "folders",
+    multiple=True,
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="cases that somebody else wrote, with figures of their own (python -m pydoc imuarray.validation.case_folder)",
+)
 @click.option(
     "--half",
     type=click.Choice(["development", "sealed"]),
@@ -53,6 +67,7 @@ _SIZES = ("glance", "reduced", "short", "medium", "full")
 def validate(
     output: Path,
     size: str,
+    folders: tuple[Path, ...],
     half: str,
     seed: int,
     where: str,
@@ -63,21 +78,29 @@ def validate(
 ) -> None:
     """Diagnose cases in which something is wrong that the diagnosis is not told, and score what it says.
 
-    The logs come from the emulated array with physical mechanisms at work in it, which shares no code with the
-    simulator that the diagnosis believes in. Each case's truth goes into DIR/sealed, which is opened when all cases are
-    done. Exit code 1 if a figure misses its bar by more than chance.
+    The logs come from emulated arrays with physical mechanisms at work in them, which share no code with the
+    simulator that the diagnosis believes in; each case is another array, plan and room. FOLDERs hold cases of other
+    makers, of other generators or of real recordings. Each case's truth goes into DIR/sealed, which is opened when all
+    cases are done. Exit code 1 if a figure misses its bar by more than chance.
 
     \b
     imuarray gap validate --size glance -o checked
     """
-    from imuarray.validation.plans import SIZES, cases
+    from imuarray.validation.case_folder import cases_in
+    from imuarray.validation.plans import SIZES, cases, shuffled
 
     planned = cases(cast("Half", half), SIZES[size], seed)
+    planned = shuffled([*planned, *cases_in(folders, cast("Half", half), len(planned))], seed)
+    if not planned:
+        raise click.UsageError("--size none: --cases FOLDER is wanted with it")
+    told = [folder.name for folder in folders]
     if not score_only:
-        _begin(output, {"half": half, "size": size, "seed": seed, "cases": len(planned)})
+        plan = {"half": half, "size": size, "seed": seed, "cases": len(planned)}
+        _begin(output, {**plan, "folders": told} if told else plan)
         _run(output, planned, where, workers, again)
     found = _scored(output, planned)
-    _write(output, found, f"imuarray gap validate --half {half} --size {size} --seed {seed} -o {output.name}")
+    words = " ".join(f"--cases {name}" for name in told) + " " * bool(told)
+    _write(output, found, f"imuarray gap validate --half {half} --size {size} --seed {seed} {words}-o {output.name}")
     _say(found, as_json)
     if any(row.is_refuted for row in found.failed):
         raise click.exceptions.Exit(1)
@@ -114,8 +137,7 @@ def _run(folder: Path, planned: list[Any], where: str, workers: int, again: bool
 
 
 def _scored(folder: Path, planned: list[Any]) -> Figures:
-    from imuarray.validation.generator import CHIPS
-    from imuarray.validation.plans import HIDDEN
+    from imuarray.validation.bench import CHIPS, HIDDEN
     from imuarray.validation.scoring import score_folder
 
     return score_folder(folder, hidden=HIDDEN, planned=planned, sensors=CHIPS)

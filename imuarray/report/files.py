@@ -81,8 +81,7 @@ def _validation(path: Path, together: Together) -> Sayings:
     from imuarray.report.validation_figures import plots_of
     from imuarray.report.validation_page import validation_sections
     from imuarray.report.validation_words import summary_lines
-    from imuarray.validation.generator import CHIPS
-    from imuarray.validation.plans import HIDDEN
+    from imuarray.validation.bench import CHIPS, HIDDEN
     from imuarray.validation.scoring import score_folder
 
     figures = score_folder(path, hidden=HIDDEN, sensors=CHIPS)

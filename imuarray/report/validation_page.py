@@ -13,7 +13,7 @@ from imuarray.report.gap_sheet import SmallFigure
 from imuarray.report.gap_tables import marked
 from imuarray.report.page import Figure, Section, Table, write_page
 from imuarray.report.validation_figures import plots_of
-from imuarray.report.validation_words import failing_rows, frozen_text, plain_text, summary_lines
+from imuarray.report.validation_words import failing_rows, frozen_text, plain_text, summary_lines, transfer_rows
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP
 from imuarray.validation.score_rows import Row
@@ -51,6 +51,7 @@ def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tu
     """All that the page says below its summary."""
     return (
         _figures(figures),
+        *_worlds(figures),
         _missed(figures),
         _alarms(figures, plots),
         _detection(figures, plots),
@@ -71,9 +72,33 @@ def _figures(figures: Figures) -> Section:
     return Section("Figures and their bars", words, [Table(heading, rows, caption), *_by_plan(figures), told])
 
 
+def _worlds(figures: Figures) -> Iterator[Section]:
+    """Figures of several worlds beside each other, and of parts of the cases against the rest."""
+    parts: Parts = []
+    if figures.transfers:
+        heading = ["figure", *figures.worlds, "transfer gap"]
+        caption = "In brackets the cases; the gap is what is lost from the first world to the worst of the others."
+        parts.append(Table(heading, list(transfer_rows(figures)), caption))
+    for world, rows in figures.elsewhere.items():
+        told = [
+            [row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *texts(row)] for row in rows if row.cases
+        ]
+        parts.append(Table(["figure", "", "value", "95 %", "cases", "bar"], told, f"World: {world}."))
+    if figures.left_out:
+        rows_of = [
+            [one.part, one.figure, decimal(one.value), decimal(one.others), str(one.cases)] for one in figures.left_out
+        ]
+        caption = "The cases with a chip or an experiment, and all others."
+        parts.append(Table(["part", "figure", "with it", "without it", "cases"], rows_of, caption, (1,)))
+    if parts:
+        words = "What the figures are worth where nothing was developed: in other worlds, on other chips and plans."
+        yield Section("Elsewhere", words, parts)
+
+
 def _by_plan(figures: Figures) -> Iterator[Table]:
-    """A table of the figures that there are on several plans, if there are any."""
-    cells = {row.name: {cell.name: cell for cell in row.cells if cell.group == "plan"} for row in figures.rows}
+    """A table of the figures that there are on several plans or with several experiments, if there are any."""
+    groups = ("plan", "experiment")
+    cells = {row.name: {cell.name: cell for cell in row.cells if cell.group in groups} for row in figures.rows}
     plans = sorted({plan for own in cells.values() for plan in own})
     rows = [
         [name, *(f"{decimal(own[plan].value)} ({own[plan].cases})" if plan in own else "–" for plan in plans)]
@@ -119,6 +144,10 @@ def _alarms(figures: Figures, plots: Plots) -> Section:
     return Section("False alarms", words, [*parts, table])
 
 
+def _plan_text(figures: Figures) -> str:
+    return f"the plan {figures.full!r}" if figures.full else "all plans"
+
+
 def _plan_of(row: Row) -> str:
     """Of a row of false alarms."""
     return row.name.partition("plan ")[2] or "all"
@@ -137,7 +166,7 @@ def _detection(figures: Figures, plots: Plots) -> Section:
         [name, *(f"{hits} of {cases}" if cases else "–" for hits, cases in counts)]
         for name, counts in zip(power.mechanisms, power.counts, strict=True)
     ]
-    caption = f"Detected cases on the plan {figures.full!r}, by mechanism and severity."
+    caption = f"Detected cases on {_plan_text(figures)}, by mechanism and severity."
     if rows:
         parts.append(Table(["mechanism", *power.severities], rows, caption))
     words = "Severity is in units of the detection limit; some mechanisms have none, they are there or not."
@@ -157,7 +186,7 @@ def _curve_table(figures: Figures) -> Table:
 def _causes(figures: Figures, plots: Plots) -> Section:
     confusion = figures.confusion
     if not confusion.truths:
-        return Section("Causes", f"No cases on the plan {figures.full!r}.")
+        return Section("Causes", f"No cases on {_plan_text(figures)}.")
     parts: Parts = []
     wrong = _taken_for(figures)
     if "causes" in plots:

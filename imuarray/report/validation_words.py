@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.validation.scoring import MOST_CELLS, Figures, lost_by, texts
+from imuarray.validation.scoring import HEADLINE, MOST_CELLS, Figures, decimal, lost_by, texts, transfer_line
 
 
 def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
@@ -21,6 +21,21 @@ def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str,
     for row in figures.rows:
         mark = "**FAIL**" if row.mark == "FAIL" else row.mark
         lines.append("| " + " | ".join([mark, *map(_cell, (row.name, *texts(row)))]) + " |")
+    for world, rows in figures.elsewhere.items():
+        lines += [
+            "",
+            f"World {_cell(world)}:",
+            "",
+            "| | figure | value | 95 % | cases | bar |",
+            "|---|---|---|---|---|---|",
+        ]
+        lines += [
+            "| " + " | ".join([row.mark, *map(_cell, (row.name, *texts(row)))]) + " |" for row in rows if row.cases
+        ]
+    if figures.transfers:
+        lines += ["", "| figure | " + " | ".join(map(_cell, figures.worlds)) + " | transfer gap |"]
+        lines += ["|---" * (len(figures.worlds) + 2) + "|"]
+        lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in transfer_rows(figures)]
     missed = list(failing_rows(figures))
     if missed:
         lines += ["", "Where a bar is missed:", "", "| figure | cell | value | 95 % | cases |", "|---|---|---|---|---|"]
@@ -42,10 +57,22 @@ def summary_lines(figures: Figures) -> Iterator[str]:
         yield f"Missed, but the interval reaches the bar: {'; '.join(maybe)}."
     if bare:
         yield f"No cases for: {'; '.join(bare)}."
+    for one in figures.transfers:
+        if one.name == HEADLINE:
+            yield f"{transfer_line(one).capitalize()}."
     by_reason = "; ".join(f"{name}: {count}" for name, count in lost_by(figures.lost).items())
     yield f"{figures.cases} cases, {len(figures.lost)} of them lost{f' ({by_reason})' if by_reason else ''}."
-    yield f"Bars are judged on the plan {figures.full!r} unless a figure says otherwise; intervals hold 95 %."
+    judged_on = f"the plan {figures.full!r}" if figures.full else "all plans"
+    yield f"Bars are judged on {judged_on} unless a figure says otherwise; intervals hold 95 %."
     yield from figures.notes
+
+
+def transfer_rows(figures: Figures) -> Iterator[list[str]]:
+    """Each figure that several worlds have: its value in each, in brackets the cases, and what is lost."""
+    for one in figures.transfers:
+        cells = [one.rows.get(world) for world in figures.worlds]
+        values = [f"{decimal(row.value)} ({row.cases})" if row else "–" for row in cells]
+        yield [one.name, *values, decimal(one.lost)]
 
 
 def failing_rows(figures: Figures) -> Iterator[list[str]]:

@@ -35,9 +35,15 @@ class Put:
 
 @dataclass(frozen=True)
 class Case:
-    """One case: its `number` within a half; `plan` names what is recorded (`PLANS`), `puts` what is at work, `seed`
-    draws units, noise and chance. `without` are effects withheld from the library of causes, `extra` is a table of one
-    effect that the model has besides, `resembles` what each of `puts` may rightly be called.
+    """One case: its `number` within a half; `plan` names what is recorded (`PLANS`, or the experiments of a world),
+    `puts` what is at work, `seed` draws units, noise and chance. `without` are effects withheld from the library of
+    causes, `extra` is a table of one effect that the model has besides, `resembles` what each of `puts` may rightly be
+    called.
+
+    `world` says who made it: "" the fixed plans of the emulated bench, "emulator" a random world, drawn of the seed
+    `draw`, else what the folder `source` says from which it was read. `is_hidden`: the plan can't show it. `chips` says
+    which chip a sensor is, `strata` what a judge may want apart; `control` names the same recording before something
+    was put into it.
     """
 
     number: int
@@ -49,6 +55,13 @@ class Case:
     without: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
     resembles: tuple[tuple[str, ...], ...] = ()
+    world: str = ""
+    draw: int = 0
+    source: str = ""
+    is_hidden: bool = False
+    chips: Mapping[str, str] = field(default_factory=dict)
+    strata: Mapping[str, str] = field(default_factory=dict)
+    control: str = ""
 
     @property
     def name(self) -> str:

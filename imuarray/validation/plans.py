@@ -1,24 +1,42 @@
 """Which cases there are: what is at work, how much of it, recorded how, by half, size and seed.
 
-Severities are in units of the detection limit, the severity at which the full plan just shows something; those were
-measured on development seeds (`imuarray.validation.detection`). No seed of one half is one of the other.
+Severities are in units of the detection limit: of a random world, the one of the very case
+(`imuarray.validation.severity`); of the fixed plans, one that was measured once (`imuarray.validation.bench`). No seed
+of one half is one of the other.
 """
 
 from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from imuarray.validation.bench import (
+    AT_ONE_TEMPERATURE,
+    AT_REST,
+    CHIPS,
+    FULL,
+    HIDDEN,
+    IN_ONE_ATTITUDE,
+    IN_ONE_BOOT,
+    PLANS,
+    limit,
+)
 from imuarray.validation.case import Case, Half, Kind, Put
-from imuarray.validation.generator import CHIPS, PLANS, mechanisms
-from imuarray.validation.limits import FURTHEST, limit
+from imuarray.validation.generator import mechanisms
+from imuarray.validation.severity import FURTHEST
+from imuarray.validation.worlds import World, draw_world
 
-FULL = "full"
-"""The plan of all cases but controls, and of those that show what a shorter one can't."""
+EMULATOR = "emulator"
+"""The random worlds of the emulated array."""
+RANDOM = ""
+"""The plan of a world that is yet to be drawn."""
 
 SEVERITIES = (0.5, 1.0, 2.0, 5.0, 20.0)
 """In detection limits."""
@@ -26,41 +44,47 @@ SEVERITIES = (0.5, 1.0, 2.0, 5.0, 20.0)
 STRONG = 5.0
 """Of what is not told by severity: unnamed and withheld mechanisms, pairs."""
 
-_AT_ONE_TEMPERATURE = ("thermal_bias", "thermal_scale", "thermal_lag")
-_IN_ONE_ATTITUDE = ("scale", "misalignment", "nonlinearity", "g_sensitivity", "saturation", "clock_error")
-_AT_REST = ("skew", "size_effect")
-_IN_ONE_BOOT = ("bias", "turn_on_bias", "bistable_bias")
+_SOMEWHERE_HIDDEN = frozenset((*AT_ONE_TEMPERATURE, *IN_ONE_ATTITUDE, *AT_REST, *IN_ONE_BOOT))
 
-HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
-    {
-        "static": frozenset((*_AT_ONE_TEMPERATURE, *_IN_ONE_ATTITUDE, *_AT_REST, *_IN_ONE_BOOT)),
-        "tumble": frozenset((*_AT_ONE_TEMPERATURE, *_AT_REST)),
-        "heating": frozenset((*_IN_ONE_ATTITUDE, *_AT_REST)),
-        "turn-on": frozenset((*_AT_ONE_TEMPERATURE, *_IN_ONE_ATTITUDE, *_AT_REST)),
-    }
+NEEDED_BY_UNNAMED: Mapping[str, str] = MappingProxyType(
+    {"thermal_hysteresis": "heating", "vibration_rectification": "motion", "supply_droop": "motion"}
 )
-"""Effects that a plan can't show, by what they need: another temperature, face or boot, or motion.
+"""Experiments that mechanisms without a name need."""
 
-What was measured to show is not among them (mechanisms at 5 limits, development seeds): a thermometer that is off shows
-in every log beside the barometer's, a host that comes late in the repeats of gyroscopes that keep their own time, a
-clock that is off by when the box is turned, and an output stage that gives out on the face on which it does.
-"""
+
+MANY_FACES = 4
+"""So many faces show what a tumble does; from two on nothing is hidden for sure."""
+
+
+def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[str]:
+    """Effects that a world hardly shows, or can't show `for_sure`, on a sensor of that chip, by what they need."""
+    moves = "motion" in world.kinds and bool(world.recorder["reference"])
+    turns = world.faces >= (2 if for_sure else MANY_FACES)
+    needs: Mapping[tuple[str, ...], bool] = {
+        AT_ONE_TEMPERATURE: "heating" in world.kinds,
+        tuple(set(IN_ONE_ATTITUDE) - {"g_sensitivity"}): moves or (turns and chip != "l3g4200d"),
+        ("g_sensitivity",): moves or turns,
+        AT_REST: moves,
+        IN_ONE_BOOT: len(world.sessions) > (1 if for_sure else 3),
+    }
+    return frozenset(name for names, is_there in needs.items() if not is_there for name in names)
+
 
 EXTRAS: tuple[Mapping[str, Any], ...] = (
-    {"sensor": "Gyro1", "effect": "tone", "parameters": {"amplitude_dps": [0.0, 0.3, 0.0], "frequency_hz": 17.0}},
-    {"sensor": "BMA1", "effect": "random_walk", "parameters": {"density_g_per_sqrt_s": [0.002, 0.002, 0.002]}},
-    {"sensor": "Gyro3", "effect": "bandwidth", "parameters": {"cutoff_hz": 8.0}},
-    {"sensor": "BMA3", "effect": "glitches", "parameters": {"probability": 0.01, "amplitude_g": 0.3}},
-    {"sensor": "ADXL1", "effect": "stale_samples", "parameters": {"probability": 0.3}},
+    {"chip": "l3g4200d", "effect": "tone", "parameters": {"amplitude_dps": [0.0, 0.3, 0.0], "frequency_hz": 17.0}},
+    {"chip": "bma180", "effect": "random_walk", "parameters": {"density_g_per_sqrt_s": [0.002, 0.002, 0.002]}},
+    {"chip": "l3g4200d", "effect": "bandwidth", "parameters": {"cutoff_hz": 8.0}},
+    {"chip": "bma180", "effect": "glitches", "parameters": {"probability": 0.01, "amplitude_g": 0.3}},
+    {"chip": "adxl345", "effect": "stale_samples", "parameters": {"probability": 0.3}},
     {
-        "sensor": "Gyro1",
+        "chip": "l3g4200d",
         "effect": "bias_instability",
         "parameters": {"rms_dps": [0.3, 0.3, 0.3], "time_constant_s": 20.0},
     },
-    {"sensor": "BMA1", "effect": "turn_on_bias", "parameters": {"rms_g": [0.05, 0.05, 0.05]}},
-    {"sensor": "ADXL1", "effect": "quantisation", "parameters": {"step_lsb": 4.0}},
+    {"chip": "bma180", "effect": "turn_on_bias", "parameters": {"rms_g": [0.05, 0.05, 0.05]}},
+    {"chip": "adxl345", "effect": "quantisation", "parameters": {"step_lsb": 4.0}},
 )
-"""Effects that a model is given and the sensors have not."""
+"""Effects that a model is given for one sensor of a chip, and that the sensor has not."""
 
 _SEEDS: Mapping[Half, int] = MappingProxyType({"development": 1_000_000, "sealed": 2_000_000})
 """The first seed of each half; a million cases keep them apart."""
@@ -68,10 +92,12 @@ _SEEDS: Mapping[Half, int] = MappingProxyType({"development": 1_000_000, "sealed
 
 @dataclass(frozen=True)
 class Size:
-    """How many cases: `controls` of each plan; `singles` of each named mechanism at each of `severities` on the full
-    plan, `others` of it on each other plan at the highest, `hidden` on each that can't show it; `withheld` of each
-    named and `unnamed` of each other one; `pairs` on different sensors and on one; `removals` of each extra effect.
-    Only `mechanisms`, if any are named, and only `plans`.
+    """How many cases: `controls` of each plan, or in all of random worlds; `singles` of each named mechanism at each of
+    `severities`, `others` of it on each other fixed plan at the highest, `hidden` where it can't show; `withheld` of
+    each named and `unnamed` of each other one; `pairs` on different sensors and on one; `removals` of each extra
+    effect. Only `mechanisms`, if any are named.
+
+    In random `worlds`, or on the fixed `plans` of the emulated bench.
     """
 
     controls: int = 0
@@ -84,11 +110,13 @@ class Size:
     removals: int = 0
     severities: tuple[float, ...] = SEVERITIES
     mechanisms: tuple[str, ...] = ()
+    worlds: bool = False
     plans: tuple[str, ...] = tuple(PLANS)
 
 
 SIZES: Mapping[str, Size] = MappingProxyType(
     {
+        "none": Size(),
         "glance": Size(others=1, severities=(20.0,), mechanisms=("mains_ripple",), plans=("static",)),
         "reduced": Size(
             controls=1,
@@ -97,12 +125,28 @@ SIZES: Mapping[str, Size] = MappingProxyType(
             severities=(20.0,),
             mechanisms=("mains_ripple", "power_on_stress", "stuck_bit", "interleaved_converters"),
         ),
-        "short": Size(controls=20, singles=1, hidden=1, withheld=1, unnamed=1, pairs=6, removals=1, severities=(2, 5)),
-        "medium": Size(controls=20, singles=1, others=1, withheld=1, unnamed=2, pairs=20, removals=2),
-        "full": Size(controls=200, singles=20, others=4, withheld=4, unnamed=20, pairs=100, removals=12),
+        "bench": Size(controls=20, singles=1, hidden=1, withheld=1, unnamed=1, pairs=6, removals=1, severities=(2, 5)),
+        "short": Size(
+            controls=150,
+            singles=2,
+            hidden=2,
+            withheld=1,
+            unnamed=3,
+            pairs=20,
+            removals=1,
+            severities=(2, 5),
+            worlds=True,
+        ),
+        "medium": Size(controls=400, singles=3, hidden=1, withheld=2, unnamed=6, pairs=60, removals=3, worlds=True),
+        "full": Size(controls=1000, singles=12, hidden=4, withheld=6, unnamed=20, pairs=200, removals=10, worlds=True),
     }
 )
-"""By the names that the command takes."""
+"""By the names that the command takes: "none" for folders of cases alone, the first three others on the fixed plans."""
+
+STRIDE = 10_000_000
+"""Between the seeds of the worlds that are looked at for one case; the halves stay apart."""
+MOST_WORLDS = 2000
+"""That are looked at for one case."""
 
 
 class _Drawn(NamedTuple):
@@ -114,6 +158,7 @@ class _Drawn(NamedTuple):
     limits: float = 0.0
     extra: Mapping[str, Any] = MappingProxyType({})
     together: bool = False
+    is_hidden: bool = False
 
 
 def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
@@ -123,22 +168,27 @@ def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
     first = _SEEDS[half] + 10_000 * seed
     drawn = list(_all(size))
     random.Random(first).shuffle(drawn)  # a run that is stopped early has something of everything
-    return [_case(one, half, number, first + number) for number, one in enumerate(drawn)]
+    place = _in_a_world if size.worlds else _on_the_bench
+    return [place(one, half, number, first + number) for number, one in enumerate(drawn)]
+
+
+def shuffled(planned: Sequence[Case], seed: int) -> list[Case]:
+    """So that a run that is stopped early has something of every world."""
+    if len({one.world for one in planned}) < 2:
+        return list(planned)
+    return random.Random(seed).sample(list(planned), len(planned))
 
 
 def _all(size: Size) -> Iterator[_Drawn]:
     facts = {name: one for name, one in mechanisms().items() if (not size.mechanisms or name in size.mechanisms)}
     named = [name for name, one in facts.items() if one["resembles"]]
-    for plan in size.plans:
+    for plan in (RANDOM,) if size.worlds else size.plans:
         yield from [_Drawn("none", plan)] * size.controls
     for name in named:
         severities = size.severities if facts[name]["graded"] else size.severities[-1:]
         for limits in severities:
             yield from [_Drawn("single", FULL, (name,), limits)] * size.singles
-        for plan in size.plans:
-            if plan != FULL:
-                count = size.others + size.hidden * (set(facts[name]["resembles"]) <= HIDDEN[plan])
-                yield from [_Drawn("single", plan, (name,), size.severities[-1])] * count
+        yield from _hidden(name, facts[name]["resembles"], size)
         yield from [_Drawn("withheld", FULL, (name,), STRONG)] * size.withheld
     for name in facts:
         if name not in named:
@@ -158,38 +208,134 @@ def _all(size: Size) -> Iterator[_Drawn]:
         yield from [_Drawn("removal", FULL, extra=extra)] * size.removals
 
 
-def _case(one: _Drawn, half: Half, number: int, seed: int) -> Case:
-    """With sensors, by its seed: those that both of a pair can be put on, or two, one for each."""
+def _hidden(name: str, resembles: Collection[str], size: Size) -> Iterator[_Drawn]:
+    """Cases of a mechanism where it doesn't show, and on the fixed plans that aren't full."""
+    if size.worlds:
+        if set(resembles) <= _SOMEWHERE_HIDDEN:
+            yield from [_Drawn("single", RANDOM, (name,), size.severities[-1], is_hidden=True)] * size.hidden
+        return
+    for plan in size.plans:
+        if plan != FULL:
+            count = size.others + size.hidden * (set(resembles) <= HIDDEN[plan])
+            yield from [_Drawn("single", plan, (name,), size.severities[-1])] * count
+
+
+def _on_the_bench(one: _Drawn, half: Half, number: int, seed: int) -> Case:
+    """On a fixed plan, with sensors by its seed."""
     choose = random.Random(seed)
+    sensors = _places(one, CHIPS, choose, lambda name, chip: True)
+    if sensors is None:
+        raise ValueError(f"{' and '.join(one.names)}: the bench has no sensors for it")
     facts = [mechanisms()[name] for name in one.names]
-    free = [[sensor for sensor, chip in CHIPS.items() if chip in fact["touches"]] for fact in facts]
+    puts = tuple(
+        _put(name, fact["graded"], one.limits, chosen, CHIPS.get((*chosen, "")[0], ""))
+        for name, fact, chosen in zip(one.names, facts, sensors, strict=True)
+    )
+    extra = {**one.extra, "sensor": _first_of(CHIPS, one.extra["chip"])} if one.extra else {}
+    return _case(one, half, number, seed, puts, extra, one.plan, CHIPS)
+
+
+def _in_a_world(one: _Drawn, half: Half, number: int, seed: int) -> Case:
+    """In the first random world of its seed that has what the case needs, with sensors by its seed."""
+    choose = random.Random(seed)
+    for attempt in range(MOST_WORLDS):
+        world = draw_world(seed + attempt * STRIDE)
+        sensors = _places(one, world.inertial, choose, partial(_shows, one, world), world.twins())
+        extra = {**one.extra, "sensor": _first_of(world.inertial, one.extra["chip"])} if one.extra else {}
+        if sensors is None or (one.extra and not extra["sensor"]):
+            continue
+        puts = tuple(Put(name, math.nan, one.limits, chosen) for name, chosen in zip(one.names, sensors, strict=True))
+        about = {"world": EMULATOR, "draw": world.seed, "is_hidden": one.is_hidden, "strata": dict(world.strata)}
+        return _case(one, half, number, seed, puts, extra, world.plan, world.inertial, **about)
+    raise ValueError(f"{' and '.join(one.names) or one.kind}: no world shows it")
+
+
+def _shows(one: _Drawn, world: World, name: str, chip: str) -> bool:
+    """Whether a mechanism shows on a sensor of that chip in that world; or hides, if that is asked for."""
+    effects = mechanisms()[name]["resembles"]
+    hidden = hidden_in(world, chip, for_sure=one.is_hidden)
+    if not effects:
+        return NEEDED_BY_UNNAMED.get(name, world.kinds[0]) in world.kinds
+    return bool(set(effects) <= hidden) == one.is_hidden
+
+
+def _places(
+    one: _Drawn,
+    chips: Mapping[str, str],
+    choose: random.Random,
+    can_show: Callable[[str, str], bool],
+    twins: Sequence[tuple[str, str]] | None = None,
+) -> list[tuple[str, ...]] | None:
+    """Sensors of each mechanism: those that both of a pair can be put on, or two, one for each; None if there are not
+    enough. None of its own has a mechanism that goes wherever it can.
+    """
+    facts = [mechanisms()[name] for name in one.names]
+    free = [
+        [sensor for sensor, chip in chips.items() if chip in fact["touches"] and can_show(name, chip)]
+        for name, fact in zip(one.names, facts, strict=True)
+    ]
     if one.together:
-        free = [[choose.choice(sorted(set.intersection(*map(set, free))))]] * len(free)
+        common = sorted(set.intersection(*map(set, free)))
+        free = [[choose.choice(common)] if common else []] * len(free)
     taken: set[str] = set()
-    puts = []
-    for name, fact, sensors in zip(one.names, facts, free, strict=True):
-        chosen = _sensors(fact["place"], [sensor for sensor in sensors if sensor not in taken] or sensors, choose)
+    found = list[tuple[str, ...]]()
+    for fact, sensors in zip(facts, free, strict=True):
+        left = [sensor for sensor in sensors if sensor not in taken]
+        chosen = _sensors(fact["place"], left, chips, choose, twins)
+        if chosen is None:
+            return None
         taken |= set() if one.together else set(chosen)
-        puts.append(_put(name, fact["graded"], one.limits, chosen))
-    resembles = tuple(tuple(fact["resembles"]) for fact in facts)
-    case = Case(number, half, one.kind, one.plan, tuple(puts), seed, extra=dict(one.extra), resembles=resembles)
-    return replace(case, without=resembles[0]) if one.kind == "withheld" else case
+        found.append(chosen)
+    return found
 
 
-def _put(mechanism: str, is_graded: bool, limits: float, sensors: tuple[str, ...]) -> Put:
+def _sensors(
+    place: str,
+    sensors: Sequence[str],
+    chips: Mapping[str, str],
+    choose: random.Random,
+    twins: Sequence[tuple[str, str]] | None,
+) -> tuple[str, ...] | None:
+    """One, two of a chip, or none where the mechanism itself says where it goes; None if there are not enough."""
+    if place == "sensor":
+        return (choose.choice(sensors),) if sensors else None
+    if place == "pair":
+        pairs = [
+            (first, second)
+            for first, second in (combinations(chips, 2) if twins is None else twins)
+            if chips[first] == chips[second] and first in sensors and second in sensors
+        ]
+        return choose.choice(pairs) if pairs else None
+    common = Counter(chips[sensor] for sensor in sensors)
+    return () if common and (place != "design" or max(common.values()) > 1) else None
+
+
+def _first_of(chips: Mapping[str, str], chip: str) -> str:
+    """The first sensor of that chip, "" if there is none."""
+    return next((sensor for sensor, own in chips.items() if own == chip), "")
+
+
+def _case(
+    one: _Drawn,
+    half: Half,
+    number: int,
+    seed: int,
+    puts: tuple[Put, ...],
+    extra: Mapping[str, Any],
+    plan: str,
+    chips: Mapping[str, str],
+    **about: Any,
+) -> Case:
+    resembles = tuple(tuple(mechanisms()[name]["resembles"]) for name in one.names)
+    without = resembles[0] if one.kind == "withheld" else ()
+    more = {"without": without, "extra": extra, "resembles": resembles, "chips": dict(chips), **about}
+    return Case(number, half, one.kind, plan, puts, seed, **more)
+
+
+def _put(mechanism: str, is_graded: bool, limits: float, sensors: tuple[str, ...], chip: str) -> Put:
     """So many limits of it; what a fit hides whatever its severity, or nearly, is there at its greatest."""
     if not is_graded:
         return Put(mechanism, 1.0, math.nan, sensors)
-    severity = limit(mechanism, sensors) * limits
+    severity = limit(mechanism, chip) * limits
     is_possible = severity <= FURTHEST
     return Put(mechanism, severity if is_possible else FURTHEST, limits if is_possible else math.nan, sensors)
-
-
-def _sensors(place: str, sensors: list[str], choose: random.Random) -> tuple[str, ...]:
-    """One, two of a chip, or none where the mechanism itself says where it goes."""
-    if place == "sensor":
-        return (choose.choice(sensors),)
-    if place == "pair":
-        chip = choose.choice([chip for chip in set(CHIPS.values()) if list(CHIPS.values()).count(chip) > 1])
-        return tuple(sensor for sensor in CHIPS if CHIPS[sensor] == chip)[:2]
-    return ()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, nan
 from os import PathLike
 from pathlib import Path
@@ -50,6 +50,8 @@ class Answer:
     case: Case
     at_work: tuple[AtWork, ...]
     outcome: Outcome
+    known: tuple[Said, ...] = ()
+    """What is said of the control of this case: not what was put into it."""
 
     @property
     def verdict(self) -> str:
@@ -63,8 +65,9 @@ class Answer:
 
     @property
     def causes(self) -> tuple[Said, ...]:
-        """Most probable first."""
-        return tuple(self.outcome.diagnosis.get("causes") or ())
+        """Most probable first, without those that are said of the control as well."""
+        told = self.outcome.diagnosis.get("causes") or ()
+        return tuple(cause for cause in told if not any(_is_same(cause, other) for other in self.known))
 
     @property
     def named(self) -> tuple[Said, ...]:
@@ -92,6 +95,17 @@ class Answer:
     def mechanisms(self) -> str:
         """Their names."""
         return " + ".join(one.mechanism for one in self.at_work)
+
+    @property
+    def chips(self) -> tuple[str, ...]:
+        """Of the sensors that have what is at work, else of all; none if nobody says."""
+        concerned = {name for one in self.at_work for name in one.sensors} or set(self.case.chips)
+        return tuple(sorted({chip for name, chip in self.case.chips.items() if name in concerned}))
+
+    @property
+    def experiments(self) -> tuple[str, ...]:
+        """Of the plan."""
+        return tuple(name for name in self.case.plan.split("+") if name)
 
     @property
     def unknown(self) -> float:
@@ -170,12 +184,24 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
         answers.append(Answer(case, at_work_of(case, table.get("truth") or {}), outcome))
         differing += _differs(case, table.get("truth") or {})
     lost += _unsealed(planned, sealed, came)
-    answers.sort(key=lambda one: (one.case.half, one.case.number))
+    answers = sorted(_beside_controls(answers), key=lambda one: (one.case.half, one.case.number))
     notes = {
         f"In {differing} cases what is at work has other names in the plan than by its generator.": differing,
         f"In {idle} cases what comes by chance never came while something was recorded: they don't count.": idle,
     }
     return Run(plan, tuple(answers), tuple(lost), tuple(note for note, count in notes.items() if count))
+
+
+def _beside_controls(answers: Sequence[Answer]) -> Iterator[Answer]:
+    """With what is said of their controls."""
+    causes = {one.case.name: one.causes for one in answers}
+    for one in answers:
+        yield replace(one, known=causes.get(one.case.control, ()))
+
+
+def _is_same(cause: Said, other: Said) -> bool:
+    """Whether two causes are one: the effect, at a common sensor."""
+    return bool(cause["effect"] == other["effect"]) and meets(cause.get("sensors", ()), other.get("sensors", ()))
 
 
 def at_work_of(case: Case, truth: Mapping[str, Any]) -> tuple[AtWork, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from imuarray.validation.rates import Estimate, auroc, bootstrapped, limit_of, permuted, rate
 from imuarray.validation.score_answers import NO_GAP, NOTHING_NAMED, Answer, AtWork, meets
 from imuarray.validation.score_detection import Hidden, shown_singles
-from imuarray.validation.score_rows import NO_BAR, Bar, Row, rate_row, row_of, severity_name
+from imuarray.validation.score_rows import NO_BAR, Bar, Row, on_plan, rate_row, row_of, severity_name
 
 FIRST: Bar = (0.90, None)
 FIRST_LARGE, IN_CLASS, PLACE = (0.97, None), (0.97, None), (0.98, None)
@@ -46,13 +46,17 @@ def cause_rows(
     right = [one for one in singles if one.is_first_right()]
     placed = sensors or {sensor for one in answers for work in one.at_work for sensor in work.sensors}
     about = "of right first causes: sensors (those of all likely causes of that name) and axes are the truth's"
-    yield rate_row("right sensor and axis", right, lambda one: is_place_right(one, placed), PLACE, about, full)
+
+    def is_right(one: Answer) -> bool:
+        return is_place_right(one, set(one.case.chips) or placed)
+
+    yield rate_row("right sensor and axis", right, is_right, PLACE, about, full)
     yield from _unknown_rows(answers, singles, full, seed)
     yield from _pair_rows([one for one in answers if one.case.kind == "pair"], full)
     removals = [one for one in answers if one.case.kind == "removal"]
     about = "the model has an effect that the sensors have not: a likely cause takes it out or replaces it"
     yield rate_row("removed base effect named", removals, is_removed, REMOVED, about, full)
-    yield _control([one for one in singles if one.case.plan == full], seed)
+    yield _control(on_plan(singles, full), seed)
 
 
 def is_in_class(answer: Answer) -> bool:
@@ -115,7 +119,7 @@ def confusion_of(answers: Sequence[Answer], full: str) -> Confusion:
     """Cases of one mechanism or none on the full plan; names in the order in which mechanisms have them, so that what
     is right lies near the diagonal.
     """
-    counted = [one for one in answers if one.case.plan == full and len(one.at_work) < 2 and one.case.kind != "removal"]
+    counted = [one for one in on_plan(answers, full) if len(one.at_work) < 2 and one.case.kind != "removal"]
     rows: dict[str, list[Answer]] = {}
     for one in sorted(counted, key=_row_order):
         rows.setdefault(_row_name(one), []).append(one)
@@ -149,7 +153,7 @@ def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: st
     about = f"detected single mechanisms at {severity_name(LARGE)} that the library names: the verdict"
     yield rate_row("known at 5x called unexplained", known, _is_unexplained, FALSE_UNKNOWN, about, full)
     yield rate_row("known at 5x called unexplained or partly", known, _is_open, NO_BAR, about, full)
-    yield from _unknown_scores([one for one in strangers if one.case.plan == full], known, singles, full, seed)
+    yield from _unknown_scores(on_plan(strangers, full), known, singles, full, seed)
 
 
 def _unknown_scores(
@@ -157,13 +161,13 @@ def _unknown_scores(
 ) -> Iterator[Row]:
     """By the diagnosis' own probability that something unknown is present."""
     above = [one.unknown for one in strangers]
-    at_large = [one.unknown for one in known if one.case.plan == full]
+    at_large = [one.unknown for one in on_plan(known, full)]
     found = sum(value > limit_of(at_large, 0.1) for value in above) if at_large else 0
     about = (
         "detected unknown ones whose probability of being unknown is above the limit that 10 % of the known at 5x pass"
     )
     yield row_of("unknown told at 10 % false ones at 5x", rate(found, len(above) if at_large else 0), UNKNOWN, about)
-    every = [one.unknown for one in singles if one.case.plan == full]
+    every = [one.unknown for one in on_plan(singles, full)]
     about = "the chance that an unknown one has the greater probability of being unknown than a known one at 5x"
     area = bootstrapped(auroc, above, at_large, seed=seed)
     cell = row_of(

@@ -21,7 +21,7 @@ from imuarray.validation.rates import (
 )
 from imuarray.validation.score_answers import Answer, number, probability
 from imuarray.validation.score_causes import is_removed
-from imuarray.validation.score_rows import NO_BAR, Bar, Row, grouped, rate_row, row_of
+from imuarray.validation.score_rows import EVERY, NO_BAR, Bar, Row, grouped, on_plan, rate_row, row_of
 
 WITHIN = 0.05
 NEAR: Bar = (0.90, None)
@@ -54,7 +54,7 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Ro
     yield rate_row("closure near the oracle's", told, is_near, NEAR, about, full, groups)
     about = "as above: the oracle's share lies in the 95 % interval"
     yield rate_row("closure's interval covers the oracle's", told, is_covered, COVERED, about, full, groups)
-    own = [one for one in answers if one.case.plan == full and one.is_detected]
+    own = [one for one in on_plan(answers, full) if one.is_detected]
     yield _wrong(own, seed)
     yield _without(own, seed)
     controls = [one for one in answers if one.case.kind == "none"]
@@ -64,15 +64,16 @@ def closure_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Ro
 
 def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
     """Calibration error and Brier score of all causes told, and what the error is of so few."""
-    counted = [one for one in answers if one.case.plan == full]
+    counted = on_plan(answers, full)
     about = "all causes told in cases of one mechanism, two or none: right if the name is, at one of the sensors"
     for name, statistic, bar in (
         ("calibration error (ECE)", calibration_error, CALIBRATION),
         ("Brier score of causes", brier, BRIER),
     ):
         cells = [
-            row_of(plan, of_groups(statistic, _told(own), seed), NO_BAR, "", group="plan")
-            for plan, own in grouped("plan", answers).items()
+            row_of(part, of_groups(statistic, _told(own), seed), NO_BAR, "", group=group)
+            for group in (("experiment", "chip") if full == EVERY else ("plan",))
+            for part, own in grouped(group, answers).items()
         ]
         found = of_groups(statistic, _told(counted), seed)
         yield row_of(name, found, bar, f"{about}; counted are causes", cells)
@@ -86,7 +87,7 @@ def probability_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterato
 
 def time_rows(answers: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
     """Median and 90 % quantile of what a case took."""
-    seconds = [one.outcome.seconds for one in answers if one.case.plan == full]
+    seconds = [one.outcome.seconds for one in on_plan(answers, full)]
     for name, share in (("median", 0.5), ("90 % quantile", 0.9)):
         found = bootstrapped(lambda drawn, share=share: float(np.quantile(drawn, share)), seconds, seed=seed)
         yield row_of(f"seconds a case, {name}", found, NO_BAR, "recording, diagnosis and oracle of one case")
@@ -113,14 +114,14 @@ def closures_of(answers: Sequence[Answer], full: str) -> tuple[Closure, ...]:
     """Those of the full plan that have an oracle."""
     return tuple(
         Closure(one.case.name, one.case.kind, one.closed, *one.closed_ci95, one.oracle, _is_right(one))
-        for one in answers
-        if one.case.plan == full and _has_oracle(one)
+        for one in on_plan(answers, full)
+        if _has_oracle(one)
     )
 
 
 def reliability_of(answers: Sequence[Answer], full: str) -> tuple[Bin, ...]:
     """Of all causes told on the full plan."""
-    told = _told([one for one in answers if one.case.plan == full])
+    told = _told(on_plan(answers, full))
     return reliability([value for own, _ in told for value in own], [flag for _, own in told for flag in own])
 
 

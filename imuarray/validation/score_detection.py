@@ -8,7 +8,18 @@ from typing import NamedTuple
 
 from imuarray.validation.rates import Estimate, rate
 from imuarray.validation.score_answers import Answer, meets
-from imuarray.validation.score_rows import Bar, Row, grouped, rate_row, row_of, severity_name
+from imuarray.validation.score_rows import (
+    EVERY,
+    NO_BAR,
+    Bar,
+    Row,
+    cells_of,
+    grouped,
+    on_plan,
+    rate_row,
+    row_of,
+    severity_name,
+)
 
 FALSE_ALARMS: Bar = (0.035, 0.065)
 """Of a nominal 5 %."""
@@ -38,7 +49,7 @@ class Power(NamedTuple):
 
 def detection_rows(answers: Sequence[Answer], hidden: Hidden, full: str) -> Iterator[Row]:
     """False alarms by plan, detection at 2 and 5 limits, and what can't be told."""
-    yield from _false_alarms([one for one in answers if one.case.kind == "none"])
+    yield from _false_alarms([one for one in answers if one.case.kind == "none"], full)
     shown = shown_singles(answers, hidden)
     for limits, bar in DETECTION.items():
         own = [one for one in shown if isclose(one.limits, limits)]
@@ -50,7 +61,8 @@ def detection_rows(answers: Sequence[Answer], hidden: Hidden, full: str) -> Iter
 def is_hidden(answer: Answer, hidden: Hidden) -> bool:
     """Whether the plan can't show a single mechanism, by none of its names."""
     effects = set(hidden.get(answer.case.plan, ()))
-    return answer.case.kind == "single" and all(one.resembles and one.resembles <= effects for one in answer.at_work)
+    is_of_plan = all(one.resembles and one.resembles <= effects for one in answer.at_work)
+    return answer.case.kind == "single" and (answer.case.is_hidden or is_of_plan)
 
 
 def shown_singles(answers: Sequence[Answer], hidden: Hidden) -> list[Answer]:
@@ -70,18 +82,19 @@ def is_told_untold(answer: Answer) -> bool:
 
 
 def curves_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[Curve, ...]:
-    """Of all plans together, then of each."""
+    """Of all plans together, then of each; of those of random worlds by experiment."""
     sized = [one for one in shown_singles(answers, hidden) if one.limits == one.limits]
+    parts = grouped("experiment" if any(one.case.world for one in sized) else "plan", sized)
     return tuple(
         Curve(plan, tuple((own[0].limits, _detected(own)) for own in grouped("severity", part).values()))
-        for plan, part in {"all": sized, **grouped("plan", sized)}.items()
+        for plan, part in {"all": sized, **parts}.items()
         if part
     )
 
 
 def power_of(answers: Sequence[Answer], full: str) -> Power:
     """Single mechanisms on the full plan."""
-    counted = [one for one in answers if one.case.kind == "single" and one.case.plan == full]
+    counted = [one for one in on_plan(answers, full) if one.case.kind == "single"]
     severities, mechanisms = tuple(grouped("severity", counted)), grouped("mechanism", counted)
     counts = []
     for own in mechanisms.values():
@@ -91,8 +104,13 @@ def power_of(answers: Sequence[Answer], full: str) -> Power:
     return Power(tuple(mechanisms), severities, tuple(counts))
 
 
-def _false_alarms(controls: Sequence[Answer]) -> Iterator[Row]:
+def _false_alarms(controls: Sequence[Answer], full: str) -> Iterator[Row]:
     about = "nothing is wrong, a gap is told all the same (nominally 5 %)"
+    if full == EVERY and controls:
+        parts = ("experiment", "chip", "stratum")
+        cells = [cell for group in parts for cell in cells_of(group, controls, _is_detected, NO_BAR)]
+        yield row_of("false alarms", _detected(controls), FALSE_ALARMS, about, cells)
+        return
     for plan, own in grouped("plan", controls).items():
         yield row_of(f"false alarms, plan {plan}", _detected(own), FALSE_ALARMS, about)
     if not controls:

@@ -16,6 +16,8 @@ Bar = tuple[float | None, float | None]
 NO_BAR: Bar = (None, None)
 FULL = "full"
 """The plan on which bars are judged, unless said otherwise."""
+EVERY = ""
+"""In its place: bars are judged on all plans, as of random worlds."""
 
 _ROUNDING = 1e-9
 
@@ -90,20 +92,31 @@ def rate_row(
     full: str = FULL,
     groups: Sequence[str] = ("severity", "mechanism"),
 ) -> Row:
-    """The share of hits on the full plan, and by plan. Cells of the full plan, by what `groups` name, have its bar."""
-    counted = [one for one in answers if one.case.plan == full]
-    cells = [*_cells("plan", answers, is_hit, NO_BAR)]
+    """The share of hits on the full plan, and by plan; on every plan, by experiment and by chip. Cells of what is
+    counted, by what `groups` name, have its bar.
+    """
+    counted = on_plan(answers, full)
+    parts = ("plan",) if full else ("experiment", "chip")
+    cells = [cell for group in parts for cell in cells_of(group, answers, is_hit, NO_BAR)]
     for group in groups:
-        cells += _cells(group, counted, is_hit, bar)
+        cells += cells_of(group, counted, is_hit, bar)
     return row_of(name, _rate(counted, is_hit), bar, about, cells)
 
 
+def on_plan(answers: Iterable[Answer], full: str) -> list[Answer]:
+    """Those of the plan on which bars are judged."""
+    return [one for one in answers if full in (EVERY, one.case.plan)]
+
+
 def grouped(group: str, answers: Iterable[Answer]) -> Mapping[str, Sequence[Answer]]:
-    """By plan, severity, mechanism or kind; severities from the smallest on, the others by name."""
+    """By plan, severity, mechanism or kind; by experiment, chip or stratum, of which a case may have several.
+    Severities from the smallest on, the others by name.
+    """
     found: dict[str, list[Answer]] = {}
     for one in sorted(answers, key=_by_limits if group == "severity" else _GROUPS[group]):
-        found.setdefault(_GROUPS[group](one), []).append(one)
-    return found
+        for name in _GROUPS[group](one):
+            found.setdefault(name, []).append(one)
+    return dict(sorted(found.items())) if group in ("experiment", "chip", "stratum") else found
 
 
 def severity_name(limits: float) -> str:
@@ -116,15 +129,19 @@ def finite(value: float) -> float | None:
     return value if isfinite(value) else None
 
 
-_GROUPS: Mapping[str, Callable[[Answer], str]] = {
-    "plan": lambda one: one.case.plan,
-    "severity": lambda one: severity_name(one.limits),
-    "mechanism": lambda one: one.mechanisms,
-    "kind": lambda one: one.case.kind,
+_GROUPS: Mapping[str, Callable[[Answer], tuple[str, ...]]] = {
+    "plan": lambda one: (one.case.plan,),
+    "severity": lambda one: (severity_name(one.limits),),
+    "mechanism": lambda one: (one.mechanisms,),
+    "kind": lambda one: (one.case.kind,),
+    "experiment": lambda one: one.experiments,
+    "chip": lambda one: one.chips,
+    "stratum": lambda one: tuple(f"{name} {value}" for name, value in one.case.strata.items()),
 }
 
 
-def _cells(group: str, answers: Sequence[Answer], is_hit: Callable[[Answer], bool], bar: Bar) -> Iterable[Row]:
+def cells_of(group: str, answers: Sequence[Answer], is_hit: Callable[[Answer], bool], bar: Bar) -> Iterable[Row]:
+    """The share of hits in each part."""
     parts = grouped(group, answers)
     for name, own in parts.items() if len(parts) > 1 or group == "plan" else ():
         yield row_of(name, _rate(own, is_hit), bar, "", group=group)

@@ -5,14 +5,18 @@
     figures = score_folder("run", hidden={"static": {"scale", "misalignment"}})
     print(text_of(figures))
 
-Bars are judged on the full plan; the other plans are told beside it. Nothing is left out but lost cases, which are
-told, and from detection and causes what a plan can't show, which has a row of its own.
+Random worlds are judged on all their plans. Of the fixed plans, bars are judged on the full one; the other plans are
+told beside it. Nothing is left out but lost cases, which are told, and from detection and causes what a plan can't
+show, which has a row of its own.
+
+Each world has figures of its own. What a figure loses from the emulated worlds, on which the diagnosis was developed,
+to another's is its transfer gap: what it is worth on data that are nobody's here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from os import PathLike
 from textwrap import wrap
@@ -21,7 +25,7 @@ from typing import Any
 
 from imuarray.validation.case import Case
 from imuarray.validation.rates import Bin, rate
-from imuarray.validation.score_answers import Lost, Run, read_run
+from imuarray.validation.score_answers import Answer, Lost, Run, read_run
 from imuarray.validation.score_causes import Confusion, cause_rows, confusion_of
 from imuarray.validation.score_closure import (
     Closure,
@@ -32,10 +36,50 @@ from imuarray.validation.score_closure import (
     time_rows,
 )
 from imuarray.validation.score_detection import Curve, Hidden, Power, curves_of, detection_rows, power_of
-from imuarray.validation.score_rows import FULL, NO_BAR, Row, finite, row_of
+from imuarray.validation.score_rows import EVERY, FULL, NO_BAR, Bar, Row, finite, row_of
+from imuarray.validation.score_transfer import LeftOut, Transfer, left_out_of
 
 WIDTH = 120
 NOTHING: Hidden = MappingProxyType({})
+
+BARS_ELSEWHERE: Mapping[str, Mapping[str, Bar]] = MappingProxyType(
+    {
+        "foreign": MappingProxyType(
+            {
+                "false alarms": (0.03, 0.08),
+                "detection at 2x the limit": (0.75, None),
+                "detection at 5x the limit": (0.95, None),
+                "right cause first": (0.80, None),
+                "right cause first, 5x and above": (0.90, None),
+                "right within the reported class": (0.92, None),
+                "right sensor and axis": (0.95, None),
+                "unknown called unexplained or partly": (0.85, None),
+                "unknown against known at 5x, AUROC": (0.85, None),
+                "two on different units, both named": (0.60, None),
+                "two on one sensor, both named": (0.40, None),
+                "closure near the oracle's": (0.85, None),
+                "closure's interval covers the oracle's": (0.88, 0.97),
+                "closure claimed for a wrong cause": (None, 0.35),
+                "calibration error (ECE)": (None, 0.10),
+                "Brier score of causes": (None, 0.18),
+            }
+        ),
+        "real": MappingProxyType({"right cause first, 5x and above": (0.80, None)}),
+    }
+)
+"""By world, the bars of its figures; those that aren't here have none there."""
+
+TRANSFERRED = (
+    *("false alarms", "detection at 2x the limit", "detection at 5x the limit", "right cause first"),
+    *("right cause first, 5x and above", "right within the reported class", "right sensor and axis"),
+    *("unknown called unexplained or partly", "unknown against known at 5x, AUROC"),
+    *("two on different units, both named", "two on one sensor, both named", "closure near the oracle's"),
+    *("closure's interval covers the oracle's", "closure claimed for a wrong cause", "calibration error (ECE)"),
+    "Brier score of causes",
+)
+"""Figures that are compared between worlds."""
+HEADLINE = "right cause first"
+"""The figure whose difference is said first."""
 
 MOST_CELLS = 8
 """Failing cells of a row that are named."""
@@ -58,6 +102,24 @@ class Figures:
     confusion: Confusion
     reliability: tuple[Bin, ...]
     closures: tuple[Closure, ...]
+    world: str = ""
+    elsewhere: Mapping[str, tuple[Row, ...]] = field(default_factory=dict)
+    left_out: tuple[LeftOut, ...] = ()
+
+    @property
+    def worlds(self) -> Mapping[str, tuple[Row, ...]]:
+        """The rows of each world, its own first."""
+        return {self.world or "fixed plans": self.rows, **self.elsewhere}
+
+    @property
+    def transfers(self) -> tuple[Transfer, ...]:
+        """`TRANSFERRED` figures that at least two worlds have."""
+        tables = {world: {row.name: row for row in rows} for world, rows in self.worlds.items()}
+        found = [
+            Transfer(name, {world: own[name] for world, own in tables.items() if name in own and own[name].cases})
+            for name in TRANSFERRED
+        ]
+        return tuple(one for one in found if len(one.rows) > 1)
 
     @property
     def half(self) -> str:
@@ -101,28 +163,56 @@ def score(
     """The figures of a run. `hidden`: by plan, the effects that it can't show; `sensors`: those on which mechanisms can
     be put (all that any truth names), as a cause's others don't count; `seed` draws intervals and shuffles labels.
     """
-    answers = run.answers
-    rows = (
-        *detection_rows(answers, hidden, full),
-        *cause_rows(answers, hidden, full, sensors, seed),
-        *closure_rows(answers, full, seed),
-        *probability_rows(answers, full, seed),
-        *time_rows(answers, full, seed),
-        _lost(run),
-    )
+    worlds: dict[str, list[Answer]] = {}
+    for one in sorted(run.answers, key=lambda one: _order(one.case.world)):
+        worlds.setdefault(one.case.world, []).append(one)
+    world = next(iter(worlds), "")
+    answers = worlds.get(world, [])
+    full = EVERY if world else full
+
+    def rows_of(own: Sequence[Answer]) -> tuple[Row, ...]:
+        return (
+            *detection_rows(own, hidden, full),
+            *cause_rows(own, hidden, full, sensors, seed),
+            *closure_rows(own, full, seed),
+            *probability_rows(own, full, seed),
+            *time_rows(own, full, seed),
+        )
+
+    elsewhere = {name: _barred(rows_of(own), name) for name, own in worlds.items() if name != world}
+    rows = _barred(rows_of(answers), world) if world in BARS_ELSEWHERE else rows_of(answers)
     return Figures(
         run.plan,
         full,
-        len(answers) + len(run.lost),
+        len(run.answers) + len(run.lost),
         run.lost,
         run.notes,
-        rows,
+        (*rows, _lost(run)),
         curves_of(answers, hidden),
         power_of(answers, full),
         confusion_of(answers, full),
         reliability_of(answers, full),
         closures_of(answers, full),
+        world,
+        elsewhere,
+        left_out_of(answers, hidden) if world else (),
     )
+
+
+def _order(world: str) -> tuple[int, str]:
+    """The emulator's worlds, the fixed plans, then the others by name."""
+    return {"emulator": 0, "": 1}.get(world, 2), world
+
+
+def _barred(rows: Iterable[Row], world: str) -> tuple[Row, ...]:
+    """With the bars of another world, cells too."""
+    bars = BARS_ELSEWHERE.get(world, {})
+    found = []
+    for row in rows:
+        bar = bars.get(row.name, NO_BAR)
+        cells = tuple(cell if cell.bar == NO_BAR else replace(cell, bar=bar) for cell in row.cells)
+        found.append(replace(row, bar=bar, cells=cells))
+    return tuple(found)
 
 
 def as_json(figures: Figures) -> dict[str, Any]:
@@ -144,6 +234,13 @@ def as_json(figures: Figures) -> dict[str, Any]:
         "confusion": {**confusion._asdict(), "about": "first cause said, by what was at work"},
         "reliability": [_plain(one) for one in figures.reliability],
         "closures": [_plain(one) for one in figures.closures],
+        "world": figures.world,
+        "elsewhere": {world: [row.as_json() for row in rows] for world, rows in figures.elsewhere.items()},
+        "transfer": [
+            {"name": one.name, **{world: finite(row.value) for world, row in one.rows.items()}, "lost": one.lost}
+            for one in figures.transfers
+        ],
+        "left_out": [_plain(one) for one in figures.left_out],
     }
 
 
@@ -154,6 +251,10 @@ def text_of(figures: Figures) -> str:
     heading = f"{figures.half or 'validation'} half: {figures.cases} cases, {len(figures.lost)} lost"
     lines = [heading, "", _line("", "figure", "value", "95 %", "cases", "bar")]
     lines += [_line(row.mark, row.name, *texts(row)) for row in figures.rows]
+    for world, rows in figures.elsewhere.items():
+        told = [row for row in rows if row.cases]
+        lines += ["", f"world: {world}", *(_line(row.mark, row.name, *texts(row)) for row in told)]
+    lines += ["", *(transfer_line(one) for one in figures.transfers)] if figures.transfers else []
     for row in figures.failed:
         lines += ["", *wrap(f"{row.name}: {row.about}", WIDTH), *_failing(row)]
     lines += (
@@ -161,6 +262,12 @@ def text_of(figures: Figures) -> str:
     )
     lines += ["", *(line for note in figures.notes for line in wrap(note, WIDTH))] if figures.notes else []
     return "\n".join(line.rstrip()[:WIDTH] for line in lines) + "\n"
+
+
+def transfer_line(one: Transfer) -> str:
+    """A figure in each world, and what is lost from the first to the worst."""
+    values = ", ".join(f"{world} {decimal(row.value)} ({row.cases})" for world, row in one.rows.items())
+    return f"transfer gap of {one.name}: {decimal(one.lost)} ({values})"
 
 
 def texts(row: Row) -> tuple[str, str, str, str]:

@@ -81,15 +81,18 @@ class Made:
         resembles: Sequence[Sequence[str]] | None = None,
         extra: Mapping[str, Any] | None = None,
         touched: Sequence[Mapping[str, Sequence[str]]] = (),
+        **about: Any,
     ) -> Case:
-        """The next one, of those that are sealed; in each log what comes by chance `touched` these."""
+        """The next one, of those that are sealed; in each log what comes by chance `touched` these. `about`: other
+        fields of the case.
+        """
         self.count += 1
         names = (
             tuple(tuple(one) for one in resembles)
             if resembles is not None
             else tuple(NAMES[put.mechanism] for put in puts)
         )
-        case = Case(self.count, "sealed", kind, plan, puts, self.count, (), extra or {}, names)
+        case = Case(self.count, "sealed", kind, plan, puts, self.count, (), extra or {}, names, **about)
         mechanisms = [
             {
                 "mechanism": put.mechanism,

@@ -5,22 +5,26 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.parameters import from_table
+from imuarray.validation import plans
+from imuarray.validation.bench import CHIPS, HIDDEN, LIMITS, PLANS, limit
 from imuarray.validation.case import Case
-from imuarray.validation.generator import CHIPS, PLANS, mechanisms
-from imuarray.validation.limits import LIMITS, limit
-from imuarray.validation.plans import EXTRAS, HIDDEN, SIZES, Size, cases
+from imuarray.validation.generator import mechanisms
+from imuarray.validation.plans import EXTRAS, SIZES, Size, cases, hidden_in, shuffled
+from imuarray.validation.worlds import draw_world
 
+BENCH = Size(controls=200, singles=20, others=4, withheld=4, unnamed=20, pairs=100, removals=12)
 UNITS = {"adxl345": "g", "bma180": "g", "l3g4200d": "dps"}
 
 
 def test_everything_is_withheld_put_to_work_and_recorded_in_every_plan() -> None:
-    """In the full size: each mechanism that has a name at five severities, each other one, each extra effect."""
-    planned = cases("sealed", SIZES["full"])
+    """On the bench: each mechanism that has a name at five severities, each other one, each extra effect."""
+    planned = cases("sealed", BENCH)
     kinds = Counter(case.kind for case in planned)
     assert kinds["none"] == 200 * len(PLANS)
     assert kinds["pair"] == 200
@@ -44,7 +48,7 @@ def test_halves_and_sets_share_no_seed() -> None:
 
 
 def test_a_case_tells_nothing_by_its_name_and_survives_json() -> None:
-    for case in cases("development", replace(SIZES["short"], controls=1)):
+    for case in cases("development", replace(SIZES["bench"], controls=1)):
         assert case.name == f"development-{case.number:05d}"
         again = Case.of_table(case.table())
         assert repr(again) == repr(case)  # nan is not equal to itself
@@ -52,7 +56,7 @@ def test_a_case_tells_nothing_by_its_name_and_survives_json() -> None:
 
 def test_where_mechanisms_are_put() -> None:
     """On sensors that they touch; two at once on different ones, or on one."""
-    planned = cases("development", SIZES["full"])
+    planned = cases("development", BENCH)
     for case in planned:
         for put in case.puts:
             facts = mechanisms()[put.mechanism]
@@ -67,7 +71,7 @@ def test_where_mechanisms_are_put() -> None:
 
 def test_severity_is_in_detection_limits() -> None:
     (case,) = cases("development", Size(singles=1, severities=(5.0,), mechanisms=("mains_ripple",)))
-    assert case.puts[0].severity == pytest.approx(5 * limit("mains_ripple", case.puts[0].sensors))
+    assert case.puts[0].severity == pytest.approx(5 * limit("mains_ripple", CHIPS[case.puts[0].sensors[0]]))
 
 
 def test_limits_are_of_mechanisms_that_are_graded() -> None:
@@ -79,7 +83,61 @@ def test_limits_are_of_mechanisms_that_are_graded() -> None:
 def test_extra_effects_are_effects() -> None:
     """With parameters that they have, in the unit of their sensor."""
     for extra in EXTRAS:
-        effect = from_table(EFFECTS[extra["effect"]], extra["parameters"], UNITS[CHIPS[extra["sensor"]]], "extra")
+        effect = from_table(EFFECTS[extra["effect"]], extra["parameters"], UNITS[extra["chip"]], "extra")
         assert effect != EFFECTS[extra["effect"]]()
     assert set(HIDDEN) == set(PLANS) - {"full"}
     assert all(names <= set(EFFECTS) for names in HIDDEN.values())
+
+
+@pytest.mark.slow
+def test_a_short_run_asks_everything_in_random_worlds() -> None:
+    """At least 400 cases; every mechanism and every kind; each in a world of its own that has what it needs."""
+    planned = cases("sealed", SIZES["short"])
+    assert len(planned) >= 400
+    assert {case.kind for case in planned} == {"none", "single", "withheld", "unnamed", "pair", "removal"}
+    assert {put.mechanism for case in planned for put in case.puts} == set(mechanisms())
+    assert {case.world for case in planned} == {"emulator"}
+    assert len({case.draw for case in planned}) == len(planned)
+    assert sum(case.is_hidden for case in planned) >= 15
+    for case in planned:
+        for put in case.puts:
+            facts = mechanisms()[put.mechanism]
+            assert {case.chips[name] for name in put.sensors} <= set(facts["touches"])
+            assert len(put.sensors) == {"sensor": 1, "pair": 2}.get(facts["place"], 0)
+            chip = case.chips[put.sensors[0]] if put.sensors else ""
+            if put.sensors and facts["resembles"]:
+                hidden = hidden_in(draw_world(case.draw), chip, for_sure=case.is_hidden)
+                assert (set(facts["resembles"]) <= hidden) == case.is_hidden
+        if case.kind == "removal":
+            assert case.chips[case.extra["sensor"]] == case.extra["chip"]
+
+
+def test_halves_share_no_world() -> None:
+    size = Size(controls=30, worlds=True)
+    drawn = [{case.draw for case in cases(half, size, seed)} for half in ("development", "sealed") for seed in (0, 1)]
+    assert len(set.union(*drawn)) == sum(map(len, drawn))
+
+
+def test_nothing_that_no_diagnosis_names_is_a_case() -> None:
+    """A chip that warms its own thermometer is what parts do."""
+    assert "self_heating" not in mechanisms()
+    assert all("thermometer" not in facts["resembles"] for facts in mechanisms().values())
+
+
+def test_worlds_are_shuffled_together() -> None:
+    planned = cases("development", Size(controls=20, worlds=True))
+    foreign = [replace(one, world="foreign", number=one.number + 20) for one in planned]
+    first = [one.world for one in shuffled([*planned, *foreign], 0)[:20]]
+    assert 5 < first.count("foreign") < 15
+    assert shuffled(planned, 0) == planned
+
+
+@pytest.mark.parametrize("page", ["README.md", "VALIDATION.md"])
+def test_the_pages_know_how_many_cases_there_are(page: str) -> None:
+    text = (Path(__file__).parents[2] / page).read_text(encoding="utf-8")
+    counts = {name: sum(1 for _ in plans._all(size)) for name, size in SIZES.items()}
+    told = {"short": f"{counts['short']} cases", "full": f"{counts['full']}"}
+    if page == "VALIDATION.md":
+        told = {name: f"`{name}` ({count}" for name, count in counts.items() if name != "none"}
+    for name, said in told.items():
+        assert said in text, name

@@ -6,7 +6,7 @@ import pytest
 
 from imuarray.gap.model.populations import usual_model
 from imuarray.simulate.streams import Streams
-from imuarray.validation.generator import CHIPS
+from imuarray.validation.bench import CHIPS
 from imuarray.validation.plans import EXTRAS
 from imuarray.validation.trial import model_with
 from tests.gap.made import header
@@ -15,6 +15,7 @@ from tests.gap.made import header
 @pytest.mark.parametrize("extra", EXTRAS, ids=lambda extra: extra["effect"])
 def test_one_sensor_has_one_effect_more_than_is_usual(extra: dict[str, str]) -> None:
     headers = [header(name, chip=chip) for name, chip in CHIPS.items()]
+    extra = {**extra, "sensor": next(name for name, chip in CHIPS.items() if chip == extra["chip"])}
     model, usual = model_with(extra, headers), usual_model(headers)
     for one in headers:
         known = {effect.name for effect in usual.effects(one, Streams(1))}

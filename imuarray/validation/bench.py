@@ -1,14 +1,57 @@
-"""Detection limits: the severity of each mechanism, in units of its reference size, at which the full plan just shows
-that something is wrong; measured by `python -m imuarray.validation.detection --seed 1`.
+"""The fixed plans of the emulated bench: which sensors are read, what is recorded, what that can't show, and the
+severity at which the full plan just shows a mechanism.
+
+The limits were measured on development seeds in November 2026. A random world has limits of its own
+(`imuarray.validation.severity`); for these they are where the search begins.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 
-from imuarray.validation.generator import CHIPS
+ARRAY = "martin2013"
+CHIPS: Mapping[str, str] = MappingProxyType(
+    {"ADXL1": "adxl345", "BMA1": "bma180", "BMA3": "bma180", "Gyro1": "l3g4200d", "Gyro3": "l3g4200d"}
+)
+"""The array that is emulated, and those of its sensors that are read: twins at one address of two segments, and
+another accelerometer."""
+
+PLANS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "static": ("static",),
+        "tumble": ("static", "tumble"),
+        "heating": ("static", "heating"),
+        "turn-on": ("static", "turn-on"),
+        "full": ("static", "tumble", "heating", "turn-on", "motion"),
+    }
+)
+"""What is recorded: experiments of the emulator's bench."""
+
+FULL = "full"
+"""The plan of all cases but controls, and of those that show what a shorter one can't."""
+
+AT_ONE_TEMPERATURE = ("thermal_bias", "thermal_scale", "thermal_lag")
+IN_ONE_ATTITUDE = ("scale", "misalignment", "nonlinearity", "g_sensitivity", "saturation", "clock_error")
+AT_REST = ("skew", "size_effect")
+IN_ONE_BOOT = ("bias", "turn_on_bias", "bistable_bias")
+"""Effects by what hides them."""
+
+HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
+    {
+        "static": frozenset((*AT_ONE_TEMPERATURE, *IN_ONE_ATTITUDE, *AT_REST, *IN_ONE_BOOT)),
+        "tumble": frozenset((*AT_ONE_TEMPERATURE, *AT_REST)),
+        "heating": frozenset((*IN_ONE_ATTITUDE, *AT_REST)),
+        "turn-on": frozenset((*AT_ONE_TEMPERATURE, *IN_ONE_ATTITUDE, *AT_REST)),
+    }
+)
+"""Effects that a plan can't show, by what they need: another temperature, face or boot, or motion.
+
+What was measured to show is not among them (mechanisms at 5 limits, development seeds): a host that comes late shows in
+the repeats of gyroscopes that keep their own time, a clock that is off by when the box is turned, and an output stage
+that gives out on the face on which it does.
+"""
 
 LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
@@ -25,7 +68,6 @@ LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "thermistor_bow": {"ADXL1": 0.11, "BMA1": 0.021, "Gyro1": 0.046},
         "gain_resistor": {"ADXL1": 6.2, "BMA1": 2.5, "Gyro1": 0.95},
         "board_to_die": {"ADXL1": math.nan, "BMA1": 0.17, "Gyro1": 0.1},
-        "self_heating": {"BMA1": 0.084},
         "stuck_bit": {"ADXL1": 1.6, "BMA1": 3.6, "Gyro1": 1.2},
         "missing_codes": {"ADXL1": 1.9, "BMA1": 0.93, "Gyro1": 2.4},
         "soft_clipping": {"ADXL1": 5.8, "BMA1": 2.8, "Gyro1": 4.8},
@@ -61,14 +103,11 @@ LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 more than the greatest that was tried, 1/64 and 64; what isn't here is there or not.
 """
 
-FURTHEST = 64.0
-"""How far severities go either way, in reference sizes."""
 
-
-def limit(mechanism: str, sensors: Sequence[str]) -> float:
-    """Of a mechanism on these sensors (none: wherever it goes), nan if it never shows; 1.0 for one that is not in the
-    table.
+def limit(mechanism: str, chip: str = "") -> float:
+    """Of a mechanism on a sensor of that chip ("": wherever it goes), nan if it never shows; 1.0 for one that is not in
+    the table.
     """
     found = LIMITS.get(mechanism, {})
-    twin = next((name for name in found if name and sensors and CHIPS[name] == CHIPS[sensors[0]]), "")
+    twin = next((name for name in found if name and CHIPS[name] == chip), "")
     return found.get(twin, next(iter(found.values()), 1.0))

@@ -1,0 +1,325 @@
+"""A session at a bench that somebody else drew: poses, temperature, motions, the room, the recorder, labels.
+
+::
+
+    session = Session.of_table({"name": "tumble", "seconds": 60.0, "poses": [{"up": [0, 0, 1], "hold_s": 20.0}, ...]})
+
+Everything is a function of time alone; the tables are those of a file in JSON (`firmware_emulator.cases`).
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from itertools import accumulate
+from typing import Any, Self
+
+from firmware_emulator.attitude import cross, scaled, seen_after_turn
+from firmware_emulator.chip import Triple
+from firmware_emulator.element import stream
+from firmware_emulator.mechanisms.experiments import Experiment
+from firmware_emulator.world import FIELD_UPRIGHT, ROOM_DEGC, STANDARD_GRAVITY, Phase, Stimulus
+
+UPWARDS: Triple = (0.0, 0.0, 1.0)
+RAMP_S = 1.0
+"""A motion sets in and dies down within so long."""
+DRAUGHT_PERIODS_S = (23.0, 61.0, 173.0, 431.0)
+"""Of the swings of a draught, each with a phase of its own."""
+
+
+def of_table(kind: Callable[..., Any], table: Mapping[str, Any]) -> Any:
+    """A record of a table's entries, lists as tuples; ValueError for an entry that it doesn't have."""
+    known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    if unknown := sorted(set(table) - known):
+        raise ValueError(f"{unknown[0]}: no entry of a {kind.__name__.lower()}; allowed are {', '.join(sorted(known))}")
+    try:
+        return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in table.items()})
+    except TypeError as error:
+        raise ValueError(f"{kind.__name__.lower()}: {error}") from None
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The box at rest for `hold_s`; `up` is the unit vector upwards, box frame."""
+
+    up: Triple
+    hold_s: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """`seconds` during which the temperature goes to `towards_degc` with a time constant."""
+
+    seconds: float
+    towards_degc: float
+    constant_s: float
+
+
+@dataclass(frozen=True)
+class Motion:
+    """From `start_s` to `end_s` the box is rocked by `angle_rad` about `axis`, and shaken along it by `peak_g`, both at
+    `rock_hz` and `shake_hz`, within an envelope that rises and falls as 1 - cos within `RAMP_S`. Gravity is followed.
+    """
+
+    start_s: float
+    end_s: float
+    axis: Triple
+    angle_rad: float
+    rock_hz: float
+    peak_g: float
+    shake_hz: float
+
+    def felt(self, at_s: float, still: Stimulus) -> Stimulus:
+        """What a box feels that would feel `still` at rest."""
+        if not self.start_s < at_s < self.end_s:
+            return still
+        passed_s, left_s = at_s - self.start_s, self.end_s - at_s
+        ramp_s = min(RAMP_S, (self.end_s - self.start_s) / 2)
+        near_s, sign = (passed_s, 1.0) if passed_s <= left_s else (left_s, -1.0)
+        phase, slope = math.pi * min(near_s, ramp_s) / ramp_s, 0.0
+        if near_s < ramp_s:
+            slope = sign * 0.5 * math.pi / ramp_s * math.sin(phase)
+        envelope, turn = 0.5 - 0.5 * math.cos(phase), 2 * math.pi * self.rock_hz
+        sine, cosine = math.sin(turn * passed_s), math.cos(turn * passed_s)
+        angle = self.angle_rad * envelope * sine
+        rate = self.angle_rad * (slope * sine + envelope * turn * cosine)
+        c, s = math.cos(angle), math.sin(angle)
+        x, y, z = seen_after_turn(still.force_box, self.axis, c, s)
+        pushed = envelope * self.peak_g * STANDARD_GRAVITY * math.sin(2 * math.pi * self.shake_hz * passed_s)
+        return still._replace(
+            force_box=(x + pushed * self.axis[0], y + pushed * self.axis[1], z + pushed * self.axis[2]),
+            rate_box=scaled(self.axis, rate),
+            field_box=seen_after_turn(still.field_box, self.axis, c, s),
+        )
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """What a fridge or a fan does to the table: a line of `hz`, `peak_g` along and `peak_dps` about each axis as
+    `direction` says. It runs for `share` of every `cycle_s`.
+    """
+
+    hz: float
+    direction: Triple
+    peak_g: float
+    peak_dps: float
+    cycle_s: float = 0.0
+    share: float = 1.0
+
+    def is_on(self, at_s: float) -> bool:
+        """Whether it runs."""
+        return not self.cycle_s or at_s % self.cycle_s < self.share * self.cycle_s
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room: temperature at the start, its drift, swings of `draught_degc` rms, and what makes the table vibrate."""
+
+    degc: float = ROOM_DEGC
+    drift_degc_per_s: float = 0.0
+    draught_degc: float = 0.0
+    vibrations: tuple[Vibration, ...] = ()
+    """Four at most."""
+
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> Self:
+        """ValueError for what isn't known."""
+        vibrations = [of_table(Vibration, one) for one in table.get("vibrations", ())]
+        return cls(**{**table, "vibrations": tuple(vibrations)})
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """A share of transactions waits `mean_ms` (exponentially); `stalls_per_min` times a minute nothing is read for
+    `stall_s`. Whether it reads the chips' thermometers, and notes what the bench was told (`reference`).
+    """
+
+    rate_hz: float
+    share: float = 0.0
+    mean_ms: float = 0.0
+    stalls_per_min: float = 0.0
+    stall_s: float = 0.0
+    thermometers: bool = True
+    reference: bool = True
+
+    def waits_ns(self, seed: int, run: int, transactions_per_s: float) -> Callable[[], int]:
+        """What a transaction is kept waiting, drawn anew for each."""
+        random = stream(seed, f"recorder, run {run}")
+        stall = self.stalls_per_min / 60.0 / transactions_per_s
+
+        def wait_ns() -> int:
+            draw = random.random()
+            if draw < stall:
+                return round(self.stall_s * 1e9)
+            return round(random.exponential(self.mean_ms * 1e6)) if draw < stall + self.share else 0
+
+        return wait_ns
+
+
+@dataclass(frozen=True)
+class Course:
+    """A world: the box goes from pose to pose by turns of `turn_s`, is heated and moved, in a room of that seed."""
+
+    poses: tuple[Pose, ...]
+    turn_s: float
+    stretches: tuple[Stretch, ...]
+    motions: tuple[Motion, ...]
+    room: Room
+    seed: int
+    phases: tuple[Phase, ...] = ()
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        """What the box feels."""
+        at_s = max(at_ns, 0) * 1e-9
+        return self.shaken(at_s, self.told(at_ns))
+
+    def told(self, at_ns: int) -> Stimulus:
+        """What the bench was told to do, in the room's temperature: without what makes the table vibrate."""
+        at_s = max(at_ns, 0) * 1e-9
+        felt = self.posed(at_s)._replace(temperature_degc=self.temperature_degc(at_s))
+        for motion in self.motions:
+            felt = motion.felt(at_s, felt)
+        return felt
+
+    def posed(self, at_s: float) -> Stimulus:
+        """At rest in a pose, or on the way to the next; forces of turning are not felt."""
+        index = min(bisect_right(self._starts_s, at_s) - 1, len(self.poses) - 1)
+        since_s = at_s - self._starts_s[index]
+        if since_s <= self.poses[index].hold_s or index == len(self.poses) - 1:
+            return self._still[index]
+        share = (since_s - self.poses[index].hold_s) / self.turn_s
+        axis, angle = self._turns[index]
+        phase, still = 2 * math.pi * share, self._still[index]
+        turned = angle * (share - math.sin(phase) / (2 * math.pi))
+        cosine, sine = math.cos(turned), math.sin(turned)
+        return still._replace(
+            force_box=seen_after_turn(still.force_box, axis, cosine, sine),
+            rate_box=scaled(axis, angle / self.turn_s * (1 - math.cos(phase))),
+            field_box=seen_after_turn(still.field_box, axis, cosine, sine),
+        )
+
+    def temperature_degc(self, at_s: float) -> float:
+        """Of the box: the course of heating on top of the room's."""
+        room = self.room
+        degc = room.drift_degc_per_s * at_s
+        if room.draught_degc:
+            swings = (
+                math.sin(2 * math.pi * at_s / p + f) for p, f in zip(DRAUGHT_PERIODS_S, self._phases, strict=True)
+            )
+            degc += room.draught_degc * math.sqrt(2 / len(DRAUGHT_PERIODS_S)) * sum(swings)
+        if not self.stretches:
+            return degc + room.degc
+        index = min(bisect_right(self._begin_s, at_s) - 1, len(self.stretches) - 1)
+        stretch = self.stretches[index]
+        left = math.exp(-(at_s - self._begin_s[index]) / stretch.constant_s)
+        return degc + stretch.towards_degc + (self._begin_degc[index] - stretch.towards_degc) * left
+
+    def shaken(self, at_s: float, felt: Stimulus) -> Stimulus:
+        """With what makes the table vibrate."""
+        for one, phase in zip(self.room.vibrations, self._phases, strict=False):
+            if one.is_on(at_s):
+                wave = math.sin(2 * math.pi * one.hz * at_s + phase)
+                (x, y, z), (a, b, c), (dx, dy, dz) = felt.force_box, felt.rate_box, one.direction
+                push, rock = one.peak_g * STANDARD_GRAVITY * wave, math.radians(one.peak_dps) * wave
+                felt = felt._replace(
+                    force_box=(x + push * dx, y + push * dy, z + push * dz),
+                    rate_box=(a + rock * dy, b + rock * dz, c + rock * dx),
+                )
+        return felt
+
+    @cached_property
+    def _starts_s(self) -> list[float]:
+        return list(accumulate((pose.hold_s + self.turn_s for pose in self.poses[:-1]), initial=0.0))
+
+    @cached_property
+    def _turns(self) -> list[tuple[Triple, float]]:
+        return [turn_to(before.up, after.up) for before, after in zip(self.poses, self.poses[1:], strict=False)]
+
+    @cached_property
+    def _still(self) -> list[Stimulus]:
+        axis, angle = turn_to(UPWARDS, self.poses[0].up)
+        field = seen_after_turn(FIELD_UPRIGHT, axis, math.cos(angle), math.sin(angle))
+        found = [Stimulus(scaled(self.poses[0].up, STANDARD_GRAVITY), field_box=field)]
+        for (axis, angle), pose in zip(self._turns, self.poses[1:], strict=True):
+            field = seen_after_turn(field, axis, math.cos(angle), math.sin(angle))
+            found.append(Stimulus(scaled(pose.up, STANDARD_GRAVITY), field_box=field))
+        return found
+
+    @cached_property
+    def _begin_s(self) -> list[float]:
+        return list(accumulate((stretch.seconds for stretch in self.stretches[:-1]), initial=0.0))
+
+    @cached_property
+    def _begin_degc(self) -> list[float]:
+        reached = [self.room.degc]
+        for one in self.stretches[:-1]:
+            reached.append(
+                one.towards_degc + (reached[-1] - one.towards_degc) * math.exp(-one.seconds / one.constant_s)
+            )
+        return reached
+
+    @cached_property
+    def _phases(self) -> list[float]:
+        drawn: list[float] = stream(self.seed, "room").uniform(0, 2 * math.pi, len(DRAUGHT_PERIODS_S)).tolist()
+        return drawn
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a course told the box to do: the world of a reference instrument."""
+
+    course: Course
+
+    def __call__(self, at_ns: int) -> Stimulus:
+        """Without what nobody ordered."""
+        return self.course.told(at_ns)
+
+
+def session(table: Mapping[str, Any], room: Room, seed: int) -> Experiment:
+    """One log: its `name`, `seconds`, `poses`, `turn_s`, `stretches`, `motions` and `phases` (start_s, end_s, name,
+    up), as somebody noted them; `reference_hz` as in `Experiment`.
+    """
+    phases = [
+        Phase(round(start_s * 1e9), round(end_s * 1e9), str(name), str(up))
+        for start_s, end_s, name, up in table.get("phases", ())
+    ]
+    try:
+        course = Course(
+            tuple(of_table(Pose, one) for one in table["poses"]),
+            float(table.get("turn_s", 2.0)),
+            tuple(of_table(Stretch, one) for one in table.get("stretches", ())),
+            tuple(of_table(Motion, one) for one in table.get("motions", ())),
+            room,
+            seed,
+            tuple(phases),
+        )
+        return Experiment(
+            str(table["name"]), course, float(table["seconds"]), reference_hz=table.get("reference_hz", 0.0)
+        )
+    except KeyError as error:
+        raise ValueError(f"session: {error} is missing") from None
+
+
+def turn_to(before: Triple, after: Triple) -> tuple[Triple, float]:
+    """Unit axis and angle (rad) of the shortest turn after which `after` is where `before` was; half a turn goes about
+    any axis across.
+    """
+    axis = cross(after, before)
+    sine = math.sqrt(sum(part * part for part in axis))
+    cosine = sum(a * b for a, b in zip(before, after, strict=True))
+    if sine > 1e-9:
+        return scaled(axis, 1 / sine), math.atan2(sine, cosine)
+    if cosine > 0:
+        return UPWARDS, 0.0
+    x, y, z = before
+    across = (0.0, z, -y) if abs(x) < 0.9 else (-z, 0.0, x)
+    length = math.sqrt(sum(part * part for part in across))
+    return scaled(across, 1 / length), math.pi
+
+
+def sessions(table: Sequence[Mapping[str, Any]], room: Room, seed: int) -> tuple[Experiment, ...]:
+    """All of a case, in this order; the room's phases are another's in each."""
+    return tuple(session(one, room, seed * 1000 + run) for run, one in enumerate(table))

@@ -1,0 +1,118 @@
+"""Random worlds over seeds: each is possible, small enough and the same again; a short run has something of all."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imuarray.array import parse_array
+from imuarray.cli import main
+from imuarray.log import open_log
+from imuarray.validation.generator import record_in
+from imuarray.validation.worlds import KINDS, MOST_READINGS_PER_S, MOST_ROWS, MOST_SECONDS, draw_world
+
+SEEDS = st.integers(0, 20_000_000_000)
+
+
+@settings(max_examples=80, deadline=None)
+@given(SEEDS)
+def test_every_world_is_possible(seed: int) -> None:
+    """An array that its reader accepts, with at most 16 inertial sensors, read no faster than a bus of 400 kHz can, in
+    logs of at most ten minutes and 30000 rows; faces within a tilt, phases within their log.
+    """
+    world = draw_world(seed)
+    array = parse_array(world.array)
+    assert 1 <= len(world.inertial) <= 16
+    assert {sensor.name: sensor.chip for sensor in array.sensors} == world.chips
+    assert sum(world.rates.values()) <= MOST_READINGS_PER_S == 2500.0
+    assert world.rows <= 1.01 * MOST_ROWS == pytest.approx(30_300)
+    assert world.seconds <= 1.01 * MOST_SECONDS == pytest.approx(606)
+    assert 20.0 <= world.recorder["rate_hz"] <= 1000.0
+    for session in world.sessions:
+        assert sum(pose["hold_s"] for pose in session["poses"]) <= session["seconds"] + 1e-6
+        assert all(np.linalg.norm(pose["up"]) == pytest.approx(1.0) for pose in session["poses"])
+        for begin, end, _, up in session["phases"]:
+            assert 0 <= begin < end <= session["seconds"] + 1e-6
+            assert up in ("", "+X", "-X", "+Y", "-Y", "+Z", "-Z")
+        for motion in session["motions"]:
+            assert 0 < motion["start_s"] < motion["end_s"] < session["seconds"]
+    assert json.loads(json.dumps(world.table())) == world.table()
+    assert draw_world(seed) == world
+
+
+def test_nothing_clips_and_no_part_is_beyond_its_sheet() -> None:
+    """Gravity, shaking and turning stay within nine tenths of every range; what rooms do is small."""
+    for seed in range(200):
+        world = draw_world(seed)
+        forces = [world.ranges[name] for name, chip in world.inertial.items() if chip != "l3g4200d"]
+        rates = [world.ranges[name] for name, chip in world.inertial.items() if chip == "l3g4200d"]
+        for session in world.sessions:
+            for motion in session["motions"]:
+                assert 1.0 + motion["peak_g"] < 0.9 * min(forces, default=99.0)
+                rate = np.degrees(2 * np.pi * motion["rock_hz"] * motion["angle_rad"])
+                assert rate < 0.9 * min(rates, default=9999.0)
+        assert abs(world.room["drift_degc_per_s"]) * 3600 <= 2.0
+        assert world.room["draught_degc"] <= 0.4
+        assert all(one["peak_g"] <= 5e-4 for one in world.room["vibrations"])
+
+
+@pytest.mark.parametrize("first", [1_000_000, 2_120_000])
+def test_a_short_run_has_something_of_everything(first: int) -> None:
+    """Of 40 seeds in a row, wherever they begin, each stratum has its share of 400 to within 0.15."""
+    few = [draw_world(seed) for seed in range(first, first + 40)]
+    many = [draw_world(seed) for seed in range(first, first + 400)]
+    for name in many[0].strata:
+        if name in ("sensors", "rate_hz", "poses"):  # of many kinds, or only where there is a tumble
+            continue
+        shares = {value: count / 400 for value, count in Counter(one.strata[name] for one in many).items()}
+        found = Counter(one.strata[name] for one in few)
+        for value, share in shares.items():
+            assert abs(found[value] / 40 - share) < 0.15, (name, value)
+    for kind in KINDS:
+        assert sum(kind in one.kinds for one in many) == pytest.approx(206, abs=15)
+        assert 12 <= sum(kind in one.kinds for one in few) <= 28
+    counts = {len(one.inertial) for one in few}
+    assert min(counts) == 1
+    assert max(counts) >= 7
+    assert {chip for one in few for chip in one.inertial.values()} == {"adxl345", "bma180", "l3g4200d"}
+    rates = [one.recorder["rate_hz"] for one in many]
+    assert min(rates) == 20.0
+    assert max(rates) >= 500.0
+    assert len({one.plan for one in many}) == 31
+
+
+SMALL = [seed for seed in range(200) if draw_world(seed).rows < 14_000][:3]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SMALL)
+def test_logs_of_a_world_are_written_and_read(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As `imuarray info` reads them: the sensors, rows about as many as were reckoned, phases as they were noted, no
+    truth; what the recorder doesn't read is not there. The same seed makes the same rows.
+    """
+    world = draw_world(seed)
+    logs, truth = record_in(world.table(), tmp_path / "one", (), seed)
+    again, _ = record_in(world.table(), tmp_path / "two", (), seed)
+    assert [path.stem for path in logs] == [session["name"] for session in world.sessions]
+    assert truth["mechanisms"] == []
+    rows = 0
+    for path, other, session in zip(logs, again, world.sessions, strict=True):
+        assert main(["info", str(path), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)
+        with open_log(path) as log, open_log(other) as same:
+            assert set(log.sensors) == set(world.chips)
+            assert [phase.name for phase in log.phases] == [phase[2] for phase in session["phases"]]
+            assert log.truth is None
+            assert (log.reference is not None) == world.recorder["reference"]
+            for name, sensor in log.sensors.items():
+                rows += len(sensor)
+                assert np.array_equal(sensor.counts[:], same[name].counts[:])
+                if sensor.chip != "bmp180" and not world.recorder["thermometers"]:
+                    assert sensor.temperature_counts is None
+    assert rows == pytest.approx(world.rows, rel=0.15)
