@@ -24,7 +24,7 @@ from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.fuse.thermal import element_temperatures
 from imuarray.fuse.told import Told, told_by
-from imuarray.fuse.watched import Watched
+from imuarray.fuse.watched import Watched, WatchedBefore
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.spelling import guess
@@ -169,13 +169,12 @@ class _Array(Generic[_Sensor]):
         return lambda period_s: self.watched(technique(axes, period_s), axes, period_s)
 
     def watched(
-        self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float, *, tell: bool = True
+        self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float
     ) -> Pipeline[_Out]:
         """The pipeline behind fault monitors, if there is to be any watching."""
         if not self.watch.over(self.technique):
             return pipeline
-        found: Found = self.watch.found if tell else lambda event: None
-        return Watched(pipeline, axes, period_s, self.watch.ranges, found)
+        return Watched(pipeline, axes, period_s, self.watch.ranges, self.watch.found)
 
 
 def _smoothed(
@@ -184,18 +183,18 @@ def _smoothed(
     """Every frame by what the whole log tells: it is read twice."""
     axes, model = array.axes, array.model(warming)
     period_s = _period_s(array)
-    passes = iter((True, False))  # what failed is told once
+    before: list[Pipeline[Gathered] | None] = []
+
+    def making(period_s: float) -> Pipeline[Gathered]:
+        first = before[0] if before else None  # what failed is looked for, and told, once
+        if isinstance(first, Watched):
+            return WatchedBefore(Gathering(), first.left_out)
+        return array.watched(Gathering(), axes, period_s)
 
     def blocks() -> Iterator[Gathered]:
-        tell = next(passes)
-        stream = FusionStream(
-            array.groups,
-            array.calibration,
-            lambda period_s: array.watched(Gathering(), axes, period_s, tell=tell),
-            warming,
-            timeout_s=float("inf"),
-        )
-        return _replayed(log, stream, block)
+        stream = FusionStream(array.groups, array.calibration, making, warming, timeout_s=float("inf"))
+        yield from _replayed(log, stream, block)
+        before.append(stream.pipeline)
 
     yield from smoothed(blocks, axes, model, period_s, told)
 

@@ -48,6 +48,19 @@ class Stillness:
         return self._quiet(whole & (share < QUIET), whole) | self._stale(whole & stale, whole)
 
 
+    def moves(self, changes: Floats, normal: Normal) -> bool:
+        """Whether no sensor stood still in the window before nor does in this one, of which every reading is there and
+        none is stale: its mean squares of `changes` (m,).
+        """
+        share = (changes / normal.change).reshape(-1, 3).sum(axis=1)
+        return bool(share.min() >= 3 * QUIET) and not self.standing.any()
+
+    def moved(self) -> None:
+        """Counts such a window."""
+        self._quiet.pass_by()
+        self._stale.pass_by()
+
+
 class _Runs:
     """Runs of windows that show something unusual, by sensor; and how usual it is."""
 
@@ -55,6 +68,10 @@ class _Runs:
         self.length = np.zeros(sensors, int)
         self._windows = np.zeros(sensors)
         self._by_itself = np.zeros(sensors)
+
+    def pass_by(self) -> None:
+        """A window that shows it of no sensor, after one that did not either."""
+        self._windows += 1
 
     def __call__(self, shows: Flags, judged: Flags) -> Flags:
         """(s,) the sensors for which this window and the one before show it, though that is unusual."""
