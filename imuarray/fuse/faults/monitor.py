@@ -107,7 +107,7 @@ class FaultMonitor:
         held = frames if self._held is None else Frames.joined([self._held, frames])
         first = len(self._masks) * self.window
         starts = range(first, len(held.time) - self.window + 1, self.window)
-        sound = _sound(held, first, len(starts), self.window)
+        sound = _sound(held, first, len(starts), self.window) if starts else np.zeros(0, bool)
         stretch, begin, ahead = None, 0, _AT_FIRST
         for number, start in enumerate(starts):
             self._masks.append(np.zeros(held.valid.shape[1], bool))

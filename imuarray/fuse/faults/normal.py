@@ -177,7 +177,8 @@ class Normal:
         """
         share = np.maximum(share, 0.05)
         seen, every = self._seen, bool(which.all())
-        step = ((own[1:] - own[:-1]) ** 2).sum(axis=0) / ((len(own) - 1) * share)
+        steps = own[1:] - own[:-1]
+        step = np.einsum("nm,nm->m", steps, steps) / ((len(own) - 1) * share)
         rate = 1 / np.minimum(seen + 2, _Q_WINDOWS)
         change = self.change + rate * (np.minimum(step, 4 * self.change) - self.change)
         self.change = change if every else np.where(which, change, self.change)

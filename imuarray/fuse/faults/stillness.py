@@ -52,8 +52,10 @@ class Stillness:
         """Whether no sensor stood still in the window before nor does in this one, of which every reading is there and
         none is stale: its mean squares of `changes` (m,).
         """
+        if self._quiet.any or self._stale.any:
+            return False
         share = (changes / normal.change).reshape(-1, 3).sum(axis=1)
-        return bool(share.min() >= 3 * QUIET) and not self.standing.any()
+        return bool(share.min() >= 3 * QUIET)
 
     def moved(self) -> None:
         """Counts such a window."""
@@ -66,6 +68,7 @@ class _Runs:
 
     def __init__(self, sensors: int) -> None:
         self.length = np.zeros(sensors, int)
+        self.any = False
         self._windows = np.zeros(sensors)
         self._by_itself = np.zeros(sensors)
 
@@ -79,5 +82,6 @@ class _Runs:
         ended = ~shows & judged
         self._by_itself += np.where(ended & ((self.length <= _SHORT) | usual), self.length, 0)
         self.length = np.where(shows, self.length + 1, np.where(judged, 0, self.length))
+        self.any = bool(self.length.any())
         self._windows += judged & ~shows
         return np.asarray(~usual & (self._windows >= _KNOWN_WINDOWS) & (self.length == 2))
