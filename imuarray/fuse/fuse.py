@@ -168,9 +168,7 @@ class _Array(Generic[_Sensor]):
             return lambda period_s: self.watched(EachAlone(axes, technique), axes, period_s)
         return lambda period_s: self.watched(technique(axes, period_s), axes, period_s)
 
-    def watched(
-        self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float
-    ) -> Pipeline[_Out]:
+    def watched(self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float) -> Pipeline[_Out]:
         """The pipeline behind fault monitors, if there is to be any watching."""
         if not self.watch.over(self.technique):
             return pipeline

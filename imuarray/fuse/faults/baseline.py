@@ -39,7 +39,8 @@ class Baseline:
         self._covariance: Floats | None = None
 
     def departed(self, included: Flags, usual: Floats, normal: Normal) -> tuple[Suspect | None, float]:
-        """Of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the axis that has walked off farthest, beyond what drift allows, and how far in SI; None if none has.
+        """Of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the one that has walked off farthest,
+        beyond what drift allows, and how far in SI; None if none has.
 
         To be asked at equal intervals: an axis is settled after `_SETTLED` of them.
         """

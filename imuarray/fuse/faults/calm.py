@@ -52,9 +52,7 @@ class Stretch:
     `time` (k, n) ns, `values` (k, n, m) in SI; `out` (m,) are left out, `white` is the parity space of the others.
     """
 
-    def __init__(
-        self, time: Times, values: Floats, out: Flags, white: Parity, rows: Floats, variance: Floats
-    ) -> None:
+    def __init__(self, time: Times, values: Floats, out: Flags, white: Parity, rows: Floats, variance: Floats) -> None:
         self._rows, self._white, self._frames = rows, white, time.shape[1]
         self.out, self.included, self._all = out, ~out, not out.any()
         self._blind = (np.eye(len(rows)) - rows @ white.gain).T.copy()  # takes out what the triad explains

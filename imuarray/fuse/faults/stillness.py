@@ -47,7 +47,6 @@ class Stillness:
             stale = np.asarray(window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
         return self._quiet(whole & (share < QUIET), whole) | self._stale(whole & stale, whole)
 
-
     def moves(self, changes: Floats, normal: Normal) -> bool:
         """Whether no sensor stood still in the window before nor does in this one, of which every reading is there and
         none is stale: its mean squares of `changes` (m,).
