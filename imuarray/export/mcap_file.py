@@ -62,15 +62,22 @@ class _Stream:
     def __init__(self, channel: int, blocks: Iterator[_Rows]) -> None:
         self.channel, self._blocks = channel, blocks
         self.waiting = _Rows(np.zeros(0, np.int64), [])
-        self.ended = False
+        self._last = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether all of them were taken."""
+        return self._last and not len(self.waiting.time_ns)
 
     def fill(self) -> None:
-        """Have rows waiting, unless there are no more."""
-        while not self.ended and not len(self.waiting.time_ns):
+        """Have many rows waiting: what is merged at once ends where the first stream does."""
+        while not self._last and len(self.waiting.time_ns) < _BLOCK:
             block = next(self._blocks, None)
-            self.ended = block is None
-            if block is not None:
-                self.waiting = block
+            if block is None:
+                self._last = True
+                continue
+            time_ns = np.concatenate([self.waiting.time_ns, block.time_ns])
+            self.waiting = _Rows(time_ns, self.waiting.messages + block.messages)
 
     def take(self, until_ns: int) -> _Rows:
         """Those that wait up to a time."""
@@ -259,10 +266,14 @@ def _digits(values: Times) -> Texts:
 
 def _texts(values: npt.NDArray[Any]) -> Texts:
     """(n, w) numbers as JSON, with spaces behind them; a number that is there often is spelled once."""
-    bits = values.view(np.int64) if values.dtype == np.float64 else values  # -0.0 is another number than 0.0
-    _, first, which = np.unique(bits, return_index=True, return_inverse=True)
-    spelled = json.dumps(values[first].tolist(), separators=(",", ":"))[1:-1].encode().split(b",")
-    table = np.array(spelled)
+    if len(values) and (values == values[0]).all() and values[0] != 0:
+        text = np.frombuffer(json.dumps(values[0].item()).encode(), np.uint8)
+        return np.broadcast_to(text, (len(values), len(text)))
+    is_float = values.dtype == np.float64
+    bits = np.ascontiguousarray(values).view(np.int64) if is_float else values  # -0.0 is another number than 0.0
+    different, which = np.unique(bits, return_inverse=True)
+    numbers = (different.view(np.float64) if is_float else different).tolist()
+    table = np.array(json.dumps(numbers, separators=(",", ":"))[1:-1].encode().split(b","))
     texts = table.view(np.uint8).reshape(len(table), -1)
     return np.asarray(np.where(texts == 0, ord(" "), texts).astype(np.uint8)[which.reshape(-1)])
 
