@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtri, fdtri, gammaincinv, gammaln
+from scipy.special import chdtri, fdtrc, fdtri, gammaincinv, gammaln
 
 from imuarray.characterise.spectrum import Spectrum
 
@@ -64,17 +64,13 @@ class NoiseFloor:
 
     def level(self, probability: float) -> Vector:
         """Density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
-        from scipy.stats import f  # its weight is for those who ask
-
         pairs, which = np.unique([self.spectrum_freedom, self.freedom], axis=1, return_inverse=True)
         # Few pairs differ, and each takes long. The places have a shape of their own in NumPy 2.0.0.
-        return np.asarray(self.density * f.isf(probability, *pairs)[which.reshape(-1)])
+        return np.asarray(self.density * fdtri(*pairs, 1 - probability)[which.reshape(-1)])
 
     def exceedance(self, density: Vector) -> Vector:
         """Probability (b,) that noise exceeds `density` (b,) in a bin."""
-        from scipy.stats import f
-
-        return np.asarray(f.sf(density / self.density, self.spectrum_freedom, self.freedom))
+        return np.asarray(fdtrc(self.spectrum_freedom, self.freedom, density / self.density))
 
 
 def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
