@@ -105,14 +105,26 @@ def _joined_medians(height: Vector, bins: Bins, last: int) -> Vector:
     """At each bin the medians of the bins below and of those above, joined over log frequency (b,)."""
     joined = np.empty(len(bins))
     sides = _sides(bins, last)
-    for side in np.unique(sides):
+    logs = np.log(np.arange(1, len(height) + 1))  # of every bin number from 1 on
+    sums = np.concatenate([[0.0, 0.0], np.cumsum(logs)])  # of those below it
+    for side in np.unique(sides).tolist():
         which = sides == side
-        away = _GUARD + 1 + np.arange(side)
-        below, above = bins[which, np.newaxis] - away, bins[which, np.newaxis] + away
-        low, high = np.median(height[below], axis=1), np.median(height[above], axis=1)
-        left, right = np.log(below).mean(axis=1), np.log(above).mean(axis=1)
-        joined[which] = low + (high - low) * (np.log(bins[which]) - left) / (right - left)
+        at = bins[which]
+        runs = np.lib.stride_tricks.sliding_window_view(height, side)
+        first = at - _GUARD - side, at + _GUARD + 1
+        low, high = (_median(runs[begin]) for begin in first)
+        left, right = ((sums[begin + side] - sums[begin]) / side for begin in first)
+        joined[which] = low + (high - low) * (logs[at - 1] - left) / (right - left)
     return joined
+
+
+def _median(rows: npt.NDArray[np.float64]) -> Vector:
+    """Medians (b,) of rows (b, k) of finite numbers, without what `numpy.median` does for others."""
+    half = rows.shape[1] // 2
+    if rows.shape[1] % 2:
+        return np.asarray(np.partition(rows, half, axis=1)[:, half])
+    parted = np.partition(rows, (half - 1, half), axis=1)
+    return np.asarray((parted[:, half - 1] + parted[:, half]) / 2)
 
 
 def _smoothed(height: Vector, bins: Bins, last: int) -> Vector:
