@@ -156,7 +156,7 @@ def characterise(log: Path, output: Path) -> None:
     figures = {name: Figure(figsize=(10, 8)) for name in ("allan", "spectrum", "autocorrelation", "histogram")}
     panels = {name: figure.subplots(2, 1) for name, figure in figures.items()}
     table = {}
-    for place, (quantity, sensors) in enumerate(values.items()):
+    for place, sensors in enumerate(values.values()):
         for name, triads in sensors.items():
             period_s = float(np.median(np.diff(times[name]))) * 1e-9
             for axis, column in zip("xyz", triads.T, strict=True):

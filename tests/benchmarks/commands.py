@@ -46,7 +46,9 @@ COMMANDS = (
     Command("fuse LOG --technique optimal -o OUT", ("optimal",), ".h5", 1.0, 0.8),
     Command("characterise LOG -o OUT", ("characterise",), "", 2.0, 1.5),
     Command("report LOG -o OUT", ("characterise", "mean", "planes", "optimal"), ".html", 1.5, 1.0),
-    Command(f"simulate martin2013 --only {TRIADS} --rate-hz 100 --seconds SECONDS -o OUT", ("simulate",), ".h5", 4.0, 2.0),
+    Command(
+        f"simulate martin2013 --only {TRIADS} --rate-hz 100 --seconds SECONDS -o OUT", ("simulate",), ".h5", 4.0, 2.0
+    ),
 )
 """Each with its peers; where start-up is most of a short run the ratio that is wanted is above one."""
 
