@@ -16,12 +16,11 @@ from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.coasting import Coasting, Errors, coasting
 from imuarray.fuse.consistency import Consistency, consistency
-from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of
-from imuarray.fuse.fuse import NAMES, fuse
+from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, errors_together
+from imuarray.fuse.fuse import AVERAGE, NAMES, fuse, fuse_together
 from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
+from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log
-
-AVERAGE = "mean"
 
 AXES = ("X", "Y", "Z", "XYZ")
 """Box axes of a ratio; "XYZ" is the length of the error."""
@@ -66,14 +65,18 @@ def compare(
     `heard` is told which one begins. FusionError without a truth, or with too few frames.
     """
 
-    def errors(technique: str) -> dict[str, ErrorFrames]:
-        heard(technique)
-        return error_frames(log, fuse(log, calibration, technique, only=only))
-
-    average = errors(AVERAGE)
+    wanted = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
+    each_alone = [technique for technique in wanted if technique in TECHNIQUES]
+    heard(", ".join(each_alone))
+    together = fuse_together(log, calibration, each_alone, only=only)
+    errors = errors_together(log, together, each_alone)
+    average = errors[AVERAGE]
     scores, coasts = [], {}
     for technique in techniques or technique_names():
-        found = average if technique == AVERAGE else errors(technique)
+        if technique not in errors:
+            heard(technique)
+            errors[technique] = error_frames(log, fuse(log, calibration, technique, only=only))
+        found = errors[technique]
         scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in found.items()]
         if len(found) == 2:
             coasts[technique] = coasting(both(found))

@@ -4,7 +4,7 @@ reference.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -102,22 +102,35 @@ def errors_of(
 
 def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, ErrorFrames]:
     """The same with the truth and the covariances."""
+    return errors_together(log, ({"": block} for block in blocks), ("",), phases)[""]
+
+
+def errors_together(
+    log: Log, blocks: Iterable[Mapping[str, FusedBlock]], techniques: Sequence[str], phases: Iterable[Phase] = ()
+) -> dict[str, dict[str, ErrorFrames]]:
+    """The same of several results by the name of the technique, each block of which has the same frames."""
     track = log.truth or log.reference
     if track is None:
         raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
     stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
-    found: dict[str, list[ErrorFrames]] = {quantity: [] for quantity in INERTIAL}
-    for block in blocks:
-        inside = np.ones(len(block.time), bool)
+    found: dict[str, dict[str, list[ErrorFrames]]] = {
+        name: {quantity: [] for quantity in INERTIAL} for name in techniques
+    }
+    for together in blocks:
+        time = next(iter(together.values())).time
+        inside = np.ones(len(time), bool)
         if stretches:
-            inside = np.any([(block.time >= start) & (block.time < end) for start, end in stretches], axis=0)
-        for quantity, triad in block.triads.items():
-            felt = _felt(track, quantity, block.time)
-            if felt is not None:
-                keep = inside & np.isfinite(triad - felt).all(axis=1)
-                claimed = np.asarray(block.covariances.get(quantity, np.full((len(triad), 6), np.nan)), float)
-                found[quantity].append(ErrorFrames(block.time[keep], (triad - felt)[keep], felt[keep], claimed[keep]))
-    return {quantity: _joined(parts) for quantity, parts in found.items() if parts}
+            inside = np.any([(time >= start) & (time < end) for start, end in stretches], axis=0)
+        for quantity in INERTIAL:
+            if not any(quantity in block.triads for block in together.values()):
+                continue
+            felt = _felt(track, quantity, time)
+            for name, block in together.items() if felt is not None else ():
+                errors = block.triads[quantity] - felt
+                keep = inside & np.isfinite(errors).all(axis=1)
+                claimed = np.asarray(block.covariances.get(quantity, np.full((len(errors), 6), np.nan)), float)
+                found[name][quantity].append(ErrorFrames(time[keep], errors[keep], felt[keep], claimed[keep]))
+    return {name: {quantity: _joined(parts) for quantity, parts in own.items() if parts} for name, own in found.items()}
 
 
 def error_of(rows: Floats) -> Error:

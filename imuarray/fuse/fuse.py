@@ -18,7 +18,7 @@ from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.grid import FIRST_ROWS, choose
 from imuarray.fuse.optimal import ErrorModel, error_model
 from imuarray.fuse.optimal.pipeline import AsTheyCome, Gathered, Gathering, smoothed
-from imuarray.fuse.pipeline import EachAlone, Making, Pipeline
+from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, Together
 from imuarray.fuse.running import Warming, running_temperatures
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
@@ -33,7 +33,7 @@ from imuarray.units import INERTIAL
 BLOCK = 1 << 12
 """Rows of each sensor that are read at once; the result does not depend on it."""
 
-OPTIMAL = "optimal"
+AVERAGE, OPTIMAL = "mean", "optimal"
 
 NEEDS_NOISE = frozenset({*techniques.NEEDS_NOISE, OPTIMAL})
 """Techniques that must know how much each axis scatters (`calibrate noise`)."""
@@ -101,6 +101,21 @@ def fuse(
     stream = FusionStream(array.groups, calibration, array.making(warming), warming, timeout_s=float("inf"))
     yield from _replayed(log, stream, block)
     told(told_by(stream.pipeline))
+
+
+def fuse_together(
+    log: Log, calibration: Calibration, names: Sequence[str], *, only: Collection[str] = (), block: int = BLOCK
+) -> Iterator[dict[str, FusedBlock]]:
+    """`fuse` by several techniques that take each quantity by itself (`TECHNIQUES`), whose frames are aligned once: the
+    blocks by the name of the technique. FusionError.
+    """
+    array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, AVERAGE, Watch(on=False))
+    warming = Warming(element_temperatures(log, array.inertial, calibration), {}, {})
+    axes = array.axes
+    stream = FusionStream(
+        array.groups, calibration, lambda period_s: Together(axes, names), warming, timeout_s=float("inf")
+    )
+    return _replayed(log, stream, block)
 
 
 def live(
