@@ -7,7 +7,7 @@ change a ratio; how a sensor came up this time is the same in all of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +17,13 @@ from imuarray.errors import FusionError
 from imuarray.fuse.coasting import Coasting, Errors, coasting
 from imuarray.fuse.consistency import Consistency, consistency
 from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, errors_together
-from imuarray.fuse.fuse import AVERAGE, NAMES, fuse, fuse_together
+from imuarray.fuse.fuse import AVERAGE, NAMES, Progress, fuse, fuse_together
 from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log
+
+_HEAVY = 5.0
+"""By how much longer an estimator of the whole array takes than all simple techniques together."""
 
 AXES = ("X", "Y", "Z", "XYZ")
 """Box axes of a ratio; "XYZ" is the length of the error."""
@@ -58,29 +61,42 @@ def compare(
     techniques: Sequence[str] = (),
     *,
     only: Collection[str] = (),
-    heard: Callable[[str], None] = lambda technique: None,
+    progress: Progress = lambda share: None,
 ) -> Comparison:
     """`techniques` (all of them, if none is named) on `log`, with `only` these sensors if any are named.
 
-    `heard` is told which one begins. FusionError without a truth, or with too few frames.
+    `progress` is told what share is done. FusionError without a truth, or with too few frames.
     """
 
     wanted = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
     each_alone = [technique for technique in wanted if technique in TECHNIQUES]
-    heard(", ".join(each_alone))
-    together = fuse_together(log, calibration, each_alone, only=only)
+    parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])
+    together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
     errors = errors_together(log, together, each_alone)
     average = errors[AVERAGE]
     scores, coasts = [], {}
     for technique in techniques or technique_names():
         if technique not in errors:
-            heard(technique)
-            errors[technique] = error_frames(log, fuse(log, calibration, technique, only=only))
+            errors[technique] = error_frames(log, fuse(log, calibration, technique, only=only, progress=parts.next()))
         found = errors[technique]
         scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in found.items()]
         if len(found) == 2:
             coasts[technique] = coasting(both(found))
     return Comparison(tuple(scores), coasts)
+
+
+class _Parts:
+    """Progress of work in parts of these weights."""
+
+    def __init__(self, progress: Progress, weights: Sequence[float]) -> None:
+        self._progress, self._done = progress, 0.0
+        self._weights = iter([weight / sum(weights) for weight in weights])
+
+    def next(self) -> Progress:
+        """That of the next part."""
+        begin, weight = self._done, next(self._weights)
+        self._done += weight
+        return lambda share: self._progress(begin + weight * share)
 
 
 def both(found: Mapping[str, ErrorFrames]) -> Errors:

@@ -44,6 +44,8 @@ NAMES = (*TECHNIQUES, OPTIMAL)
 _Sensor = TypeVar("_Sensor", SensorLog, SensorHeader)
 _Out = TypeVar("_Out")
 Found = Callable[[FaultEvent], None]
+Progress = Callable[[float], None]
+"""Told from time to time what share of the work is done, 0 ... 1."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,9 @@ class Watch:
 
 WATCH = Watch()
 
+_FIRST_PASS = 0.75
+"""Share of the time that the first of two passes takes: it looks for faults and filters."""
+
 
 def fuse(
     log: Log,
@@ -73,6 +78,7 @@ def fuse(
     causal: bool = False,
     watch: Watch = WATCH,
     told: Callable[[Told], None] = lambda told: None,
+    progress: Progress = lambda share: None,
     block: int = BLOCK,
 ) -> Iterator[FusedBlock]:
     """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`, one of `NAMES` or what makes
@@ -96,15 +102,21 @@ def fuse(
         of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
         warming = Warming(of_all, {}, {})
     if array.is_optimal and not causal:
-        yield from _smoothed(log, array, warming, told, block)
+        yield from _smoothed(log, array, warming, told, progress, block)
         return
     stream = FusionStream(array.groups, calibration, array.making(warming), warming, timeout_s=float("inf"))
-    yield from _replayed(log, stream, block)
+    yield from _replayed(log, stream, block, progress)
     told(told_by(stream.pipeline))
 
 
 def fuse_together(
-    log: Log, calibration: Calibration, names: Sequence[str], *, only: Collection[str] = (), block: int = BLOCK
+    log: Log,
+    calibration: Calibration,
+    names: Sequence[str],
+    *,
+    only: Collection[str] = (),
+    progress: Progress = lambda share: None,
+    block: int = BLOCK,
 ) -> Iterator[dict[str, FusedBlock]]:
     """`fuse` by several techniques that take each quantity by itself (`TECHNIQUES`), whose frames are aligned once: the
     blocks by the name of the technique. FusionError.
@@ -115,7 +127,7 @@ def fuse_together(
     stream = FusionStream(
         array.groups, calibration, lambda period_s: Together(axes, names), warming, timeout_s=float("inf")
     )
-    return _replayed(log, stream, block)
+    return _replayed(log, stream, block, progress)
 
 
 def live(
@@ -191,7 +203,12 @@ class _Array(Generic[_Sensor]):
 
 
 def _smoothed(
-    log: Log, array: _Array[SensorLog], warming: Warming, told: Callable[[Told], None], block: int
+    log: Log,
+    array: _Array[SensorLog],
+    warming: Warming,
+    told: Callable[[Told], None],
+    progress: Progress,
+    block: int,
 ) -> Iterator[FusedBlock]:
     """Every frame by what the whole log tells: it is read twice."""
     axes, model = array.axes, array.model(warming)
@@ -206,7 +223,8 @@ def _smoothed(
 
     def blocks() -> Iterator[Gathered]:
         stream = FusionStream(array.groups, array.calibration, making, warming, timeout_s=float("inf"))
-        yield from _replayed(log, stream, block)
+        first, share = (_FIRST_PASS, 1 - _FIRST_PASS) if before else (0.0, _FIRST_PASS)
+        yield from _replayed(log, stream, block, lambda done: progress(first + share * done))
         before.append(stream.pipeline)
 
     yield from smoothed(blocks, axes, model, period_s, told)
@@ -231,18 +249,22 @@ def _chosen(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> di
     return {quantity: group for quantity, group in chosen.items() if group}
 
 
-def _replayed(log: Log, stream: FusionStream[_Out], block: int) -> Iterator[_Out]:
+def _replayed(
+    log: Log, stream: FusionStream[_Out], block: int, progress: Progress = lambda share: None
+) -> Iterator[_Out]:
     """The rows of all sensors in the order of their times, more or less: none is read far ahead of the others."""
     sensors = [sensor for sensor in log.sensors.values() if sensor.name in stream.sensors]
     reached_ns = {sensor.name: -1 for sensor in sensors}
     row = {sensor.name: 0 for sensor in sensors}
     left = {sensor.name: sensor for sensor in sensors}
+    total = max(1, sum(len(sensor) for sensor in sensors))
     while left:
         sensor = left[min(left, key=lambda name: reached_ns[name])]
         part = _read(sensor, slice(row[sensor.name], row[sensor.name] + block), sensor.name in stream.thermometers)
         if len(part.time):
             reached_ns[sensor.name] = int(part.time[-1])
             row[sensor.name] += len(part.time)
+            progress(sum(row.values()) / total)
             yield from stream.push(sensor.name, part)
         else:
             del left[sensor.name]
