@@ -167,7 +167,7 @@ class Container:
         offsets_start = start + summary.count
         for record in offsets:
             record.write(summary)
-        text = summary.end()
+        text = summary.end()  # type: ignore[no-untyped-call]
         crc = zlib.crc32(_FOOTER_HEAD.pack(int(Opcode.FOOTER), 20, start, offsets_start), zlib.crc32(text))
         self._file.write(text)
         self._put(records.Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
@@ -190,6 +190,6 @@ class Container:
         """Write a record; its length."""
         builder = RecordBuilder()
         record.write(builder)
-        text = builder.end()
+        text = builder.end()  # type: ignore[no-untyped-call]
         self._file.write(text)
         return len(text)

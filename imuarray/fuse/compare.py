@@ -7,7 +7,7 @@ change a ratio; how a sensor came up this time is the same in all of it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,15 +61,19 @@ def compare(
     techniques: Sequence[str] = (),
     *,
     only: Collection[str] = (),
+    heard: Callable[[str], None] = lambda technique: None,
     progress: Progress = lambda share: None,
 ) -> Comparison:
     """`techniques` (all of them, if none is named) on `log`, with `only` these sensors if any are named.
 
-    `progress` is told what share is done. FusionError without a truth, or with too few frames.
+    `heard` is told which one begins, `progress` what share of the work is done. FusionError without a truth, or with
+    too few frames.
     """
 
     wanted = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
     each_alone = [technique for technique in wanted if technique in TECHNIQUES]
+    for technique in each_alone:
+        heard(technique)
     parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])
     together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
     errors = errors_together(log, together, each_alone)
@@ -77,6 +81,7 @@ def compare(
     scores, coasts = [], {}
     for technique in techniques or technique_names():
         if technique not in errors:
+            heard(technique)
             errors[technique] = error_frames(log, fuse(log, calibration, technique, only=only, progress=parts.next()))
         found = errors[technique]
         scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in found.items()]
