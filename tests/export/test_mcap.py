@@ -129,7 +129,7 @@ def test_every_message_is_what_a_row_by_row_writer_says(tmp_path: Path, units: s
     """Values to the last bit, and every message's number and time."""
     from mcap.reader import make_reader
 
-    source = log_of(tmp_path / "long.h5", 20_000)
+    source = log_of(tmp_path / "long.h5", 6000)
     export(source, tmp_path / "long.mcap", units=units)
     wanted: list[tuple[int, str, int, str]] = []
     with open_content(Wanted(source, units=units)) as content:
@@ -153,17 +153,18 @@ def test_every_message_is_what_a_row_by_row_writer_says(tmp_path: Path, units: s
     assert (statistics.message_start_time, statistics.message_end_time) == (found[0][0], found[-1][0])
 
 
+@pytest.mark.filterwarnings("ignore:(start|end)_time is deprecated")  # the lowest version has no other name
 def test_a_stretch_of_time_is_found_by_the_index(tmp_path: Path) -> None:
     from mcap.reader import make_reader
 
-    source = log_of(tmp_path / "long.h5", 20_000)
+    source = log_of(tmp_path / "long.h5", 6000)
     export(source, tmp_path / "long.mcap")
     with (tmp_path / "long.mcap").open("rb") as file:
         times = [message.log_time for _, _, message in make_reader(file).iter_messages(topics=["/sensors/Gyro"])]
         file.seek(0)
-        begin, end = times[3000], times[3500]
+        begin, end = times[1000], times[1500]
         part = make_reader(file).iter_messages(topics=["/sensors/Gyro"], start_time=begin, end_time=end)
-        assert [message.log_time for _, _, message in part] == times[3000:3500]
+        assert [message.log_time for _, _, message in part] == times[1000:1500]
 
 
 def test_events_are_for_the_log_panel(run: Path) -> None:
