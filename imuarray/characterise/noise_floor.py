@@ -12,7 +12,7 @@ The median of the gamma law that averaged periodograms follow lies below its mea
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -104,27 +104,34 @@ def _sides(bins: Bins, last: int) -> Bins:
 def _joined_medians(height: Vector, bins: Bins, last: int) -> Vector:
     """At each bin the medians of the bins below and of those above, joined over log frequency (b,)."""
     joined = np.empty(len(bins))
-    sides = _sides(bins, last)
-    logs = np.log(np.arange(1, len(height) + 1))  # of every bin number from 1 on
-    sums = np.concatenate([[0.0, 0.0], np.cumsum(logs)])  # of those below it
-    for side in np.unique(sides).tolist():
-        which = sides == side
-        at = bins[which]
+    for side, which, below, above, share in _beside(bins.tobytes(), len(height), last):
         runs = np.lib.stride_tricks.sliding_window_view(height, side)
-        first = at - _GUARD - side, at + _GUARD + 1
-        low, high = (_median(runs[begin]) for begin in first)
-        left, right = ((sums[begin + side] - sums[begin]) / side for begin in first)
-        joined[which] = low + (high - low) * (logs[at - 1] - left) / (right - left)
+        low, high = _median(runs[below]), _median(runs[above])
+        joined[which] = low + (high - low) * share
     return joined
 
 
+@lru_cache(maxsize=16)
+def _beside(bins: bytes, length: int, last: int) -> list[tuple[int, Bins, Bins, Bins, Vector]]:
+    """For those of the bins (their bytes) that are read off equally many neighbours: how many, which of them, where the
+    neighbours below and above begin, and how far between their means over log frequency the bin itself is.
+    """
+    places = np.frombuffer(bins, np.intp)
+    logs = np.log(np.arange(1, length + 1))  # of every bin number from 1 on
+    sums = np.concatenate([[0.0, 0.0], np.cumsum(logs)])  # of those below it
+    sides, found = _sides(places, last), []
+    for side in np.unique(sides).tolist():
+        which = np.flatnonzero(sides == side)
+        below, above = places[which] - _GUARD - side, places[which] + _GUARD + 1
+        left, right = ((sums[begin + side] - sums[begin]) / side for begin in (below, above))
+        found.append((side, which, below, above, (logs[places[which] - 1] - left) / (right - left)))
+    return found
+
+
 def _median(rows: npt.NDArray[np.float64]) -> Vector:
-    """Medians (b,) of rows (b, k) of finite numbers, without what `numpy.median` does for others."""
-    half = rows.shape[1] // 2
-    if rows.shape[1] % 2:
-        return np.asarray(np.partition(rows, half, axis=1)[:, half])
-    parted = np.partition(rows, (half - 1, half), axis=1)
-    return np.asarray((parted[:, half - 1] + parted[:, half]) / 2)
+    """Medians (b,) of short rows (b, k) of finite numbers: to sort them takes a sixth of what `numpy.median` does."""
+    ordered, half = np.sort(rows, axis=1), rows.shape[1] // 2
+    return np.asarray(ordered[:, half] if rows.shape[1] % 2 else (ordered[:, half - 1] + ordered[:, half]) / 2)
 
 
 def _smoothed(height: Vector, bins: Bins, last: int) -> Vector:
