@@ -118,12 +118,12 @@ def _beside(bins: bytes, length: int, last: int) -> list[tuple[int, Bins, Bins, 
     """
     places = np.frombuffer(bins, np.intp)
     logs = np.log(np.arange(1, length + 1))  # of every bin number from 1 on
-    sums = np.concatenate([[0.0, 0.0], np.cumsum(logs)])  # of those below it
     sides, found = _sides(places, last), []
     for side in np.unique(sides).tolist():
         which = np.flatnonzero(sides == side)
         below, above = places[which] - _GUARD - side, places[which] + _GUARD + 1
-        left, right = ((sums[begin + side] - sums[begin]) / side for begin in (below, above))
+        means = np.lib.stride_tricks.sliding_window_view(logs, side).mean(axis=1)
+        left, right = means[below - 1], means[above - 1]
         found.append((side, which, below, above, (logs[places[which] - 1] - left) / (right - left)))
     return found
 

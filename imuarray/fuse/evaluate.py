@@ -64,7 +64,7 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
     (3,)
     """
     with ExitStack() as stack:
-        kept = {quantity: stack.enter_context(_Kept()) for quantity in INERTIAL}
+        kept: dict[str, _Kept] = {quantity: stack.enter_context(_Kept()) for quantity in INERTIAL}
         for _, quantity, frames in _error_blocks(log, ({"": block} for block in blocks), phases):
             kept[quantity].add(frames.errors)
         return {quantity: errors.figures() for quantity, errors in kept.items() if errors.frames > 1}
@@ -149,7 +149,9 @@ def _error_blocks(
             if not any(quantity in block.triads for block in together.values()):
                 continue
             felt = _felt(track, quantity, time)
-            for name, block in together.items() if felt is not None else ():
+            if felt is None:
+                continue
+            for name, block in together.items():
                 errors = block.triads[quantity] - felt
                 keep = inside & np.isfinite(errors).all(axis=1)
                 claimed = np.asarray(block.covariances.get(quantity, np.full((len(errors), 6), np.nan)), float)

@@ -176,8 +176,8 @@ def _sound(frames: Frames, first: int, windows: int, length: int) -> Flags:
     rows = slice(first, first + windows * length)
     sound: Flags = np.asarray(frames.valid[rows].reshape(windows, -1).all(axis=1))
     if frames.stale is not None and frames.stale[rows].any():
-        stale = frames.stale[rows].reshape(windows, length, -1, 3).all(axis=(1, 3))
-        sound &= ~stale.any(axis=1)
+        stale: Flags = np.asarray(frames.stale[rows].reshape(windows, length, -1, 3).all(axis=(1, 3)))
+        sound = np.asarray(sound & ~stale.any(axis=1))
     return sound
 
 
