@@ -104,7 +104,7 @@ def _sides(bins: Bins, last: int) -> Bins:
 def _joined_medians(height: Vector, bins: Bins, last: int) -> Vector:
     """At each bin the medians of the bins below and of those above, joined over log frequency (b,)."""
     joined = np.empty(len(bins))
-    for side, which, below, above, share in _beside(bins.tobytes(), len(height), last):
+    for side, which, below, above, share in _neighbourhoods(bins.tobytes(), len(height), last):
         runs = np.lib.stride_tricks.sliding_window_view(height, side)
         low, high = _median(runs[below]), _median(runs[above])
         joined[which] = low + (high - low) * share
@@ -112,7 +112,7 @@ def _joined_medians(height: Vector, bins: Bins, last: int) -> Vector:
 
 
 @lru_cache(maxsize=16)
-def _beside(bins: bytes, length: int, last: int) -> list[tuple[int, Bins, Bins, Bins, Vector]]:
+def _neighbourhoods(bins: bytes, length: int, last: int) -> list[tuple[int, Bins, Bins, Bins, Vector]]:
     """For those of the bins (their bytes) that are read off equally many neighbours: how many, which of them, where the
     neighbours below and above begin, and how far between their means over log frequency the bin itself is.
     """

@@ -64,7 +64,7 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
     (3,)
     """
     with ExitStack() as stack:
-        kept: dict[str, _Kept] = {quantity: stack.enter_context(_Kept()) for quantity in INERTIAL}
+        kept: dict[str, _ErrorSpool] = {quantity: stack.enter_context(_ErrorSpool()) for quantity in INERTIAL}
         for _, quantity, frames in _error_blocks(log, ({"": block} for block in blocks), phases):
             kept[quantity].add(frames.errors)
         return {quantity: errors.figures() for quantity, errors in kept.items() if errors.frames > 1}
@@ -173,7 +173,7 @@ def error_of(rows: Floats) -> Error:
     )
 
 
-class _Kept:
+class _ErrorSpool:
     """Errors of one quantity on the disk until it is known how many there are: memory does not grow with the log. A
     context manager.
     """

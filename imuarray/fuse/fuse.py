@@ -24,7 +24,7 @@ from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.fuse.thermal import element_temperatures
 from imuarray.fuse.told import Told, told_by
-from imuarray.fuse.watched import Watched, WatchedBefore
+from imuarray.fuse.watched import Watched, WatchedAgain
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.spelling import guess
@@ -213,19 +213,19 @@ def _smoothed(
     """Every frame by what the whole log tells: it is read twice."""
     axes, model = array.axes, array.model(warming)
     period_s = _period_s(array)
-    before: list[Pipeline[Gathered] | None] = []
+    passes: list[Pipeline[Gathered] | None] = []
 
     def making(period_s: float) -> Pipeline[Gathered]:
-        first = before[0] if before else None  # what failed is looked for, and told, once
+        first = passes[0] if passes else None  # what failed is looked for, and told, once
         if isinstance(first, Watched):
-            return WatchedBefore(Gathering(), first.left_out)
+            return WatchedAgain(Gathering(), first.left_out)
         return array.watched(Gathering(), axes, period_s)
 
     def blocks() -> Iterator[Gathered]:
         stream = FusionStream(array.groups, array.calibration, making, warming, timeout_s=float("inf"))
-        first, share = (_FIRST_PASS, 1 - _FIRST_PASS) if before else (0.0, _FIRST_PASS)
+        first, share = (_FIRST_PASS, 1 - _FIRST_PASS) if passes else (0.0, _FIRST_PASS)
         yield from _replayed(log, stream, block, lambda done: progress(first + share * done))
-        before.append(stream.pipeline)
+        passes.append(stream.pipeline)
 
     yield from smoothed(blocks, axes, model, period_s, told)
 

@@ -94,11 +94,11 @@ def write_fused(
 def _in_chunks(blocks: Iterable[FusedBlock], progress: Callable[[int], None]) -> Iterator[FusedBlock]:
     """The same frames in blocks of `_AT_ONCE`, but for the last one; `progress` hears how many have come."""
     waiting: list[FusedBlock] = []
-    count = came = 0
+    count = total = 0
     for block in blocks:
         waiting.append(block)
-        count, came = count + len(block.time), came + len(block.time)
-        progress(came)
+        count, total = count + len(block.time), total + len(block.time)
+        progress(total)
         if count >= _AT_ONCE:
             whole = FusedBlock.joined(waiting)
             for start in range(0, count - _AT_ONCE + 1, _AT_ONCE):

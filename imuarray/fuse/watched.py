@@ -88,7 +88,7 @@ class Watched(Generic[Out]):
             self._told[quantity] = len(monitor.events)
 
 
-class WatchedBefore(Generic[Out]):
+class WatchedAgain(Generic[Out]):
     """A pipeline that is given the frames of a log again, without the axes that were left out the first time."""
 
     def __init__(self, inner: Pipeline[Out], left_out: Mapping[str, LeftOut]) -> None:
