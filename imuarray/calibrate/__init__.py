@@ -7,8 +7,9 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from imuarray.calibrate.cancellation import Cancellation, cancellation  # a function that hides its module
+
 if TYPE_CHECKING:
-    from imuarray.calibrate.cancellation import Cancellation, cancellation
     from imuarray.calibrate.disturbed import LeftOut
     from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
     from imuarray.calibrate.noise import calibrate_noise
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "Calibration": "model",
-    "Cancellation": "cancellation",
     "LeftOut": "disturbed",
     "SensorCalibration": "model",
     "ThermalResult": "thermal",
@@ -31,7 +31,6 @@ _PUBLIC = {
     "calibrate_thermal": "thermal",
     "calibrate_tumble": "tumble",
     "calibrate_turn_on": "turn_on",
-    "cancellation": "cancellation",
     "holm": "turn_on",
     "load_calibration": "stored",
     "nominal": "model",
@@ -61,6 +60,4 @@ def __getattr__(name: str) -> Any:
     """Import a public name on first use."""
     if name not in _PUBLIC:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
-    globals()[name] = found  # `cancellation` is a module as well, which importing it makes an attribute
-    return found
+    return getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)
