@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -36,6 +37,12 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Every command and the line that `--help` shows; the module `imuarray.commands.<name>` holds it as `command`."""
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""How many threads the usual libraries of linear algebra start: one is faster for the matrices here, which have a
+hundred rows and fewer (several wait for each other longer than they work), and the same bits come out on every machine.
+They read it when numpy is imported; whoever has set it knows better.
+"""
 
 _MODULES = {"import": "imuarray.commands.import_"}
 
@@ -99,6 +106,8 @@ def program(context: click.Context) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; what it returns is the exit code."""
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
     return run(program, "imuarray", arguments)
 
 

@@ -1,15 +1,43 @@
-"""From counts to parameters of each sensor, and the file that keeps them."""
+"""From counts to parameters of each sensor, and the file that keeps them. The names below are loaded when first used:
+SciPy takes its time.
+"""
 
-from imuarray.calibrate.cancellation import Cancellation, cancellation
-from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations
-from imuarray.calibrate.disturbed import LeftOut
-from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
-from imuarray.calibrate.noise import calibrate_noise
-from imuarray.calibrate.stored import load_calibration
-from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
-from imuarray.calibrate.tumble import Tumble, calibrate_tumble
-from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, holm
-from imuarray.calibrate.turns import TurnFit
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from imuarray.calibrate.cancellation import Cancellation, cancellation  # a function that hides its module
+
+if TYPE_CHECKING:
+    from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations
+    from imuarray.calibrate.disturbed import LeftOut
+    from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
+    from imuarray.calibrate.noise import calibrate_noise
+    from imuarray.calibrate.stored import load_calibration
+    from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
+    from imuarray.calibrate.tumble import Tumble, calibrate_tumble
+    from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, holm
+    from imuarray.calibrate.turns import TurnFit
+
+_PUBLIC = {
+    "Calibration": "model",
+    "CalibrationComparison": "comparison",
+    "LeftOut": "disturbed",
+    "SensorCalibration": "model",
+    "ThermalResult": "thermal",
+    "Tumble": "tumble",
+    "TurnFit": "turns",
+    "TurnOnResult": "turn_on",
+    "calibrate_noise": "noise",
+    "calibrate_thermal": "thermal",
+    "calibrate_tumble": "tumble",
+    "calibrate_turn_on": "turn_on",
+    "compare_calibrations": "comparison",
+    "holm": "turn_on",
+    "load_calibration": "stored",
+    "nominal": "model",
+}
 
 __all__ = [
     "Calibration",
@@ -31,3 +59,10 @@ __all__ = [
     "load_calibration",
     "nominal",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_PUBLIC[name]}"), name)

@@ -11,7 +11,7 @@ from math import nan, sqrt
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import binom, norm
+from scipy.special import betainc, ndtr
 
 Codes = npt.NDArray[np.int64]
 
@@ -141,7 +141,7 @@ def code_density(seen: Histogram, span: tuple[int, int] | None = None) -> CodeDe
     step = _step(seen.codes)
     usual = usual_step(seen)
     even_share = float(seen.counts[seen.codes % 2 == 0].sum()) / readings
-    even_p = 2 * float(norm.sf(abs(2 * even_share - 1) * sqrt(readings))) if std >= NARROW else nan
+    even_p = 2 * float(ndtr(-abs(2 * even_share - 1) * sqrt(readings))) if std >= NARROW else nan
     gaps, missing = _missing(seen, usual)
     low, high = _end(seen, 0, usual, std), _end(seen, -1, -usual, std)
     beyond = nan if span is None else float(seen.counts[(seen.codes <= span[0]) | (seen.codes >= span[1])].sum())
@@ -209,5 +209,12 @@ def _end(seen: Histogram, at: int, inwards: int, std: float) -> End:
     p_value = nan
     if inwards and std >= NARROW * abs(inwards):
         beside = int(seen.counts[seen.codes == code + inwards].sum())
-        p_value = float(binom.sf(count - 1, count + beside, 0.5))
+        p_value = _at_least(count, count + beside)
     return End(code, count / int(seen.counts.sum()), p_value)
+
+
+def _at_least(successes: int, trials: int) -> float:
+    """The probability of so many heads or more in fair throws: the regularised incomplete beta function (NIST DLMF
+    8.17.5).
+    """
+    return float(betainc(successes, trials - successes + 1, 0.5)) if successes > 0 else 1.0

@@ -136,12 +136,12 @@ def _is_narrow(power: Vector, floor: NoiseFloor, at: int, false_alarm: float) ->
     Of noise with the square root of a bin's chance: so weak a condition costs few lines, and doubts nearly no peak
     where the floor is right.
     """
-    from scipy.stats import f  # its weight is for those who ask
+    from scipy.special import fdtri  # the inverse of Fisher's F without the weight of scipy.stats
 
     beside = float(_reflected(power, int(floor.bins[at]) + _BESIDE).mean())
     freedom = float(floor.spectrum_freedom[at])
     chance = sqrt(false_alarm / len(floor.bins))
-    return bool(power[floor.bins[at]] > beside * f.isf(chance, freedom, len(_BESIDE) * freedom))
+    return bool(power[floor.bins[at]] > beside * fdtri(freedom, len(_BESIDE) * freedom, 1 - chance))
 
 
 def _tilt(power: Vector, bin_: int) -> float:

@@ -67,11 +67,13 @@ class Spectrum:
         """Ends (m, k) of the interval that holds the true density with `confidence`: freedom * estimate / truth is
         chi-squared.
         """
-        from scipy.stats import chi2  # its weight is for those who ask
+        from scipy.special import chdtri, gammaincinv  # inverse chi-squared without the weight of scipy.stats
 
         freedom = self.freedom[:, np.newaxis]
         tail = (1 - confidence) / 2
-        return self.density * freedom / chi2.isf(tail, freedom), self.density * freedom / chi2.ppf(tail, freedom)
+        return self.density * freedom / chdtri(freedom, tail), self.density * freedom / (
+            2 * gammaincinv(freedom / 2, tail)
+        )
 
 
 class Welch:

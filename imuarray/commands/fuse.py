@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from imuarray.fuse import Error, FaultEvent, FusedBlock, Told
     from imuarray.log import Log
 
+_STEPS = 1000
+"""Of a bar."""
+
 _NOTHING = {
     "opposed": "nothing on this array: where a design's axes point both ways, as many do each way, and balance",
     "planes": "nothing on this array: in-plane and out-of-plane axes of a design err too much alike",
@@ -149,13 +152,23 @@ class _Work:
         technique: str,
         found: Callable[[FaultEvent], None] = lambda event: None,
         told: Callable[[Told], None] = lambda told: None,
+        progress: Callable[[float], None] = lambda share: None,
     ) -> Iterator[FusedBlock]:
         """The result; `found` hears of sensors that fail, `told` what the technique has to say at the end."""
         from imuarray.chips import CHIPS
         from imuarray.fuse import Watch, fuse
 
         watch = Watch(self.watch, {name: chip.sensitivity for name, chip in CHIPS.items()}, found)
-        return fuse(self.log, self.calibration, technique, only=self.names, causal=self.causal, watch=watch, told=told)
+        return fuse(
+            self.log,
+            self.calibration,
+            technique,
+            only=self.names,
+            causal=self.causal,
+            watch=watch,
+            told=told,
+            progress=progress,
+        )
 
 
 def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], Told]:
@@ -165,11 +178,10 @@ def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[
     log, technique = work.log, work.technique
     events: list[FaultEvent] = []
     told: list[Told] = []
-    rows = max(len(sensor) for sensor in log.sensors.values())
-    with progress(rows, technique) as done:
+    with progress(_STEPS, technique) as done:
         frames = write_fused(
             output,
-            work.fused(technique, events.append, told.append),
+            work.fused(technique, events.append, told.append, lambda share: done(int(share * _STEPS))),
             epoch=log.epoch,
             technique=technique,
             log=str(log.path),
@@ -177,7 +189,6 @@ def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[
             sensors=_sensors(log, work.names),
             events=events,
             force=force,
-            progress=done,
         )
     results = {} if technique == "mean" else {"mean": _result(log, work.fused("mean"))}
     results[technique] = _result(log, read_fused(output))

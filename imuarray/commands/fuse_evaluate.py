@@ -19,18 +19,17 @@ if TYPE_CHECKING:
     from imuarray.log import Log
 
 
+_STEPS = 1000
+"""Of a bar."""
+
+
 def evaluated(log: Log, calibration: Calibration, names: Sequence[str]) -> dict[str, Any]:
     """All techniques on a log (with these sensors, if any are named), JSON-ready; a bar on standard error."""
-    from imuarray.fuse import compare, technique_names
+    from imuarray.fuse import compare
 
-    begun: list[str] = []
-    with progress(len(technique_names()), "techniques") as done:
-
-        def heard(technique: str) -> None:
-            done(len(begun))
-            begun.append(technique)
-
-        return report_of(compare(log, calibration, only=names, heard=heard))
+    with progress(_STEPS, "techniques") as done:
+        found = compare(log, calibration, only=names, progress=lambda share: done(int(share * _STEPS)))
+    return report_of(found)
 
 
 def report_of(found: Comparison) -> dict[str, Any]:

@@ -8,6 +8,9 @@ import click
 
 from imuarray.commands.options import force_option, json_option, print_json, progress, refuse_existing
 
+_STEPS = 1000
+"""Of a bar."""
+
 
 @click.command("report")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
@@ -29,8 +32,9 @@ def command(files: tuple[Path, ...], output: Path, title: str, force: bool, as_j
     for path in files:
         refuse_existing(output, force, source=path if path.is_file() else None)
         kind_of(path)
-    with progress(len(set(files)), "report") as done:
-        kinds = write_report(files, output, title=title, force=force, progress=done)
+    with progress(_STEPS, "report") as done:
+        moved = lambda share: done(int(share * _STEPS))  # noqa: E731
+        kinds = write_report(files, output, title=title, force=force, progress=moved)
     if as_json:
         print_json({"report": str(output), "files": kinds})
     else:

@@ -1,17 +1,23 @@
 """MCAP, which Foxglove opens: a channel for each sensor, events and phases, in the order of their times.
 
-Topics: /sensors/NAME, /fused, /truth, /reference, /events, /phases. Messages are written as they come, in chunks that
-are compressed one by one: memory doesn't grow with the log. Their kinds are `imuarray.export.mcap_schemas`.
+Topics: /sensors/NAME, /fused, /truth, /reference, /events, /phases. Messages are made and written in blocks of rows, in
+chunks that are compressed one by one: memory doesn't grow with the log. Their kinds are `imuarray.export.mcap_schemas`.
+
+A message is a form that all rows share in which the same values are known, and the values' texts: of equal length
+within a block, as JSON lets spaces stand before and after a number, so that numpy puts the rows together.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from heapq import merge
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from imuarray import __version__
 from imuarray.atomic import whole_file
@@ -19,12 +25,12 @@ from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import mcap_schemas as schemas
 from imuarray.export.content import open_content
 from imuarray.export.formats import Exported, Progress, Wanted
-from imuarray.export.tables import Content, Meter, Table
+from imuarray.export.tables import Column, Content, Meter, Table
 
 if TYPE_CHECKING:
-    from mcap.writer import Writer
+    from imuarray.export.mcap_container import Container
 
-_BLOCK = 1 << 11
+_BLOCK = 1 << 12
 """Rows of each table that are held at once."""
 _CHUNK_BYTES = 1 << 20
 """Messages that are packed together: what must be read to see one of them."""
@@ -33,14 +39,52 @@ _HARMLESS = frozenset({"imported", "simulated", "back", "recovered"})
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_NS = 2**63
 
+Times = npt.NDArray[np.int64]
+Texts = npt.NDArray[np.uint8]
 
-class _Message(NamedTuple):
-    """When, of which channel, the how many-th of it, what."""
+_STAND_IN_NS = 1234567890_987654321
+"""A time in a form: its seconds and nanoseconds stand for those of the rows."""
+_SECONDS, _NANOSECONDS = _STAND_IN_NS // 10**9, _STAND_IN_NS % 10**9
+_STAND_IN = re.compile(rf"(?<=:){_SECONDS}(?=,)|(?<=:){_NANOSECONDS}(?=}})|7\.(\d{{5}})1e-301")
+"""Those, and the numbers that stand for cells in a form: no text of a message holds the like."""
 
-    time_ns: int
-    channel: int
-    sequence: int
-    value: Mapping[str, Any]
+
+class _Rows(NamedTuple):
+    """Messages of one channel in the order of their times: when (n,) ns, and each with its head."""
+
+    time_ns: Times
+    messages: list[bytes]
+
+
+class _Stream:
+    """The messages of one channel, a block of rows at a time."""
+
+    def __init__(self, channel: int, blocks: Iterator[_Rows]) -> None:
+        self.channel, self._blocks = channel, blocks
+        self.waiting = _Rows(np.zeros(0, np.int64), [])
+        self._last = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether all of them were taken."""
+        return self._last and not len(self.waiting.time_ns)
+
+    def fill(self) -> None:
+        """Have many rows waiting: what is merged at once ends where the first stream does."""
+        while not self._last and len(self.waiting.time_ns) < _BLOCK:
+            block = next(self._blocks, None)
+            if block is None:
+                self._last = True
+                continue
+            time_ns = np.concatenate([self.waiting.time_ns, block.time_ns])
+            self.waiting = _Rows(time_ns, self.waiting.messages + block.messages)
+
+    def take(self, until_ns: int) -> _Rows:
+        """Those that wait up to a time."""
+        count = int(np.searchsorted(self.waiting.time_ns, until_ns, "right"))
+        time_ns, messages = self.waiting
+        self.waiting = _Rows(time_ns[count:], messages[count:])
+        return _Rows(time_ns[:count], messages[:count])
 
 
 def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Exported:
@@ -48,23 +92,49 @@ def write(wanted: Wanted, path: Path, force: bool, progress: Progress) -> Export
     ExportError for an epoch that is no date.
     """
     try:
-        from mcap.writer import Writer
+        import mcap.writer  # noqa: F401
+
+        from imuarray.export.mcap_container import Container
     except ImportError:
         raise MissingExtraError("mcap", "export") from None
     with open_content(wanted, "si") as content:
         zero_ns = epoch_ns(content.epoch, path)
         with whole_file(path, force=force) as draft, draft.open("wb") as file:
-            writer = Writer(file, chunk_size=_CHUNK_BYTES)
-            writer.start(library=f"imuarray {__version__}")
-            _say(writer, content)
-            streams = _streams(writer, content, zero_ns, Meter(content, progress))
-            for one in merge(*streams, key=lambda message: message.time_ns):
-                if not 0 <= one.time_ns < _LAST_NS:
-                    raise ExportError(f"{wanted.source}: a row of {one.time_ns} ns since 1970; MCAP has no such times")
-                data = json.dumps(one.value, allow_nan=False, separators=(",", ":")).encode()
-                writer.add_message(one.channel, one.time_ns, data, one.time_ns, one.sequence)
-            writer.finish()  # type: ignore[no-untyped-call]
+            container = Container(file, f"imuarray {__version__}")
+            _say(container, content)
+            _merge(container, _streams(container, content, zero_ns, Meter(content, progress)), str(wanted.source))
+            container.finish()
         return content.exported(path)
+
+
+def _merge(container: Container, streams: Sequence[_Stream], source: str) -> None:
+    """Write all messages in the order of their times; of equal times that of the first stream first. ExportError for a
+    time that MCAP does not have.
+    """
+    while True:
+        for stream in streams:
+            stream.fill()
+        going = [stream for stream in streams if not stream.ended]
+        if not going:
+            return
+        until_ns = min(int(stream.waiting.time_ns[-1]) for stream in going)
+        parts = [stream.take(until_ns) for stream in going]
+        channels = np.repeat([stream.channel for stream in going], [len(part.messages) for part in parts])
+        time_ns = np.concatenate([part.time_ns for part in parts])
+        order = np.argsort(time_ns, kind="stable")
+        time_ns, channels = time_ns[order], channels[order]
+        if time_ns[0] < 0:
+            raise ExportError(f"{source}: a row of {time_ns[0]} ns since 1970; MCAP has no such times")
+        messages = [message for part in parts for message in part.messages]
+        messages = [messages[index] for index in order.tolist()]
+        ends = np.cumsum(np.fromiter(map(len, messages), np.int64, len(messages)))
+        first = 0
+        while first < len(messages):
+            begin = int(ends[first - 1]) if first else 0
+            last = min(int(np.searchsorted(ends, begin + _CHUNK_BYTES)) + 1, len(messages))
+            part, offsets = slice(first, last), np.concatenate([[0], ends[first : last - 1] - begin])
+            container.chunk(b"".join(messages[part]), channels[part], time_ns[part], offsets)
+            first = last
 
 
 def epoch_ns(epoch: str, path: Path) -> int:
@@ -77,15 +147,14 @@ def epoch_ns(epoch: str, path: Path) -> int:
     return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
 
 
-def _say(writer: Writer, content: Content) -> None:
+def _say(container: Container, content: Content) -> None:
     """What is known of the whole: its head as metadata, the array's configuration as the file that it was."""
-    head = {name: str(value) for name, value in content.head.items() if name != "config"}
-    writer.add_metadata("imuarray", head)
+    container.metadata("imuarray", {name: str(value) for name, value in content.head.items() if name != "config"})
     if config := content.head.get("config"):
-        writer.add_attachment(0, 0, "array.toml", "application/toml", str(config).encode())
+        container.attachment("array.toml", "application/toml", str(config).encode())
 
 
-def _streams(writer: Writer, content: Content, zero_ns: int, meter: Meter) -> list[Iterator[_Message]]:
+def _streams(container: Container, content: Content, zero_ns: int, meter: Meter) -> list[_Stream]:
     """Messages of each channel, in the order of their times."""
     streams = []
     for table in content.tables:
@@ -94,12 +163,13 @@ def _streams(writer: Writer, content: Content, zero_ns: int, meter: Meter) -> li
                 name: value if isinstance(value, str) else json.dumps(value) for name, value in table.about.items()
             }
             kind = schemas.imu_schema() if schemas.is_imu(table) else schemas.table_schema(table)
-            channel = _channel(writer, f"/{table.name}", kind, about)
-            streams.append(_rows(table, channel, zero_ns, _frame(content), meter))
+            channel = _channel(container, f"/{table.name}", kind, about)
+            streams.append(_Stream(channel, _rows(table, channel, zero_ns, _frame(content), meter)))
     if content.events or content.phases:
         kind = schemas.log_schema()
-        streams.append(_events(content, _channel(writer, "/events", kind, {}), zero_ns))
-        streams.append(_phases(content, _channel(writer, "/phases", kind, {}), zero_ns))
+        for topic, said in (("/events", _events(content)), ("/phases", _phases(content))):
+            channel = _channel(container, topic, kind, {})
+            streams.append(_Stream(channel, _entries(said, channel, zero_ns)))
     return streams
 
 
@@ -108,41 +178,153 @@ def _frame(content: Content) -> str:
     return "sensor" if content.units == "counts" else "box"
 
 
-def _channel(writer: Writer, topic: str, schema: Mapping[str, Any], about: dict[str, str]) -> int:
-    kind = writer.register_schema(str(schema["title"]), "jsonschema", json.dumps(schema).encode())
-    return writer.register_channel(topic, "json", kind, about)
+def _channel(container: Container, topic: str, schema: Mapping[str, Any], about: dict[str, str]) -> int:
+    kind = container.schema(str(schema["title"]), json.dumps(schema).encode())
+    return container.channel(topic, kind, about)
 
 
-def _rows(table: Table, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_Message]:
+def _rows(table: Table, channel: int, zero_ns: int, frame: str, meter: Meter) -> Iterator[_Rows]:
     """The rows of a table as messages."""
     columns = table.columns[1:]
-    names = [column.name for column in columns]
-    message: Callable[[int, list[Any]], dict[str, Any]]
+    message: Callable[[Sequence[Any]], dict[str, Any]]
     if schemas.is_imu(table):
-        message = lambda at_ns, row: schemas.imu_message(at_ns, dict(zip(names, row, strict=True)))  # noqa: E731
+        names = [column.name for column in columns]
+        message = lambda row: schemas.imu_message(_STAND_IN_NS, dict(zip(names, row, strict=True)))  # noqa: E731
     else:
-        message = lambda at_ns, row: schemas.table_message(at_ns, frame, columns, row)  # noqa: E731
+        message = lambda row: schemas.table_message(_STAND_IN_NS, frame, columns, row)  # noqa: E731
     for rows in table.blocks(_BLOCK):
-        times = (table.columns[0].read(rows) + zero_ns).tolist()
-        values = zip(*(column.read(rows).tolist() for column in columns), strict=True)
-        for number, (at_ns, row) in enumerate(zip(times, values, strict=True), rows.start):
-            yield _Message(at_ns, channel, number & 0xFFFF_FFFF, message(at_ns, list(row)))
+        time_ns = np.asarray(table.columns[0].read(rows) + zero_ns, np.int64)
+        cells = [np.asarray(column.read(rows)).reshape(len(time_ns), -1) for column in columns]
+        finite = np.stack([np.isfinite(cell).all(axis=1) for cell in cells], axis=1)
+        sequence = np.arange(rows.start, rows.stop) & 0xFFFF_FFFF
+        made: list[bytes] = [b""] * len(time_ns)
+        patterns, which = np.unique(finite, axis=0, return_inverse=True)
+        for number, there in enumerate(patterns):
+            chosen = np.flatnonzero(which.reshape(-1) == number)
+            form = _form(message, columns, there.tolist())
+            texts = _filled(form, time_ns[chosen], [cell[chosen] for cell in cells])
+            own = _with_heads(texts, channel, sequence[chosen], time_ns[chosen])
+            if len(patterns) == 1:
+                made = own
+            else:
+                for place, text in zip(chosen.tolist(), own, strict=True):
+                    made[place] = text
+        if (np.diff(time_ns) < 0).any():  # whoever wrote that, its messages are in order
+            order = np.argsort(time_ns, kind="stable")
+            time_ns, made = time_ns[order], [made[index] for index in order.tolist()]
+        yield _Rows(time_ns, made)
         meter.add(rows.stop - rows.start, len(table.columns))
 
 
-def _events(content: Content, channel: int, zero_ns: int) -> Iterator[_Message]:
+def _form(
+    message: Callable[[Sequence[Any]], dict[str, Any]], columns: Sequence[Column], there: Sequence[bool]
+) -> list[bytes | int]:
+    """The form of messages in which the columns that are `there` have values: texts, and between them -2 where the
+    seconds, -1 where the nanoseconds stand, else the number of a cell, counted through all columns.
+    """
+    row, number = [], 0
+    for column, known in zip(columns, there, strict=True):
+        count = max(1, len(column.cells))
+        numbers = [float(f"7.{number + cell:05d}1e-301") if known else np.nan for cell in range(count)]
+        row.append(numbers if column.cells else numbers[0])
+        number += count
+    text = json.dumps(message(row), allow_nan=False, separators=(",", ":"))
+    form: list[bytes | int] = []
+    end = 0
+    for found in _STAND_IN.finditer(text):
+        form.append(text[end : found.start()].encode())
+        form.append(int(found[1]) if found[1] else -2 if found[0] == str(_SECONDS) else -1)
+        end = found.end()
+    return [*form, text[end:].encode()]
+
+
+def _filled(form: Sequence[bytes | int], time_ns: Times, columns: Sequence[npt.NDArray[Any]]) -> Texts:
+    """(n, l) messages by their form, at times (n,), from columns (n, cells)."""
+    cells = [cell for column in columns for cell in column.T]
+    parts: list[Texts] = []
+    made: dict[int, Texts] = {}
+    for part in form:
+        if isinstance(part, bytes):
+            parts.append(np.broadcast_to(np.frombuffer(part, np.uint8), (len(time_ns), len(part))))
+            continue
+        if part not in made:
+            made[part] = (
+                _digits(time_ns // 10**9 if part == -2 else time_ns % 10**9) if part < 0 else _texts(cells[part])
+            )
+        parts.append(made[part])
+    return np.concatenate(parts, axis=1)
+
+
+def _digits(values: Times) -> Texts:
+    """(n, w) integers from 0 as text, with spaces before them."""
+    width = len(str(int(values.max(initial=0))))
+    powers = 10 ** np.arange(width - 1, -1, -1)
+    texts = np.asarray(values[:, None] // powers % 10 + ord("0"), np.uint8)
+    texts[:, :-1][values[:, None] < powers[:-1]] = ord(" ")
+    return texts
+
+
+def _texts(values: npt.NDArray[Any]) -> Texts:
+    """(n, w) numbers as JSON, with spaces behind them; a number that is there often is spelled once."""
+    if len(values) and (values == values[0]).all() and values[0] != 0:
+        text = np.frombuffer(json.dumps(values[0].item()).encode(), np.uint8)
+        return np.broadcast_to(text, (len(values), len(text)))
+    is_float = values.dtype == np.float64
+    bits = np.ascontiguousarray(values).view(np.int64) if is_float else values  # -0.0 is another number than 0.0
+    different, which = np.unique(bits, return_inverse=True)
+    numbers = (different.view(np.float64) if is_float else different).tolist()
+    table = np.array(json.dumps(numbers, separators=(",", ":"))[1:-1].encode().split(b","))
+    texts = table.view(np.uint8).reshape(len(table), -1)
+    return np.asarray(np.where(texts == 0, ord(" "), texts).astype(np.uint8)[which.reshape(-1)])
+
+
+def _with_heads(texts: Texts, channel: int, sequence: Times, time_ns: Times) -> list[bytes]:
+    """Equally long messages (n, l), each with its head."""
+    from imuarray.export.mcap_container import message_heads
+
+    heads = message_heads(channel, sequence, time_ns, texts.shape[1])
+    whole = np.concatenate([heads.view(np.uint8).reshape(len(texts), -1), texts], axis=1)
+    content, length = whole.tobytes(), whole.shape[1]
+    return [content[start : start + length] for start in range(0, len(content), length)]
+
+
+class _Entry(NamedTuple):
+    """A line for the log panel."""
+
+    time_ns: int
+    level: str
+    name: str
+    text: str
+
+
+def _entries(said: Sequence[_Entry], channel: int, zero_ns: int) -> Iterator[_Rows]:
+    """Lines in the order of their times, each message by itself; no rows where there are no lines."""
+    if not said:
+        return
+    time_ns = np.array([entry.time_ns + zero_ns for entry in said], np.int64)
+    messages: list[bytes] = []
+    for number, entry in enumerate(said):
+        value = schemas.log_message(int(time_ns[number]), entry.level, entry.name, entry.text)
+        text = np.frombuffer(json.dumps(value, allow_nan=False, separators=(",", ":")).encode(), np.uint8)
+        messages += _with_heads(text[None], channel, np.array([number]), time_ns[number : number + 1])
+    yield _Rows(time_ns, messages)
+
+
+def _events(content: Content) -> list[_Entry]:
     ordered = sorted(content.events, key=lambda event: event.time_ns)
-    for number, event in enumerate(ordered):
-        at_ns = event.time_ns + zero_ns
-        level = "INFO" if event.kind in _HARMLESS else "WARNING"
-        said = f"{event.kind}: {event.message}"
-        yield _Message(at_ns, channel, number, schemas.log_message(at_ns, level, event.sensor or "array", said))
+    return [
+        _Entry(
+            event.time_ns,
+            "INFO" if event.kind in _HARMLESS else "WARNING",
+            event.sensor or "array",
+            f"{event.kind}: {event.message}",
+        )
+        for event in ordered
+    ]
 
 
-def _phases(content: Content, channel: int, zero_ns: int) -> Iterator[_Message]:
+def _phases(content: Content) -> list[_Entry]:
     """A line where each phase begins, and one where it ends."""
     said = [(one.start_ns, f"{one.name} begins{f', {one.up} up' if one.up else ''}") for one in content.phases]
     said += [(one.end_ns, f"{one.name} ends") for one in content.phases]
-    for number, (time_ns, text) in enumerate(sorted(said)):
-        at_ns = time_ns + zero_ns
-        yield _Message(at_ns, channel, number, schemas.log_message(at_ns, "INFO", "phase", text))
+    return [_Entry(time_ns, "INFO", "phase", text) for time_ns, text in sorted(said)]

@@ -17,13 +17,15 @@ stood upright.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import cumulative_trapezoid, trapezoid
-from scipy.spatial.transform import Rotation
 
 from imuarray.units import STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -107,6 +109,8 @@ def propagated(
     """Tilt (3,) in rad and velocity (3,) in m/s that errors less their offsets grow to, in the box frame of the first
     frame.
     """
+    from scipy.integrate import cumulative_trapezoid, trapezoid  # their weight is for those who ask
+
     seconds = (errors.time - errors.time[0]) * 1e-9
     attitude = _attitudes(seconds, errors.rate)
     turned = attitude.apply(errors.rate_error - rate_offset)
@@ -120,6 +124,8 @@ def _attitudes(seconds: Floats, rate: Floats) -> Rotation:
 
     Products of the steps between frames, all prefixes at once by doubling (Hillis and Steele, 1986).
     """
+    from scipy.spatial.transform import Rotation
+
     middle = (rate[1:] + rate[:-1]) / 2 * np.diff(seconds)[:, None]
     turns = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), middle]))
     if not rate.any():

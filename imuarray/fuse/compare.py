@@ -16,12 +16,14 @@ from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.coasting import Coasting, Errors, coasting
 from imuarray.fuse.consistency import Consistency, consistency
-from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of
-from imuarray.fuse.fuse import NAMES, fuse
+from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, errors_together
+from imuarray.fuse.fuse import AVERAGE, NAMES, Progress, fuse, fuse_together
 from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
+from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Log
 
-AVERAGE = "mean"
+_HEAVY = 5.0
+"""By how much longer an estimator of the whole array takes than all simple techniques together."""
 
 AXES = ("X", "Y", "Z", "XYZ")
 """Box axes of a ratio; "XYZ" is the length of the error."""
@@ -60,24 +62,46 @@ def compare(
     *,
     only: Collection[str] = (),
     heard: Callable[[str], None] = lambda technique: None,
+    progress: Progress = lambda share: None,
 ) -> Comparison:
     """`techniques` (all of them, if none is named) on `log`, with `only` these sensors if any are named.
 
-    `heard` is told which one begins. FusionError without a truth, or with too few frames.
+    `heard` is told which one begins, `progress` what share of the work is done. FusionError without a truth, or with
+    too few frames.
     """
 
-    def errors(technique: str) -> dict[str, ErrorFrames]:
+    wanted = list(dict.fromkeys((AVERAGE, *(techniques or technique_names()))))
+    each_alone = [technique for technique in wanted if technique in TECHNIQUES]
+    for technique in each_alone:
         heard(technique)
-        return error_frames(log, fuse(log, calibration, technique, only=only))
-
-    average = errors(AVERAGE)
+    parts = _Parts(progress, [1.0, *(_HEAVY for technique in wanted if technique not in TECHNIQUES)])
+    together = fuse_together(log, calibration, each_alone, only=only, progress=parts.next())
+    errors = errors_together(log, together, each_alone)
+    average = errors[AVERAGE]
     scores, coasts = [], {}
     for technique in techniques or technique_names():
-        found = average if technique == AVERAGE else errors(technique)
+        if technique not in errors:
+            heard(technique)
+            errors[technique] = error_frames(log, fuse(log, calibration, technique, only=only, progress=parts.next()))
+        found = errors[technique]
         scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in found.items()]
         if len(found) == 2:
             coasts[technique] = coasting(both(found))
     return Comparison(tuple(scores), coasts)
+
+
+class _Parts:
+    """Progress of work in parts of these weights."""
+
+    def __init__(self, progress: Progress, weights: Sequence[float]) -> None:
+        self._progress, self._done = progress, 0.0
+        self._weights = iter([weight / sum(weights) for weight in weights])
+
+    def next(self) -> Progress:
+        """That of the next part."""
+        begin, weight = self._done, next(self._weights)
+        self._done += weight
+        return lambda share: self._progress(begin + weight * share)
 
 
 def both(found: Mapping[str, ErrorFrames]) -> Errors:

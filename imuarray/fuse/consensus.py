@@ -48,7 +48,7 @@ def consensus(values: Floats, valid: Flags, rows: Floats, quantity: str) -> Floa
 def _limited(values: Floats, valid: Flags, whole: Flags, rows: Floats, tolerated: float) -> Floats:
     """(n, 3) the mean of the readings when the differences of sensors from their median are limited."""
     back = np.linalg.inv(rows.reshape(-1, 3, 3))
-    triads = np.einsum("sij,nsj->nsi", back, values.reshape(len(values), -1, 3))
+    triads = np.matmul(values.reshape(len(values), -1, 1, 3), back.transpose(0, 2, 1))[:, :, 0]
     middle = _medians(np.where(whole[:, :, None], triads, np.nan))
     apart = values - middle @ rows.T
     usual = _medians(np.where(valid, np.abs(apart), np.nan))
@@ -60,6 +60,10 @@ def _limited(values: Floats, valid: Flags, whole: Flags, rows: Floats, tolerated
 
 def _medians(values: Floats) -> Floats:
     """Medians along the second axis of what is not NaN."""
-    ordered, known = np.sort(values, axis=1), np.isfinite(values).sum(axis=1, keepdims=True)
+    ordered = np.sort(values, axis=1)
+    if np.isfinite(ordered[:, -1]).all():  # NaN is sorted behind all others
+        count = values.shape[1]
+        return np.asarray((ordered[:, (count - 1) // 2] + ordered[:, count // 2]) / 2)
+    known = np.isfinite(values).sum(axis=1, keepdims=True)
     low, high = (np.take_along_axis(ordered, middle, axis=1) for middle in ((known - 1) // 2, known // 2))
     return np.asarray((low + high)[:, 0] / 2)

@@ -41,7 +41,7 @@ class Consistency:
 
 def consistency(errors: Floats, covariances: Floats) -> Consistency | None:
     """Of errors (n, 3) with covariances (n, 6) (`frames.ENTRIES`); None where fewer than twenty have one."""
-    from scipy.stats import chi2  # its weight is for those who ask
+    from scipy.special import gammaincinv  # the inverse chi-squared distribution without the weight of scipy.stats
 
     known = np.flatnonzero(np.isfinite(covariances).all(axis=1) & np.isfinite(errors).all(axis=1))
     known = known[np.linalg.det(matrices(covariances[known])) > 0]
@@ -51,7 +51,7 @@ def consistency(errors: Floats, covariances: Floats) -> Consistency | None:
     white = np.linalg.solve(factors, errors[known][:, :, None])[:, :, 0]
     normalised = float(np.mean(white**2))
     freedom = _freedom(white)
-    low, high = chi2.ppf([0.025, 0.975], freedom) / freedom
+    low, high = 2 * gammaincinv(freedom / 2, [0.025, 0.975]) / freedom
     return Consistency(normalised, float(low), float(high), freedom)
 
 
@@ -61,12 +61,17 @@ def _freedom(white: Floats) -> float:
     Lags up to half the length are added up one by one, less what chance makes of them; beyond they are as large as
     from a quarter of the length to half of it.
     """
+    from scipy.fft import next_fast_len
+
     rows, half = len(white), len(white) // 2
-    spectra = np.fft.rfft(white / np.sqrt(np.mean(white**2)), 2 * rows, axis=0)
+    size = next_fast_len(2 * rows, real=True)
+    spectra = np.fft.rfft((white / np.sqrt(np.mean(white**2))).T, size)
     share = 1 - np.arange(1, half + 1) / rows
     squares = -9 / (rows * share)
-    for one, other in np.ndindex(3, 3):
-        lagged = np.fft.irfft(spectra[:, one].conj() * spectra[:, other])[1 : half + 1] / rows
-        squares += (lagged / share) ** 2
+    for one, other in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        lagged = np.fft.irfft(spectra[one].conj() * spectra[other], size) / rows
+        squares += (lagged[1 : half + 1] / share) ** 2
+        if one != other:  # the other way round
+            squares += (lagged[: -half - 1 : -1] / share) ** 2
     remembered = share @ squares + rows / 8 * squares[half // 2 :].mean()
     return float(np.clip(18 / (2 / rows * (3 + 2 * max(remembered, 0.0))), 1.0, 3 * rows))

@@ -4,8 +4,12 @@ reference.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, fields
+from itertools import pairwise
+from tempfile import TemporaryFile
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +25,14 @@ Floats = npt.NDArray[np.float64]
 
 SEGMENT = 256
 """Frames of one segment of `quiet_noise`."""
+
+_SLOW_MEANS = 16
+"""Of whose spread drift is told."""
+
+_AT_ONCE = 1 << 15
+"""Errors that are read at once."""
+
+_ROW_BYTES = 24
 
 _MARGIN = 32
 """Rows of truth on either side of a block, so that the spline does not depend on where blocks end."""
@@ -51,8 +63,11 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
     >>> errors["specific_force"].rms.shape  # along x, y and z of the box
     (3,)
     """
-    errors = errors_of(log, blocks, phases)
-    return {quantity: error_of(rows) for quantity, (_, rows) in errors.items() if len(rows) > 1}
+    with ExitStack() as stack:
+        kept: dict[str, _ErrorSpool] = {quantity: stack.enter_context(_ErrorSpool()) for quantity in INERTIAL}
+        for _, quantity, frames in _error_blocks(log, ({"": block} for block in blocks), phases):
+            kept[quantity].add(frames.errors)
+        return {quantity: errors.figures() for quantity, errors in kept.items() if errors.frames > 1}
 
 
 def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
@@ -102,22 +117,45 @@ def errors_of(
 
 def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, ErrorFrames]:
     """The same with the truth and the covariances."""
+    return errors_together(log, ({"": block} for block in blocks), ("",), phases)[""]
+
+
+def errors_together(
+    log: Log, blocks: Iterable[Mapping[str, FusedBlock]], techniques: Sequence[str], phases: Iterable[Phase] = ()
+) -> dict[str, dict[str, ErrorFrames]]:
+    """The same of several results by the name of the technique, each block of which has the same frames."""
+    found: dict[str, dict[str, list[ErrorFrames]]] = {
+        name: {quantity: [] for quantity in INERTIAL} for name in techniques
+    }
+    for name, quantity, frames in _error_blocks(log, blocks, phases):
+        found[name][quantity].append(frames)
+    return {name: {quantity: _joined(parts) for quantity, parts in own.items() if parts} for name, own in found.items()}
+
+
+def _error_blocks(
+    log: Log, blocks: Iterable[Mapping[str, FusedBlock]], phases: Iterable[Phase]
+) -> Iterator[tuple[str, str, ErrorFrames]]:
+    """Technique, quantity and frames with an error, block by block. FusionError if nothing is known."""
     track = log.truth or log.reference
     if track is None:
         raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
     stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
-    found: dict[str, list[ErrorFrames]] = {quantity: [] for quantity in INERTIAL}
-    for block in blocks:
-        inside = np.ones(len(block.time), bool)
+    for together in blocks:
+        time = next(iter(together.values())).time
+        inside = np.ones(len(time), bool)
         if stretches:
-            inside = np.any([(block.time >= start) & (block.time < end) for start, end in stretches], axis=0)
-        for quantity, triad in block.triads.items():
-            felt = _felt(track, quantity, block.time)
-            if felt is not None:
-                keep = inside & np.isfinite(triad - felt).all(axis=1)
-                claimed = np.asarray(block.covariances.get(quantity, np.full((len(triad), 6), np.nan)), float)
-                found[quantity].append(ErrorFrames(block.time[keep], (triad - felt)[keep], felt[keep], claimed[keep]))
-    return {quantity: _joined(parts) for quantity, parts in found.items() if parts}
+            inside = np.any([(time >= start) & (time < end) for start, end in stretches], axis=0)
+        for quantity in INERTIAL:
+            if not any(quantity in block.triads for block in together.values()):
+                continue
+            felt = _felt(track, quantity, time)
+            if felt is None:
+                continue
+            for name, block in together.items():
+                errors = block.triads[quantity] - felt
+                keep = inside & np.isfinite(errors).all(axis=1)
+                claimed = np.asarray(block.covariances.get(quantity, np.full((len(errors), 6), np.nan)), float)
+                yield name, quantity, ErrorFrames(time[keep], errors[keep], felt[keep], claimed[keep])
 
 
 def error_of(rows: Floats) -> Error:
@@ -125,7 +163,7 @@ def error_of(rows: Floats) -> Error:
 
     Noise is the scatter between neighbours (over sqrt 2), drift the spread of sixteen slow means.
     """
-    slow = np.array([part.mean(axis=0) for part in np.array_split(rows, min(16, len(rows)))])
+    slow = np.array([part.mean(axis=0) for part in np.array_split(rows, min(_SLOW_MEANS, len(rows)))])
     return Error(
         mean=rows.mean(axis=0),
         noise=np.std(np.diff(rows, axis=0), axis=0) / np.sqrt(2),
@@ -133,6 +171,59 @@ def error_of(rows: Floats) -> Error:
         drift=np.ptp(slow, axis=0),
         frames=len(rows),
     )
+
+
+class _ErrorSpool:
+    """Errors of one quantity on the disk until it is known how many there are: memory does not grow with the log. A
+    context manager.
+    """
+
+    def __init__(self) -> None:
+        self._file = TemporaryFile()  # noqa: SIM115, it lives as long as this
+        self.frames = 0
+
+    def add(self, errors: Floats) -> None:
+        """More of them, (n, 3)."""
+        self._file.write(np.ascontiguousarray(errors, np.float64).tobytes())
+        self.frames += len(errors)
+
+    def figures(self) -> Error:
+        """As `error_of` all of them; two frames at least."""
+        slow = np.array([self._sum(begin, end) / (end - begin) for begin, end in pairwise(self._sixteenths())])
+        steps = self.frames - 1
+        change = (self._rows(steps, steps + 1)[0] - self._rows(0, 1)[0]) / steps
+        squares = changes = np.zeros(3)
+        for begin in range(0, self.frames, _AT_ONCE):
+            rows = self._rows(begin, min(begin + _AT_ONCE + 1, self.frames))  # and the first of the next ones
+            changes = changes + ((np.diff(rows, axis=0) - change) ** 2).sum(axis=0)
+            squares = squares + (rows[:_AT_ONCE] ** 2).sum(axis=0)
+        return Error(
+            mean=self._sum(0, self.frames) / self.frames,
+            noise=np.sqrt(changes / steps) / np.sqrt(2),
+            rms=np.sqrt(squares / self.frames),
+            drift=np.ptp(slow, axis=0),
+            frames=self.frames,
+        )
+
+    def _sixteenths(self) -> list[int]:
+        """Where the parts of `numpy.array_split` begin and the last one ends."""
+        parts = min(_SLOW_MEANS, self.frames)
+        size, longer = divmod(self.frames, parts)
+        return [part * size + min(part, longer) for part in range(parts + 1)]
+
+    def _sum(self, begin: int, end: int) -> Floats:
+        blocks = (self._rows(first, min(first + _AT_ONCE, end)) for first in range(begin, end, _AT_ONCE))
+        return np.asarray(sum((rows.sum(axis=0) for rows in blocks), np.zeros(3)))
+
+    def _rows(self, begin: int, end: int) -> Floats:
+        self._file.seek(begin * _ROW_BYTES)
+        return np.frombuffer(self._file.read((end - begin) * _ROW_BYTES)).reshape(-1, 3)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
 
 
 def _joined(parts: Sequence[ErrorFrames]) -> ErrorFrames:

@@ -94,6 +94,15 @@ class FusedBlock:
     covariances: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
     used: Mapping[str, npt.NDArray[np.uint8]] = field(default_factory=lambda: MappingProxyType({}))
 
+    def part(self, rows: slice) -> FusedBlock:
+        """Some of the frames."""
+        return FusedBlock(
+            self.time[rows],
+            {name: column[rows] for name, column in self.triads.items()},
+            {name: column[rows] for name, column in self.covariances.items()},
+            {name: column[rows] for name, column in self.used.items()},
+        )
+
     @staticmethod
     def joined(blocks: Sequence[FusedBlock]) -> FusedBlock:
         """Frames of the same quantities one after the other, of one block at least."""

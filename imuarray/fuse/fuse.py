@@ -18,13 +18,13 @@ from imuarray.fuse.frames import FusedBlock
 from imuarray.fuse.grid import FIRST_ROWS, choose
 from imuarray.fuse.optimal import ErrorModel, error_model
 from imuarray.fuse.optimal.pipeline import AsTheyCome, Gathered, Gathering, smoothed
-from imuarray.fuse.pipeline import EachAlone, Making, Pipeline
+from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, Together
 from imuarray.fuse.running import Warming, running_temperatures
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.fuse.thermal import allowing_for, away_from, element_temperatures
 from imuarray.fuse.told import Told, told_by
-from imuarray.fuse.watched import Watched
+from imuarray.fuse.watched import Watched, WatchedAgain
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.spelling import guess
@@ -33,7 +33,7 @@ from imuarray.units import INERTIAL
 BLOCK = 1 << 12
 """Rows of each sensor that are read at once; the result does not depend on it."""
 
-OPTIMAL = "optimal"
+AVERAGE, OPTIMAL = "mean", "optimal"
 
 NEEDS_NOISE = frozenset({*techniques.NEEDS_NOISE, OPTIMAL})
 """Techniques that must know how much each axis scatters (`calibrate noise`)."""
@@ -44,6 +44,8 @@ NAMES = (*TECHNIQUES, OPTIMAL)
 _Sensor = TypeVar("_Sensor", SensorLog, SensorHeader)
 _Out = TypeVar("_Out")
 Found = Callable[[FaultEvent], None]
+Progress = Callable[[float], None]
+"""Told from time to time what share of the work is done, 0 ... 1."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,9 @@ class Watch:
 
 WATCH = Watch()
 
+_FIRST_PASS = 0.75
+"""Share of the time that the first of two passes takes: it looks for faults and filters."""
+
 
 def fuse(
     log: Log,
@@ -73,6 +78,7 @@ def fuse(
     causal: bool = False,
     watch: Watch = WATCH,
     told: Callable[[Told], None] = lambda told: None,
+    progress: Progress = lambda share: None,
     block: int = BLOCK,
 ) -> Iterator[FusedBlock]:
     """Fuse the inertial sensors of `log` (`only` these, if any are named) by `technique`, one of `NAMES` or what makes
@@ -101,11 +107,32 @@ def fuse(
         of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
         warming = Warming(of_all, {}, {})
     if array.is_optimal and not causal:
-        yield from _smoothed(log, array, warming, told, block)
+        yield from _smoothed(log, array, warming, told, progress, block)
         return
     stream = FusionStream(array.groups, calibration, array.making(warming), warming, timeout_s=float("inf"))
-    yield from _replayed(log, stream, block)
+    yield from _replayed(log, stream, block, progress)
     told(told_by(stream.pipeline))
+
+
+def fuse_together(
+    log: Log,
+    calibration: Calibration,
+    names: Sequence[str],
+    *,
+    only: Collection[str] = (),
+    progress: Progress = lambda share: None,
+    block: int = BLOCK,
+) -> Iterator[dict[str, FusedBlock]]:
+    """`fuse` by several techniques that take each quantity by itself (`TECHNIQUES`), whose frames are aligned once: the
+    blocks by the name of the technique. FusionError.
+    """
+    array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, AVERAGE, Watch(on=False))
+    warming = Warming(element_temperatures(log, array.inertial, calibration), {}, {})
+    axes = array.axes
+    stream = FusionStream(
+        array.groups, calibration, lambda period_s: Together(axes, names), warming, timeout_s=float("inf")
+    )
+    return _replayed(log, stream, block, progress)
 
 
 def live(
@@ -179,34 +206,37 @@ class _Array(Generic[_Sensor]):
             return lambda period_s: self.watched(EachAlone(axes, technique), axes, period_s)
         return lambda period_s: self.watched(technique(axes, period_s), axes, period_s)
 
-    def watched(
-        self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float, *, tell: bool = True
-    ) -> Pipeline[_Out]:
+    def watched(self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float) -> Pipeline[_Out]:
         """The pipeline behind fault monitors, if there is to be any watching."""
         if not self.watch.over(self.technique):
             return pipeline
-        found: Found = self.watch.found if tell else lambda event: None
-        return Watched(pipeline, axes, period_s, self.watch.ranges, found)
+        return Watched(pipeline, axes, period_s, self.watch.ranges, self.watch.found)
 
 
 def _smoothed(
-    log: Log, array: _Array[SensorLog], warming: Warming, told: Callable[[Told], None], block: int
+    log: Log,
+    array: _Array[SensorLog],
+    warming: Warming,
+    told: Callable[[Told], None],
+    progress: Progress,
+    block: int,
 ) -> Iterator[FusedBlock]:
     """Every frame by what the whole log tells: it is read twice."""
     axes, model = array.axes, array.model(warming)
     period_s = _period_s(array)
-    passes = iter((True, False))  # what failed is told once
+    passes: list[Pipeline[Gathered] | None] = []
+
+    def making(period_s: float) -> Pipeline[Gathered]:
+        first = passes[0] if passes else None  # what failed is looked for, and told, once
+        if isinstance(first, Watched):
+            return WatchedAgain(Gathering(), first.left_out)
+        return array.watched(Gathering(), axes, period_s)
 
     def blocks() -> Iterator[Gathered]:
-        tell = next(passes)
-        stream = FusionStream(
-            array.groups,
-            array.calibration,
-            lambda period_s: array.watched(Gathering(), axes, period_s, tell=tell),
-            warming,
-            timeout_s=float("inf"),
-        )
-        return _replayed(log, stream, block)
+        stream = FusionStream(array.groups, array.calibration, making, warming, timeout_s=float("inf"))
+        first, share = (_FIRST_PASS, 1 - _FIRST_PASS) if passes else (0.0, _FIRST_PASS)
+        yield from _replayed(log, stream, block, lambda done: progress(first + share * done))
+        passes.append(stream.pipeline)
 
     yield from smoothed(blocks, axes, model, period_s, told)
 
@@ -230,18 +260,22 @@ def _chosen(sensors: Sequence[_Sensor], only: Collection[str], where: str) -> di
     return {quantity: group for quantity, group in chosen.items() if group}
 
 
-def _replayed(log: Log, stream: FusionStream[_Out], block: int) -> Iterator[_Out]:
+def _replayed(
+    log: Log, stream: FusionStream[_Out], block: int, progress: Progress = lambda share: None
+) -> Iterator[_Out]:
     """The rows of all sensors in the order of their times, more or less: none is read far ahead of the others."""
     sensors = [sensor for sensor in log.sensors.values() if sensor.name in stream.sensors]
     reached_ns = {sensor.name: -1 for sensor in sensors}
     row = {sensor.name: 0 for sensor in sensors}
     left = {sensor.name: sensor for sensor in sensors}
+    total = max(1, sum(len(sensor) for sensor in sensors))
     while left:
         sensor = left[min(left, key=lambda name: reached_ns[name])]
         part = _read(sensor, slice(row[sensor.name], row[sensor.name] + block), sensor.name in stream.thermometers)
         if len(part.time):
             reached_ns[sensor.name] = int(part.time[-1])
             row[sensor.name] += len(part.time)
+            progress(sum(row.values()) / total)
             yield from stream.push(sensor.name, part)
         else:
             del left[sensor.name]

@@ -101,7 +101,7 @@ def ratio_of(before: Floats, after: Floats) -> Ratio:
     Each part is left out in turn (jackknife, Tukey 1958) from the ratio; the interval is that of its logarithm,
     Student's with b - 1 degrees of freedom: its ends stay positive, and are inverted with the ratio.
     """
-    from scipy.stats import t as student  # its weight is for those who ask
+    from scipy.special import stdtrit  # the inverse of Student's distribution without the weight of scipy.stats
 
     count = len(before)
     total = before.sum(), after.sum()
@@ -111,7 +111,7 @@ def ratio_of(before: Floats, after: Floats) -> Ratio:
     ratio = float(np.sqrt(total[1] / total[0]))
     left_out = np.sqrt(np.maximum(total[1] - after, 0) / np.maximum(total[0] - before, 1e-300))
     spread = float(np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean()) ** 2)))
-    reach = float(np.exp(student.ppf(0.975, count - 1) * spread / ratio))
+    reach = float(np.exp(stdtrit(count - 1, 0.975) * spread / ratio))
     return Ratio(ratio, spread, ratio / reach, ratio * reach)
 
 

@@ -77,6 +77,22 @@ class EachAlone:
         return Told(remarks=remarks)
 
 
+class Together:
+    """Several techniques, each on each quantity by itself: blocks by technique. A `Pipeline`."""
+
+    def __init__(self, axes: Mapping[str, Sequence[Axis]], names: Sequence[str]) -> None:
+        """FusionError as `EachAlone`."""
+        self._each = {name: EachAlone(axes, name) for name in names}
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[dict[str, FusedBlock]]:
+        """See `Pipeline`; nothing is held back."""
+        yield {name: next(each(frames, degc)) for name, each in self._each.items()}
+
+    def finish(self) -> Iterator[dict[str, FusedBlock]]:
+        """Nothing."""
+        return iter(())
+
+
 def fused_block(time: Times, estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]) -> FusedBlock:
     """The estimates, by quantity, of one block of frames at `time` (n,) ns, as the result."""
     return FusedBlock(

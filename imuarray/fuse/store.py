@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -36,6 +36,14 @@ from imuarray.log.room import free_bytes, longest_file
 
 _SLACK_BYTES = 1 << 18
 """What HDF5 holds back or adds: a chunk of each column, and where they are."""
+
+_LEVEL = 1
+"""Of the compression: half of a triad's bits are noise, of which the fourth level takes off no more than the first in
+two to three times the time.
+"""
+
+_AT_ONCE = 1 << 14
+"""Frames that are written at once, four chunks: a chunk that is written in parts is packed as often."""
 
 UNITS: Mapping[str, str] = MappingProxyType(
     {
@@ -75,13 +83,30 @@ def write_fused(
     with whole_file(path, force=force) as draft, h5py.File(draft, "w") as file:
         fused = _Fused(file, draft, about, sensors)
         frames = 0
-        for block in blocks:
+        for block in _in_chunks(blocks, progress):
             fused.append(block)
             frames += len(block.time)
-            progress(frames)
         for event in events:
             fused.events.append(event)
     return frames
+
+
+def _in_chunks(blocks: Iterable[FusedBlock], progress: Callable[[int], None]) -> Iterator[FusedBlock]:
+    """The same frames in blocks of `_AT_ONCE`, but for the last one; `progress` hears how many have come."""
+    waiting: list[FusedBlock] = []
+    count = total = 0
+    for block in blocks:
+        waiting.append(block)
+        count, total = count + len(block.time), total + len(block.time)
+        progress(total)
+        if count >= _AT_ONCE:
+            whole = FusedBlock.joined(waiting)
+            for start in range(0, count - _AT_ONCE + 1, _AT_ONCE):
+                yield whole.part(slice(start, start + _AT_ONCE))
+            waiting = [whole.part(slice(count - count % _AT_ONCE, count))]
+            count %= _AT_ONCE
+    if count:
+        yield FusedBlock.joined(waiting)
 
 
 class LiveFused:
@@ -171,8 +196,12 @@ class _Fused:
         self.events = StoredEvents(file, about["epoch"])
         self._epoch = about["epoch"]
         self._filters: dict[str, Any] = (
-            {"compression": "gzip", "shuffle": True, "fletcher32": True} if compressed else {}
+            {"compression": "gzip", "compression_opts": _LEVEL, "shuffle": True, "fletcher32": True}
+            if compressed
+            else {}
         )
+        self._live = not compressed
+        self._datasets: dict[str, h5py.Dataset] = {}
 
     def append(self, block: FusedBlock) -> None:
         """More rows of every column. OSError."""
@@ -186,11 +215,13 @@ class _Fused:
         for name in columns.keys() - self._group.keys():
             self._create(name, columns[name])
         for name, rows in columns.items():
-            dataset = self._group[name]
+            dataset = self._datasets.setdefault(name, self._group[name])
             dataset.resize(dataset.shape[0] + len(rows), axis=0)
             dataset[-len(rows) :] = rows
-            dataset.flush()
-        self._file.flush()
+            if self._live:
+                dataset.flush()
+        if self._live:
+            self._file.flush()
 
     def _create(self, name: str, rows: npt.NDArray[Any]) -> None:
         tail = rows.shape[1:]

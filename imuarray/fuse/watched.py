@@ -9,7 +9,7 @@ import numpy as np
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.consensus import consensus
-from imuarray.fuse.faults import FaultEvent, FaultMonitor, Ranges
+from imuarray.fuse.faults import FaultEvent, FaultMonitor, LeftOut, Ranges
 from imuarray.fuse.frames import Floats, Frames
 from imuarray.fuse.pipeline import Pipeline
 from imuarray.fuse.told import Told, told_by
@@ -41,6 +41,11 @@ class Watched(Generic[Out]):
         self._apart = any(axis.position_m != its[0].position_m for its in axes.values() for axis in its)
         self._degc: dict[str, Floats] = {}
         """Temperatures of the frames that the monitors hold back."""
+
+    @property
+    def left_out(self) -> dict[str, LeftOut]:
+        """Which axes were left out of the frames so far, by quantity."""
+        return {quantity: monitor.left_out for quantity, monitor in self._monitors.items()}
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
         """See `Pipeline`."""
@@ -81,3 +86,20 @@ class Watched(Generic[Out]):
             for event in monitor.events[self._told[quantity] :]:
                 self._found(event)
             self._told[quantity] = len(monitor.events)
+
+
+class WatchedAgain(Generic[Out]):
+    """A pipeline that is given the frames of a log again, without the axes that were left out the first time."""
+
+    def __init__(self, inner: Pipeline[Out], left_out: Mapping[str, LeftOut]) -> None:
+        self._inner, self._left_out, self._first = inner, left_out, 0
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:
+        """See `Pipeline`."""
+        first = self._first
+        self._first += len(next(iter(frames.values())).time)
+        yield from self._inner({name: self._left_out[name].of(part, first) for name, part in frames.items()}, degc)
+
+    def finish(self) -> Iterator[Out]:
+        """See `Pipeline`."""
+        return self._inner.finish()

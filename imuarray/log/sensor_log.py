@@ -41,6 +41,7 @@ class SensorLog:
         process that the sensor is sent to.
         """
         self._group = group
+        self._columns: dict[str, NamedColumn] = {}
         self._opened = opened
         self._log, self._path = ref(log), log.path  # no cycle: a log that nobody has any more is closed at once
         self.name = str(group.name).rsplit("/", 1)[-1]
@@ -133,24 +134,22 @@ class SensorLog:
     @property
     def time(self) -> NamedColumn:
         """(n,) int64 ns since the log's epoch."""
-        return NamedColumn(self._group["time"], f"{self.where}: time")
+        return self._column("time")
 
     @property
     def counts(self) -> NamedColumn:
         """(n, 3) raw counts of a triad; chip-specific columns otherwise."""
-        return NamedColumn(self._group["counts"], f"{self.where}: counts")
+        return self._column("counts")
 
     @property
     def temperature_counts(self) -> NamedColumn | None:
         """(n,) raw counts of the chip's thermometer, if it has one."""
-        dataset = self._group.get("temperature_counts")
-        return None if dataset is None else NamedColumn(dataset, f"{self.where}: temperature_counts")
+        return self._column("temperature_counts") if self._has("temperature_counts") else None
 
     @property
     def status(self) -> NamedColumn | npt.NDArray[np.uint16]:
         """(n,) flags of `imuarray.log.format`; zeros in a log that has none."""
-        dataset = self._group.get("status")
-        return np.zeros(len(self), np.uint16) if dataset is None else NamedColumn(dataset, f"{self.where}: status")
+        return self._column("status") if self._has("status") else np.zeros(len(self), np.uint16)
 
     def compensated(self, name: str) -> NamedColumn:
         """A column in physical units that the chip's own calibration gave ("temperature" degC, "pressure" Pa);
@@ -158,7 +157,16 @@ class SensorLog:
         """
         if not self.has_compensated(name):
             raise LogError(f"{self.where}: column {name} is missing")
-        return NamedColumn(self._group[name], f"{self.where}: {name}")
+        return self._column(name)
+
+    def _has(self, name: str) -> bool:
+        return name in self._columns or self._group.get(name) is not None
+
+    def _column(self, name: str) -> NamedColumn:
+        """A column by its name, looked up once: HDF5 takes as long for that as for reading some thousand rows."""
+        if name not in self._columns:
+            self._columns[name] = NamedColumn(self._group[name], f"{self.where}: {name}")
+        return self._columns[name]
 
     def has_compensated(self, name: str) -> bool:
         """Whether there is such a column."""

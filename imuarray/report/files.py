@@ -10,6 +10,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
@@ -30,6 +31,9 @@ from imuarray.report.techniques_sheet import techniques_section
 _MOST_BYTES = 1 << 26
 """Of a file of text."""
 
+_NOISE = 0.3
+"""Share of the time that the noise of a log takes beside the techniques."""
+
 NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
 
 
@@ -39,6 +43,8 @@ class Together:
 
     calibration: Calibration
     drawn: bool
+    progress: Callable[[float], None] = lambda share: None
+    """Told what share of a file is done."""
 
 
 Sayings = tuple[list[str], list[Section]]
@@ -51,10 +57,14 @@ def _log(path: Path, together: Together) -> Sayings:
         known = together.calibration
         fitting = [sensor for sensor in log.sensors.values() if sensor.name in known.sensors and sensor.is_triad]
         scales = {sensor.name: known.of(sensor).scale_lsb_per_unit.tolist() for sensor in fitting}
-        sections = list(log_sections(log, scales, drawn=together.drawn))
+        noise, techniques = (
+            (lambda share: together.progress(_NOISE * share)),
+            (lambda share: together.progress(_NOISE + (1 - _NOISE) * share)),
+        )
+        sections = list(log_sections(log, scales, drawn=together.drawn, progress=noise))
         if fitting and (residuals := residual_section(log, known, drawn=together.drawn)):
             sections.append(residuals)
-        if gained := techniques_section(log, known, drawn=together.drawn):
+        if gained := techniques_section(log, known, drawn=together.drawn, progress=techniques):
             sections.append(gained)
         return list(log_summary(log)), sections
 
@@ -112,26 +122,34 @@ def write_report(
     *,
     title: str = "",
     force: bool = False,
-    progress: Callable[[int], None] = lambda done: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, str]:
-    """Write the page of these files; the kind of each. LogError for a file of no kind, OutputExistsError."""
+    """Write the page of these files; the kind of each. `progress` is told what share is done. LogError for a file of no
+    kind, OutputExistsError.
+    """
     kinds = {path: kind_of(path) for path in dict.fromkeys(paths)}
     known = Calibration()
     for path, kind in kinds.items():
         if kind == "calibration":
             known = known.merged(load_calibration(path))
-    together = Together(known, find_spec("matplotlib") is not None)
+    drawn = find_spec("matplotlib") is not None
     summary: list[str] = []
     sections: list[Section] = []
     for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
-        lines, own = KINDS[kinds[path]](_file_of(path), together)
+        own_progress = partial(_moved, progress, done, len(kinds))
+        lines, own = KINDS[kinds[path]](_file_of(path), Together(known, drawn, own_progress))
         summary += lines
         sections += own
-        progress(done + 1)
-    if not together.drawn:
+        own_progress(1.0)
+    if not drawn:
         summary.append(NO_FIGURES)
     write_page(output, title or ", ".join(path.name for path in kinds), summary, sections, force=force)
     return {str(path): kind for path, kind in kinds.items()}
+
+
+def _moved(progress: Callable[[float], None], files: int, of: int, share: float) -> None:
+    """So many files are done, and a share of the next."""
+    progress((files + share) / of)
 
 
 def kind_of(path: Path) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -33,11 +34,15 @@ def log_summary(log: Log) -> Iterator[str]:
         yield f"{log.path.name} is {log.state}: what was acknowledged is shown."
 
 
-def log_sections(log: Log, scales: Mapping[str, Any], *, drawn: bool) -> Iterator[Section]:
+def log_sections(
+    log: Log, scales: Mapping[str, Any], *, drawn: bool, progress: Callable[[float], None] = lambda share: None
+) -> Iterator[Section]:
     """What was recorded; noise at rest with figures if they can be `drawn`. `scales`: calibrated counts per unit."""
     yield _recorded(log)
+    columns = itertools.count(1)
+    total = 3 * sum(sensor.is_triad for sensor in log.sensors.values())
     try:
-        result = characterise_log(log, scales=scales)
+        result = characterise_log(log, progress=lambda: progress(next(columns) / total), scales=scales)
     except ImuArrayError as error:
         yield Section(f"{log.path.name}: noise", f"Nothing can be said of noise: {error}.")
         return

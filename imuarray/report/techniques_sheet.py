@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from imuarray.calibrate import Calibration
@@ -16,13 +18,15 @@ from imuarray.units import READABLE_SI
 _Z95 = 1.96
 
 
-def techniques_section(log: Log, calibration: Calibration, *, drawn: bool) -> Section | None:
+def techniques_section(
+    log: Log, calibration: Calibration, *, drawn: bool, progress: Callable[[float], None] = lambda share: None
+) -> Section | None:
     """Every technique beside the average; None for a log that knows no truth."""
     if log.truth is None and log.reference is None:
         return None
     title = f"{log.path.name}: what each technique gains"
     try:
-        found = compare(log, with_noise_of(log, calibration))
+        found = compare(log, with_noise_of(log, calibration), progress=progress)
     except ImuArrayError as error:
         return Section(title, f"Nothing can be said of it: {error}.")
     scores = [score for score in found.scores if score.technique != "mean"]

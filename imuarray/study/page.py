@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from imuarray.fuse.compare import AVERAGE
+from imuarray.fuse.fuse import AVERAGE
 from imuarray.report import Figure, Section, Table, write_page
 from imuarray.study.figures import heating_figure, ratios_figure
 from imuarray.study.runs import SMOOTHED

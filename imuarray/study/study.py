@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.fuse.compare import AVERAGE
+from imuarray.fuse.fuse import AVERAGE
 from imuarray.fuse.gains import Ratio, ratio_of
 from imuarray.study.runs import EXPERIMENTS, Measured, run
 

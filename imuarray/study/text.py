@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from imuarray.fuse.compare import AVERAGE
+from imuarray.fuse.fuse import AVERAGE
 from imuarray.fuse.gains import Ratio
 from imuarray.study.study import Row, Study
 from imuarray.units import INERTIAL, READABLE_SI

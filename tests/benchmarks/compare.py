@@ -1,4 +1,7 @@
-"""Figures beside their peers, both sides measured in one run: `python tests/benchmarks/compare.py [--json]`.
+"""Figures beside their peers, both sides measured in one run: `python tests/benchmarks/compare.py [--full] [--json]`.
+
+`--quick` (which goes without saying) takes less than three minutes; `--full` adds what takes longer: diagnoses, and
+whole commands on logs of one and of ten hours.
 
 Each row is {name, ours, peer, unit, ratio, target, better}: `ratio` is ours over the peer's, `target` is meant for the
 ratio, `better` says which way it should go. Exits 1 if a target is missed. Nothing here is a test: times depend on the
@@ -27,12 +30,18 @@ SOURCES = (
     "allan_speed",
     "spectrum_speed",
     "fusion_speed",
-    "gap_cost",
     "serial_rate",
     "storage_cost",
     "hostile_files",
+    "commands",
 )
 """Files beside this one; each has a function `rows() -> list[Row]`."""
+
+FULL = ("gap_cost",)
+"""More of them, which take longer."""
+
+BOTH = ("commands",)
+"""Those of which `rows(full=True)` has more, or longer, rows."""
 
 
 def row(name: str, ours: float, peer: float, unit: str, target: float, better: str) -> Row:
@@ -48,14 +57,14 @@ def row(name: str, ours: float, peer: float, unit: str, target: float, better: s
     }
 
 
-def rows_of(source: str) -> Callable[[], list[Row]]:
+def rows_of(source: str) -> Callable[..., list[Row]]:
     """The `rows` function of a file beside this one."""
     spec = importlib.util.spec_from_file_location(f"benchmark_{source}", HERE / f"{source}.py")
     if spec is None or spec.loader is None:
         raise FileNotFoundError(HERE / f"{source}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    found: Callable[[], list[Row]] = module.rows
+    found: Callable[..., list[Row]] = module.rows
     return found
 
 
@@ -71,10 +80,16 @@ def main() -> int:
     """Measure everything; exit code."""
     parser = argparse.ArgumentParser(description="measure figures beside their peers")
     parser.add_argument("--json", action="store_true", help="print a list of rows as JSON")
-    parser.add_argument("--only", metavar="NAME", choices=SOURCES, help="one source alone")
+    parser.add_argument("--only", metavar="NAME", choices=(*SOURCES, *FULL), help="one source alone")
+    extent = parser.add_mutually_exclusive_group()
+    extent.add_argument("--quick", action="store_true", help="what takes less than three minutes (default)")
+    extent.add_argument("--full", action="store_true", help="everything")
     arguments = parser.parse_args()
     sys.path.insert(0, str(HERE))
-    rows = [found for source in SOURCES if arguments.only in (None, source) for found in rows_of(source)()]
+    chosen = (arguments.only,) if arguments.only else (*SOURCES, *FULL) if arguments.full else SOURCES
+    rows = [
+        found for source in chosen for found in rows_of(source)(**({"full": arguments.full} if source in BOTH else {}))
+    ]
     if arguments.json:
         print(json.dumps(rows, indent=1))
     else:

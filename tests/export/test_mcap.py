@@ -14,8 +14,12 @@ import pytest
 
 from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import export
+from imuarray.export.content import open_content
+from imuarray.export.formats import Wanted
+from imuarray.export.mcap_file import epoch_ns
+from imuarray.export.mcap_schemas import table_message
 from imuarray.log import Block, LogWriter
-from tests.export.conftest import ACC, EPOCH_NS, MESSAGE, MS
+from tests.export.conftest import ACC, BARO, EPOCH_NS, GYRO, MESSAGE, MS
 
 Read = tuple[dict[str, Any], dict[str, list[tuple[int, dict[str, Any]]]]]
 
@@ -103,6 +107,64 @@ def test_messages_are_in_the_order_of_their_times(run: Path) -> None:
         times = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
     assert times == sorted(times)
     assert len(times) == 5 + 3 + 2 + 5 + 2 + 4
+
+
+def log_of(path: Path, rows: int) -> Path:
+    """Two sensors at rates that have nothing in common, and a barometer with holes: several chunks, odd numbers."""
+    rng = np.random.default_rng(1)
+    with LogWriter(path, [ACC, GYRO, BARO], source="simulated", epoch="2013-09-16T08:30:00Z") as log:
+        for header, count, step in ((ACC, rows, 1_000_003), (GYRO, rows // 2, 2_100_001), (BARO, rows // 9, 9_000_000)):
+            time = np.arange(count) * step + rng.integers(0, 1000, count)
+            counts = rng.integers(-300, 300, (count, len(header.columns) or 3))
+            made = {"temperature": rng.normal(size=count), "pressure": rng.normal(1e5, 1, count)}
+            made["pressure"][::3], made["temperature"][::2] = np.nan, -0.0
+            warm = rng.integers(-128, 128, count) if header.has_temperature else None
+            none = np.zeros(count, np.uint16)
+            log.append(header.name, Block(time, counts, none, warm, made if header is BARO else {}))
+    return path
+
+
+@pytest.mark.parametrize("units", ["counts", "si"])
+def test_every_message_is_what_a_row_by_row_writer_says(tmp_path: Path, units: str) -> None:
+    """Values to the last bit, and every message's number and time."""
+    from mcap.reader import make_reader
+
+    source = log_of(tmp_path / "long.h5", 6000)
+    export(source, tmp_path / "long.mcap", units=units)
+    wanted: list[tuple[int, str, int, str]] = []
+    with open_content(Wanted(source, units=units)) as content:
+        zero_ns = epoch_ns(content.epoch, source)
+        for table in content.tables:
+            columns = [column.read(slice(None)).tolist() for column in table.columns]
+            for number, (at, *row) in enumerate(zip(*columns, strict=True)):
+                frame = "sensor" if units == "counts" else "box"
+                said = table_message(at + zero_ns, frame, table.columns[1:], row)
+                wanted.append((at + zero_ns, f"/{table.name}", number, json.dumps(said)))
+    with (tmp_path / "long.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = [
+            (message.log_time, channel.topic, message.sequence, json.dumps(json.loads(message.data)))
+            for _, channel, message in reader.iter_messages(log_time_order=False)
+        ]
+        statistics = reader.get_summary().statistics
+    assert found == sorted(wanted, key=lambda message: message[0])
+    assert statistics.message_count == len(wanted)
+    assert statistics.chunk_count > 1
+    assert (statistics.message_start_time, statistics.message_end_time) == (found[0][0], found[-1][0])
+
+
+@pytest.mark.filterwarnings("ignore:(start|end)_time is deprecated")  # the lowest version has no other name
+def test_a_stretch_of_time_is_found_by_the_index(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    source = log_of(tmp_path / "long.h5", 6000)
+    export(source, tmp_path / "long.mcap")
+    with (tmp_path / "long.mcap").open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages(topics=["/sensors/Gyro"])]
+        file.seek(0)
+        begin, end = times[1000], times[1500]
+        part = make_reader(file).iter_messages(topics=["/sensors/Gyro"], start_time=begin, end_time=end)
+        assert [message.log_time for _, _, message in part] == times[1000:1500]
 
 
 def test_events_are_for_the_log_panel(run: Path) -> None:

@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imuarray.calibrate.noise import with_noise_of
 from imuarray.cli import main
 from imuarray.commands.fuse_evaluate import print_report
-from imuarray.fuse import compare, technique_names
+from imuarray.fuse import FusedBlock, compare, fuse, technique_names
+from imuarray.fuse.fuse import fuse_together
 from imuarray.fuse.gains import ratio_of
+from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import open_log
 from tests.fuse.conftest import Part, WriteRun, calibration
 
@@ -103,3 +106,19 @@ def test_without_a_truth_there_is_nothing_to_evaluate(write_run: WriteRun, capsy
 def test_without_an_output_it_must_be_told_to_evaluate(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fuse", str(run)]) == 2
     assert "--output" in capsys.readouterr().err
+
+
+def test_techniques_together_give_what_each_gives_by_itself(run: Path) -> None:
+    """Aligned once, or once for each: to rounding, where counts need not be aligned at all."""
+    names = [name for name in technique_names() if name in TECHNIQUES]
+    with open_log(run) as log:
+        known = with_noise_of(log, calibration(parts()))
+        together = list(fuse_together(log, known, names))
+        for name in names:
+            own = FusedBlock.joined(list(fuse(log, known, name)))
+            found = FusedBlock.joined([blocks[name] for blocks in together])
+            assert (found.time == own.time).all()
+            for quantity, triad in own.triads.items():
+                np.testing.assert_allclose(found.triads[quantity], triad, rtol=1e-12, atol=1e-12)
+                np.testing.assert_allclose(found.covariances[quantity], own.covariances[quantity], rtol=1e-12)
+                assert (found.used[quantity] == own.used[quantity]).all()

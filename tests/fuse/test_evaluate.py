@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from imuarray.errors import FusionError
-from imuarray.fuse import FusedBlock, errors_of, evaluate, quiet_noise
+from imuarray.fuse import FusedBlock, error_of, errors_of, evaluate, quiet_noise
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, still
@@ -147,3 +148,17 @@ def test_the_quiet_noise_of_white_noise_wherever_blocks_are_cut() -> None:
     assert np.all((noise > 0.92 * 2.0) & (noise < 2.0))
     np.testing.assert_array_equal(quiet_noise(pieces)["specific_force"], noise)
     assert quiet_noise([]) == {}
+
+
+@pytest.mark.parametrize("rows", [2, 3, 17, 1000, ROWS])
+def test_figures_of_errors_on_the_disk_are_those_of_all_errors_at_once(
+    write_run: WriteRun, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.modules[evaluate.__module__], "_AT_ONCE", 333)  # the function hides its module
+    error = np.random.default_rng(2).normal(0.5, 0.1, (rows, 3)) + np.linspace(0, 1, rows)[:, None]
+    with open_log(log_of(write_run)) as log:
+        found = evaluate(log, results(error, cut=rows // 2))["specific_force"]
+        wanted = error_of(errors_of(log, results(error, cut=rows // 2))["specific_force"][1])
+    assert found.frames == wanted.frames == rows
+    for name in ("mean", "noise", "rms", "drift"):
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-12, atol=1e-15, err_msg=name)

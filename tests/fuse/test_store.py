@@ -157,3 +157,14 @@ def test_older_files_have_no_events_and_broken_ones_are_refused(tmp_path: Path) 
     with h5py.File(path, "r+") as file:
         del file["events"]
     assert read_fused_events(path) == ()
+
+
+@pytest.mark.parametrize("rows", [1, 777, 4096, 16384, 40000])
+def test_how_frames_come_leaves_no_trace(tmp_path: Path, rows: int) -> None:
+    """The file's columns are the blocks one after the other, whatever their lengths."""
+    given = list(blocks(max(2, min(50, 50000 // rows)), rows))
+    write_fused(tmp_path / "f.h5", given, epoch=EPOCH, technique="mean", log="run.h5")
+    found = FusedBlock.joined(list(read_fused(tmp_path / "f.h5")))
+    assert (found.time == np.concatenate([block.time for block in given])).all()
+    for quantity in ("specific_force", "angular_rate"):
+        np.testing.assert_array_equal(found.triads[quantity], np.concatenate([b.triads[quantity] for b in given]))

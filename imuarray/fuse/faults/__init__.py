@@ -8,6 +8,6 @@
 
 from imuarray.fuse.faults.events import FaultEvent
 from imuarray.fuse.faults.kinds import Ranges
-from imuarray.fuse.faults.monitor import FaultMonitor
+from imuarray.fuse.faults.monitor import FaultMonitor, LeftOut
 
-__all__ = ["FaultEvent", "FaultMonitor", "Ranges"]
+__all__ = ["FaultEvent", "FaultMonitor", "LeftOut", "Ranges"]

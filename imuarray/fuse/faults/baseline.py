@@ -11,7 +11,6 @@ import numpy.typing as npt
 from imuarray.fuse.faults.hypotheses import Suspect
 from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.parity import Spaces
-from imuarray.fuse.faults.window import Look
 from imuarray.units import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
@@ -39,17 +38,17 @@ class Baseline:
         self._state: Floats | None = None
         self._covariance: Floats | None = None
 
-    def departed(self, seen: Look, normal: Normal) -> tuple[Suspect | None, float]:
-        """The axis that has walked off farthest, beyond what drift allows, and how far in SI; None if none has.
+    def departed(self, included: Flags, usual: Floats, normal: Normal) -> tuple[Suspect | None, float]:
+        """Of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the one that has walked off farthest,
+        beyond what drift allows, and how far in SI; None if none has.
 
         To be asked at equal intervals: an axis is settled after `_SETTLED` of them.
         """
-        self._settle(seen.included, normal)
-        begun = seen.included & (self._seen >= _SETTLED)
+        self._settle(included, normal)
+        begun = included & (self._seen >= _SETTLED)
         space = self._spaces(begun.astype(float))
         if space is None or self._state is None or self._covariance is None:
             return None, 0.0
-        usual = seen.regressors.sum(axis=1) / seen.counts[:, None]
         moved = np.where(begun, ((normal.state - self._state) * usual).sum(axis=1), 0.0)
         unknown = np.einsum("mi,mij,mj->m", usual, self._covariance, usual)
         deleted = space.deleted

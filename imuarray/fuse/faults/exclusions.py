@@ -21,7 +21,7 @@ each further time."""
 
 _LONGEST_S = 600.0
 
-_AGREES = AXIS_GAIN / 3
+AGREES = AXIS_GAIN / 3
 """Gain below which the mean of an axis agrees: well under what leaves it out (hysteresis)."""
 
 
@@ -56,7 +56,7 @@ def needs(offences: int, window_s: float) -> int:
 
 def agreeing(seen: Look, normal: Normal, present: Flags) -> Flags:
     """(m,) the axes whose readings, included or not, are what the included ones and the normal model say."""
-    mean = seen.means**2 < _AGREES * seen.spread
+    mean = seen.means**2 < AGREES * seen.spread
     centred = np.where(seen.residual == 0, 0.0, seen.residual - seen.means)
     others = ((seen.rows @ seen.white.spread) * seen.rows).sum(axis=1)
     known = seen.regressors - seen.regressors.mean(axis=1, keepdims=True)

@@ -76,6 +76,11 @@ def energy_limit(frames: int, colour: Floats, lasting: Floats) -> Floats:
     return np.asarray((1 - lasting) * by_noise + lasting * frames * AXIS_GAIN)
 
 
+def least_energy_limit(frames: int) -> float:
+    """What `energy_limit` is at least: that of white noise, or of doubt alone where that is less."""
+    return float(min(energy_limit(frames, np.ones(1), np.zeros(1))[0], frames * AXIS_GAIN))
+
+
 def _by_mean(axis: Floats, sensor: Floats, seen: Look) -> Suspect:
     """Of the means: the sensor that gains most, or the one axis of it that does nearly all of that."""
     best = int(sensor.argmax())

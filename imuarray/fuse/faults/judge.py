@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.baseline import Baseline
+from imuarray.fuse.faults.calm import Stretch
 from imuarray.fuse.faults.events import UNIT
 from imuarray.fuse.faults.exclusions import Exclusion, agreeing, needs
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Suspect, strongest
@@ -26,6 +27,7 @@ from imuarray.units import SI_PER_UNIT
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
+Times = npt.NDArray[np.int64]
 
 _MOST = 4
 """Faults that are looked for in one window."""
@@ -73,6 +75,48 @@ class Judge:
             mask[list(exclusion.axes)] = True
         return mask
 
+    def stretch(self, time: Times, values: Floats) -> Stretch | None:
+        """The short way through windows, time (k, n) ns and values (k, n, m), in which every reading is there and none
+        is stale; None where there is none now.
+        """
+        out = self.out
+        if not self._normal.settled:
+            return None
+        white = self._spaces(np.where(out, 0.0, 1 / self._normal.variance))
+        if white is None or not white.told[~out].all():
+            return None
+        return Stretch(time, values, out, white, self._rows, self._normal.variance)
+
+    def undisturbed(self, stretch: Stretch, index: int, window: Callable[[], Window], masks: Sequence[Flags]) -> bool:
+        """Judges the next window, number `index` of `stretch`, by the short way; False, with nothing done, where that
+        does not lead to the end.
+        """
+        normal, changes = self._normal, stretch.changes[index]
+        if self._silence.anybody or not self._still.moves(changes, normal):
+            return False
+        if not all(exclusion.named for exclusion in self._out):
+            return False
+        seen = stretch.seen(index, normal, [exclusion.axes for exclusion in self._out])
+        if seen is None:
+            return False
+        self._count += 1
+        self._silence.all_heard()
+        normal.covariance = seen.aged
+        self._still.moved()
+        if self._count % _BASELINE_WINDOWS == 0:
+            suspect, drifted = self._baseline.departed(stretch.included, seen.usual, normal)
+            if suspect is not None:
+                self._decide(window(), masks, stretch.out, (suspect, drifted))
+                return True
+        whole = seen.sound & (changes > QUIETEST * normal.change)
+        sound = slice(None) if seen.sound.all() else np.flatnonzero(seen.sound)
+        normal.learn_sums(seen.moments[sound], seen.products[sound], seen.sound)
+        normal.learn_noise(seen.residual, seen.means, stretch.share, stretch.counts, whole)
+        for exclusion in self._out:
+            exclusion.agreed = 0
+            masks[-1][list(exclusion.axes)] = True
+        return True
+
     def __call__(self, window: Window, masks: Sequence[Flags]) -> None:
         """Judges the next window; `masks` (m,) of it (the last one) and of the one before get True where an axis is to
         be left out.
@@ -81,12 +125,21 @@ class Judge:
             self._normal.begin(window.changes)
         self._count += 1
         before, time_ns = self.out, int(window.time[0])
-        waiting = [exclusion for exclusion in self._out if not exclusion.named]
         self._silence(window.present, time_ns, self.telling)
         self._normal.age(~before)
         for sensor in np.flatnonzero(self._still(window, self._normal)).tolist():
             self._exclude(Suspect(_members(sensor), _STUCK_GAIN, "energy"), time_ns)
-        seen, doubted = self._search(window, time_ns)
+        self._decide(window, masks, before)
+
+    def _decide(
+        self, window: Window, masks: Sequence[Flags], before: Flags, departed: tuple[Suspect, float] | None = None
+    ) -> None:
+        """Who is left out besides those `before`, and who comes back; `departed` is who has walked off, where that was
+        asked already.
+        """
+        time_ns = int(window.time[0])
+        waiting = [e for e in self._out if not e.named and before[list(e.axes)].any()]
+        seen, doubted = self._search(window, time_ns, departed)
         if seen is not None:
             for exclusion in waiting:
                 if any(exclusion is each for each in self._out):  # else it is part of another by now
@@ -105,7 +158,9 @@ class Judge:
             if not exclusion.named:
                 self.telling.isolated(exclusion, exclusion.first)
 
-    def _search(self, window: Window, time_ns: int) -> tuple[Look | None, Flags]:
+    def _search(
+        self, window: Window, time_ns: int, departed: tuple[Suspect, float] | None = None
+    ) -> tuple[Look | None, Flags]:
         """Leaves out one suspect after the other until what is left agrees; the window as that sees it (None: too
         little is left), and the axes (m,) of sensors of whom one is faulty, but none knows which.
         """
@@ -115,8 +170,10 @@ class Judge:
             if seen is None:
                 return None, nobody
             suspect, drifted = strongest(seen, self._normal), 0.0
-            if suspect is None and self._count % _BASELINE_WINDOWS == 0:
-                suspect, drifted = self._baseline.departed(seen, self._normal)
+            if suspect is None and departed is not None:
+                (suspect, drifted), departed = departed, None
+            elif suspect is None and self._count % _BASELINE_WINDOWS == 0:
+                suspect, drifted = self._baseline.departed(seen.included, seen.usual, self._normal)
             if suspect is None:
                 return seen, nobody
             if suspect.rivals:

@@ -19,6 +19,16 @@ def slope(time: Times, triad: Floats) -> Floats:
     return found
 
 
+def slopes(time: Times, triads: Floats) -> Floats:
+    """(k, n, 3) the same of k windows at times (k, n)."""
+    seconds = (time - time[:, :1]) * 1e-9
+    found = np.empty_like(triads)
+    found[:, 1:-1] = (triads[:, 2:] - triads[:, :-2]) / (seconds[:, 2:] - seconds[:, :-2])[:, :, None]
+    found[:, 0] = (triads[:, 1] - triads[:, 0]) / (seconds[:, 1] - seconds[:, 0])[:, None]
+    found[:, -1] = (triads[:, -1] - triads[:, -2]) / (seconds[:, -1] - seconds[:, -2])[:, None]
+    return found
+
+
 def lever_arms(time: Times, rate_box: Floats, positions_m: Floats, rows: Floats) -> Floats:
     """(n, m) specific force along axes `rows` (m, 3) at `positions_m` (m, 3) less that at the origin, in m/s2, of a box
     that turns at `rate_box` (n, 3) rad/s: angular acceleration x r + rate x (rate x r). Unknown rates (NaN) count as 0.

@@ -8,6 +8,7 @@ in which it may have begun, are already without it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy.typing as npt
 
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis, directions
+from imuarray.fuse.faults.calm import Stretch
 from imuarray.fuse.faults.events import FaultEvent
 from imuarray.fuse.faults.judge import Judge
 from imuarray.fuse.faults.kinds import Ranges
@@ -31,7 +33,36 @@ WINDOW_S = 0.1
 LEAST_FRAMES = 4
 """And of no less than so many frames: a slow log is judged more slowly."""
 
+_AT_FIRST, _AT_ONCE = 8, 256
+"""Windows that are prepared together, after somebody was left out or taken back and at most: some megabytes."""
+
 NO_RANGES: Ranges = MappingProxyType({})
+
+
+class LeftOut:
+    """Which axes a monitor left out of which frames: what does not change for long takes no room."""
+
+    def __init__(self, window: int, axes: int) -> None:
+        self._window, self._windows = window, 0
+        self._begins, self._masks = [0], [np.zeros(axes, bool)]
+
+    def add(self, masks: Sequence[Flags]) -> None:
+        """Those (m,) of the next windows."""
+        for mask in masks:
+            if (mask != self._masks[-1]).any():
+                self._begins.append(self._windows * self._window)
+                self._masks.append(mask.copy())
+            self._windows += 1
+
+    def of(self, frames: Frames, first: int) -> Frames:
+        """The frames, the `first` of which has this number, without those axes."""
+        numbers = np.arange(first, first + len(frames.time))
+        which = np.searchsorted(self._begins, numbers, "right") - 1
+        used, where = np.unique(which, return_inverse=True)
+        masks = np.array([self._masks[index] for index in used.tolist()])
+        if not masks.any():
+            return frames
+        return Frames(frames.time, frames.values, frames.valid & ~masks[where], frames.clipped, frames.stale)
 
 
 class FaultMonitor:
@@ -57,6 +88,7 @@ class FaultMonitor:
         self._held: Frames | None = None
         self._rates = np.empty((0, 3))
         self._masks: list[Flags] = []
+        self.left_out = LeftOut(self.window, len(axes))
 
     @property
     def events(self) -> tuple[FaultEvent, ...]:
@@ -74,9 +106,23 @@ class FaultMonitor:
         self._rates = np.concatenate([self._rates, rate_box])
         held = frames if self._held is None else Frames.joined([self._held, frames])
         first = len(self._masks) * self.window
-        for start in range(first, len(held.time) - self.window + 1, self.window):
+        starts = range(first, len(held.time) - self.window + 1, self.window)
+        sound = _sound(held, first, len(starts), self.window) if starts else np.zeros(0, bool)
+        stretch, begin, ahead = None, 0, _AT_FIRST
+        for number, start in enumerate(starts):
             self._masks.append(np.zeros(held.valid.shape[1], bool))
-            self._judge(self._window_at(held, start), self._masks[-2:])
+            masks = self._masks[-2:]
+            if sound[number]:
+                if stretch is None or number - begin >= len(stretch.changes):
+                    stretch, begin = self._stretch(held, starts[number : number + ahead]), number
+                    ahead = min(2 * ahead, _AT_ONCE)
+                window = partial(self._window_at, held, start)
+                if stretch is not None and self._judge.undisturbed(stretch, number - begin, window, masks):
+                    continue
+            out = self._judge.out
+            self._judge(self._window_at(held, start), masks)
+            if (self._judge.out != out).any():
+                stretch, ahead = None, _AT_FIRST
         return self._release(held, max(0, len(self._masks) - 1))
 
     def finish(self) -> Frames | None:
@@ -88,6 +134,18 @@ class FaultMonitor:
         self._judge.close()
         self._masks.append(self._judge.out)
         return self._release(self._held, len(self._masks))
+
+    def _stretch(self, held: Frames, starts: range) -> Stretch | None:
+        """The short way through the windows that begin at these rows, if there is one now."""
+        rows = slice(starts[0], starts[-1] + self.window)
+        shape = (len(starts), self.window)
+        time, values = held.time[rows].reshape(shape), held.values[rows].reshape(*shape, -1)
+        if self._spread_out:
+            rates = self._rates[rows].reshape(*shape, 3)
+            values = values - np.stack(
+                [lever_arms(*each, self._positions_m, self._rows) for each in zip(time, rates, strict=True)]
+            )
+        return self._judge.stretch(time, values)
 
     def _window_at(self, held: Frames, start: int) -> Window:
         """The decision window that begins at a row."""
@@ -104,10 +162,23 @@ class FaultMonitor:
         self._held, self._rates = held.part(slice(stop, None)), self._rates[stop:]
         done = held.part(slice(stop))
         masks, self._masks = self._masks[:windows], self._masks[windows:]
+        self.left_out.add(masks)
         if not any(mask.any() for mask in masks):
             return done
         out = np.repeat(np.array(masks), self.window, axis=0)[:stop]
         return Frames(done.time, done.values, done.valid & ~out, done.clipped, done.stale)
+
+
+def _sound(frames: Frames, first: int, windows: int, length: int) -> Flags:
+    """(k,) the windows of `length` frames, from the row `first` on, in which every reading is there and no triad is
+    stale all the time.
+    """
+    rows = slice(first, first + windows * length)
+    sound: Flags = np.asarray(frames.valid[rows].reshape(windows, -1).all(axis=1))
+    if frames.stale is not None and frames.stale[rows].any():
+        stale: Flags = np.asarray(frames.stale[rows].reshape(windows, length, -1, 3).all(axis=(1, 3)))
+        sound = np.asarray(sound & ~stale.any(axis=1))
+    return sound
 
 
 def _check(axes: Sequence[Axis], period_s: float) -> None:

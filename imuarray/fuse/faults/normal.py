@@ -22,6 +22,8 @@ Flags = npt.NDArray[np.bool_]
 STATES = 5
 """Bias, three errors of response, delay."""
 
+_ONE = np.eye(STATES)
+
 BIAS_SI: Mapping[str, float] = MappingProxyType(
     {"specific_force": 0.15 * STANDARD_GRAVITY, "angular_rate": np.radians(5.0)}
 )
@@ -75,6 +77,7 @@ class Normal:
         self._window = window
         keep = np.exp(-window * period_s / _KEEPS_S)
         self._keep = np.array([1.0, keep, keep, keep, keep])
+        self._kept = np.outer(self._keep, self._keep)
         self._fresh = self._prior * (1 - np.diag(self._keep) ** 2)
         self._wander = _WANDER**2 * window * period_s
         self._seen = np.zeros(size)
@@ -98,6 +101,11 @@ class Normal:
         self.variance = np.where(self._begun, self.variance, known)
         self.change = np.where(fresh | ~self._begun | np.isnan(self.change), 2 * self.variance, self.change)
 
+    @property
+    def settled(self) -> bool:
+        """Whether the noise of every axis stays as it is from now on."""
+        return self.begun and not bool((self.learnt & (self._seen < _Q_WINDOWS)).any())
+
     def regressors(self, triad: Floats, slope: Floats, rows: Floats) -> Floats:
         """(m, n, 5) of a window with triads (n, 3) and their slopes (n, 3)."""
         found = np.empty((len(rows), len(triad), STATES))
@@ -112,7 +120,12 @@ class Normal:
 
     def jitter(self, regressors: Floats) -> Floats:
         """(m,) the mean variance of single readings of a window, (m, n, 5), by the unknown part of their age."""
-        return np.asarray(JITTER_S**2 * (regressors[..., 4] ** 2).mean(axis=1))
+        return self.jitter_of((regressors[..., 4] ** 2).mean(axis=1))
+
+    @staticmethod
+    def jitter_of(squares: Floats) -> Floats:
+        """(...) the same, of the mean squares (...) of the slopes along axes."""
+        return np.asarray(JITTER_S**2 * squares)
 
     def doubt(self, regressors: Floats) -> Floats:
         """(m,) the variance that the states' uncertainty gives one row of regressors (m, 5)."""
@@ -126,42 +139,58 @@ class Normal:
         """One window goes by: biases wander, what was learnt of responses fades. Axes that are left out don't age: what
         they come back with has to be what they left with.
         """
-        older = self.covariance * np.outer(self._keep, self._keep) + self._fresh
+        self.covariance = np.where(which[:, None, None], self.aged(), self.covariance)
+
+    def aged(self) -> Floats:
+        """(m, 5, 5) the covariances a window later."""
+        older = self.covariance * self._kept
+        older += self._fresh
         older[:, 0, 0] += self._wander * self.variance
-        self.covariance = np.where(which[:, None, None], older, self.covariance)
+        return older
 
     def learn(self, regressors: Floats, residual: Floats, which: Flags) -> None:
         """Updates the states of the axes `which` by the residuals (n, m) of a window; invalid ones are 0 and have no
         regressors.
         """
         axes = np.flatnonzero(which)
-        scatter = (self.colour * self.variance)[axes, None, None]
         rows = regressors[axes]
         turned = rows.transpose(0, 2, 1)
+        self.learn_sums(turned @ rows, (turned @ residual.T[axes, :, None])[..., 0], which)
+
+    def learn_sums(self, moments: Floats, products: Floats, which: Flags) -> None:
+        """The same by the sums over a window, of the p axes `which`: products of the regressors with each other (p, 5,
+        5) and with the residuals (p, 5).
+        """
+        axes = slice(None) if which.all() else np.flatnonzero(which)
+        weight = (1 / (self.colour * self.variance))[axes, None]
         covariance = self.covariance[axes]
-        covariance = np.linalg.solve(np.eye(STATES) + covariance @ (turned @ rows) / scatter, covariance)
-        covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
+        spoken = covariance @ (moments * weight[:, :, None])
+        spoken += _ONE
+        covariance = np.linalg.solve(spoken, covariance)
+        covariance = (covariance + covariance.transpose(0, 2, 1)) * 0.5
         self.covariance[axes] = covariance
-        self.state[axes] += (covariance @ (turned @ residual.T[axes, :, None] / scatter))[..., 0]
+        self.state[axes] += (covariance @ (products * weight)[:, :, None])[..., 0]
 
     def learn_noise(self, own: Floats, means: Floats, share: Floats, counts: Floats, which: Flags) -> None:
         """Updates colour, change and, where it is to be learnt, noise, from residuals (n, m) of a window and their
         means (m,); `share` (m,) of its own variance is left in an axis' residual, `counts` (m,) readings are in it.
         """
         share = np.maximum(share, 0.05)
-        step = (np.diff(own, axis=0) ** 2).mean(axis=0) / share
-        rate = 1 / np.minimum(self._seen + 2, _Q_WINDOWS)
-        self.change = np.where(
-            which, self.change + rate * (np.minimum(step, 4 * self.change) - self.change), self.change
-        )
+        seen, every = self._seen, bool(which.all())
+        steps = own[1:] - own[:-1]
+        step = np.einsum("nm,nm->m", steps, steps) / ((len(own) - 1) * share)
+        rate = 1 / np.minimum(seen + 2, _Q_WINDOWS)
+        change = self.change + rate * (np.minimum(step, 4 * self.change) - self.change)
+        self.change = change if every else np.where(which, change, self.change)
         if self.learnt.any():
             within = own.var(axis=0) / share * (len(own) / max(1, len(own) - 1))
             moved = self.variance + rate * (np.minimum(within, 2 * self.variance) - self.variance)
-            self.variance = np.where(self.learnt & which & (self._seen < _Q_WINDOWS), moved, self.variance)
+            self.variance = np.where(self.learnt & which & (seen < _Q_WINDOWS), moved, self.variance)
         if self._before is not None:
             told = counts * (means - self._before) ** 2 / (2 * share * self.variance)
-            rate = 1 / np.minimum(self._seen + 10, _KAPPA_WINDOWS)
+            rate = 1 / np.minimum(seen + 10, _KAPPA_WINDOWS)
             colour = self.colour + rate * (np.minimum(told, 9 * self.colour) - self.colour)
-            self.colour = np.where(which & np.isfinite(told), np.clip(colour, 1.0, self._window), self.colour)
-        self._before = np.where(which, means, np.nan)
-        self._seen += which
+            colour = np.minimum(np.maximum(colour, 1.0), self._window)
+            self.colour = np.where(which & np.isfinite(told), colour, self.colour)
+        self._before = means if every else np.where(which, means, np.nan)
+        self._seen = seen + which

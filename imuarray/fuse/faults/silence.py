@@ -22,6 +22,16 @@ class Silence:
         self._heard = np.zeros(sensors, int)
         self._told = np.zeros(sensors, bool)
 
+    @property
+    def anybody(self) -> bool:
+        """Whether anybody is silent."""
+        return bool(self._told.any())
+
+    def all_heard(self) -> None:
+        """A window in which every sensor has enough readings, none being silent."""
+        self._absent[:] = 0
+        self._heard += 1
+
     def __call__(self, present: Flags, time_ns: int, telling: Telling) -> None:
         """Takes the axes (m,) that have enough readings in the next window."""
         there = present.reshape(-1, 3).any(axis=1)

@@ -47,14 +47,33 @@ class Stillness:
             stale = np.asarray(window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
         return self._quiet(whole & (share < QUIET), whole) | self._stale(whole & stale, whole)
 
+    def moves(self, changes: Floats, normal: Normal) -> bool:
+        """Whether no sensor stood still in the window before nor does in this one, of which every reading is there and
+        none is stale: its mean squares of `changes` (m,).
+        """
+        if self._quiet.any or self._stale.any:
+            return False
+        share = (changes / normal.change).reshape(-1, 3).sum(axis=1)
+        return bool(share.min() >= 3 * QUIET)
+
+    def moved(self) -> None:
+        """Counts such a window."""
+        self._quiet.pass_by()
+        self._stale.pass_by()
+
 
 class _Runs:
     """Runs of windows that show something unusual, by sensor; and how usual it is."""
 
     def __init__(self, sensors: int) -> None:
         self.length = np.zeros(sensors, int)
+        self.any = False
         self._windows = np.zeros(sensors)
         self._by_itself = np.zeros(sensors)
+
+    def pass_by(self) -> None:
+        """A window that shows it of no sensor, after one that did not either."""
+        self._windows += 1
 
     def __call__(self, shows: Flags, judged: Flags) -> Flags:
         """(s,) the sensors for which this window and the one before show it, though that is unusual."""
@@ -62,5 +81,6 @@ class _Runs:
         ended = ~shows & judged
         self._by_itself += np.where(ended & ((self.length <= _SHORT) | usual), self.length, 0)
         self.length = np.where(shows, self.length + 1, np.where(judged, 0, self.length))
+        self.any = bool(self.length.any())
         self._windows += judged & ~shows
         return np.asarray(~usual & (self._windows >= _KNOWN_WINDOWS) & (self.length == 2))

@@ -63,6 +63,11 @@ class Look:
     rows: Floats
 
     @property
+    def usual(self) -> Floats:
+        """(m, 5) the mean regressors."""
+        return np.asarray(self.regressors.sum(axis=1) / self.counts[:, None])
+
+    @property
     def spread(self) -> Floats:
         """(m,) variance of the mean residual of an axis that is not included."""
         others = ((self.rows @ self.slow.spread) * self.rows).sum(axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,10 @@ are not a fair choice.
 """
 
 
+_KEPT = 1024
+"""Sets of axes of which it is remembered whether they span space."""
+
+
 @dataclass(frozen=True)
 class Geometry:
     """r rows, the m axes and then what else is known of the unknowns: `rows` (r, k), the first three unknowns being the
@@ -38,6 +42,7 @@ class Geometry:
     end: Floats
     timing: Floats
     axes: int
+    _spanning: dict[bytes, bool] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def fair(self) -> Floats:
@@ -46,8 +51,13 @@ class Geometry:
 
     def spans(self, valid: Flags) -> bool:
         """Whether these of the axes, (r,), span space."""
-        rows = self.rows[: self.axes, :3][valid[: self.axes]]
-        return bool(spans(rows.T @ rows))
+        key = valid[: self.axes].tobytes()
+        if key not in self._spanning:
+            if len(self._spanning) >= _KEPT:
+                self._spanning.clear()
+            rows = self.rows[: self.axes, :3][valid[: self.axes]]
+            self._spanning[key] = bool(spans(rows.T @ rows))
+        return self._spanning[key]
 
     def parity(self, valid: Flags) -> Floats:
         """(p, r) what the rows in use say of their own errors whatever the unknowns are, whitened for means: ``parity @

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from tempfile import TemporaryFile
@@ -11,7 +12,8 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-_PLACE = struct.Struct("<q")
+_PLACE = struct.Struct("<qq")
+"""Behind a group: the length of its head, the shapes, and where the group begins."""
 
 
 class Spool:
@@ -27,10 +29,11 @@ class Spool:
 
     def push(self, arrays: Sequence[Floats]) -> None:
         """Put a group on top."""
+        shapes = [array.shape for array in arrays]
+        parts = [np.ascontiguousarray(array, np.float64).tobytes() for array in arrays]
+        head = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
         self._file.seek(self._end)
-        for array in arrays:
-            np.lib.format.write_array(self._file, np.ascontiguousarray(array), allow_pickle=False)
-        self._file.write(_PLACE.pack(self._end))
+        self._file.write(b"".join((*parts, head, _PLACE.pack(len(head), self._end))))
         self._end = self._file.tell()
 
     def pop(self) -> list[Floats]:
@@ -38,12 +41,16 @@ class Spool:
         if not self:
             raise IndexError("nothing is on the spool")
         self._file.seek(self._end - _PLACE.size)
-        (start,) = _PLACE.unpack(self._file.read(_PLACE.size))
-        last = self._end - _PLACE.size
+        head_bytes, start = _PLACE.unpack(self._file.read(_PLACE.size))
         self._file.seek(start)
-        arrays = []
-        while self._file.tell() < last:
-            arrays.append(np.lib.format.read_array(self._file, allow_pickle=False))
+        content = self._file.read(self._end - start - _PLACE.size)
+        head = iter(np.frombuffer(content[len(content) - head_bytes :], np.int64).tolist())
+        arrays, at = [], 0
+        for dimensions in head:
+            shape = tuple(next(head) for _ in range(dimensions))
+            size = math.prod(shape)
+            arrays.append(np.frombuffer(content, np.float64, size, at).reshape(shape))
+            at += 8 * size
         self._end = start
         return arrays
 

@@ -1,0 +1,195 @@
+"""The container of an MCAP file (mcap.dev/spec): chunks of many messages at once, their index, and the summary.
+
+The package `mcap` has the records and writes every one of them; its own writer takes one message at a time, which costs
+more than all that is in it.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+import zstandard
+from mcap import records
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+
+Times = npt.NDArray[np.int64]
+
+_MAGIC = b"\x89MCAP0\r\n"
+_COMPRESSION = "zstd"
+_INDEX_HEAD = struct.Struct("<BQHI")
+_FOOTER_HEAD = struct.Struct("<BQQQ")
+
+MESSAGE_HEAD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+"""What stands before the data of a message; `length` is that of what follows it."""
+
+_BEFORE_LENGTH = 9
+"""Bytes of opcode and length."""
+
+
+def message_heads(channel: int, sequence: Times, time_ns: Times, data_bytes: int) -> npt.NDArray[np.void]:
+    """(n,) heads of messages of equally long data."""
+    heads = np.zeros(len(time_ns), MESSAGE_HEAD)
+    heads["opcode"], heads["channel"] = int(Opcode.MESSAGE), channel
+    heads["length"] = MESSAGE_HEAD.itemsize - _BEFORE_LENGTH + data_bytes
+    heads["sequence"], heads["log_time"], heads["publish_time"] = sequence, time_ns, time_ns
+    return heads
+
+
+class Container:
+    """Writes an MCAP file: schemas and channels, then chunks, then `finish`; metadata and attachments between them."""
+
+    def __init__(self, file: IO[bytes], library: str) -> None:
+        self._file = file
+        self._schemas: list[Any] = []
+        self._channels: list[Any] = []
+        self._chunks: list[Any] = []
+        self._attachments: list[Any] = []
+        self._metadata: list[Any] = []
+        self._counts: dict[int, int] = {}
+        self._first_ns, self._last_ns = 0, 0
+        self._packer = zstandard.ZstdCompressor()
+        file.write(_MAGIC)
+        self._put(records.Header(profile="", library=library))
+
+    def schema(self, name: str, text: bytes) -> int:
+        """The number of a new JSON Schema."""
+        made = records.Schema(id=len(self._schemas) + 1, data=text, encoding="jsonschema", name=name)
+        self._schemas.append(made)
+        self._put(made)
+        return len(self._schemas)
+
+    def channel(self, topic: str, schema: int, about: Mapping[str, str]) -> int:
+        """The number of a new channel of JSON messages."""
+        number = len(self._channels) + 1
+        made = records.Channel(id=number, topic=topic, message_encoding="json", schema_id=schema, metadata=dict(about))
+        self._channels.append(made)
+        self._put(made)
+        return number
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Texts by name."""
+        start = self._file.tell()
+        length = self._put(records.Metadata(name=name, metadata=dict(values)))
+        self._metadata.append(records.MetadataIndex(offset=start, length=length, name=name))
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """A file within the file."""
+        start = self._file.tell()
+        length = self._put(records.Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
+        self._attachments.append(
+            records.AttachmentIndex(
+                offset=start,
+                length=length,
+                create_time=0,
+                log_time=0,
+                data_size=len(data),
+                name=name,
+                media_type=media_type,
+            )
+        )
+
+    def chunk(self, data: bytes, channels: npt.NDArray[np.intp], time_ns: Times, offsets: Times) -> None:
+        """Messages with their heads one after the other: channels, times and places in `data` (n,), n > 0."""
+        first_ns, last_ns, start = int(time_ns.min()), int(time_ns.max()), self._file.tell()
+        length = self._put(
+            records.Chunk(
+                compression=_COMPRESSION,
+                data=self._packer.compress(data),
+                message_end_time=last_ns,
+                message_start_time=first_ns,
+                uncompressed_crc=zlib.crc32(data),
+                uncompressed_size=len(data),
+            )
+        )
+        index_start, places = self._file.tell(), {}
+        for channel in np.unique(channels).tolist():
+            mine = channels == channel
+            entries = np.stack([time_ns[mine], offsets[mine]], axis=1).astype("<u8").tobytes()
+            places[channel] = self._file.tell()
+            self._file.write(_INDEX_HEAD.pack(int(Opcode.MESSAGE_INDEX), 6 + len(entries), channel, len(entries)))
+            self._file.write(entries)
+            self._counts[channel] = self._counts.get(channel, 0) + int(mine.sum())
+        packed = length - (_BEFORE_LENGTH + 40 + len(_COMPRESSION))  # less the other fields of a chunk
+        self._first_ns = min(self._first_ns, first_ns) if self._chunks else first_ns
+        self._last_ns = max(self._last_ns, last_ns)
+        self._chunks.append(
+            records.ChunkIndex(
+                chunk_length=length,
+                chunk_start_offset=start,
+                compression=_COMPRESSION,
+                compressed_size=packed,
+                message_end_time=last_ns,
+                message_index_length=self._file.tell() - index_start,
+                message_index_offsets=places,
+                message_start_time=first_ns,
+                uncompressed_size=len(data),
+            )
+        )
+
+    def finish(self) -> None:
+        """The end of the data, and the summary: everything but messages again, and where it is."""
+        self._put(records.DataEnd(data_section_crc=0))
+        start, summary = self._file.tell(), RecordBuilder()
+        offsets = []
+        groups: dict[Opcode, list[Any]] = {
+            Opcode.SCHEMA: self._schemas,
+            Opcode.CHANNEL: self._channels,
+            Opcode.STATISTICS: [self._statistics()],
+            Opcode.CHUNK_INDEX: self._chunks,
+            Opcode.ATTACHMENT_INDEX: self._attachments,
+            Opcode.METADATA_INDEX: self._metadata,
+        }
+        for opcode, group in groups.items():
+            begin = summary.count
+            for record in group:
+                record.write(summary)
+            if group:
+                offsets.append(
+                    records.SummaryOffset(
+                        group_opcode=opcode, group_start=start + begin, group_length=summary.count - begin
+                    )
+                )
+        offsets_start = start + summary.count
+        for record in offsets:
+            record.write(summary)
+        text = summary.end()  # type: ignore[no-untyped-call]
+        crc = zlib.crc32(_FOOTER_HEAD.pack(int(Opcode.FOOTER), 20, start, offsets_start), zlib.crc32(text))
+        self._file.write(text)
+        self._put(records.Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc))
+        self._file.write(_MAGIC)
+
+    def _statistics(self) -> Any:
+        return records.Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()),
+            metadata_count=len(self._metadata),
+            message_start_time=self._first_ns,
+            message_end_time=self._last_ns,
+            schema_count=len(self._schemas),
+        )
+
+    def _put(self, record: Any) -> int:
+        """Write a record; its length."""
+        builder = RecordBuilder()
+        record.write(builder)
+        text = builder.end()  # type: ignore[no-untyped-call]
+        self._file.write(text)
+        return len(text)

@@ -1,0 +1,174 @@
+"""The short way through decision windows in which nothing happens, which is nearly all of them.
+
+Every reading is there, so that what does not depend on what is learnt from window to window is worked out
+for many windows at once: parity is linear, and a residual is that of the readings less that of what the normal model
+makes of seven courses, a constant, the triad and its slope. In a window remain the states of the normal model and
+bounds, each of which costs less than what it stands for: no error of an axis or a sensor gains more than the whole sum
+of squares of the mean residuals; no energy is more than that over the noise alone; no limit of an energy is less than
+that of white noise; and who is left out does not agree if one of its axes is off. Where a bound does not settle it, the
+window is judged the long way, and nothing was done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.fuse.faults.exclusions import AGREES
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, least_energy_limit
+from imuarray.fuse.faults.lever import slopes
+from imuarray.fuse.faults.normal import STATES, Normal
+from imuarray.fuse.faults.parity import Parity
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Times = npt.NDArray[np.int64]
+
+_UNEVEN = 1e-6
+"""Least determinant of a normal matrix over the cube of its trace that goes without saying: `spans` asks for 1e-9."""
+
+
+class Seen(NamedTuple):
+    """A window without a fault: `residual` (n, m) and its `means` (m,), the `aged` covariances (m, 5, 5) of the normal
+    model's states, the `moments` (m, 5, 5) of its regressors, their products (m, 5) with the residuals and their
+    `usual` values (m, 5), and which axes are `sound` (m,) enough to be learnt from.
+    """
+
+    residual: Floats
+    means: Floats
+    aged: Floats
+    moments: Floats
+    products: Floats
+    usual: Floats
+    sound: Flags
+
+
+class Stretch:
+    """k consecutive windows of n frames of m axes, whose noise is known by now: `variance` (m,) of single readings.
+
+    `time` (k, n) ns, `values` (k, n, m) in SI; `out` (m,) are left out, `white` is the parity space of the others.
+    """
+
+    def __init__(self, time: Times, values: Floats, out: Flags, white: Parity, rows: Floats, variance: Floats) -> None:
+        self._rows, self._white, self._frames = rows, white, time.shape[1]
+        self.out, self.included, self._all = out, ~out, not out.any()
+        self._blind = (np.eye(len(rows)) - rows @ white.gain).T.copy()  # takes out what the triad explains
+        self._own = values @ self._blind
+        triad = values @ white.gain.T
+        slope = slopes(time, triad)
+        along = slope @ rows.T
+        ones = np.ones((*triad.shape[:2], 1))
+        self._courses = np.concatenate([ones, triad, slope], axis=2)
+        self._usual = np.ones((len(time), len(rows), STATES))
+        self._usual[:, :, 1:4] = triad.mean(axis=1)[:, None]
+        self._usual[:, :, 4] = along.mean(axis=1)
+        self._jitter = Normal.jitter_of((along**2).mean(axis=1))
+        self._moments = _moments(triad, along)
+        self.changes = (np.diff(values, axis=1) ** 2).sum(axis=1) / (self._frames - 1)
+        # No triad is left in the residuals, so that the deleted ones are these by weight over A's diagonal.
+        own = np.where(white.told, white.matrix.diagonal(), np.inf)
+        self._precision = 1 / (own * variance**2)
+        self.share = np.asarray(white.matrix.diagonal() * variance)
+        self.counts = np.full(len(rows), float(self._frames))
+        self._limit = least_energy_limit(self._frames)
+        normal = rows[self.included].T @ rows[self.included]
+        self._even = float(np.linalg.det(normal) / np.trace(normal) ** 3)
+
+    def seen(self, index: int, normal: Normal, waiting: Sequence[Sequence[int]]) -> Seen | None:
+        """What a window shows; None where it may show a fault, where one of those (axes, each) who are `waiting` to be
+        used again may agree with the others, or where this way does not tell.
+        """
+        frames, rows, state = self._frames, self._rows, normal.state
+        offset = self._white.gain @ state[:, 0]
+        made = np.empty((7, len(rows)))
+        made[0] = state[:, 0] - state[:, 1:4] @ offset
+        made[1:4] = state[:, 1:4].T
+        made[4:] = rows.T * state[:, 4]
+        courses = self._courses[index]
+        residual = self._own[index] - courses @ (made @ self._blind)
+        products = courses.T @ residual
+        means = products[0] / frames
+        squares = np.einsum("nm,nm->m", residual, residual) - products[0] * means
+        if not (squares * self._precision).max() < self._limit:
+            return None
+        usual = self._usual[index].copy()
+        usual[:, 1:4] -= offset
+        aged = normal.aged()
+        noise = normal.colour * normal.variance + self._jitter[index]
+        doubt = noise / frames + np.matmul(usual[:, None, :], np.matmul(aged, usual[:, :, None]))[:, 0, 0]
+        sound = self._sound(doubt, means, waiting)
+        if sound is None:
+            return None
+        shear = np.eye(STATES)
+        shear[1:4, 0] = -offset
+        with_residual = np.empty((len(rows), STATES))
+        with_residual[:, 0] = products[0]
+        with_residual[:, 1:4] = (products[1:4] - offset[:, None] * products[0]).T
+        with_residual[:, 4] = (rows.T * products[4:]).sum(axis=0)
+        moments = shear @ self._moments[index] @ shear.T
+        if not self._all:
+            aged = np.where(self.included[:, None, None], aged, normal.covariance)
+        return Seen(residual, means, aged, moments, with_residual, usual, sound)
+
+    def _sound(self, doubt: Floats, means: Floats, waiting: Sequence[Sequence[int]]) -> Flags | None:
+        """(m,) the axes that nothing speaks against; None where something may speak for a fault, or for somebody who
+        is waiting.
+        """
+        weights = 1 / doubt if self._all else np.where(self.included, 1 / doubt, 0.0)
+        least = weights.min() if self._all else weights[self.included].min()
+        even = self._even * float(least / weights.max()) ** 3 > _UNEVEN
+        most = float((weights * means) @ means)  # of the sum of squares, before the triad is fitted to it
+        if most < AXIS_GAIN / 2 and even and not waiting:
+            return self.included
+        weighted = self._rows * weights[:, None]
+        spread = _inverse(weighted.T @ self._rows)
+        if spread is None:
+            return None
+        for axes in waiting:
+            off = list(axes)
+            others = ((self._rows[off] @ spread) * self._rows[off]).sum(axis=1)
+            if not (means[off] ** 2 >= AGREES * (doubt[off] + others)).any():
+                return None
+        shown = weights * means - weighted @ (spread @ (weighted.T @ means))
+        whole = float(shown @ means)  # the sum of squares, of which every gain is a part
+        if not whole < AXIS_GAIN:
+            return None
+        if whole < AXIS_GAIN / 2:
+            return self.included
+        own = weights - ((weighted @ spread) * weighted).sum(axis=1)
+        told = own > 1e-6 * weights
+        gains = np.where(told, shown**2 / np.where(told, own, 1.0), 0.0)
+        return np.asarray((gains < AXIS_GAIN / 2) & self.included)
+
+
+def _inverse(normal: Floats) -> Floats | None:
+    """(3, 3) of a symmetric matrix by its cofactors, several times faster than a general one; None where the axes with
+    this normal matrix don't tell all of a triad (as `imuarray.fuse.solve.spans`).
+    """
+    (a, b, c), (_, d, e), (_, _, f) = normal.tolist()
+    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * first + b * second + c * third
+    if not determinant > 1e-9 * (a + d + f) ** 3:
+        return None
+    mixed = b * c - a * e
+    cofactors = np.array([[first, second, third], [second, a * f - c * c, mixed], [third, mixed, a * d - b * b]])
+    return np.asarray(cofactors / determinant)
+
+
+def _moments(triad: Floats, along: Floats) -> Floats:
+    """(k, m, 5, 5) sums over the frames of the products of (1, triad, slope along the axis), of triads (k, n, 3) and
+    slopes (k, n, m).
+    """
+    windows, frames, axes = along.shape
+    found = np.empty((windows, axes, STATES, STATES))
+    common = np.concatenate([np.ones((windows, frames, 1)), triad], axis=2)
+    turned = common.transpose(0, 2, 1)
+    found[:, :, :4, :4] = (turned @ common)[:, None]
+    crossed = (turned @ along).transpose(0, 2, 1)
+    found[:, :, :4, 4] = crossed
+    found[:, :, 4, :4] = crossed
+    found[:, :, 4, 4] = (along**2).sum(axis=1)
+    return found

@@ -1,0 +1,145 @@
+"""Commands as whole processes, beside bare scripts (`bare.py`) that come to the same, and beside the time a user has.
+
+A log of nine triads at 100 Hz, six minutes of it, with `full` an hour. The figures are processor time, that of the
+kernel included, of a process from its start to its end, both sides in one run. Neither side uses more than one thread
+of linear algebra. Peak memory is that of the process: of a log ten times as long it is
+to be the same.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from compare import Row, row
+
+HERE = Path(__file__).parent
+
+SHORT_S, LONG_S, FACTOR = 360, 3600, 10
+TRIADS = "ADXL1,ADXL2,BMA1,BMA2,BMA3,BMA4,Gyro1,Gyro2,Gyro3"
+
+
+class Command(NamedTuple):
+    """A command: words after `imuarray`, in which LOG and OUT stand for files; the scripts that come to the same; the
+    suffix of what it writes; the ratio of processor times that is wanted of the short log, and of the long one.
+    """
+
+    words: str
+    scripts: tuple[str, ...]
+    suffix: str
+    short: float
+    long: float
+
+
+COMMANDS = (
+    Command("info LOG", ("info",), "", 2.5, 2.5),
+    Command("verify LOG", ("verify",), "", 3.0, 3.0),
+    Command("export LOG -o OUT", ("export",), ".mcap", 0.5, 0.25),
+    Command("fuse LOG --technique mean -o OUT", ("mean",), ".h5", 2.0, 1.0),
+    Command("fuse LOG --technique planes -o OUT", ("planes",), ".h5", 4.0, 1.5),
+    Command("fuse LOG --technique optimal -o OUT", ("optimal",), ".h5", 1.0, 0.8),
+    Command("characterise LOG -o OUT", ("characterise",), "", 2.0, 1.5),
+    Command("report LOG -o OUT", ("characterise", "mean", "planes", "optimal"), ".html", 1.5, 1.0),
+    Command(
+        f"simulate martin2013 --only {TRIADS} --rate-hz 100 --seconds SECONDS -o OUT", ("simulate",), ".h5", 4.0, 2.0
+    ),
+)
+"""Each with its peers; where start-up is most of a short run the ratio that is wanted is above one."""
+
+BOUNDS = (("log martin2013 --bus emulated: --seconds 60 -o OUT", ".h5", 60 / 25), ("demo -o OUT", "", 60.0))
+"""Commands without a peer, and the seconds of processor time that they may take: a minute of the emulated array, with
+start-up, 25 times as fast as a real one.
+"""
+
+
+class Spent(NamedTuple):
+    """Processor time of a process, and its peak memory."""
+
+    seconds: float
+    megabytes: float
+
+
+def rows(full: bool = False) -> list[Row]:
+    """Every command beside its peers; with `full` on the long log, and its memory on one ten times as long."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        seconds = LONG_S if full else SHORT_S
+        log = _simulated(folder / "log.h5", seconds)
+        found = _beside_peers(log, folder, seconds, full)
+        for words, suffix, bound_s in BOUNDS if full else BOUNDS[:1]:
+            spent = _run(_ours(words, log, folder / f"bound{suffix}", seconds))
+            found.append(row(f"imuarray {words.split()[0]}", spent.seconds, bound_s, "s of processor", 1.0, "lower"))
+        if full:
+            longer = _simulated(folder / "longer.h5", FACTOR * seconds)
+            for command in COMMANDS[2:7]:
+                long, short = (_memory(command, path, folder, seconds) for path in (longer, log))
+                found.append(row(f"peak memory, ten hours: imuarray {_said(command)}", long, short, "MB", 1.1, "lower"))
+    return found
+
+
+def _beside_peers(log: Path, folder: Path, seconds: int, full: bool) -> list[Row]:
+    """Processor times of all commands and scripts; a script that several need runs once."""
+    ours: dict[str, float] = {}
+    theirs: dict[str, float] = {}
+    for command in COMMANDS:
+        output = folder / f"ours{command.suffix}"
+        ours[command.words] = _run(_ours(command.words, log, output, seconds)).seconds
+        for script in set(command.scripts) - set(theirs):
+            words = [sys.executable, str(HERE / "bare.py"), script, str(log), str(folder / f"bare_{script}")]
+            theirs[script] = _run(words).seconds
+    return [
+        row(
+            f"imuarray {_said(command)}, {seconds // 60} min of nine triads, against a bare script",
+            ours[command.words],
+            sum(theirs[script] for script in command.scripts),
+            "s of processor",
+            command.long if full else command.short,
+            "lower",
+        )
+        for command in COMMANDS
+    ]
+
+
+def _said(command: Command) -> str:
+    words = command.words.split()
+    return f"{words[0]} {words[3]}" if words[0] == "fuse" else words[0]
+
+
+def _memory(command: Command, log: Path, folder: Path, seconds: int) -> float:
+    return _run(_ours(command.words, log, folder / f"ours{command.suffix}", seconds)).megabytes
+
+
+def _simulated(path: Path, seconds: int) -> Path:
+    words = f"simulate martin2013 --only {TRIADS} --rate-hz 100 --seconds SECONDS -o OUT"
+    _run(_ours(words, path, path, seconds))
+    return path
+
+
+def _ours(words: str, log: Path, output: Path, seconds: int) -> list[str]:
+    """The command line of one of our commands."""
+    stands_for = {"LOG": str(log), "OUT": str(output), "SECONDS": str(seconds)}
+    force = ["--force"] if "OUT" in words else []
+    return [sys.executable, "-m", "imuarray", *(stands_for.get(word, word) for word in words.split()), *force]
+
+
+def _run(words: Sequence[str]) -> Spent:
+    """Run a process to its end; RuntimeError if it fails."""
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    process = subprocess.Popen(
+        words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, **one_thread}
+    )
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise RuntimeError(f"{' '.join(words)}: exit code {process.returncode}")
+    return Spent(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+
+
+if __name__ == "__main__":
+    for made in rows("--full" in sys.argv):
+        print(made)

@@ -1,0 +1,71 @@
+"""The short way through windows in which nothing happens decides as the long way does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imuarray.fuse import Frames
+from imuarray.fuse.faults import FaultMonitor
+from imuarray.fuse.faults.judge import Judge
+from tests.fuse.faults.conftest import QUANTITIES, Floats, Run, faulty, simulated, watched
+
+
+def offended(values: Floats, run: Run) -> None:
+    """A sensor that is off for three seconds, one that walks off, one that stands still, and a noisy axis."""
+    values[400:700, 4] += 12 * run.noise[4]
+    values[900:, 7] += 25 * run.noise[7] * np.clip((np.arange(len(values) - 900)) / 300, 0, 1)
+    values[1500:1600, 0:3] = values[1500, 0:3]
+    values[2000:2100, 5] += np.random.default_rng(1).normal(0, 8 * run.noise[5], 100)
+
+
+def cases(quantity: str) -> dict[str, tuple[Run, Frames]]:
+    rest, shaken = simulated("static", 25.0)[quantity], simulated("motion", 25.0)[quantity]
+    gaps = rest.frames.valid.copy()
+    gaps[700:730, 3:6] = False
+    return {
+        "at rest": (rest, rest.frames),
+        "in motion": (shaken, shaken.frames),
+        "readings are missing": (rest, replace(rest.frames, valid=gaps)),
+        "faults at rest": (rest, faulty(rest, lambda values: offended(values, rest))),
+        "faults in motion": (shaken, faulty(shaken, lambda values: offended(values, shaken))),
+    }
+
+
+@pytest.mark.parametrize("case", ["at rest", "in motion", "readings are missing", "faults at rest", "faults in motion"])
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_both_ways_leave_out_the_same_and_learn_the_same(
+    quantity: str, case: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, fed = cases(quantity)[case]
+    monitor = run.monitor()
+    whole, events = watched(monitor, fed)
+    with monkeypatch.context() as patch:
+        patch.setattr(Judge, "stretch", lambda *_: None)
+        long = run.monitor()
+        wanted, told = watched(long, fed)
+    assert (whole.valid == wanted.valid).all()
+    for event, other in zip(events, told, strict=True):
+        same = {"size_si": other.size_si, "significance": other.significance}
+        assert replace(event, **same) == other
+        assert [event.size_si, event.significance] == pytest.approx(list(same.values()), rel=1e-6)
+    ours, theirs = learnt(monitor), learnt(long)
+    for name in ours:
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-6, atol=1e-12, err_msg=name)
+
+
+def learnt(monitor: FaultMonitor) -> dict[str, Floats]:
+    """What the monitor holds for normal."""
+    normal = monitor._judge._normal
+    return {name: getattr(normal, name) for name in ("state", "covariance", "colour", "change", "variance")}
+
+
+def test_nearly_every_window_at_rest_takes_the_short_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else it is of no use: of 250 windows those of the first seconds, in which noise is learnt, and few others."""
+    run, calls = simulated("static", 25.0)["specific_force"], []
+    judge = Judge.__call__
+    monkeypatch.setattr(Judge, "__call__", lambda *given: (calls.append(1), judge(*given)))
+    watched(run.monitor(), run.frames)
+    assert len(calls) < 25

@@ -1,0 +1,43 @@
+"""The spline by its conditions, and beside that of another library."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from imuarray.fuse.splines import between_gaps, derivatives
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 50])
+def test_as_scipy_has_it(count: int) -> None:
+    rng = np.random.default_rng(count)
+    known = np.cumsum(rng.integers(5_000_000, 15_000_000, count)) + 1_700_000_000_000_000_000
+    rows = rng.normal(size=(count, 3))
+    seconds = (known - known[0]) * 1e-9
+    peer = CubicSpline(seconds, rows)
+    at = rng.integers(known[0], known[-1], 100)
+    found = between_gaps(known, rows, at, gap_ns=1e12)
+    np.testing.assert_allclose(found, peer((at - known[0]) * 1e-9), rtol=1e-12, atol=1e-12 * np.abs(found).max())
+    first, second = derivatives(known, rows, gap_ns=1e12)
+    for ours, order in ((first, 1), (second, 2)):
+        wanted = peer(seconds, order)
+        np.testing.assert_allclose(ours, wanted, rtol=1e-11, atol=1e-11 * max(1.0, np.abs(wanted).max()))
+
+
+def test_a_cubic_is_its_own_spline() -> None:
+    """t^3 - 2 t in seconds: slope 3 t^2 - 2, curvature 6 t."""
+    known = np.array([0, 1, 3, 4, 6]) * 10**9
+    seconds = known * 1e-9
+    rows = (seconds**3 - 2 * seconds)[:, None]
+    np.testing.assert_allclose(between_gaps(known, rows, np.array([2 * 10**9]), 1e12), [[4.0]], rtol=1e-13)
+    first, second = derivatives(known, rows, 1e12)
+    np.testing.assert_allclose(first[:, 0], 3 * seconds**2 - 2, atol=1e-11)
+    np.testing.assert_allclose(second[:, 0], 6 * seconds, atol=1e-11)
+
+
+def test_nothing_across_a_pause() -> None:
+    known = np.array([0, 1, 2, 10, 11, 12]) * 10**9
+    found = between_gaps(known, np.arange(6.0)[:, None], np.array([5, 11]) * 10**9, gap_ns=2e9)
+    assert np.isnan(found[0, 0])
+    assert found[1, 0] == pytest.approx(4.0)
