@@ -37,7 +37,7 @@ class Command(NamedTuple):
 
 
 COMMANDS = (
-    Command("info LOG", ("info",), "", 2.5, 2.5),
+    Command("info LOG", ("info",), "", 2.0, 2.0),
     Command("verify LOG", ("verify",), "", 3.0, 3.0),
     Command("export LOG -o OUT", ("export",), ".mcap", 0.5, 0.25),
     Command("fuse LOG --technique mean -o OUT", ("mean",), ".h5", 2.0, 1.0),
@@ -51,9 +51,9 @@ COMMANDS = (
 )
 """Each with its peers; where start-up is most of a short run the ratio that is wanted is above one."""
 
-BOUNDS = (("log martin2013 --bus emulated: --seconds 60 -o OUT", ".h5", 60 / 25), ("demo -o OUT", "", 60.0))
+BOUNDS = (("log martin2013 --bus emulated: --seconds 60 -o OUT", ".h5", 60 / 50), ("demo -o OUT", "", 30.0))
 """Commands without a peer, and the seconds of processor time that they may take: a minute of the emulated array, with
-start-up, 25 times as fast as a real one.
+start-up, 50 times as fast as a real one.
 """
 
 

@@ -37,7 +37,7 @@ def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
     only that: what tells it from a reading that is merely late is how much noise is gone.
     """
     yield from with_removal(evidence, Bandwidth.name, _found(evidence))
-    if not any(effect.name == Bandwidth.name for effect in evidence.effects):
+    if not any(isinstance(effect, Bandwidth) and effect.share for effect in evidence.effects):
         yield from _by_delay(evidence)
 
 
