@@ -71,8 +71,11 @@ _FILTER_MISFIT = 0.1
 _SLIPS = 4.0
 """Standard deviations by which rows repeat the one before more often than by chance, for a chip's clock to be slow."""
 
-_SAME_CLOCK = 0.01
-"""Relative difference between phases beyond which no one clock explains the repeats."""
+_SAME_CLOCK = 0.3
+"""Share of the error by which phases may differ, beside chance, for one clock to explain them all."""
+
+_OVERSAMPLED = 1.05
+"""From so many polls for each reading on readings come twice as a rule, and three times where polls jitter."""
 
 _BY_CHANCE = 2.0
 """Squared standard deviations that the estimate of a correlation may be off besides."""
@@ -302,21 +305,28 @@ def _clock_error(campaign: Campaign, header: SensorHeader) -> float:
     rests = [phase for log in campaign.logs for phase in log.still(header.name) if phase.intervals.count]
     if header.rate_hz <= 0 or not rests:
         return math.nan
-    readings_per_s, weight = [], []
+    readings_per_s, weight, slips = [], [], 0
     tolerance = clock_tolerance(header)
     for phase in rests:
         rows_per_s, repeats = 1 / phase.intervals.mean_s, phase.repeats
         by_chance = _equal_neighbours(phase)
         excess = (repeats.repeat_share - by_chance) * math.sqrt(phase.rows / max(by_chance, 1 / phase.rows))
         longest = math.ceil(rows_per_s / (header.rate_hz * (1 - tolerance))) + _equal_in_a_row(by_chance, phase.rows)
-        if excess < _SLIPS or not 0 < repeats.longest <= longest:
+        longest += rows_per_s > _OVERSAMPLED * header.rate_hz  # a late poll may come just before the next one
+        if rows_per_s < (1 - tolerance) * header.rate_hz:
             continue
+        if repeats.longest > longest:
+            return math.nan
+        slips += excess >= _SLIPS
         readings_per_s.append((1 - _repeated_share(phase)) * rows_per_s)
         weight.append(phase.rows)
-    if not weight or np.ptp(readings_per_s) > _SAME_CLOCK * header.rate_hz:
+    if not slips:
         return math.nan
     error = float(np.average(readings_per_s, weights=weight)) / header.rate_hz - 1
-    return error if abs(error) <= tolerance else math.nan
+    apart = np.abs(np.array(readings_per_s) / header.rate_hz - 1 - error)
+    unsure = _SLIPS * np.sqrt(np.abs(error) / np.array(weight))
+    is_one_clock = bool((apart <= np.maximum(_SAME_CLOCK * abs(error), unsure)).all())
+    return error if is_one_clock and abs(error) <= tolerance else math.nan
 
 
 def _equal_in_a_row(by_chance: float, rows: int) -> int:
@@ -348,9 +358,11 @@ def _equal_neighbours(phase: Summary) -> float:
 
 
 def _with_rate_error(effect: Effect, rate_error: float) -> Effect:
-    """A clock of which nobody knows the rate and the phase is off by so much; others, and other effects, stay."""
+    """A clock of which nobody knows the rate and the phase is off by so much; others, and other effects, stay. Where
+    rows come at its nominal rate it is faster than these: a slower one would repeat readings, which are fitted.
+    """
     if isinstance(effect, OwnClock) and not effect.rate_error and math.isnan(effect.phase_deg):
-        return replace(effect, rate_error=rate_error)
+        return replace(effect, rate_error=abs(rate_error), polled=1.0)
     return effect
 
 

@@ -113,7 +113,21 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
         recording = recording_of(log, here)
         lacking = tuple(f"{name} is left out: it was not read in this log." for name in names if name not in here)
         found.append(replace(recording, notes=(*lacking, *recording.notes)))
-    return tuple(found)
+    return _without_unknown_heat(found)
+
+
+def _without_unknown_heat(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Those in which the temperature is known, or doesn't change for all that is noted; all, if there are no others."""
+    unknown = [one for one in recordings if one.kind == "heating" and _temperature_source(one) == "nothing"]
+    known = [one for one in recordings if one not in unknown]
+    if not unknown or not known:
+        return tuple(recordings)
+    notes = tuple(f"{one.name} is left out: nothing tells the temperature while the box is heated." for one in unknown)
+    return (replace(known[0], notes=(*notes, *known[0].notes)), *known[1:])
+
+
+def _temperature_source(recording: Recording) -> str:
+    return LikeLog(recording.log).temperature_source
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
