@@ -38,7 +38,7 @@ def test_there_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix:
     monkeypatch.setattr("imuarray.export.mcap_file._BLOCK", 250)
     monkeypatch.setattr("imuarray.export.mcap_file._CHUNK_BYTES", 1 << 14)
     monkeypatch.setattr("imuarray.importers.exported_npz._ROWS", 250)
-    monkeypatch.setattr("imuarray.importers.cells.Table.blocks.__defaults__", (250,))
+    monkeypatch.setattr("imuarray.importers.cells.Table.blocks.__defaults__", (250, None))
     monkeypatch.setattr("imuarray.log.writer.CHUNK", 250)
 
     def peaks(rows: int) -> tuple[int, int]:

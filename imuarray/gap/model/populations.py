@@ -147,8 +147,11 @@ def is_usual(effect: Effect, header: SensorHeader) -> bool:
 
 
 def turn_on_rms(header: SensorHeader) -> float:
-    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where nothing is known."""
-    allowed = min(offset_tolerance(header))
+    """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where nothing is known. It
+    is that of the element, which is the same at all ranges: the smallest bias that any of them allows tells it.
+    """
+    ranges = TRIADS[header.chip].sensitivity if header.chip in TRIADS else (header.range,)
+    allowed = min(min(offset_tolerance(replace(header, range=range_))) for range_ in ranges)
     return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
 
 
