@@ -25,7 +25,7 @@ REPLICATES = 40
 
 CASES: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, sampled.Change], Mapping[str, float]]] = {
     # named: effect, sensors; made: changes by sensor; told: parameters to a tenth
-    "rows of one rate are correlated": ("bandwidth", ("G1",), {"G1": sampled.low_pass(50.0)}, {"cutoff_hz": 50.0}),
+    "rows of one rate are correlated": ("bandwidth", ("G1",), {"G1": sampled.low_pass(30.0)}, {"cutoff_hz": 30.0}),
     "a line that the slower rows alias": ("tone", ("G2",), {"G2": sampled.line(71.3, 0.018)}, {"frequency_hz": 71.3}),
     "rows of one rate repeat": ("odr_error", ("G1",), {"G1": sampled.held(160.0)}, {"rate_hz": 160.0}),
     "a line in one log": ("tone", ("G2",), {"G2": sampled.line(11.0, 0.03, logs=(1,))}, {"frequency_hz": 11.0}),
