@@ -61,7 +61,8 @@ def test_it_is_named_first(case: str, tmp_path: Path) -> None:
     recordings = sampled.recorded(tmp_path, changes)
     found = explain(compare(recordings, Run, seed=1, replicates=REPLICATES), library(()), briefly=True)
     cause = found.causes[0]
-    assert (cause.effect, cause.action, cause.sensors) == (effect, "add", sensors)
+    assert (cause.effect, cause.sensors) == (effect, sensors)
+    assert cause.action in ("add", "replace")  # the configured filter may be fitted already
     for name, value in told.items():
         assert cause.parameters[name] == pytest.approx(value, rel=0.1)
     assert found.verdict == "explained"

@@ -84,8 +84,8 @@ def test_the_command_writes_numbers_figures_and_a_page(
 
 @pytest.mark.slow
 def test_a_heated_box_for_a_drawing(short: Study, warm: Heated) -> None:
-    """Ten means of ten seconds, less the first; of the average, and of what differs from it; 24 to 52 degC, of 2200 frames a
-    peak within 0.1 degC. A gyroscope's 0.02 dps/degC shows: by more than 0.1 dps.
+    """Ten means of ten seconds, less the first; of the average, and of what differs from it; 24 to 52 degC, of 2200
+    frames a peak within 0.1 degC. A gyroscope's 0.02 dps/degC shows: by more than 0.1 dps.
     """
     assert warm.time_s.tolist() == [5.0 + 10 * k for k in range(10)]
     assert {"mean", "opposed"} <= set(warm.errors)
