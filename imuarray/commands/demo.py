@@ -36,7 +36,7 @@ def command(output: Path, seconds: float, seed: int, force: bool, as_json: bool)
     \b
     imuarray demo -o demo
     """
-    from imuarray.demo import run_demo
+    from imuarray.studies.demo import run_demo
 
     result = run_demo(
         find_config(Path("martin2013")),

@@ -11,7 +11,7 @@ from imuarray.atomic import write_text
 from imuarray.commands.options import force_option, json_option, prepare_folder, print_json, progress
 
 if TYPE_CHECKING:
-    from imuarray.paper.replica import Observed, Replica
+    from imuarray.studies.paper.replica import Observed, Replica
 
 _NO_FIGURES = "; no figures, they need matplotlib: pip install 'imuarray[report]'"
 _REPLICA_FILES = ("replica.json", "paper.html")
@@ -53,9 +53,9 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
     if gap:
         _gap(output, as_json, force)
         return
-    from imuarray.paper import recompute, render_text
-    from imuarray.paper.files import as_json as to_json
-    from imuarray.paper.files import can_draw, write
+    from imuarray.studies.paper import recompute, render_text
+    from imuarray.studies.paper.results import as_json as to_json
+    from imuarray.studies.paper.results import can_draw, write
 
     result = recompute()
     written = write(result, output, force=force) if output else ()
@@ -66,7 +66,7 @@ def command(output: Path | None, replica: bool, gap: bool, seed: int, as_json: b
 
 def _replica(seed: int, output: Path | None, as_json: bool, force: bool) -> None:
     """The paper's experiments on the simulated array beside its tables."""
-    from imuarray.paper.replica import Replica, compare, observe, render_text
+    from imuarray.studies.paper.replica import Replica, compare, observe, render_text
 
     if output:
         prepare_folder(output, _REPLICA_FILES, force)
@@ -85,7 +85,7 @@ def _gap(output: Path | None, as_json: bool, force: bool) -> None:
     """What of the paper's tables the data sheets do not foretell."""
     import json
 
-    from imuarray.paper import findings
+    from imuarray.studies.paper import findings
 
     if output:
         prepare_folder(output, (_GAP_FILE,), force)
@@ -106,9 +106,9 @@ def _write_replica(folder: Path, found: Replica, observed: Observed) -> None:
     import json
 
     from imuarray.errors import MissingExtraError
-    from imuarray.paper.files import can_draw
-    from imuarray.paper.replica import curves_of
-    from imuarray.report.paper_page import write_paper_page
+    from imuarray.studies.paper.page import write_paper_page
+    from imuarray.studies.paper.replica import curves_of
+    from imuarray.studies.paper.results import can_draw
 
     numbers, page = (folder / name for name in _REPLICA_FILES)
     write_text(numbers, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n", force=True)

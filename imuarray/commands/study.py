@@ -18,10 +18,10 @@ from imuarray.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from imuarray.study import Study
+    from imuarray.studies.fusion_gain import Study
 
 EXPERIMENTS = ("static", "tumble", "heating", "turn-on", "motion", "shaking")
-"""Those of `imuarray.study`, which takes NumPy along."""
+"""Those of `imuarray.studies.fusion_gain`, which takes NumPy along."""
 
 FILES = ("study.json", "study.html", "ratios.png", "bound.png", "coasting.png", "heating.png")
 
@@ -65,7 +65,7 @@ def command(
     imuarray study --experiments static,heating -o study
     """
     from imuarray.gap.model.workers import processes
-    from imuarray.study import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
+    from imuarray.studies.fusion_gain import QUICK_S, QUICK_SEEDS, SEEDS, render_text, study
 
     names = tuple(dict.fromkeys(name.strip() for name in experiments.split(",") if name.strip()))
     if not names or set(names) - set(EXPERIMENTS):
@@ -92,8 +92,7 @@ def _write(folder: Path, found: Study) -> None:
 
     from imuarray.atomic import write_text
     from imuarray.errors import MissingExtraError
-    from imuarray.study.heated import heated
-    from imuarray.study.page import drawings_of, write_study_page
+    from imuarray.studies.fusion_gain.page import drawings_of, heated, write_study_page
 
     text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     write_text(folder / "study.json", text, force=True)

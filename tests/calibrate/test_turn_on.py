@@ -19,7 +19,7 @@ from imuarray.chips import CHIPS
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader
-from imuarray.paper.tables import number_in, numbers_in, table
+from imuarray.studies.paper.tables import number_in, numbers_in, table
 from tests.calibrate.conftest import EPOCH, Floats, accelerometer, gyroscope, ideal
 
 RANGES = {name: spec.sensitivity for name, spec in CHIPS.items()}

@@ -1,0 +1,486 @@
+"""The four runs that a person with a box, a table and a hair dryer would record, on the emulated bus.
+
+Which technique is compared with the average on which run, and what came of it.
+
+The sections of the demo's page.
+
+`imuarray demo`: the whole path on the emulated array, from the bus to a page.
+
+Four runs are recorded: the six faces of the box, a long rest, a heating, and a shaking that leaves the low range. The
+first calibrates the array; the others show what each technique gains over the simple average of the same sensors. The
+emulated world knows the truth, so every gain is measured. In the end three of the sensors at rest are compared with
+what a simulator that knows nothing but data sheets makes of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imuarray.acquire import record
+from imuarray.array import load_array
+from imuarray.bus import open_bus
+from imuarray.calibrate import Calibration, Tumble, calibrate_noise, calibrate_tumble
+from imuarray.characterise import characterise_log
+from imuarray.characterise.plots import allan_figure
+from imuarray.errors import LogError, OutputExistsError
+from imuarray.fuse import Gain, errors_of, fuse, gains, write_fused
+from imuarray.gap.diagnose import diagnose
+from imuarray.gap.findings.diagnosis import Diagnosis
+from imuarray.gap.findings.text import parameters_text, places_text
+from imuarray.log import open_log
+from imuarray.log.format import Phase
+from imuarray.report import Figure, Section, Table, write_page
+from imuarray.report.figures import drift_figure, motion_figure, ratio_figure
+from imuarray.report.gap_page import write_gap_page
+from imuarray.units import INERTIAL, READABLE, READABLE_SI, STANDARD_GRAVITY
+
+RATE_HZ = 48.0
+"""What the paper's full array was logged at: (std/sem)^2 / 900 s of its Table 10."""
+
+RUNS = {"tumble": 0.25, "static": 0.25, "heating": 0.42, "shaking": 0.08}
+"""The runs, and the share of the recorded time that each of them gets."""
+
+Say = Callable[[str], None]
+
+
+def _world(run: str, seconds: float) -> str:
+    """The parameters of the emulated bus for a run of that length."""
+    face_s = (seconds - 6 * 2.0) / 7
+    return {
+        "tumble": f"world=tumble&face_s={face_s:.3f}&turn_s=2",
+        "static": "world=still",
+        "heating": f"world=heating&scale={seconds / 6600:.6f}",
+        "shaking": f"world=shaking&peak_g=3&peak_dps=200&motion_s={seconds * 0.6:.3f}&still_s={seconds * 0.2:.3f}",
+    }[run]
+
+
+def record_all(config: Path, folder: Path, seconds: float, seed: int, say: Say) -> dict[str, Path]:
+    """Record every run into its own log."""
+    array = load_array(config)
+    logs = {}
+    for run, share in RUNS.items():
+        length = share * seconds
+        say(f"recording {run}: {length:.0f} s of array time")
+        path = folder / f"{run}.h5"
+        with open_bus(f"emulated:?{_world(run, length)}&seed={seed}", array) as bus:
+            start_s = bus.clock.now_ns() * 1e-9
+            phase = "static" if run == "static" else ""
+            phases: Sequence[Phase] = () if phase else getattr(bus, "phases", ())
+            record(
+                array,
+                bus,
+                path,
+                rate_hz=RATE_HZ,
+                seconds=length - start_s,
+                phases=phases,
+                phase=phase,
+                up="+Z" if phase else "",
+                force=True,
+            )
+        logs[run] = path
+    return logs
+
+
+BMA180S = ("BMA1", "BMA2", "BMA3", "BMA4")
+
+Rows = Sequence[tuple["Case", Gain]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One comparison: a technique, on some sensors of one run, by the scatter or by the drift of its error.
+
+    `claim` is the quantity for which the paper expects a gain here, "" where it expects none.
+    """
+
+    technique: str
+    run: str
+    claim: str = ""
+    only: tuple[str, ...] = ()
+    slow: bool = False
+    phases: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """In words, for a table."""
+        which = f", {self.only[0]} to {self.only[-1]}" if self.only else ""
+        return f"{self.technique}, {self.run}{which}{', drift' if self.slow else ''}"
+
+
+CASES = (
+    Case("opposed", "heating", "angular_rate", slow=True),
+    Case("planes", "static", "specific_force"),
+    Case("ranges", "static", "specific_force", BMA180S),
+    Case("ranges", "shaking", only=BMA180S, phases=("motion",)),
+    Case("opposed", "static"),
+    Case("opposed", "shaking"),
+    Case("planes", "heating", slow=True),
+    Case("planes", "shaking"),
+    Case("ranges", "static"),
+    Case("ranges", "heating"),
+)
+"""First where the paper says that a technique helps, then elsewhere."""
+
+
+def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[Case, Gain]]:
+    """Every case's gains, per quantity and axis."""
+    rows = []
+    for case in CASES:
+        with open_log(logs[case.run]) as log:
+            phases = [phase for phase in log.phases if phase.name in case.phases]
+            found = gains(log, calibration, case.technique, only=case.only, phases=phases, slow=case.slow)
+            rows += [(case, gain) for gain in found]
+    return rows
+
+
+def _best(rows: Rows, case: Case) -> Gain:
+    """The axis on which a technique gains most where it should."""
+    of_case = [gain for found, gain in rows if found == case and gain.quantity == case.claim and gain.box_axis != "XYZ"]
+    return min(of_case, key=lambda gain: gain.ratio)
+
+
+def summary(rows: Rows) -> list[str]:
+    """What a person should know after half a minute."""
+    opposed, planes, ranges = (_best(rows, case) for case in CASES if case.claim)
+    case, worst = max((row for row in rows if row[1].box_axis == "XYZ"), key=lambda row: row[1].ratio)
+    return [
+        f"opposed: gyroscope drift about box {opposed.box_axis} while heated {_from_to(opposed)}",
+        f"planes: specific force along box {planes.box_axis} at rest {_from_to(planes)}",
+        f"ranges: the four BMA180 along box {ranges.box_axis} at rest {_from_to(ranges)}",
+        f"the worst of all comparisons, {case.label}, {worst.quantity.replace('_', ' ')}: {worst.ratio:.3f} ± "
+        f"{worst.ratio_se:.3f} times the average (length of the error)",
+        "all figures: rms error against the emulated world's truth, simple average of the same sensors first",
+    ]
+
+
+def _from_to(gain: Gain) -> str:
+    factor, unit = READABLE_SI[gain.quantity]
+    errors = f"{factor * gain.average:.3g} to {factor * gain.technique_error:.3g} {unit}"
+    return f"{errors} ({gain.ratio:.3f} ± {gain.ratio_se:.3f} times)"
+
+
+_AXIS_WORDS = {axis: f" along {axis}" for axis in "XYZ"}
+
+
+def gap_section(diagnosis: Diagnosis) -> Section:
+    """What a simulator of the data sheets lacks."""
+    rows = [
+        [cause.effect, places_text(cause), parameters_text(cause.parameters), f"{cause.probability:.2f}"]
+        for cause in diagnosis.causes
+    ]
+    table = Table(
+        ["effect", "where", "parameters", "probability"],
+        rows or [["none", "", "", ""]],
+        "Effects that the data sheets' model lacks; gap.html beside this page has maps, curves and the rest.",
+        (0, 1, 2),
+    )
+    return Section("How far a simulator of the data sheets is from the run at rest", diagnosis.sentence, [table])
+
+
+def recorded_section(logs: Mapping[str, Path]) -> Section:
+    """What every log holds."""
+    rows = []
+    for run, path in logs.items():
+        with open_log(path) as log:
+            seconds = max((int(s.time[-1]) for s in log.sensors.values()), default=0) * 1e-9
+            readings = sum(len(sensor) for sensor in log.sensors.values())
+            rows.append(
+                [
+                    run,
+                    f"{seconds:.0f}",
+                    f"{readings}",
+                    ", ".join(phase.name for phase in log.phases),
+                    str(len(log.events)),
+                ]
+            )
+    return Section(
+        "What was recorded",
+        "Twelve sensors of the paper's array behind one multiplexer, emulated to the register: nine "
+        "inertial sensors with the "
+        "biases, responses, temperature slopes and noise of the paper's Tables 3, 4, 8 and 10. Every "
+        "log holds raw counts.",
+        [
+            Table(
+                ["run", "seconds", "readings", "phases", "events"],
+                rows,
+                "One log per run; all of them are beside this page.",
+                (3,),
+            )
+        ],
+    )
+
+
+def calibration_section(tumble: Tumble) -> Section:
+    """Bias and scale factor of every axis, with standard errors."""
+    rows = []
+    for name, sensor in tumble.calibration.sensors.items():
+        factor, unit = READABLE[sensor.unit]
+        sem = sensor.bias_sem_lsb if sensor.bias_sem_lsb is not None else np.full(3, np.nan)
+        for axis in range(3):
+            bias = factor * sensor.bias_in_units()[axis]
+            error = factor * sem[axis] / sensor.scale_lsb_per_unit[axis]
+            scale = f"{sensor.scale_lsb_per_unit[axis]:.2f}" if sensor.unit == "g" else "data sheet"
+            rows.append([f"{name} {'xyz'[axis]}", f"{bias:.3f}", f"{error:.3f}", unit, scale])
+    return Section(
+        "Calibration from six faces",
+        "Bias and response of every axis from six faces of the box (the paper's Appendix B), "
+        "gyroscope bias from all seven "
+        "readings. The standard errors come from the scatter of batch means.",
+        [
+            Table(
+                ["axis", "bias", "standard error", "unit", "scale factor (LSB/g)"],
+                rows,
+                "Compare with the paper's Tables 3 and 4.",
+            )
+        ],
+    )
+
+
+def noise_section(noise: dict[str, Any]) -> Section:
+    """Noise table and Allan curves of a `characterise_log` result."""
+    rows = []
+    for sensor in noise["sensors"]:
+        if sensor["quantity"] not in INERTIAL:
+            continue
+        factor, unit = READABLE[sensor["unit"]]
+        for axis in sensor["axes"]:
+            density = axis["unit"]["noise_density"]
+            scatter = factor * axis["unit"]["std"]
+            rows.append(
+                [
+                    f"{sensor['name']} {axis['axis']}",
+                    f"{scatter:.3f}",
+                    unit,
+                    "-" if density is None else f"{factor * density:.4f}",
+                    f"{unit}/√Hz",
+                    f"{axis['even_share']:.2f}",
+                ]
+            )
+    return Section(
+        "Noise",
+        "Scatter of single readings and white-noise density from the long rest. A share of even "
+        "codes of 1.00 betrays a chip "
+        "that outputs even codes only, as the ADXL345 does at 1600 and 3200 Hz.",
+        [
+            Table(
+                ["axis", "std", "unit", "density", "unit", "even codes"],
+                rows,
+                "Per axis, by the data sheets' sensitivities.",
+            ),
+            Figure(
+                allan_figure(noise),
+                "Allan deviation: straight lines of slope -1/2 are white noise; a curve that flattens shows drift.",
+                "Allan deviation curves of every inertial sensor axis",
+            ),
+        ],
+    )
+
+
+def gain_section(rows: Rows) -> Section:
+    """Every technique against the average."""
+    table, labels, ratios, errors = [], [], [], []
+    unchanged: list[str] = []
+    for case, gain in rows:
+        if (gain.box_axis == "XYZ") == (gain.quantity == case.claim):
+            continue  # axis by axis where a gain is claimed, the whole triad elsewhere
+        if gain.ratio == 1.0:
+            unchanged.append(f"{case.label} ({gain.quantity.replace('_', ' ')})")
+            continue
+        factor, unit = READABLE_SI[gain.quantity]
+        name = f"{case.label}: {gain.quantity.replace('_', ' ')}{_AXIS_WORDS.get(gain.box_axis, '')}"
+        figures = [f"{factor * gain.average:.3f}", f"{factor * gain.technique_error:.3f}", unit]
+        table.append([name, *figures, f"{gain.ratio:.3f}", f"{gain.ratio_se:.3f}"])
+        labels.append(name)
+        ratios.append(gain.ratio)
+        errors.append(gain.ratio_se)
+    return Section(
+        "What each technique gains",
+        "Rms error of each technique over that of the simple average of the same sensors, on runs "
+        "whose truth is known. The first "
+        "rows, axis by axis, are where the paper expects a gain; the others, for the whole vector, "
+        "are everywhere else.",
+        [
+            Figure(
+                ratio_figure(labels, ratios, errors),
+                "Left of the line the technique is better than the average; bars are two standard errors.",
+                "Ratios of the errors of each technique to those of the average",
+            ),
+            Table(
+                ["case", "average", "technique", "unit", "ratio", "standard error"],
+                table,
+                "Rms errors against the truth.",
+            ),
+        ],
+    )
+
+
+def heating_section(path: Path, calibration: Calibration) -> Section:
+    """Gyroscopes about box Y, the axes that the paper's Figure 10 shows."""
+    with open_log(path) as log:
+        names = [sensor.name for sensor in log.of("angular_rate")]
+        curves = {}
+        for label, technique in (("simple average", "mean"), ("opposed", "opposed")):
+            curves[label] = _slow_error(*errors_of(log, fuse(log, calibration, technique))["angular_rate"])
+        single = {}
+        for name in names:
+            time, error = errors_of(log, fuse(log, calibration, "mean", only=[name]))["angular_rate"]
+            single[name] = _slow_error(time, error)
+        time_s = single[names[0]][0]
+        barometer = log.of("pressure")[0]
+        temperature = (np.asarray(barometer.time) * 1e-9, np.asarray(barometer.compensated("temperature")))
+    length = min(len(time_s), *(len(curve[0]) for curve in curves.values()))
+    figure = drift_figure(
+        time_s[:length],
+        {name: values[:length] for name, (_, values) in single.items()},
+        {name: values[:length] for name, (_, values) in curves.items()},
+        "dps",
+        temperature,
+    )
+    return Section(
+        "Heated: opposed gyroscopes",
+        "The hair dryer heats the box by 28 degrees. About box Y one gyroscope points along and two "
+        "against the axis, and all "
+        "three drift alike in their own frames.",
+        [
+            Figure(
+                figure,
+                "Five-second means of the error about box Y: every single gyroscope drifts, their "
+                "average keeps part of it, "
+                "opposing them takes out what they share.",
+                "Drift of single gyroscopes, their average and the opposed result while the box is heated",
+            )
+        ],
+    )
+
+
+def _slow_error(time: Any, error: Any) -> tuple[Any, Any]:
+    """Time (s) and five-second means of the error about box Y in dps, from where it starts."""
+    groups = (time - time[0]) // 5_000_000_000
+    _, first = np.unique(groups, return_index=True)
+    means = np.add.reduceat(error[:, 1], first) / np.diff(np.append(first, len(error)))
+    return time[first] * 1e-9, np.degrees(means - means[:2].mean())
+
+
+def motion_section(path: Path, calibration: Calibration) -> Section:
+    """BMA180 along box X while the box is shaken: the low range alone, the high range alone, both blended."""
+    choices = {
+        "±16 g alone": ("mean", BMA180S[:2]),
+        "±1.5 g alone": ("mean", BMA180S[2:]),
+        "ranges": ("ranges", BMA180S),
+    }
+    curves, times = {}, {}
+    with open_log(path) as log:
+        motion = next(phase for phase in log.phases if phase.name == "motion")
+        window = Phase(motion.start_ns - 1_500_000_000, min(motion.start_ns + 4_500_000_000, motion.end_ns), "window")
+        for label, (technique, only) in choices.items():
+            time, error = errors_of(log, fuse(log, calibration, technique, only=only), [window])["specific_force"]
+            error_mg = READABLE_SI["specific_force"][0] * error[:, 0]
+            rest = float(np.sqrt(np.mean(error_mg[time < motion.start_ns] ** 2)))
+            name = f"{label} (rms at rest {rest:.1f} mg)"
+            curves[name], times[name] = error_mg, time * 1e-9
+        track = log.truth
+        if track is None or track.specific_force is None:
+            raise LogError(f"{path}: an emulated log without a truth")
+        known = track.time[:]
+        inside = (known >= window.start_ns) & (known < window.end_ns)
+        felt = (known[inside] * 1e-9, track.specific_force[:][inside, 0] / STANDARD_GRAVITY)
+    return Section(
+        "Shaken: low and high range blended",
+        "Two of the four BMA180 measure up to 1.5 g, two up to 16 g. The low range is the quieter one, until it clips.",
+        [
+            Figure(
+                motion_figure(felt, times, curves, 1.5),
+                "Above: what the box felt; dashed, where the low range ends. Below: errors. The low "
+                "range alone has nothing to say "
+                "while it clips (gaps); the blend is there all the time, at rest quieter than "
+                "either, and makes no step.",
+                "True specific force of a shaken box and the errors of the low range, the high range and their blend",
+            )
+        ],
+    )
+
+
+FUSED = ("mean", "opposed")
+"""Techniques whose result on the heating run is kept as a file."""
+
+DIAGNOSED = ("ADXL1", "BMA2", "Gyro1")
+"""One sensor of each inertial chip."""
+
+_REPLICATES = 60
+
+
+def run_demo(config: Path, folder: Path, *, seconds: float, seed: int, force: bool, say: Say) -> dict[str, Any]:
+    """Record, calibrate, fuse and report into `folder`; the summary, JSON-ready.
+
+    `seconds` of array time are recorded in all. OutputExistsError before anything is recorded, unless `force`.
+    """
+    _prepare(folder, force)
+    logs = record_all(config, folder, seconds, seed, say)
+    say("calibrating")
+    with open_log(logs["tumble"]) as log:
+        tumble = calibrate_tumble(log)
+        calibration = tumble.calibration.merged(calibrate_noise(log))
+    calibration.save(folder / "calibration.toml", force=True)
+    say("fusing")
+    _fuse_heating(logs["heating"], calibration, folder)
+    rows = compare(logs, calibration)
+    say("diagnosing")
+    diagnosis = _diagnosed(logs["static"], seed)
+    write_gap_page(folder / "gap.html", diagnosis, force=True)
+    say("drawing")
+    with open_log(logs["static"]) as log:
+        noise = characterise_log(log)
+    lines = summary(rows)
+    title = "An emulated array, recorded, calibrated and fused"
+    parts = [
+        gain_section(rows),
+        heating_section(logs["heating"], calibration),
+        motion_section(logs["shaking"], calibration),
+        recorded_section(logs),
+        calibration_section(tumble),
+        noise_section(noise),
+        gap_section(diagnosis),
+    ]
+    write_page(folder / "report.html", title, lines, parts, force=True)
+    return {
+        "folder": str(folder),
+        "report": str(folder / "report.html"),
+        "summary": lines,
+        "gains": [{"case": case.label, **vars(gain)} for case, gain in rows],
+        "residual_mg": {name: 1e3 * value for name, value in tumble.residual_g.items()},
+        "gap": {"verdict": diagnosis.verdict, "sentence": diagnosis.sentence, "page": str(folder / "gap.html")},
+    }
+
+
+def _prepare(folder: Path, force: bool) -> None:
+    """The folder exists and holds none of our files, or `force` was said."""
+    folder.mkdir(parents=True, exist_ok=True)
+    ours = [
+        "report.html",
+        "gap.html",
+        "calibration.toml",
+        *(f"{run}.h5" for run in RUNS),
+        *(f"fused_{name}.h5" for name in FUSED),
+    ]
+    for name in ours:
+        if (folder / name).exists() and not force:
+            raise OutputExistsError(folder / name)
+
+
+def _diagnosed(path: Path, seed: int) -> Diagnosis:
+    """Some sensors at rest beside what their data sheets say."""
+    with open_log(path) as log:
+        return diagnose([log], only=DIAGNOSED, seed=seed, replicates=_REPLICATES)
+
+
+def _fuse_heating(path: Path, calibration: Calibration, folder: Path) -> None:
+    """Fused files of the heating run."""
+    with open_log(path) as log:
+        for name in FUSED:
+            blocks = fuse(log, calibration, name)
+            write_fused(folder / f"fused_{name}.h5", blocks, epoch=log.epoch, technique=name, log=str(path), force=True)

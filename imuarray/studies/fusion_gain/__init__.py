@@ -1,0 +1,51 @@
+"""What fusion gains: every technique on simulated experiments of the paper's array, over the simple average and over
+the Cramer-Rao bound of the true model (the future work of the paper's section 8).
+"""
+
+from imuarray.studies.fusion_gain.bound import (
+    OUTSIDE,
+    Bound,
+    ErrorLaw,
+    Posterior,
+    Seen,
+    SlowError,
+    Stretch,
+    bound,
+    law_of,
+    true_calibration,
+)
+from imuarray.studies.fusion_gain.study import (
+    EXPERIMENTS,
+    QUICK_S,
+    QUICK_SEEDS,
+    SEEDS,
+    Measured,
+    Row,
+    Study,
+    render_text,
+    run,
+    study,
+)
+
+__all__ = [
+    "EXPERIMENTS",
+    "OUTSIDE",
+    "QUICK_S",
+    "QUICK_SEEDS",
+    "SEEDS",
+    "Bound",
+    "ErrorLaw",
+    "Measured",
+    "Posterior",
+    "Row",
+    "Seen",
+    "SlowError",
+    "Stretch",
+    "Study",
+    "bound",
+    "law_of",
+    "render_text",
+    "run",
+    "study",
+    "true_calibration",
+]

@@ -1,0 +1,382 @@
+"""How well any estimator can know what the box feels: the Bayesian Cramer-Rao bound of an array whose errors are known
+in law.
+
+Reading i of axis k is ``d_k . u(t_i) + c_k(t_i) + w_k(t_i)``. About u, anything may happen from frame to frame (a flat
+prior, independent in time); the slow errors c are jointly normal, the noise w is white. All is linear and normal, so
+the bound (Van Trees, Detection, Estimation, and Modulation Theory, Part I, 1968, section 2.4) is the posterior
+covariance itself, and it is reached.
+
+With noise whitened, N = R^-1/2, the columns of V an orthonormal basis of what N D can't reach (the parity space: m - 3
+directions), and G = (D' R^-1 D)^-1 D' R^-1 the weights of one frame alone::
+
+    y = V' N z = V' N c + unit noise           tells of c whatever u is, and nothing else does
+    cov u(t)   = (D' R^-1 D)^-1 + G cov(c(t) | y) G'
+
+for G w and V' N w are uncorrelated. Over a stretch in which c stays as it is, L frames of y are as good as their mean
+with noise 1 / L: the white noise is aggregated without loss, whatever the log's rate. c at all stretches is one normal
+vector (T m,), conditioned on one stretch after the other by dense linear algebra; no state-space form, no filter.
+
+Causal: at each stretch after its own readings (all of them, so that the bound is below what a filter reaches within
+it); smoothed: after all readings.
+
+What a simulation knows of its units, in the two forms that the study needs: the calibration that nobody could
+better, and the law of the errors that it leaves.
+
+Known for good are the response, the bias, its slope with temperature; drawn anew at each boot or all the time, and so
+known in law alone, are turn-on bias, bias instability, common mode and white noise. Effects that the law does not have
+(`OUTSIDE`) are to be left out of a simulation that it is to hold for.
+
+The bound over a log, and the estimate that reaches it: the posterior mean, by dense linear algebra.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.stability import BIAS, Drift, Thermal, TurnOn
+from imuarray.errors import FusionError
+from imuarray.fuse import Frames, FusedBlock, aligned
+from imuarray.fuse.frames import entries
+from imuarray.fuse.optimal.readings import patterns
+from imuarray.log import Log
+from imuarray.log.format import SensorHeader
+from imuarray.simulate import EFFECTS
+from imuarray.simulate.converters import code_span
+from imuarray.simulate.effect import Effect
+from imuarray.simulate.effects.bias import Bias
+from imuarray.simulate.effects.bias_instability import BiasInstability
+from imuarray.simulate.effects.common_mode import CommonMode
+from imuarray.simulate.effects.misalignment import Misalignment
+from imuarray.simulate.effects.scale import Scale
+from imuarray.simulate.effects.thermal_bias import ThermalBias
+from imuarray.simulate.effects.turn_on_bias import TurnOnBias
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.units import INERTIAL, SI_PER_UNIT
+
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SlowError:
+    """``loading x(t)`` on the m axes, x ~ N(0, 1) at any time, loading (m,) in SI: on one axis its own, on several one
+    that they share.
+
+    x forgets itself as ``exp(-|t| / time_constant_s)`` (first-order Gauss-Markov; inf: a constant, as turn-on). With
+    `per_degc` it is a slope: x times the temperature's distance from that reference, in degC.
+    """
+
+    loading: Floats
+    time_constant_s: float = math.inf
+    per_degc: float | None = None
+
+
+@dataclass(frozen=True)
+class ErrorLaw:
+    """The law of m axes of one quantity: directions_box (m, 3) unit vectors, noise_si (m,) white noise of a reading
+    (rounding in it), and their slow errors, independent of each other.
+    """
+
+    directions_box: Floats
+    noise_si: Floats
+    slow: tuple[SlowError, ...] = ()
+
+
+@dataclass(frozen=True)
+class Seen:
+    """`frames` frames of one stretch in which the same axes `known` (m,) had a reading; `mean_si` (m,), if wanted, the
+    mean of what they read.
+    """
+
+    known: Flags
+    frames: int
+    mean_si: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Frames about `time_s` in which slow errors are taken as constant, at a temperature."""
+
+    time_s: float
+    seen: tuple[Seen, ...]
+    temperature_degc: float = 25.0
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Covariances of what is known of u, means over the frames of each of T stretches: causal and smoothed (T, 3, 3)
+    in SI; `frames` (T,). What is known of the slow errors: their posterior means (T, m), zero if no readings came.
+    """
+
+    causal: Floats
+    smoothed: Floats
+    frames: npt.NDArray[np.int64]
+    slow_causal: Floats
+    slow_smoothed: Floats
+
+    @property
+    def causal_rms(self) -> Floats:
+        """(3,) the least rms error about each box axis of an estimator that does not see the future."""
+        return _rms(self.causal, self.frames)
+
+    @property
+    def smoothed_rms(self) -> Floats:
+        """(3,) the least rms error of any estimator."""
+        return _rms(self.smoothed, self.frames)
+
+
+def bound(law: ErrorLaw, stretches: Sequence[Stretch]) -> Bound:
+    """The bound over a log; FusionError if the axes known in some frame don't span space."""
+    axes, count = len(law.noise_si), len(stretches)
+    covariance = slow_covariance(law, stretches)
+    mean = np.zeros(count * axes)
+    causal, past = np.empty((count, 3, 3)), np.empty((count, axes))
+    for number, stretch in enumerate(stretches):
+        here = slice(number * axes, (number + 1) * axes)
+        for seen in stretch.seen:
+            _condition(covariance, mean, here, law, seen)
+        causal[number] = _of_motion(law, stretch.seen, covariance[here, here])
+        past[number] = mean[here]
+    blocks = [slice(k * axes, (k + 1) * axes) for k in range(count)]
+    smoothed = [_of_motion(law, stretch.seen, covariance[b, b]) for b, stretch in zip(blocks, stretches, strict=True)]
+    frames = np.array([sum(seen.frames for seen in stretch.seen) for stretch in stretches])
+    return Bound(causal, np.array(smoothed), frames, past, mean.reshape(count, axes))
+
+
+def slow_covariance(law: ErrorLaw, stretches: Sequence[Stretch]) -> Floats:
+    """(T m, T m) prior covariance of the slow errors, stretch after stretch."""
+    time_s = np.array([stretch.time_s for stretch in stretches])
+    degc = np.array([stretch.temperature_degc for stretch in stretches])
+    size = len(time_s) * len(law.noise_si)
+    total = np.zeros((size, size))
+    for slow in law.slow:
+        kernel = np.exp(-np.abs(time_s[:, None] - time_s) / slow.time_constant_s)
+        if slow.per_degc is not None:
+            kernel *= np.outer(degc - slow.per_degc, degc - slow.per_degc)
+        total += np.kron(kernel, np.outer(slow.loading, slow.loading))
+    return total
+
+
+def frame_weights(law: ErrorLaw, known: Flags) -> tuple[Floats, Floats]:
+    """The weights G (3, m) of one frame alone, zero for axes without a reading, and its covariance (3, 3); FusionError
+    if the axes don't span space.
+    """
+    rows = law.directions_box / law.noise_si[:, None] * known[:, None]
+    normal = rows.T @ rows
+    if not np.linalg.cond(normal) < 1e9:
+        raise FusionError(f"{int(known.sum())} of {len(known)} axes known in a frame: they don't span space")
+    covariance: Floats = np.asarray(np.linalg.inv(normal), float)
+    return np.asarray(covariance @ rows.T / law.noise_si), covariance
+
+
+def _condition(covariance: Floats, mean: Floats, here: slice, law: ErrorLaw, seen: Seen) -> None:
+    """Take in what the parity space of some frames tells, in place."""
+    whitened = law.directions_box[seen.known] / law.noise_si[seen.known, None]
+    basis = np.linalg.svd(whitened)[0][:, 3:]
+    if seen.frames == 0 or basis.shape[1] == 0:
+        return
+    parity = np.zeros((basis.shape[1], len(law.noise_si)))
+    parity[:, seen.known] = basis.T / law.noise_si[seen.known]
+    cross = covariance[:, here] @ parity.T
+    expected = parity @ cross[here] + np.eye(len(parity)) / seen.frames
+    gain = np.linalg.solve(expected, cross.T).T
+    if seen.mean_si is not None:
+        read = np.where(seen.known, seen.mean_si, 0.0)
+        mean += gain @ (parity @ (read - mean[here]))
+    covariance -= gain @ cross.T
+
+
+def _of_motion(law: ErrorLaw, several: Sequence[Seen], slow: Floats) -> Floats:
+    """(3, 3) covariance of u, a mean over the frames, where that of the slow errors is `slow` (m, m)."""
+    total = np.zeros((3, 3))
+    for seen in several:
+        weights, alone = frame_weights(law, seen.known)
+        total += seen.frames * (alone + weights @ slow @ weights.T)
+    return np.asarray(total / max(sum(seen.frames for seen in several), 1))
+
+
+def _rms(covariances: Floats, frames: npt.NDArray[np.int64]) -> Floats:
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    return np.asarray(np.sqrt(frames @ variances / frames.sum()))
+
+
+_INSIDE = frozenset(
+    {
+        "misalignment", "scale", "bias", "turn_on_bias", "thermal_bias", "bias_instability", "common_mode",
+        "white_noise", "thermometer",
+    }
+)  # fmt: skip
+
+OUTSIDE = tuple(name for name in EFFECTS if name not in _INSIDE)
+"""Effects that the law does not describe."""
+
+
+def true_calibration(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> Calibration:
+    """What these units are, as a calibration: every figure that stays the same from boot to boot, without error."""
+    known = {header.name: header for header in headers if header.quantity in INERTIAL}
+    sensors = {name: _calibrated(header, effects.get(name, ())) for name, header in known.items()}
+    return Calibration(sensors, ("the simulated units' own parameters",))
+
+
+def law_of(headers: Sequence[SensorHeader], effects: Mapping[str, Sequence[Effect]]) -> ErrorLaw:
+    """The law of what `true_calibration` leaves, per axis of these sensors (of one quantity), in order, in SI along the
+    axes that they really have.
+    """
+    units = [_calibrated(header, effects.get(header.name, ())) for header in headers]
+    noise = np.concatenate([unit.noise_lsb / unit.lsb_per_si for unit in units if unit.noise_lsb is not None])
+    rows = np.concatenate([unit.directions_box for unit in units])
+    slow: list[SlowError] = []
+    shared: dict[tuple[str, int, float], Floats] = {}
+    for number, header in enumerate(headers):
+        per_si = SI_PER_UNIT[header.unit] / (1 + _triple(effects[header.name], Scale, "error"))
+        for effect in effects[header.name]:
+            time_constant_s = getattr(effect, "time_constant_s", math.inf)
+            for axis in range(3) if isinstance(effect, TurnOnBias | BiasInstability | CommonMode) else ():
+                loading = np.zeros(3 * len(headers))
+                loading[3 * number + axis] = _triple([effect], type(effect), "rms")[axis] * per_si[axis]
+                if isinstance(effect, CommonMode):
+                    shared.setdefault((header.chip, axis, time_constant_s), np.zeros(len(loading)))[:] += loading
+                elif loading.any():
+                    slow.append(SlowError(loading, time_constant_s))
+    slow += [SlowError(loading, seconds) for (_, _, seconds), loading in shared.items()]
+    return ErrorLaw(rows, noise, tuple(slow))
+
+
+def _calibrated(header: SensorHeader, effects: Sequence[Effect]) -> SensorCalibration:
+    gains = 1 + _triple(effects, Scale, "error")
+    leaning = next((each.directions for each in effects if isinstance(each, Misalignment)), np.eye(3))
+    noise = header.sensitivity * _triple(effects, WhiteNoise, "rms")
+    return SensorCalibration(
+        name=header.name,
+        quantity=header.quantity,
+        unit=header.unit,
+        bias_lsb=header.sensitivity * _triple(effects, Bias, "offset"),
+        response_lsb_per_unit=header.sensitivity * gains[:, None] * (leaning @ np.array(header.orientation).T),
+        bias_sem_lsb=np.zeros(3),
+        response_sem_lsb_per_unit=np.zeros(3),
+        noise_lsb=np.sqrt(noise**2 + code_span(header).step ** 2 / 12),  # rounding as noise of its own (Sheppard)
+        temperature_degc=_thermal_reference(effects),
+        range=header.range,
+        thermal=_thermal(header, effects),
+        turn_on=_turn_on(header, effects),
+        drift=_drift(header, effects),
+        g_sensitivity_lsb_per_g=np.zeros((3, 3)) if header.quantity == "angular_rate" else None,
+        g_sensitivity_sem_lsb_per_g=np.zeros((3, 3)) if header.quantity == "angular_rate" else None,
+    )
+
+
+def _thermal(header: SensorHeader, effects: Sequence[Effect]) -> Thermal:
+    """Slopes that are known not to be there are known too."""
+    slope = header.sensitivity * _triple(effects, ThermalBias, "slope")
+    quadratic = header.sensitivity * _triple(effects, ThermalBias, "quadratic")
+    return Thermal(
+        slope, np.zeros(3), _thermal_reference(effects), (BIAS,) * 3, "barometer", quadratic_lsb_per_degc2=quadratic
+    )
+
+
+def _turn_on(header: SensorHeader, effects: Sequence[Effect]) -> TurnOn:
+    rms = header.sensitivity * _triple(effects, TurnOnBias, "rms")
+    return TurnOn(rms, np.zeros(3), rms, np.full(3, np.nan), runs=0)
+
+
+def _drift(header: SensorHeader, effects: Sequence[Effect]) -> Drift:
+    rms = header.sensitivity * _triple(effects, BiasInstability, "rms")
+    times = [effect.time_constant_s for effect in effects if isinstance(effect, BiasInstability)]
+    return Drift(rms, np.zeros(3), times[0] if times else math.inf)
+
+
+def _thermal_reference(effects: Sequence[Effect]) -> float:
+    return next((each.reference_degc for each in effects if isinstance(each, ThermalBias)), 25.0)
+
+
+def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:
+    """(3,) a parameter of the effects of one kind, their root sum of squares or sum; zero without any."""
+    found = np.array([np.zeros(3), *(getattr(effect, name) for effect in effects if isinstance(effect, kind))])
+    return np.asarray(np.sqrt((found**2).sum(axis=0)) if name == "rms" else found.sum(axis=0))
+
+
+STRETCHES = 60
+"""Of a log: 11 s each of the longest. Slow errors of the simulated array have time constants of 600 s: about its mean
+over 11 s such an error scatters by 11 / 600 / 3 = 0.6 % of its variance, which itself is little beside the noise.
+"""
+
+
+class Posterior:
+    """Bounds of both quantities over a log, whose calibration is true and whose errors follow `laws`."""
+
+    def __init__(
+        self, log: Log, calibration: Calibration, laws: Mapping[str, ErrorLaw], names: Sequence[str] = ()
+    ) -> None:
+        """`laws` by quantity over the axes of the log's sensors (or of those in `names`), in the log's order."""
+        self._log, self._calibration, self._laws = log, calibration, laws
+        chosen = {quantity: [s for s in log.of(quantity) if not names or s.name in names] for quantity in laws}
+        self._sensors = {quantity: sensors for quantity, sensors in chosen.items() if sensors}
+        rows = [sensor for sensors in self._sensors.values() for sensor in sensors]
+        first_ns, last_ns = min(int(s.time[0]) for s in rows), max(int(s.time[-1]) for s in rows)
+        self._edges = np.linspace(first_ns, last_ns + 1, STRETCHES + 1)
+        self.bounds: dict[str, Bound] = {
+            quantity: bound(laws[quantity], self._stretches(quantity)) for quantity in self._sensors
+        }
+
+    def blocks(self, *, smoothed: bool = False) -> Iterator[FusedBlock]:
+        """The posterior mean of each frame with its covariance: what the bound is the bound of."""
+        for given in self._frames():
+            found = {quantity: self._estimated(quantity, part, smoothed) for quantity, part in given.items()}
+            triads = {quantity: triad for quantity, (triad, _) in found.items()}
+            time = next(iter(given.values())).time
+            yield FusedBlock(time, triads, {quantity: covariance for quantity, (_, covariance) in found.items()})
+
+    def _frames(self) -> Iterator[Mapping[str, Frames]]:
+        names = [sensor.name for sensors in self._sensors.values() for sensor in sensors]
+        return (frames for frames, _ in aligned(self._log, self._calibration, only=names))
+
+    def _stretches(self, quantity: str) -> list[Stretch]:
+        """What was seen in each stretch, pattern by pattern of the axes that had a reading."""
+        sums: list[dict[bytes, tuple[int, Floats]]] = [{} for _ in range(STRETCHES)]
+        for part in (frames[quantity] for frames in self._frames()):
+            known, stretch = axes_known(part), self._stretch_of(part.time)
+            for number in np.unique(stretch).tolist():
+                for pattern, rows in _patterns(known, stretch == number):
+                    count, total = sums[number].get(pattern.tobytes(), (0, np.zeros(len(pattern))))
+                    read = np.where(pattern, part.values[rows], 0.0).sum(axis=0)
+                    sums[number][pattern.tobytes()] = count + len(rows), total + read
+        middle_s = (self._edges[:-1] + self._edges[1:]) / 2e9
+        return [
+            Stretch(time_s, tuple(Seen(np.frombuffer(key, bool), n, total / n) for key, (n, total) in seen.items()))
+            for time_s, seen in zip(middle_s.tolist(), sums, strict=True)
+        ]
+
+    def _stretch_of(self, time: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        return np.clip(np.searchsorted(self._edges, time, side="right") - 1, 0, STRETCHES - 1)
+
+    def _estimated(self, quantity: str, part: Frames, smoothed: bool) -> tuple[Floats, Floats]:
+        law, known, stretch = self._laws[quantity], axes_known(part), self._stretch_of(part.time)
+        slow = self.bounds[quantity].slow_smoothed if smoothed else self.bounds[quantity].slow_causal
+        spread = self.bounds[quantity].smoothed if smoothed else self.bounds[quantity].causal
+        triad = np.empty((len(stretch), 3))
+        for pattern, rows in _patterns(known, np.ones(len(known), bool)):
+            weights, _ = frame_weights(law, pattern)
+            triad[rows] = np.where(pattern, part.values[rows] - slow[stretch[rows]], 0.0) @ weights.T
+        return triad, entries(spread)[stretch]
+
+
+def axes_known(part: Frames) -> Flags:
+    """(n, m) axes that had a reading: valid, or off the ends of the range though another axis of the triad was not."""
+    if part.clipped is None or not part.clipped.any():
+        return part.valid
+    triads = (part.clipped != 0).reshape(len(part.clipped), -1, 3)
+    beside = triads.any(axis=2, keepdims=True) & ~triads
+    return np.asarray(part.valid | beside.reshape(part.valid.shape))
+
+
+def _patterns(known: Flags, chosen: Flags) -> Iterator[tuple[Flags, npt.NDArray[np.int64]]]:
+    """Each pattern of known axes among the chosen frames, and the frames (their numbers) that have it."""
+    rows = np.flatnonzero(chosen)
+    for pattern, which in patterns(known[rows]):
+        yield pattern, rows[which]

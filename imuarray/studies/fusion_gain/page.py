@@ -1,0 +1,277 @@
+"""The errors of a heated box over time, technique by technique, for a drawing.
+
+Drawings of the study: ratios with intervals, and the errors of a heated box over time.
+
+The study as a page: what each technique gains, where, and how far it is from the bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate.start_up import came_up
+from imuarray.errors import LogError
+from imuarray.fuse import errors_of, fuse, technique_names
+from imuarray.fuse.fuse import AVERAGE
+from imuarray.fuse.gains import ten_second_means
+from imuarray.log import open_log
+from imuarray.report import Figure, Section, Table, write_page
+from imuarray.report.figures import PALETTE, new_figure
+from imuarray.simulate import write_log
+from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
+from imuarray.simulate.experiments import Wanted
+from imuarray.studies.fusion_gain.arrays import ARRAY, ARRAYS, FAULTS, NO_SLOPES, RANGES, measured, simulated
+from imuarray.studies.fusion_gain.study import (
+    CAUSAL,
+    EXPERIMENTS,
+    OPTIMAL_CAUSAL,
+    SMOOTHED,
+    WORDS,
+    Row,
+    Study,
+    changed,
+    interval_text,
+)
+from imuarray.units import INERTIAL, READABLE_SI
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawing
+
+    from imuarray.fuse import Ratio
+
+Floats = npt.NDArray[np.float64]
+
+
+_NOTHING = 1e-6
+"""Of a rate in rad/s: techniques that differ by less are drawn once."""
+
+
+class Heated(NamedTuple):
+    """Time (n,) s; by technique the angular rate's ten-second means less the first (n, 3) rad/s; time and temperature
+    (k,) of the box in degC.
+    """
+
+    time_s: Floats
+    errors: dict[str, Floats]
+    temperature: tuple[Floats, Floats]
+
+
+def heated(seed: int = 1, seconds: float | None = None) -> Heated:
+    """One heating of the paper's array, fused with a calibration that knows no slopes; techniques that give the same as
+    the average are left out.
+    """
+    about = EXPERIMENTS["heating"]
+    motion = MOTIONS[about.motion](Wanted(seconds=seconds or about.seconds))
+    found: dict[str, Floats] = {}
+    with TemporaryDirectory(prefix="imuarray_study_") as folder:
+        path = Path(folder) / "heating.h5"
+        write_log(simulated(ARRAYS[ARRAY](), motion, seed, 0, FAULTS), path)
+        with open_log(path) as log:
+            ranges = {sensor.name: RANGES[sensor.chip] for sensor in log.sensors.values()}
+            calibration, _ = came_up(log, measured(ARRAY, seed)[NO_SLOPES], ranges)
+            for technique in technique_names():
+                time, errors = errors_of(log, fuse(log, calibration, technique))["angular_rate"]
+                means = ten_second_means(time, errors)
+                if not any(np.allclose(means, other, rtol=0, atol=_NOTHING) for other in found.values()):
+                    found[technique] = means
+            truth = log.truth
+            if truth is None or truth.temperature is None:
+                raise LogError(f"{path}: a simulated log without a truth")
+            warm = (truth.time[:] * 1e-9, np.asarray(truth.temperature[:], float))
+    time_s: Floats = np.arange(5.0, 10.0 * len(next(iter(found.values()))), 10.0)
+    return Heated(time_s, found, warm)
+
+
+_MARKERS = "osD^vPX*"
+
+
+def ratios_figure(panels: Mapping[str, Sequence[Row]], of: str) -> Drawing:
+    """A panel for each heading, a row an experiment, a mark a technique: its `over_mean` or `over_bound` (`of`) with
+    its interval.
+    """
+    figure = new_figure(9.0, 1.6 + 0.62 * max(len({row.experiment for row in rows}) for rows in panels.values()))
+    drawn = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    techniques = list(dict.fromkeys((*technique_names(), OPTIMAL_CAUSAL, CAUSAL, SMOOTHED)))
+    for axes, (heading, rows) in zip(drawn, panels.items(), strict=True):
+        _panel(axes, heading, rows, techniques, of)
+    drawn[0].invert_yaxis()
+    shown = [marks for axes in drawn for marks in zip(*axes.get_legend_handles_labels(), strict=True)]
+    found = {label: handle for handle, label in shown}
+    named = {technique: found[technique] for technique in techniques if technique in found}
+    figure.legend(named.values(), named, loc="outside upper center", ncols=7, frameon=False, fontsize=9)
+    words = {"over_mean": "error over that of the simple average", "over_bound": "error over the causal bound"}
+    figure.supxlabel(words[of], fontsize=10)
+    return figure
+
+
+def _panel(axes: Axes, heading: str, rows: Sequence[Row], techniques: Sequence[str], of: str) -> None:
+    experiments = list(dict.fromkeys(row.experiment for row in rows))
+    for number, technique in enumerate(techniques):
+        mine = [row for row in rows if row.technique == technique]
+        if not mine:
+            continue
+        places = [experiments.index(row.experiment) + 0.7 * ((number + 0.5) / len(techniques) - 0.5) for row in mine]
+        ratios = [ratio for row in mine if (ratio := getattr(row, of)) is not None]
+        colour = PALETTE[number % len(PALETTE)]
+        axes.errorbar(
+            [ratio.ratio for ratio in ratios], places, xerr=_reach(ratios), fmt=_MARKERS[number % len(_MARKERS)],
+            color=colour, markersize=5, elinewidth=1.2, capsize=2, label=technique,
+        )  # fmt: skip
+    axes.axvline(1, color="black", linewidth=0.8)
+    axes.set_yticks(range(len(experiments)), experiments)
+    axes.set_title(heading, fontsize=10)
+    axes.grid(axis="x", linewidth=0.4, alpha=0.6)
+
+
+def _reach(ratios: Sequence[Ratio]) -> Floats:
+    """(2, n) how far intervals reach to both sides; nowhere where there is none."""
+    low = [ratio.ratio - ratio.low for ratio in ratios]
+    high = [ratio.high - ratio.ratio for ratio in ratios]
+    return np.asarray(np.maximum(np.nan_to_num(np.array([low, high])), 0.0))
+
+
+def heating_figure(
+    time_s: Floats, curves: Mapping[str, Sequence[Floats]], temperature: tuple[Floats, Floats], unit: str
+) -> Drawing:
+    """Ten-second means of the errors along box X, Y and Z of some techniques (three (n,) each), and the temperature."""
+    figure = new_figure(9.0, 7.0)
+    drawn = figure.subplots(4, 1, sharex=True, height_ratios=(3, 3, 3, 2))
+    for axis, axes in enumerate(drawn[:3]):
+        for number, (technique, values) in enumerate(curves.items()):
+            colour = PALETTE[number % len(PALETTE)]
+            axes.plot(time_s, values[axis], color=colour, linewidth=1.6, label=technique)
+        axes.axhline(0, color="black", linewidth=0.6)
+        axes.set_ylabel(f"box {'XYZ'[axis]} ({unit})")
+    drawn[0].legend(frameon=False, fontsize=9, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    drawn[3].plot(*temperature, color=PALETTE[2], linewidth=1.2)
+    drawn[3].set_ylabel("°C")
+    drawn[3].set_xlabel("time (s)")
+    return figure
+
+
+def drawings_of(found: Study, warm: Heated | None) -> dict[str, Drawing]:
+    """By file name, as many as there are rows for; MissingExtraError without matplotlib."""
+    vectors = [row for row in found.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
+    bounded = found.of(measure="rms", box_axis="XYZ", calibration="true")
+    bounded = [row for row in bounded if row.technique != SMOOTHED and (row.technique == AVERAGE or changed(row))]
+    ends = [row for row in found.of(calibration="measured", quantity="") if changed(row)]
+    panels = {
+        "ratios.png": (_by_sensors(vectors), "over_mean"),
+        "bound.png": (_by_sensors(bounded), "over_bound"),
+        "coasting.png": (
+            {name: [r for r in ends if r.measure == name] for name in ("heading", "velocity")},
+            "over_mean",
+        ),
+    }
+    drawn = {
+        name: ratios_figure({heading: rows for heading, rows in chosen.items() if rows}, of)
+        for name, (chosen, of) in panels.items()
+        if any(chosen.values())
+    }
+    if warm is not None:
+        factor, unit = READABLE_SI["angular_rate"]
+        curves = {name: list(factor * errors.T) for name, errors in warm.errors.items()}
+        drawn["heating.png"] = heating_figure(warm.time_s, curves, warm.temperature, unit)
+    return drawn
+
+
+def _by_sensors(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """A panel for each quantity of each set of sensors."""
+    keys = dict.fromkeys((row.sensors, row.quantity) for row in rows)
+    return {
+        f"{sensors}: {quantity.replace('_', ' ')}": [
+            row for row in rows if (row.sensors, row.quantity) == (sensors, quantity)
+        ]
+        for sensors, quantity in keys
+    }
+
+
+_SEE = {
+    "ratios.png": (
+        "What techniques gain with calibrations from logs: left of the line is better than the simple average of the"
+        " same sensors. Bars are 95 % intervals over the seeds; what changes nothing is not drawn.",
+        "Ratios of the error of each technique to that of the average, by experiment",
+    ),
+    "bound.png": (
+        "Where the model is right, over the least error that any estimator can have: 1 is all that the readings hold."
+        " optimal sees the whole log, the others what came before. The posterior mean (bound, causal) shows that it can"
+        " be had.",
+        "Ratios of the error of each technique to the bound, by experiment",
+    ),
+    "coasting.png": (
+        "Heading and horizontal velocity after coasting for a minute; mean errors of ten seconds at rest are taken out."
+        "",
+        "Ratios of heading and velocity errors to those of the average, by experiment",
+    ),
+    "heating.png": (
+        "Ten-second means of the angular rate's error less the first of them, one seed, while the box is heated by 28"
+        " degrees and the calibration knows no slopes.",
+        "Drift of the average and of the techniques that differ from it about three axes while the box is heated",
+    ),
+}
+
+
+def write_study_page(
+    path: str | PathLike[str], found: Study, drawings: Mapping[str, Drawing], *, force: bool = False
+) -> None:
+    """Write the page; OutputExistsError, OutputError, MissingExtraError without jinja2."""
+    figures = [Figure(drawing, *_SEE[name]) for name, drawing in drawings.items()]
+    sections = [
+        Section(
+            "At a glance",
+            "Simulated experiments of the paper's array, each with several seeds. An error is the length of its vector,"
+            " root mean square over all frames.",
+            figures,
+        ),
+        *(_section(found, experiment) for experiment in dict.fromkeys(row.experiment for row in found.rows)),
+    ]
+    write_page(path, "What fusion gains", summary(found), sections, force=force)
+
+
+def summary(found: Study) -> list[str]:
+    """What a person should know after half a minute: each technique where it gains most, and how far the best is from
+    the bound.
+    """
+    vectors = [
+        row for row in found.of(measure="rms", box_axis="XYZ", calibration="measured") if row.technique != AVERAGE
+    ]
+    lines = []
+    for technique in dict.fromkeys(row.technique for row in vectors):
+        best = min((row for row in vectors if row.technique == technique), key=lambda row: row.over_mean.ratio)
+        where = f"{best.experiment}, {best.sensors}, {best.quantity.replace('_', ' ')}"
+        lines.append(f"{technique}: at best {interval_text(best.over_mean)} times the average's error ({where})")
+    lines.append(f"seeds {found.seeds[0]} to {found.seeds[-1]}; intervals are 95 %, over the seeds")
+    return lines
+
+
+def _section(found: Study, experiment: str) -> Section:
+    rows = found.of(experiment=experiment)
+    tables = []
+    for calibration in dict.fromkeys(row.calibration for row in rows):
+        lines = [_line(row) for row in rows if row.calibration == calibration and _is_told(row)]
+        heading = ["technique", "sensors", "what", "axis", "value", "unit", "over the average", "over the bound"]
+        tables.append(Table(heading, lines, f"{experiment}: {WORDS[calibration]}.", (1, 2, 3, 5)))
+    return Section(experiment, "Every technique that changes something, axis by axis.", tables)
+
+
+def _is_told(row: Row) -> bool:
+    return row.measure != "noise" and (row.technique == AVERAGE or changed(row))
+
+
+def _line(row: Row) -> list[str]:
+    factor, unit = READABLE_SI[row.quantity] if row.quantity in INERTIAL else (1.0, _END_UNITS[row.measure])
+    over_bound = "" if row.over_bound is None else interval_text(row.over_bound)
+    what = f"{row.quantity.replace('_', ' ')} {row.measure}".strip()
+    value = f"{factor * row.value:.4g}"
+    return [row.technique, row.sensors, what, row.box_axis, value, unit, interval_text(row.over_mean), over_bound]
+
+
+_END_UNITS = {"heading": "deg", "velocity": "m/s"}

@@ -1,0 +1,457 @@
+"""One run of the study: an experiment simulated with one seed, fused by every technique, measured against the truth.
+
+All runs of the study and what they tell together: ratios with intervals over the seeds.
+
+The study as a table for people.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.array import ArrayConfig
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.start_up import came_up
+from imuarray.fuse import OPTIMAL, Coasting, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
+from imuarray.fuse.compare import both
+from imuarray.fuse.consistency import consistency
+from imuarray.fuse.fuse import AVERAGE
+from imuarray.fuse.gains import Ratio, ratio_of, ten_second_means
+from imuarray.log import Log, open_log
+from imuarray.log.format import SensorHeader
+from imuarray.simulate import Simulation, write_log
+from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
+from imuarray.simulate.experiments import Wanted
+from imuarray.studies.fusion_gain.arrays import (
+    ARRAYS,
+    FAULTS,
+    NO_SLOPES,
+    RANGES,
+    SETS,
+    SLOPES,
+    TRUE,
+    measured,
+    simulated,
+)
+from imuarray.studies.fusion_gain.bound import OUTSIDE, ErrorLaw, Posterior, law_of, true_calibration
+from imuarray.units import INERTIAL, READABLE_SI
+
+Floats = npt.NDArray[np.float64]
+
+CAUSAL, SMOOTHED = "bound, causal", "bound, smoothed"
+"""The posterior mean beside the techniques: it reaches the bound on the very readings that they are given."""
+
+OPTIMAL_CAUSAL = "optimal, causal"
+"""`optimal` as a live log is fused; `optimal` itself sees the whole log."""
+
+BOX_AXES = ("X", "Y", "Z", "XYZ")
+COASTING = ("heading", "velocity")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What happens to the box (`imuarray.simulate.experiments`), for how long, how often it is switched on, and whether
+    the bound holds.
+
+    It does not under a motion that is fast for the chips' converters: a reading is up to a converter's period old, of
+    which the bound knows nothing.
+    """
+
+    motion: str
+    seconds: float
+    drive: str = "hand"
+    boots: int = 1
+    is_bounded: bool = True
+
+
+EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
+    {
+        "static": Experiment("static", 300.0),
+        "tumble": Experiment("tumble", 300.0),
+        "heating": Experiment("heating", 660.0),
+        "turn-on": Experiment("turn-on", 75.0, boots=4),
+        "motion": Experiment("motion", 120.0, "vehicle"),
+        "shaking": Experiment("motion", 120.0, "hand", is_bounded=False),
+    }
+)
+"""By name. "heating" is the paper's profile at a tenth of its time, with all of its 28 degC."""
+
+
+_BOOTS_APART = 100
+"""From one experiment's first boot to that of the next: none draws what another one drew."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Mean squares of one run: what was fused how, of which quantity ("" for coasting), and by `measure` and box axis
+    the mean square in SI (deg, m/s for coasting). `bound`, the same of the bound ("rms" alone); `normalised`, the mean
+    error squared by its covariance, and whether that holds.
+    """
+
+    experiment: str
+    calibration: str
+    sensors: str
+    technique: str
+    quantity: str
+    replicate: tuple[int, int]
+    squares: Mapping[tuple[str, str], float]
+    bound: Mapping[str, float] = field(default_factory=dict)
+    normalised: float | None = None
+    holds: bool | None = None
+
+
+def run(name: str, seed: int, seconds: float | None = None) -> list[Measured]:
+    """Everything about one experiment with one seed; `seconds` instead of its own length."""
+    rows: list[Measured] = []
+    with TemporaryDirectory(prefix="imuarray_study_") as folder:
+        for array_name, make in ARRAYS.items():
+            array = make()
+            (place := Path(folder) / array_name).mkdir()
+            known = measured(array_name, seed)
+            first = _BOOTS_APART * list(EXPERIMENTS).index(name)
+            for boot in range(first, first + EXPERIMENTS[name].boots):
+                rows += _of_boot(name, seed, boot, seconds, array, known, place)
+    return rows
+
+
+def _of_boot(
+    name: str,
+    seed: int,
+    boot: int,
+    seconds: float | None,
+    array: ArrayConfig,
+    known: Mapping[str, Calibration],
+    folder: Path,
+) -> Iterator[Measured]:
+    """One log of all effects and one of those that the law has."""
+    about = EXPERIMENTS[name]
+    motion = MOTIONS[about.motion](Wanted(seconds=seconds or about.seconds, drive=about.drive))
+    sets = {chosen: names for chosen, (whose, names) in SETS.items() if whose == array.name}
+    kinds = ((FAULTS, "all.h5"), (OUTSIDE, "law.h5"))
+    for without, file in kinds if about.is_bounded else kinds[:1]:
+        simulation = simulated(array, motion, seed, boot, without)
+        write_log(simulation, folder / file, force=True)
+        with open_log(folder / file) as log:
+            ranges = {sensor.name: RANGES[sensor.chip] for sensor in log.sensors.values()}
+            for sensors, names in sets.items():
+                label = partial(Measured, name, sensors=sensors, replicate=(seed, boot))
+                if file == "all.h5":
+                    wanted = (SLOPES, NO_SLOPES) if name == "heating" else (SLOPES,)
+                    for which in wanted:
+                        calibration, _ = came_up(log, known[which], ranges)
+                        yield from _compared(log, calibration, names, partial(label, calibration=which))
+                else:
+                    yield from _beside_bound(log, simulation, names, partial(label, calibration=TRUE))
+
+
+Label = Callable[..., Measured]
+
+
+def _compared(log: Log, calibration: Calibration, names: tuple[str, ...], label: Label) -> Iterator[Measured]:
+    for technique, blocks in _results(log, calibration, names).items():
+        yield from _measured(error_frames(log, blocks()), partial(label, technique=technique), {})
+
+
+def _results(
+    log: Log, calibration: Calibration, names: tuple[str, ...]
+) -> dict[str, Callable[[], Iterator[FusedBlock]]]:
+    """What makes the result of every technique."""
+    made: dict[str, Callable[[], Iterator[FusedBlock]]] = {
+        technique: partial(fuse, log, calibration, technique, only=names) for technique in technique_names()
+    }
+    made[OPTIMAL_CAUSAL] = partial(fuse, log, calibration, OPTIMAL, only=names, causal=True)
+    return made
+
+
+def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[Measured]:
+    """The techniques with the true calibration, and the posterior mean, each beside the bound."""
+    headers = {
+        quantity: [
+            sensor.header for sensor in simulation.sensors.values() if _is_chosen(sensor.header, quantity, names)
+        ]
+        for quantity in INERTIAL
+    }
+    effects = {name: sensor.effects for name, sensor in simulation.sensors.items()}
+    laws: dict[str, ErrorLaw] = {quantity: law_of(chosen, effects) for quantity, chosen in headers.items() if chosen}
+    calibration = true_calibration([header for chosen in headers.values() for header in chosen], effects)
+    posterior = Posterior(log, calibration, laws, names)
+    causal = {quantity: bound.causal_rms**2 for quantity, bound in posterior.bounds.items()}
+    smoothed = {quantity: bound.smoothed_rms**2 for quantity, bound in posterior.bounds.items()}
+    results = _results(log, calibration, names)
+    results[CAUSAL] = posterior.blocks
+    results[SMOOTHED] = partial(posterior.blocks, smoothed=True)
+    for technique, blocks in results.items():
+        least = smoothed if technique in (OPTIMAL, SMOOTHED) else causal
+        yield from _measured(error_frames(log, blocks()), partial(label, technique=technique), least)
+
+
+def _is_chosen(header: SensorHeader, quantity: str, names: tuple[str, ...]) -> bool:
+    return header.quantity == quantity and (not names or header.name in names)
+
+
+def _measured(found: Mapping[str, ErrorFrames], label: Label, least: Mapping[str, Floats]) -> Iterator[Measured]:
+    for quantity, frames in found.items():
+        held = consistency(frames.errors, frames.covariances)
+        yield label(
+            quantity=quantity,
+            squares=_squares(frames),
+            bound=_by_axis(least[quantity]) if quantity in least else {},
+            normalised=None if held is None else held.normalised,
+            holds=None if held is None else held.holds,
+        )
+    if len(found) == len(INERTIAL):
+        coast = coasting(both(found))
+        if len(coast.begins_s):
+            yield label(quantity="", squares=_coasting_squares(coast))
+
+
+def _squares(frames: ErrorFrames) -> dict[tuple[str, str], float]:
+    """Mean squares by measure and box axis: of the errors, of their changes from frame to frame (halved), of ten-second
+    means less the first of them.
+    """
+    errors = frames.errors
+    rows = {
+        "rms": errors,
+        "noise": np.diff(errors, axis=0) / np.sqrt(2),
+        "drift": ten_second_means(frames.time, errors)[1:],
+    }
+    return {
+        (measure, axis): value
+        for measure, part in rows.items()
+        if len(part)
+        for axis, value in _by_axis(np.mean(part**2, axis=0)).items()
+    }
+
+
+def _coasting_squares(coast: Coasting) -> dict[tuple[str, str], float]:
+    ends = zip(COASTING, (coast.heading_deg, coast.velocity_mps), strict=True)
+    return {(measure, ""): float(np.mean(values**2)) for measure, values in ends}
+
+
+def _by_axis(squares: Floats) -> dict[str, float]:
+    """Of each box axis, and their sum: of the length of the error."""
+    return dict(zip(BOX_AXES, [*squares.tolist(), float(squares.sum())], strict=True))
+
+
+__all__ = ["AVERAGE", "CAUSAL", "EXPERIMENTS", "SMOOTHED", "Experiment", "Measured", "run"]
+
+
+Progress = Callable[[int, int, str], None]
+"""Told how many runs are done, of how many, and which one was."""
+
+SEEDS = 6
+QUICK_SEEDS, QUICK_S = 2, 80.0
+
+Job = tuple[str, int, float | None]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measure of one technique, over all seeds.
+
+    `value`: root mean square in SI (degrees of heading, m/s of velocity). `over_mean`: over that of the simple average
+    of the same sensors; `over_bound`: over the bound ("rms" with the true calibration alone), the smoothed one for what
+    sees the whole log, else the causal one. `normalised`: the
+    mean error squared by the claimed covariance, and in what share of the runs that was in its interval ("rms").
+    """
+
+    experiment: str
+    calibration: str
+    sensors: str
+    technique: str
+    quantity: str
+    measure: str
+    box_axis: str
+    value: float
+    over_mean: Ratio
+    over_bound: Ratio | None = None
+    normalised: float | None = None
+    consistent: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON-ready; None for an end of an interval that one seed alone can't tell."""
+        ratios = {name: _known(getattr(self, name)) for name in ("over_mean", "over_bound")}
+        return {**vars(self), **ratios}
+
+
+@dataclass(frozen=True)
+class Study:
+    """The rows, the seeds that they are over, and the length that was asked for (None: each experiment's own)."""
+
+    rows: tuple[Row, ...]
+    seeds: tuple[int, ...]
+    seconds: float | None = None
+
+    def of(self, **wanted: str) -> list[Row]:
+        """The rows with these properties."""
+        return [row for row in self.rows if all(getattr(row, name) == value for name, value in wanted.items())]
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {
+            "seeds": list(self.seeds),
+            "experiments": {name: vars(EXPERIMENTS[name]) for name in dict.fromkeys(r.experiment for r in self.rows)},
+            "seconds": self.seconds,
+            "rows": [row.as_json() for row in self.rows],
+        }
+
+
+def study(
+    experiments: Sequence[str] = tuple(EXPERIMENTS),
+    seeds: int = SEEDS,
+    *,
+    seconds: float | None = None,
+    executor: Executor | None = None,
+    progress: Progress = lambda done, total, what: None,
+) -> Study:
+    """Every technique in these experiments with seeds 1 ... `seeds`; `executor` shares the runs out, and changes
+    nothing else. `seconds`: of every log instead of its own length.
+    """
+    jobs: list[Job] = [(name, seed, seconds) for seed in range(1, seeds + 1) for name in experiments]
+    measured: list[Measured] = []
+    for done, (job, rows) in enumerate(zip(jobs, (executor.map if executor else map)(_ran, jobs), strict=True), 1):
+        measured += rows
+        progress(done, len(jobs), f"{job[0]}, seed {job[1]}")
+    return Study(tuple(rows_of(measured)), tuple(range(1, seeds + 1)), seconds)
+
+
+def _ran(job: Job) -> list[Measured]:
+    """One job, where a process can find it."""
+    return run(*job)
+
+
+def rows_of(measured: Iterable[Measured]) -> list[Row]:
+    """What runs tell together; boots of one seed share their calibration and count as one."""
+    groups: dict[tuple[str, ...], list[Measured]] = defaultdict(list)
+    for one in measured:
+        groups[one.experiment, one.calibration, one.sensors, one.technique, one.quantity].append(one)
+    rows = []
+    for (experiment, calibration, sensors, technique, quantity), runs in groups.items():
+        average = groups[experiment, calibration, sensors, AVERAGE, quantity]
+        for measure, axis in runs[0].squares:
+            before, after = (
+                _by_seed(several, [one.squares[measure, axis] for one in several]) for several in (average, runs)
+            )
+            told = measure == "rms"
+            least = _by_seed(runs, [one.bound[axis] for one in runs]) if told and runs[0].bound else None
+            rows.append(
+                Row(
+                    experiment, calibration, sensors, technique, quantity, measure, axis,
+                    value=math.sqrt(after.mean()),
+                    over_mean=ratio_of(before, after),
+                    over_bound=None if least is None else ratio_of(least, after),
+                    normalised=_mean([one.normalised for one in runs]) if told else None,
+                    consistent=_mean([one.holds for one in runs]) if told else None,
+                )
+            )  # fmt: skip
+    return rows
+
+
+def _by_seed(runs: Sequence[Measured], squares: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Means of the runs' squares, one a seed."""
+    found: dict[int, list[float]] = defaultdict(list)
+    for one, square in zip(runs, squares, strict=True):
+        found[one.replicate[0]].append(square)
+    return np.array([np.mean(several) for several in found.values()])
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [float(value) for value in values if value is not None]
+    return sum(known) / len(known) if known else None
+
+
+def _known(ratio: Ratio | None) -> dict[str, float | None] | None:
+    if ratio is None:
+        return None
+    return {name: value if math.isfinite(value) else None for name, value in vars(ratio).items()}
+
+
+_HEAD = f"  {'':18} {'rms':>8} {'over the average':>23} {'its drift':>23} {'over the bound':>23} {'normalised^2':>12}"
+
+_NOTHING = 5e-4
+"""A change of a ratio that three digits don't show."""
+
+_WIDE = 20.0
+"""Ends of an interval that are so many times apart tell nothing."""
+
+WORDS = {
+    "measured": "calibrated",
+    "no slopes": "calibrated, no slopes with temperature",
+    "true": "true parameters, model right",
+}
+"""What a calibration is called."""
+
+
+def render_text(found: Study) -> str:
+    """Lengths of error vectors, a line a technique that changes something; then coasting."""
+    return "".join(f"{line}\n" for line in _lines(found))
+
+
+def _lines(found: Study) -> Iterator[str]:
+    yield f"seeds {found.seeds[0]} to {found.seeds[-1]}; error of the whole vector, 95 % intervals over the seeds"
+    groups = dict.fromkeys((row.experiment, row.sensors, row.calibration) for row in found.rows)
+    for experiment, sensors, calibration in groups:
+        chosen = found.of(experiment=experiment, sensors=sensors, calibration=calibration)
+        yield ""
+        yield f"{experiment}: {sensors}, {WORDS[calibration]}"
+        yield _HEAD
+        for quantity in INERTIAL:
+            vectors = [row for row in chosen if row.quantity == quantity and row.box_axis == "XYZ"]
+            for row in [row for row in vectors if row.measure == "rms" and _shows(row)]:
+                yield _vector_line(row, next(r for r in vectors if _same(r, row) and r.measure == "drift"))
+        yield from _coasting_lines([row for row in chosen if not row.quantity])
+
+
+def changed(row: Row) -> bool:
+    """Whether a technique does anything here."""
+    return abs(row.over_mean.ratio - 1) > _NOTHING
+
+
+def _shows(row: Row) -> bool:
+    return row.technique == AVERAGE or changed(row)
+
+
+def _same(one: Row, other: Row) -> bool:
+    return one.technique == other.technique
+
+
+def _vector_line(row: Row, drift: Row) -> str:
+    factor, unit = READABLE_SI[row.quantity]
+    over_bound = "" if row.over_bound is None else interval_text(row.over_bound)
+    normal = "" if row.normalised is None else f"{row.normalised:.2f} ({row.consistent:.0%})"
+    value = f"{factor * row.value:8.3f} {unit:3}"
+    return (
+        f"  {row.technique:15} {value} {interval_text(row.over_mean):>22}"
+        f" {interval_text(drift.over_mean):>23} {over_bound:>23} {normal:>12}"
+    )
+
+
+def _coasting_lines(rows: Sequence[Row]) -> Iterator[str]:
+    for row in [row for row in rows if row.measure == "heading"]:
+        velocity = next(other for other in rows if other.measure == "velocity" and _same(other, row))
+        if _shows(row) or changed(velocity):
+            yield (
+                f"  {row.technique:15} after 60 s: heading {row.value:.3f} deg, {interval_text(row.over_mean)};"
+                f" velocity {velocity.value:.3f} m/s, {interval_text(velocity.over_mean)}"
+            )
+
+
+def interval_text(ratio: Ratio) -> str:
+    """A ratio with its interval, where there is one."""
+    if ratio.low == ratio.high or not ratio.low < ratio.high:
+        return f"{ratio.ratio:.3f}"
+    if ratio.high > _WIDE * ratio.low:
+        return f"{ratio.ratio:.3f} (too few seeds)"
+    return f"{ratio.ratio:.3f} ({ratio.low:.3f}-{ratio.high:.3f})"

@@ -1,0 +1,589 @@
+"""Means of a Gauss-Markov process over windows: what Table 11's columns show of a slow wander.
+
+x is stationary with unit variance and correlation exp(-|t| / time_constant). Windows of T seconds follow on each other;
+with r = time_constant / T and d = exp(-1 / r), integrating the correlation over one window or over two gives
+
+    var(mean) = 2 r (1 - r (1 - d)),        cov(means k windows apart) = r^2 (1 - d)^2 d^(k - 1),  k >= 1.
+
+The nine sensors of the paper's array as parameters of a simulator, one by one, from Tables 6 to 11.
+
+A reading at rest with the box axis +-K up and at temperature T is, in counts and along a sensor axis,
+
+    reading = sensitivity (bias + response . force + slope (T - 25 degC)),     force = +-1 g along K.
+
+The six faces of Table 10, brought to 25 degC with the slopes of Table 8 and the face temperatures, give bias (their
+mean) and response (half-differences). An accelerometer's response, turned into the sensor's nominal axes, is the
+direction of its axis times (1 + error); a gyroscope's is its sensitivity to specific force. Table 8's heating had +Z up
+all the time: an axis along Z carried 1 g, and its slope may as well be that of its scale factor. It stands as bias.
+
+Everything is in g or dps with the data sheets' typical sensitivities, along the sensor's own axes.
+
+What other units of the three designs may be like, as far as nine sensors on one board can tell.
+
+k units with values of mean m and standard deviation s (over units and axes) foretell a further one as m +- s sqrt(1 +
+1/k): it differs from its design's mean by s, and that mean is known to s / sqrt(k) only. The second part is the same
+for all units that anybody draws, so a share 1 / (k + 1) of the variance is common to them (`shared`). What the paper
+calls common to a design (gyroscope drifts positive in eight of nine, ADXL345 z axes noisier and drifting down) stands
+in the means. Parameters that can't be negative are cut off at 0 and as far above the mean.
+
+A fault that one unit of several showed (two bias states, a range lost at power-on) is no spread and left out.
+
+The model of the paper's array, fitted to its tables: `configs/models/martin2013.toml` is what this prints.
+
+``python -m imuarray.studies.paper.array_model > configs/models/martin2013.toml``
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import cache
+from math import atan2, degrees, exp, floor, sqrt
+from textwrap import wrap
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.axes import orientation_of
+from imuarray.studies.paper.systematic import READINGS, as_text, believed_axes
+from imuarray.studies.paper.tables import (
+    BMA180_LSB_PER_G,
+    DEGC,
+    FACES_DEGC,
+    Row,
+    design_of,
+    number_in,
+    physical,
+    row_of,
+    table,
+)
+from imuarray.studies.paper.variation import bias_states, boot_faults
+
+WINDOW_S = 300.0
+"""Table 11's means are over five minutes (section 4)."""
+PARTS = 15
+"""Windows in a row, and runs, of which Table 11 gives the standard deviation."""
+TIME_CONSTANT_S = 600.0
+"""Time constant of the in-run wander, one for all channels. The paper prints none; three columns bracket it.
+
+Longer than 100 s: first and last face of Table 10 differ, drift with temperature taken out, by a median of 1.6 of
+Table 11's in-run deviations, where a wander of 100 s makes it 0.64, one of 600 s 0.94 and one of 3000 s 1.4; and range
+over deviation of Table 11's fifteen windows is 3.39 on average, where windows that know nothing of each other have
+3.54 and those of a wander of 600 s 3.45. Shorter than 1000 s: BMA3's x and y vary less from run to run than within one.
+"""
+
+
+def variance_of_mean(window_s: float, time_constant_s: float = TIME_CONSTANT_S) -> float:
+    """Variance of the mean over one window, as a share of the process's."""
+    ratio = time_constant_s / window_s
+    return 2 * ratio * (1 - ratio * (1 - exp(-1 / ratio)))
+
+
+def covariance_of_means(apart: int, window_s: float, time_constant_s: float = TIME_CONSTANT_S) -> float:
+    """Covariance of the means over two windows of which the second begins `apart` >= 1 windows later."""
+    ratio = time_constant_s / window_s
+    decay = exp(-1 / ratio)
+    return ratio**2 * (1 - decay) ** 2 * decay ** (apart - 1)
+
+
+def expected_scatter(window_s: float = WINDOW_S, time_constant_s: float = TIME_CONSTANT_S, parts: int = PARTS) -> float:
+    """Expected sample variance of the means of `parts` windows in a row."""
+    pairs = sum((parts - k) * covariance_of_means(k, window_s, time_constant_s) for k in range(1, parts))
+    return variance_of_mean(window_s, time_constant_s) - 2 * pairs / (parts * (parts - 1))
+
+
+Floats = npt.NDArray[np.float64]
+
+REFERENCE_DEGC = 25.0
+CHIP = {"ADXL": "adxl345", "BMA": "bma180", "Gyro": "l3g4200d"}
+RANGE = {"16g": 16.0, "1.5g": 1.5, "2k dps": 2000.0, "250dps": 250.0}
+"""Ranges as the tables print them, in the sensor's unit."""
+STEP_LSB = {"ADXL": 2.0, "BMA": 1.0, "Gyro": 1.0}
+"""Distance of the codes that occur: the ADXL345 gave even ones only (appendix A.2)."""
+TONE_HZ = 50.0
+"""The line on the gyroscopes' y axis (appendix A.1, Figure 14)."""
+CUTOFF_HZ = 51.0
+"""exp(-2 pi cutoff / 350 Hz) = 0.4, the correlation of neighbours in Figure 13."""
+TONE_SHARE = 0.03
+"""Our guess at its share of Table 9's variance on y; no number is printed.
+
+The autocorrelation of 480 000 readings then ripples by 0.03, twenty times its sampling error ("can be clearly seen"),
+and y's deviation grows by 1.5 %, less than the 5 % by which Table 9's x and z differ from each other.
+"""
+_STDS = ((10, "std_lsb"), (11, "runs_std"), (11, "cont_std"))
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One sensor: vectors have an entry for each of its axes, `response` (3, 3) a row; unit is "g" or "dps".
+
+    `bias` at 25 degC (Gyro3: in its first state), `response` to force along the sensor's nominal axes, `slope` per
+    degC, `noise` of single readings, `in_run` the stationary wander's rms, `turn_on` what runs differ by.
+    `thermometer` is what the chip's own one is off by, (offset, rms) in degC; None without one.
+    """
+
+    name: str
+    design: str
+    range: str
+    lsb: float
+    bias: Floats
+    response: Floats
+    slope: Floats
+    noise: Floats
+    in_run: Floats
+    turn_on: Floats
+    thermometer: tuple[float, float] | None
+
+    @property
+    def unit(self) -> str:
+        """The data sheet's unit."""
+        return "dps" if self.design == "Gyro" else "g"
+
+    @property
+    def scale_error(self) -> Floats:
+        """An accelerometer's scale factors over the typical one, less one."""
+        return np.asarray(np.linalg.norm(self.response, axis=1) - 1)
+
+    @property
+    def angles_deg(self) -> list[float]:
+        """By how much an accelerometer's axes lean towards the others: xy, xz, yx, yz, zx, zy."""
+        r = self.response
+        return [degrees(atan2(r[i, j], r[i, i])) for i in range(3) for j in range(3) if i != j]
+
+
+@cache
+def units() -> tuple[Unit, ...]:
+    """The nine sensors in the order of Table 1."""
+    return tuple(_unit(row["sensor"]) for row in table(1))
+
+
+def unit_of(name: str) -> Unit:
+    """The sensor of that name."""
+    return next(unit for unit in units() if unit.name == name)
+
+
+def tone_dps() -> float:
+    """Amplitude of the line on the gyroscopes' y axis: `TONE_SHARE` of the variance that Table 9 gives at 250 dps."""
+    row = next(row for row in table(9) if row["output"] == "Gyro1 y" and row["range"] == "250dps")
+    return sqrt(2 * TONE_SHARE) * float(number_in(row, "std_dps"))
+
+
+def gyro3_other_state_lsb() -> Floats:
+    """From Gyro3's first state of Table 7 to its second, in counts: 8 of 15 runs came up in that."""
+    first, second = bias_states()
+    return np.asarray(np.array(second.centre) - np.array(first.centre))
+
+
+def bma1_reset_offset_g() -> Floats:
+    """What BMA1 reads more in run 10 of Table 6, taken at 2 g, than in its other runs, in g."""
+    faulty = {fault.run: float(fault.range_lsb_per_g) for fault in boot_faults()}
+    ((run, lsb_per_g),) = faulty.items()
+    runs = runs_of("BMA1")
+    usual = np.delete(runs, run - 1, axis=0).mean(axis=0) / float(BMA180_LSB_PER_G["16g"])
+    return np.asarray(runs[run - 1] / lsb_per_g - usual)
+
+
+def bma1_reset_noise_share() -> Floats:
+    """How noisy BMA1 is in run 10, as a share of its usual noise in g.
+
+    Table 11 prints the mean deviation of the 15 runs; the fourteen sound ones are taken to differ from the continuous
+    run as BMA2's do, and what is left is run 10's.
+    """
+    continuous, runs = (_column(11, "BMA1", column) for column in ("cont_std", "runs_std"))
+    sound = continuous * _column(11, "BMA2", "runs_std") / _column(11, "BMA2", "cont_std")
+    faulty = len(runs_of("BMA1")) * runs - (len(runs_of("BMA1")) - 1) * sound
+    ratio = float(BMA180_LSB_PER_G["16g"] / BMA180_LSB_PER_G["2g"])
+    return np.asarray(faulty / sound * ratio)
+
+
+def runs_of(name: str) -> Floats:
+    """(15, 3) means of the runs of Table 6 ("BMA1") or 7 ("Gyro3"), counts."""
+    number = {"BMA1": 6, "Gyro3": 7}[name]
+    return np.array([[float(number_in(row, f"{axis}_lsb")) for axis in "xyz"] for row in table(number)])
+
+
+def gyro1_bias_at_250dps() -> Floats:
+    """Gyro1 at 250 dps, from Table 9 (+X up): another range, another bias (section 5.1)."""
+    gyro = unit_of("Gyro1")
+    rows = [row for row in table(9) if row["range"] == "250dps"]
+    means = np.array([float(number_in(row, "mean_dps")) for row in rows])
+    along_x = np.array(orientation_of(as_text(believed_axes("Gyro1"))))[0]
+    return np.asarray(means - gyro.response @ along_x - gyro.slope * (high_rate_degc("250dps") - REFERENCE_DEGC))
+
+
+def high_rate_degc(range_name: str) -> float:
+    """Temperature of a high-rate experiment of Table 9, told by Gyro1's own thermometer: no other is printed."""
+    rows = [row for row in table(9) if row["output"] == "Gyro1 t"]
+    row = rows[0] if range_name == "250dps" else rows[1]
+    return _zero("Gyro1") - float(number_in(row, "mean_lsb"))
+
+
+def _unit(name: str) -> Unit:
+    rows = [row_of(10, f"{name} {axis}") for axis in "xyz"]
+    per_lsb = float(physical(rows[0], Decimal(1)))
+    design = design_of(name)
+    lsb = per_lsb if design == "Gyro" else per_lsb / 1000
+    slope = _column(8, name, "slope_lsb_per_degc")
+    bias, response = _six_faces(name, rows, slope)
+    in_run = _in_run(name, slope)
+    thermometer = None if design == "ADXL" else _thermometer_parameters(name, design)
+    noise, turn_on = _noise(name, design, lsb), _turn_on(name, slope, in_run)
+    bias, response, slope, noise, in_run, turn_on = (
+        part * lsb for part in (bias, response, slope, noise, in_run, turn_on)
+    )
+    range_name = rows[0]["range"]
+    return Unit(name, design, range_name, lsb, bias, response, slope, noise, in_run, turn_on, thermometer)
+
+
+def _column(number: int, name: str, column: str) -> Floats:
+    return np.array([float(number_in(row_of(number, f"{name} {axis}"), column)) for axis in "xyz"])
+
+
+def _six_faces(name: str, rows: Sequence[Row], slope: Floats) -> tuple[Floats, Floats]:
+    """Bias (3,) at 25 degC and response (3, 3) along the sensor's nominal axes, counts and counts per g."""
+    readings = np.array([[float(number_in(row, face)) for face in READINGS[:6]] for row in rows])
+    readings = readings - slope[:, None] * (np.array(FACES_DEGC[:6]) - REFERENCE_DEGC)
+    z_up, x_up, y_up, x_down, y_down, z_down = readings.T
+    box = np.stack([x_up - x_down, y_up - y_down, z_up - z_down], axis=1) / 2
+    state = gyro3_other_state_lsb() if name == "Gyro3" else 0.0  # Table 10 shows the second state's biases
+    return readings.mean(axis=1) - state, box @ np.array(orientation_of(as_text(believed_axes(name))))
+
+
+def _noise(name: str, design: str, lsb: float) -> Floats:
+    """Root of the mean variance in three experiments, less what rounding and the line add, counts."""
+    variance = np.mean([_column(number, name, column) ** 2 for number, column in _STDS], axis=0)
+    tone = np.array([0.0, (tone_dps() / lsb) ** 2 / 2, 0.0]) if design == "Gyro" else 0.0
+    return np.asarray(np.sqrt(variance - STEP_LSB[design] ** 2 / 12 - tone))
+
+
+def _in_run(name: str, slope: Floats) -> Floats:
+    """Table 11's in-run deviation, less white noise and the drift with temperature, as the wander behind it."""
+    scatter = _column(11, name, "cont_std_of_means") ** 2 - _column(11, name, "cont_sem") ** 2
+    left = scatter - (slope * DEGC[11, "cont_std_of_means"]) ** 2
+    return np.asarray(np.sqrt(np.maximum(left, 0) / expected_scatter()))
+
+
+def _turn_on(name: str, slope: Floats, in_run: Floats) -> Floats:
+    """Table 11's run-to-run deviation, less white noise, temperature and the in-run wander of a run's mean."""
+    left = _run_variance(name) - _column(11, name, "runs_sem") ** 2 - in_run**2 * variance_of_mean(WINDOW_S)
+    return np.asarray(np.sqrt(np.maximum(left - (slope * DEGC[11, "runs_std_of_means"]) ** 2, 0)))
+
+
+def _run_variance(name: str) -> Floats:
+    """Variance of the runs' means: BMA1's without its fault, Gyro3's within its states, else Table 11's column."""
+    if name == "BMA1":
+        return np.asarray(np.delete(runs_of(name), [fault.run - 1 for fault in boot_faults()], axis=0).var(0, ddof=1))
+    if name == "Gyro3":
+        states = bias_states()
+        squares = sum((len(state.runs) - 1) * np.array(state.spread) ** 2 for state in states)
+        return np.asarray(squares / (sum(len(state.runs) for state in states) - len(states)))
+    return _column(11, name, "runs_std_of_means") ** 2
+
+
+def _zero(name: str) -> float:
+    """Code of a gyroscope's thermometer at 0 degC: it falls by one per degC (L3G-60)."""
+    return float(np.mean([code + degc for code, degc in _thermometer_readings(name)]))
+
+
+def _thermometer_readings(name: str) -> list[tuple[float, float]]:
+    """(mean code, independent temperature) of Table 10 and the two halves of Table 11."""
+    faces = row_of(10, f"{name} t")
+    first = (float(np.mean([float(number_in(faces, face)) for face in READINGS])), float(np.mean(FACES_DEGC)))
+    columns = ("runs_mean", "cont_mean")
+    return [first, *((float(number_in(row_of(11, f"{name} t"), column)), DEGC[11, column]) for column in columns)]
+
+
+def _thermometer_parameters(name: str, design: str) -> tuple[float, float]:
+    """(offset, rms) in degC: a BMA180's code is 2 (T - 24 degC) (BMA-63), an L3G4200D's 47 - T by our convention."""
+    readings = _thermometer_readings(name)
+    if design == "Gyro":
+        return 47.0 - _zero(name), rms_before_rounding(_code_variance(name, 1.0))
+    offset = float(np.mean([24.0 + code / 2 - degc for code, degc in readings]))
+    return offset, sqrt(_code_variance(name, 2.0) - 1 / 12) / 2
+
+
+def _code_variance(name: str, codes_per_degc: float) -> float:
+    """Mean variance of the thermometer's codes in three experiments, less that of the temperature itself."""
+    own = [float(number_in(row_of(number, f"{name} t"), column)) ** 2 for number, column in _STDS]
+    return float(np.mean(own) - codes_per_degc**2 * np.mean([DEGC[key] ** 2 for key in _STDS]))
+
+
+def rms_before_rounding(variance: float) -> float:
+    """Noise that, rounded to whole codes about a mean anywhere between two, has this variance on average.
+
+    The average is s^2 + 1/12 - sum_k exp(-4 pi^2 k^2 s^2) / (2 pi^2 k^2); it grows with s from 0. Bisection.
+    """
+    k = np.arange(1, 200)
+    low, high = 0.0, 2.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        bias = np.sum(np.exp(-4 * np.pi**2 * k**2 * middle**2) / (2 * np.pi**2 * k**2))
+        low, high = (middle, high) if middle**2 + 1 / 12 - bias < variance else (low, middle)
+    return (low + high) / 2
+
+
+Table = dict[str, object]
+
+NOISE_BANDWIDTH_HZ = {"adxl345": 800.0, "l3g4200d": 35.0}
+"""Bandwidths of `configs/martin2013.toml` at which the noise of Tables 10 and 11 holds: half of 1600 Hz (ADX-32) and
+35 Hz (finding: 0.03 dps/sqrt(Hz), L3G-74). The paper says nothing of the BMA180's; its noise stands as it is.
+"""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A normal population, in a parameter's unit."""
+
+    mean: float
+    sigma: float
+    shared: float
+    limit: float | None = None
+
+
+def spread(values: Floats, known: int, *, positive: bool = False) -> Spread:
+    """The population that `values` (any shape) of `known` units foretell."""
+    mean, sigma = float(values.mean()), float(values.std(ddof=1)) * sqrt(1 + 1 / known)
+    return _limited(mean, sigma, 1 / (known + 1), positive)
+
+
+def about_zero(values: Floats, known: int) -> Spread:
+    """The same where no direction is preferred: mean 0."""
+    return Spread(0.0, float(np.sqrt(np.mean(values**2))) * sqrt(1 + 1 / known), 1 / (known + 1))
+
+
+def designs() -> Iterator[tuple[Table, dict[str, Table]]]:
+    """(head, effects) of every [[design]] table: each chip at any range, then what depends on the range."""
+    for design, chip in CHIP.items():
+        group = [unit for unit in units() if unit.design == design]
+        head: Table = {"chip": chip}
+        if chip in NOISE_BANDWIDTH_HZ:
+            head["noise_bandwidth_hz"] = NOISE_BANDWIDTH_HZ[chip]
+        yield head, {**_scale(group), **_any_range(group), **_by_range(group), **_population_line(design)}
+        ranges = dict.fromkeys(unit.range for unit in group)
+        for name in ranges if len(ranges) > 1 else ():
+            members = [unit for unit in group if unit.range == name]
+            yield {**head, "range": RANGE[name]}, _by_range(members) if design == "BMA" else _bias(members)
+
+
+def _scale(group: Sequence[Unit]) -> dict[str, Table]:
+    """How accelerometers' axes answer; for gyroscopes nothing was measured but their answer to force."""
+    unit, known = group[0].unit, len(group)
+    if unit == "dps":
+        response = np.array([member.response for member in group])
+        return {"g_sensitivity": {"response_dps_per_g": about_zero(response, known)}}
+    angles = np.array([member.angles_deg for member in group])
+    return {
+        "misalignment": {"angles_deg": about_zero(angles, known)},
+        "scale": {"error": _planes(group, lambda member: member.scale_error)},
+    }
+
+
+def _any_range(group: Sequence[Unit]) -> dict[str, Table]:
+    slope = _planes(group, lambda member: member.slope)
+    thermal: dict[str, Table] = {"thermal_bias": {f"slope_{group[0].unit}_per_degc": slope}}
+    return thermal | ({} if group[0].thermometer is None else {"thermometer": _thermometer_population(group)})
+
+
+def _bias(group: Sequence[Unit]) -> dict[str, Table]:
+    """Gyroscopes: all else is the same at both ranges, in dps (section 5.1)."""
+    return {"bias": {f"offset_{group[0].unit}": _planes(group, lambda member: member.bias)}}
+
+
+def _by_range(group: Sequence[Unit]) -> dict[str, Table]:
+    unit = group[0].unit
+    return {
+        **_bias(group),
+        "turn_on_bias": {f"rms_{unit}": _planes(group, lambda member: member.turn_on, positive=True)},
+        "bias_instability": {
+            f"rms_{unit}": _planes(group, lambda member: member.in_run, positive=True),
+            "time_constant_s": TIME_CONSTANT_S,
+        },
+        "white_noise": {f"rms_{unit}": _planes(group, lambda member: member.noise, positive=True)},
+    }
+
+
+def _population_line(design: str) -> dict[str, Table]:
+    if design != "Gyro":
+        return {}
+    return {
+        "tone": {"amplitude_dps": [0.0, tone_dps(), 0.0], "frequency_hz": TONE_HZ},
+        "bandwidth": {"cutoff_hz": CUTOFF_HZ},
+    }
+
+
+def _thermometer_population(group: Sequence[Unit]) -> Table:
+    told = np.array([member.thermometer for member in group])
+    known = len(group)
+    return {"offset_degc": spread(told[:, 0], known), "rms_degc": spread(told[:, 1], known, positive=True)}
+
+
+def _planes(group: Sequence[Unit], value: Callable[[Unit], Floats], *, positive: bool = False) -> Spread | list[Spread]:
+    """One population for all axes, or, where x and y are one design and z another (ADXL345, section 2.2), two."""
+    values = np.array([value(unit) for unit in group])
+    if group[0].design != "ADXL":
+        return spread(values, len(group), positive=positive)
+    plane, across = (spread(part, len(group), positive=positive) for part in (values[:, :2], values[:, 2]))
+    return [plane, plane, across]
+
+
+def _limited(mean: float, sigma: float, shared: float, positive: bool) -> Spread:
+    if not positive or mean >= 3 * sigma:
+        return Spread(mean, sigma, shared)
+    return Spread(mean, sigma, shared, limit=floor(mean * 1e6) / 1e6)
+
+
+_HEAD = """\
+# The nine inertial sensors of Martin, Groves, Newman and Faragher (ION GNSS+ 2013), fitted to the tables they print.
+# Written by `python -m imuarray.studies.paper.array_model`; don't edit. Its fidelity: `imuarray paper --replica`.
+# LSB are turned into g and dps with the data sheets' typical sensitivities; all is along a sensor's own axes.
+"""
+_SOURCES = {
+    "misalignment": "Table 10: directions of the half-differences (up - down) / 2; the board's own turn is in them",
+    "scale": "Table 10: norm of the half-differences over the typical sensitivity, less one (Table 3)",
+    "g_sensitivity": "Table 10: half-differences, turned into the sensor's axes (half of Table 4's differences)",
+    "bias": "Table 10: mean of the six faces, each brought to 25 degC with Table 8's slope",
+    "thermal_bias": "Table 8 (an accelerometer axis along box Z carried 1 g: its slope may be its scale factor's)",
+    "turn_on_bias": "Table 11: (deviation of the 15 runs' means)^2 - sem^2 - (slope 0.131 degC)^2 - in-run part; 0: "
+    "none is left",
+    "bias_instability": "Table 11: ((deviation of the 15 five-minute means)^2 - sem^2 - (slope 0.086 degC)^2) / 0.665, "
+    "the share of a Gauss-Markov process of 600 s that such means scatter by (wander.py brackets the 600 s)",
+    "white_noise": "Tables 10 and 11: mean variance of three experiments, less step^2 / 12, on gyroscope y the tone",
+    "tone": "Figure 14: near 50 Hz, y only, seen on Gyro1; no amplitude printed: 3 % of Table 9's variance, a guess",
+    "bandwidth": "Figure 13: neighbours at 350 Hz correlate by 0.4 = exp(-2 pi 51 / 350); at 48 Hz nothing shows of it",
+    "thermometer": "Tables 10 and 11, rows t, beside the BMP180; an L3G4200D's zero is its own (L3G-60), ours 47 - T",
+    "bistable_bias": "Table 7: second state less first, in 8 of 15 runs, all axes together",
+    "range_reset": "Table 6, run 10 of 15: at the power-on range of 2 g (4096 LSB/g) the offset is another (BMA-79); "
+    "Table 11: its noise too, a tenth to a sixth in g",
+}
+_NOTES = {
+    ("Gyro1", "bias"): "at any range but 250 dps: Table 10, at 2000 dps",
+    ("Gyro3", "bias"): "of the first of two states; Table 10 shows the second",
+    ("Gyro1 at 250", "bias"): "Table 9 at 250 dps: +X up, at the 23.9 degC that Gyro1's own thermometer tells",
+}
+_POPULATION = """\
+# What other units of these designs may be like: mean and spread over the units above and their axes, widened by how
+# little so few can tell; `shared` is the share of the variance common to all drawn units (model_population.py).
+"""
+
+
+_MAGNETOMETERS = """\
+# The paper logs its two magnetometers and analyses nothing of them. Data sheet: gain +-5 % (HMC-52), -1.2 counts of
+# 1024 per degC (HMC-57), 10 mG (HMC-53).
+"""
+
+
+def fit_text() -> str:
+    """The whole model file."""
+    parts = [_HEAD, _lines({"name": "martin2013", "about": "the array of the paper, unit by unit"}, "[model]")]
+    parts += [_sensor(unit) for unit in units()]
+    head: Table = {"name": "Gyro1", "chip": CHIP["Gyro"], "range": 250.0}
+    parts.append(_part("sensor", head, {"bias": {"offset_dps": gyro1_bias_at_250dps()}}, "Gyro1 at 250"))
+    parts.append(_POPULATION)
+    parts += [_part("design", head, effects) for head, effects in designs()]
+    compass: dict[str, Table] = {
+        "scale": {"error": Spread(0.0, 0.025, 0.0, limit=0.05)},
+        "thermal_scale": {"slope_per_degc": -1.2 / 1024},
+        "white_noise": {"rms_gauss": 0.01},
+    }
+    return "\n".join([*parts, _MAGNETOMETERS, _part("design", {"chip": "hmc5883"}, compass)])
+
+
+def unit_effects(unit: Unit) -> dict[str, Table]:
+    """The effects of a known unit: keys and figures as a model file has them."""
+    u = unit.unit
+    return {
+        **_response(unit),
+        "bias": {f"offset_{u}": unit.bias},
+        "turn_on_bias": {f"rms_{u}": unit.turn_on},
+        **_faults(unit),
+        "thermal_bias": {f"slope_{u}_per_degc": unit.slope},
+        "bias_instability": {f"rms_{u}": unit.in_run, "time_constant_s": TIME_CONSTANT_S},
+        **_line(unit),
+        "white_noise": {f"rms_{u}": unit.noise},
+        **_thermometer_text(unit),
+    }
+
+
+def _response(unit: Unit) -> dict[str, Table]:
+    if unit.unit == "dps":
+        return {"g_sensitivity": {"response_dps_per_g": unit.response.ravel()}}
+    return {"misalignment": {"angles_deg": np.array(unit.angles_deg)}, "scale": {"error": unit.scale_error}}
+
+
+def _faults(unit: Unit) -> dict[str, Table]:
+    if unit.name == "Gyro3":
+        return {"bistable_bias": {"offset_dps": gyro3_other_state_lsb() * unit.lsb, "probability": 8 / 15}}
+    if unit.name == "BMA1":
+        offset, share = bma1_reset_offset_g(), bma1_reset_noise_share()
+        return {"range_reset": {"range_g": 2.0, "offset_g": offset, "noise_share": share, "probability": 1 / 15}}
+    return {}
+
+
+def _line(unit: Unit) -> dict[str, Table]:
+    if unit.unit == "g":
+        return {}
+    tone: Table = {"amplitude_dps": np.array([0.0, tone_dps(), 0.0]), "frequency_hz": TONE_HZ}
+    return {"tone": tone, "bandwidth": {"cutoff_hz": CUTOFF_HZ}}
+
+
+def _thermometer_text(unit: Unit) -> dict[str, Table]:
+    if unit.thermometer is None:
+        return {}
+    offset, rms = unit.thermometer
+    return {"thermometer": {"offset_degc": offset, "rms_degc": rms}}
+
+
+def _sensor(unit: Unit) -> str:
+    head: Table = {"name": unit.name, "chip": CHIP[unit.design]}
+    if unit.name != "Gyro1":
+        head["range"] = RANGE[unit.range]
+    if head["chip"] in NOISE_BANDWIDTH_HZ:
+        head["noise_bandwidth_hz"] = NOISE_BANDWIDTH_HZ[CHIP[unit.design]]
+    effects = {kind: table for kind, table in unit_effects(unit).items() if _does_something(table)}
+    return _part("sensor", head, effects, unit.name)
+
+
+def _does_something(table: Table) -> bool:
+    return any(np.any(np.asarray(value) != 0) for key, value in table.items() if key != "time_constant_s")
+
+
+def _part(kind: str, head: Table, effects: Mapping[str, Table], name: str = "") -> str:
+    texts = [_lines(head, f"[[{kind}]]")]
+    for effect, parameters in effects.items():
+        source = _NOTES.get((name, effect), "") or (_SOURCES[effect] if kind == "sensor" else "")
+        texts.append("".join(_comment(source)) + _lines(parameters, f"[{kind}.{effect}]"))
+    return "\n".join(texts)
+
+
+def _comment(text: str) -> Iterator[str]:
+    for line in wrap(text, 118):
+        yield f"# {line}\n"
+
+
+def _lines(table: Table, title: str) -> str:
+    return "\n".join([title, *(f"{key} = {_value(value)}" for key, value in table.items())]) + "\n"
+
+
+def _value(value: object) -> str:
+    """TOML of a text, a number (six digits), a population, or a list of them."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, Spread) and value.sigma == 0:
+        return _value(value.mean)
+    if isinstance(value, Spread):
+        items = {"mean": value.mean, "sigma": value.sigma, "limit": value.limit, "shared": value.shared}
+        return "{ " + ", ".join(f"{key} = {_value(item)}" for key, item in items.items() if item is not None) + " }"
+    if isinstance(value, list) and isinstance(value[0], Spread):
+        return "[\n" + "".join(f"  {_value(item)},\n" for item in value) + "]"
+    if isinstance(value, list | np.ndarray):
+        return f"[{', '.join(map(_value, value))}]"
+    if not isinstance(value, float):
+        raise TypeError(f"{value!r}: no figure of a model")
+    text = f"{value:.6g}"
+    return text if any(mark in text for mark in ".en") else f"{text}.0"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(fit_text())

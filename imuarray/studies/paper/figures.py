@@ -1,0 +1,362 @@
+"""Three figures of a `recompute()` result as PNG files; needs matplotlib.
+
+Each function takes the result and the path to write. They draw on a bare `Figure`, which needs no display.
+
+The paper's Figures 6 to 19 from the simulated experiments, in its axes and units. Colour is the sensor or the range,
+dashes are the axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imuarray.atomic import save_figure
+from imuarray.characterise import allan_deviation
+from imuarray.report.figures import PALETTE, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from imuarray.studies.paper.replica import Curves
+    from imuarray.studies.paper.replica.curves import Noise
+
+Result = Mapping[str, Any]
+
+_ONE, _OTHER, _MEAN, _BAD = "#4477aa", "#66ccee", "#228833", "#cc3311"
+_DPI = 130
+
+
+def _save(figure: Figure, path: Path) -> None:
+    save_figure(path, figure, dpi=_DPI, metadata={"Software": None})
+
+
+def draw_pairs(result: Result, path: Path) -> None:
+    """Temperature slopes of every pair as printed (Table 8) and of its mean as recomputed, in physical units."""
+    figure = new_figure(11, 6.2)
+    gyros, accelerometers = figure.subplots(1, 2, width_ratios=(2, 3))
+    pairs: Sequence[dict[str, Any]] = result["pairs"]
+    _draw_slopes(gyros, [pair for pair in pairs if pair["unit"] == "dps"], 1000.0, "mdps per degC")
+    _draw_slopes(accelerometers, [pair for pair in pairs if pair["unit"] == "mg"], 1.0, "mg per degC")
+    accelerometers.set_title("accelerometers (* carried 1 g)")
+    gyros.set_title("gyroscopes, 2000 dps")
+    gyros.legend(loc="lower right", frameon=False)
+    figure.suptitle("Temperature drift of two sensors and of their mean along the box axis")
+    _save(figure, path)
+
+
+def _draw_slopes(axes: Axes, pairs: Sequence[dict[str, Any]], scale: float, unit: str) -> None:
+    per_count = [abs(pair["fused_slope_per_degc"] / pair["fused_slope_lsb_per_degc"]) * scale for pair in pairs]
+    styles = (
+        ("slope_first_lsb_per_degc", "first, printed", _ONE),
+        ("slope_second_lsb_per_degc", "second, printed", _OTHER),
+        ("fused_slope_lsb_per_degc", "their mean, recomputed", _MEAN),
+    )
+    for place, (column, label, colour) in enumerate(styles):
+        sizes = [abs(pair[column]) * factor for pair, factor in zip(pairs, per_count, strict=True)]
+        rows = [row + 0.27 * (place - 1) for row in range(len(pairs))]
+        bars = axes.barh(rows, sizes, 0.25, color=colour, label=label)
+        if place == len(styles) - 1:
+            axes.bar_label(bars, [_times_less(pair) for pair in pairs], padding=3, fontsize=8)
+    axes.set_yticks(range(len(pairs)), [_pair_name(pair) for pair in pairs])
+    axes.invert_yaxis()
+    axes.set_xlabel(f"size of the slope, {unit}")
+    axes.margins(x=0.2)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _times_less(pair: dict[str, Any]) -> str:
+    return f"{pair['reduction']:.3g} times less" if pair["reduction"] > 1.05 else "no less"
+
+
+def _pair_name(pair: dict[str, Any]) -> str:
+    star = " *" if pair["carries_1g"] else ""
+    return f"{pair['first']}, {pair['second'].split()[0]}{star}\n{pair['relation']}"
+
+
+def draw_blending(result: Result, path: Path) -> None:
+    """Noise of every accelerometer axis (Table 10) and what weighting two ranges of BMA180 makes of it."""
+    figure = new_figure(11, 4.6)
+    left, right = figure.subplots(1, 2)
+    rows = [row for row in result["table10"] if row.get("unit") == "mg"]
+    out_of_plane = [row["channel"].endswith("z") for row in rows]
+    left.bar(range(len(rows)), [row["noise"] for row in rows], color=[_OTHER if z else _ONE for z in out_of_plane])
+    left.set_xticks(range(len(rows)), [f"{row['channel']}" for row in rows], rotation=90)
+    left.bar(0, 0, color=_ONE, label="x and y, in the plane")
+    left.bar(0, 0, color=_OTHER, label="z, out of the plane")
+    left.legend(frameon=False)
+    left.set_ylabel("standard deviation, mg")
+    left.set_title("noise of each axis (BMA3, BMA4 at 1.5 g, others at 16 g)", fontsize=10)
+    _draw_weights(right, result["blending"])
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+    _save(figure, path)
+
+
+def _draw_weights(axes: Axes, blend: dict[str, Any]) -> None:
+    weights = [step / 200 for step in range(201)]
+    low, high = blend["low_mg"], blend["high_mg"]
+    axes.plot(weights, [((w * low) ** 2 + ((1 - w) * high) ** 2) ** 0.5 for w in weights], color=_ONE)
+    points = (
+        (0.0, high, f"high range alone {high:.2f}", (10, 0)),
+        (0.5, blend["plain_average_mg"], f"plain average {blend['plain_average_mg']:.2f}", (8, 8)),
+        (blend["weight_low"], blend["weighted_mg"], f"inverse variance {blend['weighted_mg']:.2f}", (-60, -18)),
+        (1.0, low, f"low range\nalone {low:.2f}", (-40, 14)),
+    )
+    for weight, noise, label, offset in points:
+        axes.plot(weight, noise, "o", color=_MEAN)
+        axes.annotate(label, (weight, noise), xytext=offset, textcoords="offset points")
+    axes.set_xlabel("weight of the 1.5 g sensor")
+    axes.set_ylabel("standard deviation of the weighted mean, mg")
+    axes.set_ylim(0, high * 1.1)
+    axes.set_title("one BMA180 at 1.5 g with one at 16 g", fontsize=10)
+
+
+def draw_runs(result: Result, path: Path) -> None:
+    """BMA1's runs with the boot fault (Table 6) and Gyro3's two bias states (Table 7)."""
+    figure = new_figure(11, 4.8)
+    grid = figure.add_gridspec(3, 2)
+    fault = figure.add_subplot(grid[:, 0])
+    _draw_boot_fault(fault, result)
+    states = [figure.add_subplot(grid[place, 1]) for place in range(3)]
+    _draw_states(states, result)
+    for axes in (fault, *states):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_xticks(range(1, len(result["table6"]) + 1, 2))
+    _save(figure, path)
+
+
+def _draw_boot_fault(axes: Axes, result: Result) -> None:
+    faulty = {fault["run"]: fault for fault in result["boot_fault"]}
+    for row in result["table6"]:
+        axes.plot(row["run"], row["z_lsb"], "o", color=_BAD if row["run"] in faulty else _ONE)
+    level = median(row["z_lsb"] for row in result["table6"])
+    for run, fault in faulty.items():
+        axes.axhline(fault["nearest_range_ratio"] * level, color=_BAD, linewidth=0.8, linestyle="--")
+        note = f"run {run}: {fault['ratio']:.2f} times the median\n(dashed: {fault['nearest_range_ratio']:.0f} times)"
+        axes.annotate(note, (run, fault["reading_lsb"]), xytext=(-150, -40), textcoords="offset points")
+    axes.set_ylim(0, None)
+    axes.set_xlabel("run")
+    axes.set_ylabel("z, counts")
+    axes.set_title("BMA1: a run in the wrong range", fontsize=10)
+
+
+def _draw_states(panels: Sequence[Axes], result: Result) -> None:
+    for state, colour, style in zip(result["bias_states"]["states"], (_ONE, _BAD), ("-", "--"), strict=True):
+        rows = [row for row in result["table7"] if row["run"] in state["runs"]]
+        for axes, column, centre in zip(panels, ("x_lsb", "y_lsb", "z_lsb"), state["centre_lsb"], strict=True):
+            axes.plot([row["run"] for row in rows], [row[column] for row in rows], "o", color=colour)
+            axes.axhline(centre, color=colour, linewidth=0.8, linestyle=style)
+            axes.set_ylabel(f"{column[0]}, counts")
+    panels[0].set_title("Gyro3: two states; lines are their centres", fontsize=10)
+    panels[-1].set_xlabel("run")
+
+
+FIGURES: dict[str, Callable[[Result, Path], None]] = {
+    "pairs.png": draw_pairs,
+    "blending.png": draw_blending,
+    "runs.png": draw_runs,
+}
+"""File name to the function that draws it."""
+
+
+_GREY, _BLUE, _RED, _GREEN, _PINK, _ORANGE = PALETTE
+_SENSOR_COLOURS = (_BLUE, _RED, _GREEN)
+_AXIS_DASHES: Mapping[str, tuple[float, ...]] = {"x": (), "y": (5, 1.5), "z": (1.2, 1.2)}
+_GROUPS = (
+    ("ADXL345, ±16 g", ("ADXL1", "ADXL2")),
+    ("BMA180, ±1.5 g", ("BMA3", "BMA4")),
+    ("L3G4200D", ("Gyro1", "Gyro2", "Gyro3")),
+)
+_RANGES = {"250dps": ("±250 dps", 0.00875, _BLUE), "2k dps": ("±2000 dps", 0.07, _RED)}
+"""By Table 9's name: the name here, dps per count (L3G-40, L3G-42), colour."""
+_OF_AXES = {"x": _BLUE, "y": _RED, "z": _GREEN}
+_MILLI_G = {"ADXL1": 1000 / 256, "BMA2": 1000 / 512}
+"""mg per count (ADX-40, BMA-76)."""
+
+
+def in_run_figure(curves: Curves) -> Figure:
+    """Like Figure 6: a continuous run, averaged over five minutes, less its mean."""
+    figure, panels = _sheet(7.5, 8.0, 3)
+    for panel, (title, names) in zip(panels, _GROUPS, strict=True):
+        for name, colour in zip(names, _SENSOR_COLOURS, strict=False):
+            curve = curves.in_run[name]
+            for axis, values in zip("xyz", curve.lsb.T, strict=True):
+                panel.plot(curve.seconds / 60, values, color=colour, dashes=_AXIS_DASHES[axis], linewidth=1.3)
+        panel.axhline(0, color="black", linewidth=0.6)
+        panel.set_ylabel("output − mean (LSB)")
+        _title(panel, title)
+        _legend(panel, dict(zip(names, _SENSOR_COLOURS, strict=False)))
+    panels[-1].set_xlabel("time (min)")
+    return figure
+
+
+def profile_figure(curves: Curves) -> Figure:
+    """Like Figure 7: the temperature while the box is heated twice."""
+    figure, (panel,) = _sheet(7.5, 3.0, 1)
+    _draw_profile(panel, curves)
+    panel.set_xlabel("time (min)")
+    return figure
+
+
+def temperature_figure(curves: Curves, channel: str, slope: float, intercept: float) -> Figure:
+    """Like Figures 8 and 9: readings against temperature, the line through them, and the printed one."""
+    figure, (panel,) = _sheet(7.5, 4.2, 1)
+    found = curves.against_temperature[channel]
+    points = panel.plot(found.degc, found.lsb, color=_GREY, linestyle="none", marker=".", markersize=3, alpha=0.35)
+    points[0].set_label("readings, one in four seconds")
+    ends = np.array([found.degc.min(), found.degc.max()])
+    ours = f"simulated: {found.slope:+.3f} LSB/°C, {found.intercept:.2f} LSB at 0 °C"
+    panel.plot(ends, found.slope * ends + found.intercept, color=_RED, linewidth=2.2, label=ours)
+    theirs = f"Table 8: {slope:+.3f} LSB/°C, {intercept:.2f} LSB at 0 °C"
+    panel.plot(ends, slope * ends + intercept, color="black", linewidth=1.4, linestyle="--", label=theirs)
+    panel.set_xlabel("temperature (°C)")
+    panel.set_ylabel(f"{channel} (LSB)")
+    panel.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=1)
+    return figure
+
+
+def opposed_figure(curves: Curves) -> Figure:
+    """Like Figure 10: two gyroscopes that point in opposite directions and half of their difference."""
+    figure, (panel, below) = _sheet(7.5, 5.6, 2, (5, 2))
+    curve = curves.opposed
+    styles = (("Gyro1 y", _BLUE), ("Gyro2 y", _RED), ("half of the difference", _GREEN))
+    for (label, colour), values in zip(styles, curve.lsb.T, strict=True):
+        panel.plot(curve.seconds / 60, values, color=colour, linewidth=1.5, label=label)
+    panel.set_ylabel("output (LSB)")
+    panel.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    _draw_profile(below, curves)
+    below.set_xlabel("time (min)")
+    return figure
+
+
+def gyro_allan_figure(curves: Curves) -> Figure:
+    """Like Figure 11: Allan deviation of Gyro1 alone at both ranges."""
+    figure, (panel,) = _sheet(7.5, 4.8, 1)
+    for name, (_, dps, colour) in _RANGES.items():
+        _draw_allan(panel, curves.noise[name], dps, dict.fromkeys("xyz", colour))
+    _finish_allan(panel, "Allan deviation (dps)")
+    _legend(panel, {label: colour for label, _, colour in _RANGES.values()})
+    return figure
+
+
+def gyro_memory_figure(curves: Curves) -> Figure:
+    """Like Figures 13 and 14: autocorrelation and spectrum of Gyro1 at 250 dps."""
+    figure, (upper, lower) = _sheet(7.5, 6.4, 2, shared=False)
+    noise = curves.noise["250dps"]
+    for axis, values in zip("xyz", noise.correlogram.T, strict=True):
+        upper.plot(values, color=_OF_AXES[axis], dashes=_AXIS_DASHES[axis], marker="o", markersize=3, linewidth=1.2)
+    upper.axhline(0.4, color="black", linewidth=0.8, linestyle=":")
+    upper.annotate("0.4", (30, 0.4), xytext=(0, 3), textcoords="offset points", ha="right", fontsize=9)
+    upper.set(xlabel="lag (samples)", ylabel="autocorrelation")
+    _axes_legend(upper)
+    _draw_spectrum(lower, noise, _RANGES["250dps"][1])
+    lower.set_ylabel("density (dps/√Hz)")
+    return figure
+
+
+def histogram_figure(curves: Curves) -> Figure:
+    """Like Figure 15: how often Gyro1 x read each code, at both ranges, and the normal curve of that deviation."""
+    figure, panels = _sheet(7.5, 5.0, 2, shared=False)
+    for panel, (name, (label, _, colour)) in zip(panels, _RANGES.items(), strict=True):
+        counts, codes, often = curves.noise[name].counts[:, 0], curves.noise[name].codes, curves.noise[name].often
+        panel.stairs(often / 1000, np.append(codes, codes[-1] + 1) - 0.5, color=colour, fill=True, alpha=0.45)
+        mean, std = float(counts.mean()), float(counts.std())
+        fine = np.linspace(codes[0], codes[-1], 300)
+        normal = len(counts) * np.exp(-(((fine - mean) / std) ** 2) / 2) / (std * np.sqrt(2 * np.pi))
+        panel.plot(fine, normal / 1000, color="black", linewidth=1.0, label=f"normal, {std:.2f} LSB")
+        _title(panel, label)
+        panel.set_ylabel("readings (thousands)")
+        panel.legend(frameon=False, fontsize=9, loc="upper right")
+    panels[-1].set_xlabel("Gyro1 x (LSB; bins of 1 LSB)")
+    return figure
+
+
+def accelerometer_figure(curves: Curves, name: str) -> Figure:
+    """Like Figures 16 to 19: Allan deviation and spectrum of an accelerometer, from the continuous run."""
+    figure, (upper, lower) = _sheet(7.5, 6.8, 2, shared=False)
+    _draw_allan(upper, curves.noise[name], _MILLI_G[name], _OF_AXES)
+    _finish_allan(upper, "Allan deviation (mg)")
+    _axes_legend(upper)
+    _draw_spectrum(lower, curves.noise[name], _MILLI_G[name])
+    lower.set_ylabel("density (mg/√Hz)")
+    return figure
+
+
+def _draw_profile(panel: Axes, curves: Curves) -> None:
+    warmth = curves.profile
+    panel.plot(warmth.seconds / 60, warmth.lsb, color=_ORANGE, linewidth=1.8)
+    panel.set_ylabel("temperature (°C)")
+
+
+def _draw_allan(panel: Axes, noise: Noise, scale: float, colours: Mapping[str, str]) -> None:
+    curve = allan_deviation(noise.counts, 1 / noise.rate_hz, estimator="decimated")
+    for axis, deviation in zip("xyz", curve.deviation.T, strict=True):
+        panel.plot(
+            curve.tau_s, scale * deviation, color=colours[axis], dashes=_AXIS_DASHES[axis], marker="o", markersize=2.5
+        )
+
+
+def _finish_allan(panel: Axes, label: str) -> None:
+    """Logarithmic scales, plain numbers, and below the curves a grey line of slope -1/2: white noise falls so."""
+    from matplotlib.ticker import FuncFormatter
+
+    points = [np.asarray(line.get_xydata(), float) for line in panel.get_lines()]
+    ends = np.array([min(p[0, 0] for p in points), max(p[-1, 0] for p in points)])
+    lowest = min(float((p[:, 1] * np.sqrt(p[:, 0])).min()) for p in points)
+    panel.plot(ends, 0.7 * lowest / np.sqrt(ends), color=_GREY, linewidth=1.0)
+    panel.set(xscale="log", yscale="log", xlabel="averaging time τ (s)", ylabel=label)
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.grid(which="major", color="0.88", linewidth=0.8)
+
+
+def _draw_spectrum(panel: Axes, noise: Noise, scale: float) -> None:
+    for axis in "yxz":  # the y axis may have a line that the others would hide behind
+        panel.plot(noise.hz, scale * noise.density[:, "xyz".index(axis)], color=_OF_AXES[axis], linewidth=0.8)
+    panel.set_ylim(0, None)
+    panel.set_xlabel("frequency (Hz)")
+    _axes_legend(panel, dashed=False)
+
+
+def _sheet(
+    width: float, height: float, rows: int, ratios: Sequence[float] | None = None, *, shared: bool = True
+) -> tuple[Figure, list[Any]]:
+    """An empty figure (inches) that needs no display, and its panels; MissingExtraError without matplotlib."""
+    figure = new_figure(width, height)
+    grid = figure.subplots(rows, 1, sharex=shared, squeeze=False, height_ratios=ratios)
+    figure.suptitle("simulated", x=0.995, ha="right", fontsize=8, color="0.4")
+    panels = list(grid[:, 0])
+    for panel in panels:
+        panel.spines[["top", "right"]].set_visible(False)
+    figure.align_ylabels(panels)
+    return figure, panels
+
+
+def _title(panel: Axes, text: str) -> None:
+    panel.set_title(text, loc="left", fontsize=10)
+
+
+def _legend(panel: Axes, colours: Mapping[str, str]) -> None:
+    """Above the panel, at its right: names by colour, axes by dashes."""
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=colour, linewidth=3, label=name) for name, colour in colours.items()]
+    for axis, dashes in _AXIS_DASHES.items():
+        handles.append(Line2D([], [], color="0.25", linewidth=1.3, dashes=dashes, label=axis))
+    panel.legend(handles=handles, loc="lower right", bbox_to_anchor=(1, 1), frameon=False, fontsize=8, ncols=6)
+
+
+def _axes_legend(panel: Axes, *, dashed: bool = True) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=colour, linewidth=2, dashes=_AXIS_DASHES[axis] if dashed else (), label=axis)
+        for axis, colour in _OF_AXES.items()
+    ]
+    panel.legend(handles=handles, loc="lower right", bbox_to_anchor=(1, 1), frameon=False, fontsize=9, ncols=3)

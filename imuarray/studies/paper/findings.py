@@ -1,0 +1,170 @@
+"""What the paper's tables print that the chips' data sheets do not foretell, with the likely cause of each.
+
+A fixed list, `findings.toml`: nothing is fitted, simulated or ranked here, so no finding has a probability or a share
+that it closes. `imuarray gap diagnose` gives those for logs; the paper publishes none.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.resources import files
+from textwrap import wrap
+from typing import Any
+
+from imuarray import __version__
+
+NEXT_EXPERIMENT = (
+    "switch the array on a dozen times a day for several days, a reference thermometer beside it "
+    "(levels of other days); "
+    "read BW_RATE of the ADXL345 back, and log it at 100 Hz: odd codes and 0.75 LSB rms are odr_error; "
+    "one run of a day: random_walk keeps growing, bias_instability levels off; "
+    "log Gyro1 alone at 350 Hz with its data-ready bits: repeated triads are stale_samples, none is bandwidth"
+)
+"""Measurements that tell confusable causes apart."""
+_WIDTH = 100
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number that shows a finding: `of` says what it is of, `printed` what the tables make it, in `unit`.
+
+    `data_sheet` is its value without the cause (a limit, where the data sheet prints one), `with_cause` what the cause
+    foretells; None where there is none. `channel` is such as "Gyro3 x", "" for several axes.
+    """
+
+    of: str
+    printed: float
+    unit: str
+    data_sheet: float | None = None
+    with_cause: float | None = None
+    channel: str = ""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An anomaly of the published tables, its place in the paper, its likely cause and what stays open.
+
+    `effect` is a name of `imuarray.simulate.effects`, "" where none is known; `action`, `sensors`, `axes`, `domain`,
+    `confusable_with` and `parameters` are those of `gap diagnose`.
+    """
+
+    name: str
+    place: str
+    anomaly: str
+    effect: str
+    action: str
+    sensors: tuple[str, ...]
+    axes: tuple[str, ...]
+    domain: str
+    confusable_with: tuple[str, ...]
+    open: str
+    figures: tuple[Figure, ...]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+@cache
+def findings() -> tuple[Finding, ...]:
+    """All findings, in the order of appendix A and the tables."""
+    text = files("imuarray.studies.paper").joinpath("findings.toml").read_text(encoding="utf-8")
+    return tuple(_finding(entry) for entry in tomllib.loads(text)["finding"])
+
+
+def _finding(entry: Mapping[str, Any]) -> Finding:
+    fields: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
+    figures = fields.pop("figure")
+    return Finding(**fields, figures=tuple(Figure(**figure) for figure in figures))
+
+
+def as_json() -> dict[str, Any]:
+    """The keys of `gap diagnose` and `findings`. What takes a diagnosis of logs is None: the numbers of `gap`,
+    `significance`, `probability`, `closed`, `unknown`, `seed`.
+    """
+    explained = [finding for finding in findings() if finding.effect]
+    left = [finding for finding in findings() if not finding.effect]
+    return {
+        "verdict": "partly explained" if left else "explained",
+        "gap": dict.fromkeys(("before", "after", "floor", "closed", "closed_ci95")),
+        "where": [place for finding in findings() for place in _places(finding)],
+        "causes": [_cause(finding) for finding in explained],
+        "unknown": None,
+        "unexplained": [place for finding in left for place in _places(finding)],
+        "next_experiment": NEXT_EXPERIMENT,
+        "seed": None,
+        "model": {"name": "datasheet"},
+        "software": f"imuarray {__version__}",
+        "findings": [_plain(asdict(finding)) for finding in findings()],
+    }
+
+
+def _plain(value: Any) -> Any:
+    """As JSON reads it back: lists for tuples."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _places(finding: Finding) -> Iterator[dict[str, Any]]:
+    """An entry of `where` for each figure."""
+    for figure in finding.figures:
+        sensor, _, axis = figure.channel.partition(" ")
+        yield {
+            "log": finding.place,
+            "sensor": sensor,
+            "axis": axis,
+            "domain": finding.domain,
+            "phase": "",
+            "statistic": figure.of,
+            "real": figure.printed,
+            "simulated": figure.data_sheet,
+            "significance": None,
+            "effect_size": None if figure.data_sheet is None else round(figure.printed - figure.data_sheet, 6),
+        }
+
+
+def _cause(finding: Finding) -> dict[str, Any]:
+    return {
+        "effect": finding.effect,
+        "action": finding.action,
+        "sensors": list(finding.sensors),
+        "axes": list(finding.axes),
+        "probability": None,
+        "parameters": dict(finding.parameters),
+        "closed": None,
+        "closed_ci95": None,
+        "confusable_with": list(finding.confusable_with),
+        "finding": finding.name,
+    }
+
+
+def render_text() -> str:
+    """Every finding for a terminal, in lines of at most 100 columns."""
+    lines = ["The paper's tables beside its chips' data sheets: anomalies and their likely causes", ""]
+    for finding in findings():
+        lines += [*_paragraph(finding), ""]
+    return "\n".join([*lines, *_hanging("Next: ", NEXT_EXPERIMENT)]) + "\n"
+
+
+def _paragraph(finding: Finding) -> Iterator[str]:
+    confusable = f", or {' or '.join(finding.confusable_with)}" if finding.confusable_with else ""
+    at = f"{', '.join(finding.sensors)}{' ' if finding.axes else ''}{', '.join(finding.axes)}"
+    yield f"{finding.name[0].upper()}{finding.name[1:]} ({finding.place})"
+    yield from _hanging("  ", finding.anomaly)
+    yield from _hanging("  cause    ", f"{finding.effect or 'unknown'}{confusable}; {at}")
+    for figure in finding.figures:
+        yield from _hanging("  figure   ", _sentence(figure))
+    yield from _hanging("  open     ", finding.open)
+
+
+def _sentence(figure: Figure) -> str:
+    beside = {"data sheet": figure.data_sheet, "with the cause": figure.with_cause}
+    others = [f"{name} {value:g}" for name, value in beside.items() if value is not None]
+    where = f"{figure.channel}, " if figure.channel else ""
+    unit = f" {figure.unit}" if figure.unit else ""
+    return f"{where}{figure.of}: {figure.printed:g}{unit}" + (f" ({', '.join(others)})" if others else "")
+
+
+def _hanging(head: str, text: str) -> list[str]:
+    return wrap(text, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False)

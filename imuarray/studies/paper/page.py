@@ -1,0 +1,551 @@
+"""What the paper's page says beside its numbers: titles, what each table is, captions of the figures.
+
+A printed number, its recomputation and its simulated twin side by side, as text for the paper's page.
+
+The sections of the paper's page that compare tables, number by number.
+
+The paper's page: what it prints, what follows from its own numbers, what the simulated array gives, side by side.
+
+Every table of the paper is a section; figures stand with the table to which they belong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import floor, inf, isfinite, log10
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+from imuarray.errors import MissingExtraError
+from imuarray.report.page import Figure, Section, Table, write_page
+from imuarray.studies.paper import figures
+from imuarray.studies.paper.results import SOURCE, recompute, recomputed_rows
+from imuarray.studies.paper.tables import Cell, RecomputedRow, Row, number_in, row_of, table
+from imuarray.studies.paper.thermal import AxisPair, pairs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+    from imuarray.studies.paper.replica import Curves, Replica, Statistic, Summary
+
+HOW_TO_READ = (
+    "Each row is a number that the paper prints. Recomputed: what follows for it from other numbers that the paper "
+    "prints; unmarked if equal in every digit, ≈ if within the rounding of those numbers, ≠ if beyond. Simulated: the "
+    "same statistic of the simulated array. Difference: simulated less printed. z: the difference over its "
+    "uncertainty, which is what the paper's own tables disagree by where they tell the same thing twice (of the "
+    "logarithm for deviations, ranges and ratios); marked beyond 2. Source:"
+)
+
+TABLE_WORDS: Mapping[int, tuple[str, str]] = {
+    1: (
+        "how the sensors lie",
+        "The sensor axis along each axis of the box. Recomputed from Table 10 for accelerometers. Put into the "
+        "simulation, not found by it.",
+    ),
+    2: ("one gyroscope at its fastest", "Gyro1 alone at 350 Hz. Columns in dps are the same numbers in another unit."),
+    3: (
+        "accelerometers on six faces",
+        "Bias, scale factor and drift, recomputed from Table 10; scale factors are simulated without a sign.",
+    ),
+    4: ("gyroscopes on six faces", "Bias and response to gravity, recomputed from Table 10."),
+    5: (
+        "in-run variation",
+        "Standard deviation of fifteen five-minute means in a row, averaged over axes; recomputed from Table 11.",
+    ),
+    6: ("BMA1 switched on fifteen times", "Means of each run; run 10 came up in the wrong range."),
+    7: ("Gyro3 switched on fifteen times", "Means of each run; two sets of biases."),
+    8: (
+        "output against temperature",
+        "Straight lines through readings while the box was heated twice. Slopes can't be recomputed without the "
+        "readings; what two sensors keep together can, below the table.",
+    ),
+    9: ("one gyroscope's noise", "The logs of Table 2, with standard errors and the chip's thermometer."),
+    10: ("six faces, every channel", "Fifteen minutes on each face and the first once more; BMA180 and ADXL345 noise."),
+    11: (
+        "run to run and within a run",
+        "Fifteen runs of five minutes, and fifteen such windows of one run: mean, standard error, deviation of "
+        "readings, deviation and range of the means, and the ratio of the two deviations.",
+    ),
+}
+"""By the number of the table: the rest of the heading, and what it is."""
+
+FIGURE_WORDS: Mapping[str, tuple[str, str]] = {
+    "6": (
+        "Like Figure 6, simulated: a continuous run averaged over five minutes, less its mean. Gyro3 is at ±250 dps, "
+        "where a count is eight times smaller. Curves wander by as much as Table 5 says, each in its own way.",
+        "Smoothed outputs of two ADXL345, two BMA180 and three L3G4200D over 75 minutes",
+    ),
+    "7": (
+        "Like Figure 7: the temperature that the simulated box was given. Times and peaks are the paper's, the curves "
+        "between them are ours.",
+        "Temperature over 110 minutes with two peaks",
+    ),
+    "8": (
+        "Like Figure 8, simulated: ADXL1 z against temperature. The slope is small beside the noise of one reading; "
+        "only even codes come out.",
+        "Scatter of ADXL1 z against temperature with the simulated and the printed line",
+    ),
+    "9": (
+        "Like Figure 9, simulated: Gyro2 x against temperature. The slope stands out, and the lines differ by what the "
+        "bias does from one day to another.",
+        "Scatter of Gyro2 x against temperature with the simulated and the printed line",
+    ),
+    "10": (
+        "Like Figure 10, simulated: two gyroscopes about box Y that point in opposite directions, means of half a "
+        "minute. Each follows the temperature, half of their difference hardly does.",
+        "Outputs of Gyro1 y and Gyro2 y and half of their difference while the box is heated",
+    ),
+    "11": (
+        "Like Figure 11, simulated: Allan deviation of Gyro1 alone. Both ranges are alike; the curves are straight "
+        "(grey: white noise) but for the shortest times, where neighbours correlate, and the longest, where the bias "
+        "wanders.",
+        "Allan deviation of three axes of a gyroscope at two ranges",
+    ),
+    "13": (
+        "Like Figures 13 and 14, simulated: neighbours correlate by 0.4; the y axis has a line at 50 Hz, whose period "
+        "at 350 Hz is seven samples.",
+        "Autocorrelation and spectrum of three axes of a gyroscope at 250 dps",
+    ),
+    "15": (
+        "Like Figure 15, simulated: codes of Gyro1 x at both ranges and the normal curve of the same deviation. A "
+        "count at ±2000 dps is small beside the noise.",
+        "Histograms of Gyro1 x at two ranges",
+    ),
+    "16": (
+        "Like Figures 16 and 17, simulated: ADXL1, from the continuous run at 48 Hz (the paper's own log was faster). "
+        "White on all axes, z twice as noisy.",
+        "Allan deviation and spectrum of three axes of an ADXL345",
+    ),
+    "18": (
+        "Like Figures 18 and 19, simulated: BMA2 at ±16 g, from the same run. White on all axes, no line.",
+        "Allan deviation and spectrum of three axes of a BMA180",
+    ),
+}
+"""By the number of the paper's figure: caption, and what it shows for those who can't see it."""
+
+
+def further_words(result: Mapping[str, Any]) -> dict[int, str]:
+    """What recomputing tells of whole columns, by table."""
+    slow, fast, runs, windows = result["readings"]
+    spread = result["range_over_deviation"]
+    possible, total = spread["possible"]
+    return {
+        9: (
+            f"All four standard errors at ±250 dps fit {slow['least']} to {slow['most']} readings "
+            f"({slow['seconds']:.0f} s at 350 Hz), all at ±2000 dps {fast['least']} to {fast['most']} "
+            f"({fast['seconds']:.0f} s; the text says about 1400 s of both)."
+        ),
+        11: (
+            f"One number of readings explains all {runs['channels']} standard errors of a series: {runs['least']} to "
+            f"{runs['most']} for the runs ({runs['rate_hz']:.2f} Hz), {windows['least']} to {windows['most']} for the "
+            f"windows ({windows['rate_hz']:.2f} Hz). Fifteen numbers have a range of {spread['least']:.2f} to "
+            f"{spread['most']:.2f} of their deviations; {possible} of {total} printed pairs do, the others are of "
+            f"thermometers. Inertial axes (not of BMA1 and Gyro3) have {spread['mean']['runs']:.2f} and "
+            f"{spread['mean']['cont']:.2f} on average, normal numbers {spread['normal']:.2f}."
+        ),
+    }
+
+
+HEADING = ("channel", "statistic", "paper", "recomputed", "simulated", "difference", "z")
+MARKED_Z = 2.0
+"""From here on a z is marked."""
+
+Key = tuple[str, str]
+"""Channel and statistic."""
+Recomputed = Mapping[str, Sequence[RecomputedRow]]
+"""`imuarray.studies.paper.results.recomputed_rows()`."""
+
+NOTHING = "–"
+"""What stands where there is no number."""
+_DECIMALS = 6
+_PRINTED_DECIMALS = 4
+"""The most that the text prints."""
+_RUNS = {6: "BMA1", 7: "Gyro3"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One number of a table: as printed, its recomputation and its simulated twin as far as there are such."""
+
+    channel: str
+    statistic: str
+    printed: str
+    cell: Cell | None
+    twin: Statistic | None
+
+    @property
+    def marked(self) -> bool:
+        """Whether the simulation is far off."""
+        return self.twin is not None and abs(self.twin.z) > MARKED_Z
+
+    def texts(self) -> list[str]:
+        """The cells under `HEADING`."""
+        recomputed = NOTHING if self.cell is None else recomputed_text(self.cell, self.printed)
+        return [self.channel, self.statistic, self.printed, recomputed, *_simulated(self.twin, self.printed)]
+
+
+def lines_of(name: str, recomputed: Recomputed, twins: Sequence[Statistic]) -> list[Line]:
+    """Every number of "Table 3": channel by channel, what was only recomputed after what was simulated."""
+    cells = dict(_cells(name, recomputed))
+    by_key = {(twin.channel, twin.statistic): twin for twin in twins}
+    channels = list(dict.fromkeys(channel for channel, _ in (*by_key, *cells)))
+    keys = sorted(dict.fromkeys((*by_key, *cells)), key=lambda key: channels.index(key[0]))
+    texts = _texts(int(name.removeprefix("Table ")))
+    return [Line(*key, _text(key, texts, by_key.get(key)), cells.get(key), by_key.get(key)) for key in keys]
+
+
+def line_of(twin: Statistic) -> Line:
+    """A number of a figure or of the text."""
+    return Line(twin.channel, twin.statistic, _in_digits(twin), None, twin)
+
+
+def _texts(number: int) -> dict[Key, str]:
+    """Every number of a table as it is printed."""
+    if number in _RUNS:
+        return {
+            (f"{_RUNS[number]} {axis}", f"run {row['run']}"): row[column]
+            for row in table(number)
+            for axis, column in zip("xyzt", ("x_lsb", "y_lsb", "z_lsb", "temp_int"), strict=True)
+        }
+    rows = table(number)
+    texts = {(_channel(row), column): text for row in rows for column, text in row.items()}
+    if number == 9:  # the two rows of the thermometer are told apart by the half that they stand in
+        for index, row in enumerate(rows):
+            name = "250dps" if 2 * index < len(rows) else "2k dps"
+            texts |= {(f"{row['output']} {name}", column): text for column, text in row.items()}
+    return texts
+
+
+def _text(key: Key, texts: Mapping[Key, str], twin: Statistic | None) -> str:
+    """As printed, without its sign where only the size is compared."""
+    text = texts.get(key, "")
+    if twin is None:
+        return text
+    return text.removeprefix("-") if text and twin.published >= 0 else text or _in_digits(twin)
+
+
+def _in_digits(twin: Statistic) -> str:
+    """A number that stands in no table; a quotient of printed ones in as many digits as its uncertainty has."""
+    few = _decimals(twin.published) <= _PRINTED_DECIMALS
+    return plain(twin.published if few else round(twin.published, _places(twin, "")))
+
+
+def _cells(name: str, recomputed: Recomputed) -> Iterator[tuple[Key, Cell]]:
+    for row in recomputed[name.lower().replace(" ", "")]:
+        yield from (((_channel(row.row), cell.column), cell) for cell in row.cells)
+    for row in recomputed["derived"]:
+        if row.row["table"] == name:
+            yield from (((row.row["channel"], cell.column), cell) for cell in row.cells)
+
+
+def _channel(row: Row) -> str:
+    """What a row is of; Tables 2 and 9 have two of each axis."""
+    if "output" in row:
+        return f"{row['output']} {row['range'] if row['range'] != 'int' else ''}".strip()
+    return next(row[column] for column in ("channel", "sensor", "group", "run") if column in row)
+
+
+def _simulated(twin: Statistic | None, printed: str) -> tuple[str, str, str]:
+    """Simulated, difference, z."""
+    if twin is None:
+        return NOTHING, NOTHING, NOTHING
+    places, z = _places(twin, printed), f"{round(twin.z, 1) + 0.0:+.1f}"
+    if not isfinite(twin.simulated):
+        return NOTHING, NOTHING, z
+    difference = round(twin.simulated - twin.published, places) + 0.0
+    return f"{twin.simulated:.{places}f}", f"{difference:+.{places}f}", z
+
+
+def recomputed_text(cell: Cell, printed: str) -> str:
+    """As printed if it is equal; "≈" after a value within its inputs' rounding, "≠" after any other.
+
+    Without a sign if what is printed is shown without.
+    """
+    if cell.matches:
+        return printed
+    value = cell.value
+    unsigned = isinstance(value, float) and isinstance(cell.printed, float) and cell.printed < 0 <= float(printed)
+    text = plain(value).removeprefix("-") if unsigned else plain(value)
+    return f"{text} ≈" if cell.within_input_rounding else f"{text} ≠"
+
+
+def plain(value: float | str) -> str:
+    """A number with the digits that it has, words as they are."""
+    return value if isinstance(value, str) else f"{value:.{_decimals(value)}f}"
+
+
+def _decimals(value: float) -> int:
+    return next((n for n in range(_DECIMALS) if round(value, n) == value), _DECIMALS)
+
+
+def _places(twin: Statistic, printed: str) -> int:
+    """Decimals that show what is printed and two digits of the uncertainty."""
+    size = twin.uncertainty * (abs(twin.published) if twin.scale == "log" else 1.0)
+    wanted = 1 - floor(log10(size)) if size > 0 else 0
+    return min(_DECIMALS, max(len(printed.partition(".")[2]), wanted, 0))
+
+
+def table_sections(
+    replica: Replica, curves: Curves | None, recomputed: Recomputed, result: Mapping[str, Any]
+) -> Iterator[Section]:
+    """A section per table, with the figures that belong to it if there are `curves`; `result` is of `recompute()`."""
+    more = further_words(result)
+    for number, (title, words) in TABLE_WORDS.items():
+        name = f"Table {number}"
+        lines = compared(name, replica, recomputed)
+        parts: list[Table | Figure] = [*_figures(number, curves)] if curves else []
+        parts.append(_table(lines))
+        if number == 8:
+            parts.append(_pairs(replica))
+        text = f"{words} {more[number]}" if number in more else words
+        yield Section(f"{name}: {title}", text, parts)
+
+
+def _table(lines: Sequence[Line], caption: str = "") -> Table:
+    rows = [_row(line) for line in lines]
+    shown = [i for i in range(len(HEADING)) if any(row[i] != NOTHING for row in rows)]
+    count, one, two, three, cells, equal, near, _ = counted(lines)
+    caption += f"{count} simulated, within 1, 2, 3 uncertainties: {one}, {two}, {three}. " if count != NOTHING else ""
+    caption += f"{cells} recomputed: {equal} equal, {near} more within rounding." if cells != NOTHING else ""
+    return Table([HEADING[i] for i in shown], [[row[i] for i in shown] for row in rows], caption, (1,))
+
+
+def _row(line: Line) -> list[str]:
+    texts = line.texts()
+    return [*texts[:-1], _marked(texts[-1])] if line.marked else texts
+
+
+def _marked(text: str) -> str:
+    """Escaped and marked; MissingExtraError without jinja2's escaping."""
+    try:
+        from markupsafe import Markup
+    except ImportError:
+        raise MissingExtraError("jinja2", "report") from None
+    return Markup("<mark>{}</mark>").format(text)
+
+
+_OF_TABLE: dict[int, dict[str, Callable[[Curves], Drawing]]] = {
+    5: {"6": figures.in_run_figure},
+    8: {
+        "7": figures.profile_figure,
+        "8": lambda curves: _against_temperature(curves, "ADXL1 z"),
+        "9": lambda curves: _against_temperature(curves, "Gyro2 x"),
+        "10": figures.opposed_figure,
+    },
+    9: {"11": figures.gyro_allan_figure, "13": figures.gyro_memory_figure, "15": figures.histogram_figure},
+    10: {
+        "16": lambda curves: figures.accelerometer_figure(curves, "ADXL1"),
+        "18": lambda curves: figures.accelerometer_figure(curves, "BMA2"),
+    },
+}
+
+
+def _figures(number: int, curves: Curves) -> Iterator[Figure]:
+    for name, draw in _OF_TABLE.get(number, {}).items():
+        yield Figure(draw(curves), *FIGURE_WORDS[name])
+
+
+def _against_temperature(curves: Curves, channel: str) -> Drawing:
+    row = row_of(8, channel)
+    slope, intercept = (float(number_in(row, column)) for column in ("slope_lsb_per_degc", "intercept_lsb"))
+    return figures.temperature_figure(curves, channel, slope, intercept)
+
+
+def _pairs(replica: Replica) -> Table:
+    slopes = {row.channel: row.simulated for row in replica.of("Table 8") if row.statistic.startswith("slope")}
+    heading = ["pair", "relation", "recomputed", "times less", "simulated", "times less"]
+    caption = (
+        "Temperature slope (LSB/°C) of the mean of two sensors along their box axis, and how many times less it is."
+    )
+    return Table(heading, [_pair_row(pair, slopes) for pair in pairs()], caption, (1,))
+
+
+def _pair_row(pair: AxisPair, slopes: dict[str, float]) -> list[str]:
+    first, second = pair.first["channel"], pair.second["channel"]
+    towards = 1 if pair.axis_first[0] == "+" else -1
+    fused = towards * (slopes[first] - slopes[second] if pair.opposed else slopes[first] + slopes[second]) / 2
+    alone = (abs(slopes[first]) + abs(slopes[second])) / 2
+    simulated = [f"{fused:.4f}", f"{alone / abs(fused) if fused else inf:.1f}"]
+    relation = f"{'opposed' if pair.opposed else 'parallel'} along {pair.axis_first[1]}"
+    return [f"{first}, {second}", relation, plain(float(pair.fused_slope)), f"{float(pair.reduction):.1f}", *simulated]
+
+
+def compared(name: str, replica: Replica, recomputed: Recomputed) -> list[Line]:
+    """Of a table, a figure or the appendix."""
+    twins = replica.of(name)
+    return lines_of(name, recomputed, twins) if name.startswith("Table") else [line_of(twin) for twin in twins]
+
+
+def counted(lines: Sequence[Line]) -> list[str]:
+    """How many were simulated, lie within 1, 2, 3 uncertainties, were recomputed, are equal, near, neither."""
+    sizes = [abs(line.twin.z) for line in lines if line.twin]
+    cells = [line.cell for line in lines if line.cell]
+    within = [sum(size <= limit for size in sizes) for limit in (1, 2, 3)]
+    equal = sum(cell.matches for cell in cells)
+    explained = sum(cell.within_input_rounding for cell in cells)
+    simulated = [len(sizes), *within] if sizes else [NOTHING] * 4
+    followed = [len(cells), equal, explained - equal, len(cells) - explained] if cells else [NOTHING] * 4
+    return [str(count) for count in (*simulated, *followed)]
+
+
+def others(replica: Replica) -> list[str]:
+    """The figures and parts of the appendix that were compared."""
+    return [name for name in replica.tables if not name.startswith("Table")]
+
+
+def elsewhere_section(replica: Replica, recomputed: Recomputed) -> Section:
+    """Those figures and parts."""
+    parts = [_table(compared(name, replica, recomputed), f"{name}: ") for name in others(replica)]
+    return Section(
+        "What figures and appendix say of the noise", "Yes is 1, no is 0. “Around” is good to a unit.", parts
+    )
+
+
+TITLE = "Martin et al. 2013: printed, recomputed, simulated"
+NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
+
+_FAR = 3.0
+
+
+def write_paper_page(
+    path: str | PathLike[str], replica: Replica, curves: Curves | None, *, force: bool = False
+) -> None:
+    """Write the page; figures are of `curves`, without them (None) it says so.
+
+    OutputExistsError if it is there and not `force`, MissingExtraError without jinja2 (or matplotlib to draw with).
+    """
+    recomputed, result = recomputed_rows(), recompute()
+    lines = list(_summary(replica, result))
+    write_page(
+        path,
+        TITLE,
+        lines if curves else [*lines, NO_FIGURES],
+        [
+            _overview(replica, recomputed),
+            *table_sections(replica, curves, recomputed, result),
+            elsewhere_section(replica, recomputed),
+            _stated(recomputed),
+            _gaps(replica, recomputed),
+            _conclusions(result),
+            _slips(result),
+        ],
+        force=force,
+    )
+
+
+def _summary(replica: Replica, result: dict[str, Any]) -> Iterator[str]:
+    """In plain words."""
+    whole = replica.summary
+    one, two, three = (f"{count} ({100 * count / whole.count:.1f} %)" for count in whole.within)
+    yield (
+        f"Every number of the paper's Tables 2 to 11 was measured once more on a simulated array with the paper's "
+        f"parameters (seed {replica.seed}): of {whole.count} statistics {one} agree within one uncertainty, {two} "
+        f"within two, {three} within three; normal deviates would give 68.3, 95.4 and 99.7 %."
+    )
+    axes, thermometers = (_judged(replica.kinds[name]) for name in ("axes", "thermometers"))
+    yield f"Chi-square per degree, all statistics that follow from no others: {_judged(whole)}."
+    yield f"Of the inertial axes: {axes}. Of the chips' own thermometers: {thermometers}."
+    yield _recomputed_words(result)
+    held = sum(statement["holds"] for statement in result["conclusions"])
+    yield (
+        f"{held} of the paper's {len(result['conclusions'])} conclusions hold by the criteria below; "
+        f"{sum(not slip['holds'] for slip in result['slips'])} slips were found."
+    )
+    far = replica.beyond(_FAR)
+    odd = sum(" t" in row.channel for row in far)
+    yield (
+        f"Known gaps: {len(far)} statistics are more than three uncertainties off, {odd} of them of thermometers, "
+        f"which in the model follow the room with a fixed slope, an offset and noise."
+    )
+
+
+def _judged(found: Summary) -> str:
+    low, high = found.expected
+    verdict = (
+        "as expected" if low <= found.chi_square <= high else "too large" if found.chi_square > high else "too small"
+    )
+    return f"{found.chi_square:.2f}, {verdict} (95 % of true models lie between {low:.2f} and {high:.2f})"
+
+
+def _recomputed_words(result: dict[str, Any]) -> str:
+    tables = {name: columns for name, columns in result["matches"].items() if name != "stated"}
+    equal = sum(count[0] for columns in tables.values() for count in columns.values())
+    total = sum(count[1] for columns in tables.values() for count in columns.values())
+    explained = sum(result["within_input_rounding"][name][column][0] for name in tables for column in tables[name])
+    said = result["matches"]["stated"]["value"]
+    return (
+        f"{total} printed cells follow from other printed numbers: {equal} do in every digit, {explained - equal} more "
+        f"within the rounding of their inputs, {total - explained} do not. Of {said[1]} figures in the text {said[0]} "
+        f"follow from the tables."
+    )
+
+
+def _overview(replica: Replica, recomputed: Recomputed) -> Section:
+    names = (*(f"Table {number}" for number in TABLE_WORDS), *others(replica))
+    rows = [[name, *counted(compared(name, replica, recomputed))] for name in names]
+    heading = ["", "simulated", "within 1", "2", "3", "recomputed", "equal", "within rounding", "neither"]
+    caption = "Numbers compared, and how many agree; 1, 2, 3 are uncertainties."
+    return Section(
+        "How to read it, and all tables at a glance", f"{HOW_TO_READ} {SOURCE}.", [Table(heading, rows, caption)]
+    )
+
+
+def _stated(recomputed: Recomputed) -> Section:
+    rows = []
+    for row in recomputed["stated"]:
+        (cell,) = row.cells
+        source = str(row.extra["follows_from"])
+        rows.append(
+            [
+                row.row["channel"],
+                row.row["table"],
+                plain(cell.printed),
+                recomputed_text(cell, plain(cell.printed)),
+                source,
+            ]
+        )
+    words = "Figures in the paper's text that its own tables decide, each to the digits that it has."
+    heading = ["of", "where", "text", "recomputed", "from"]
+    return Section(
+        "The text against the tables", words, [Table(heading, rows, "≈ within rounding, ≠ beyond it.", (1, 4))]
+    )
+
+
+def _gaps(replica: Replica, recomputed: Recomputed) -> Section:
+    lines = [line for name in replica.tables for line in compared(name, replica, recomputed)]
+    rows = [
+        [line.channel, line.twin.table, *_without_recomputed(line), line.twin.origin]
+        for line in lines
+        if line.twin and abs(line.twin.z) > _FAR
+    ]
+    words = (
+        "Everything more than three uncertainties off, and what the uncertainty is made of. Chance alone would put "
+        f"about {0.0027 * replica.summary.count:.0f} here. The chips' thermometers: the paper's wandered within a run "
+        "more (the L3G4200D) or less (the BMA180) than the room did; the model has the room's temperature, an offset "
+        "and noise."
+    )
+    heading = ["channel", "where", "statistic", "paper", "simulated", "difference", "z", "uncertainty"]
+    return Section("Known gaps", words, [Table(heading, rows, "The farthest off.", (1, 2, 7))])
+
+
+def _without_recomputed(line: Line) -> list[str]:
+    """Statistic, paper, simulated, difference, z."""
+    _, statistic, printed, _, *simulated = line.texts()
+    return [statistic, printed, *simulated]
+
+
+def _conclusions(result: dict[str, Any]) -> Section:
+    words = "Judged from the paper's printed numbers alone; every criterion is stated."
+    return Section("The paper's conclusions", words, [_statements(result["conclusions"], "holds")])
+
+
+def _slips(result: dict[str, Any]) -> Section:
+    words = "Where the text, a formula or a column disagrees with the paper's own tables."
+    slips = [slip for slip in result["slips"] if not slip["holds"]]
+    return Section("Slips of the paper", words, [_statements(slips, "holds")])
+
+
+def _statements(statements: Sequence[dict[str, Any]], verdict: str) -> Table:
+    rows = [[item["claim"], "yes" if item["holds"] else "no", item["evidence"]] for item in statements]
+    return Table(["claim", verdict, "evidence"], rows, "From the printed tables.", (2,))

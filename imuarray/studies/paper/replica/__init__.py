@@ -1,0 +1,25 @@
+"""The paper's experiments once more, on the simulated array: does the model repeat the tables to which it was fitted?
+
+`replicate` simulates every experiment of section 4 and compares each printed statistic with its twin; columns that give
+the same number in another unit (mg, dps) are compared once. No statistic is left out because it does not agree.
+"""
+
+from __future__ import annotations
+
+from imuarray.studies.paper.replica.comparison import compare, replicate
+from imuarray.studies.paper.replica.curves import Curves, curves_of
+from imuarray.studies.paper.replica.simulation import Observed, observe
+from imuarray.studies.paper.replica.statistic import Replica, Statistic, Summary, render_text
+
+__all__ = [
+    "Curves",
+    "Observed",
+    "Replica",
+    "Statistic",
+    "Summary",
+    "compare",
+    "curves_of",
+    "observe",
+    "render_text",
+    "replicate",
+]

@@ -1,0 +1,149 @@
+"""What the paper's Figures 6 to 19 show, from the simulated experiments: plain arrays, for whoever draws them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+from imuarray.simulate.motion.heating import Heating
+from imuarray.studies.paper.array_model import WINDOW_S
+from imuarray.studies.paper.replica.comparison import autocorrelation
+from imuarray.studies.paper.replica.simulation import Observed, Series
+from imuarray.studies.paper.variation import HIGH_RATE_HZ
+
+Floats = npt.NDArray[np.float64]
+
+SEGMENT = 2048
+"""Rows of which a spectrum is made, averaged over all of them."""
+LAGS = 31
+_STEP_S = 10.0
+
+
+class Curve(NamedTuple):
+    """Something over time: seconds (n,), LSB (n, k)."""
+
+    seconds: Floats
+    lsb: Floats
+
+
+class Scatter(NamedTuple):
+    """An axis against temperature: degC (n,), LSB (n,) of some of the readings, and the line through all of them."""
+
+    degc: Floats
+    lsb: Floats
+    slope: float
+    intercept: float
+
+
+class Noise(NamedTuple):
+    """One sensor at rest: counts (n, 3) and readings per second; autocorrelation (31, 3) at lags 0 to 30; amplitude
+    density (k, 3) in LSB/sqrt(Hz) at Hz (k,); codes (m,) of x from the least to the most and how often each was read.
+    """
+
+    counts: npt.NDArray[np.int16]
+    rate_hz: float
+    correlogram: Floats
+    hz: Floats
+    density: Floats
+    codes: npt.NDArray[np.int64]
+    often: npt.NDArray[np.int64]
+
+
+class Curves(NamedTuple):
+    """Everything that is drawn: by sensor, by channel, and noise by the range of Gyro1 as Table 9 prints it or by the
+    sensor.
+    """
+
+    in_run: Mapping[str, Curve]
+    profile: Curve
+    against_temperature: Mapping[str, Scatter]
+    opposed: Curve
+    noise: Mapping[str, Noise]
+
+
+def curves_of(observed: Observed) -> Curves:
+    """All figures of one set of experiments."""
+    noise = {name: _noise(found.counts, HIGH_RATE_HZ) for name, found in observed.high_rate.items()}
+    for name in ("ADXL1", "BMA2"):
+        noise[name] = _noise(observed.still[name].counts, rate_hz(observed.still[name]))
+    return Curves(
+        {name: smoothed(series) for name, series in observed.still.items()},
+        profile(),
+        {channel: against_temperature(observed, channel) for channel in ("ADXL1 z", "Gyro2 x")},
+        opposed(observed),
+        noise,
+    )
+
+
+def _noise(counts: npt.NDArray[np.int16], rate: float) -> Noise:
+    return Noise(counts, rate, correlogram(counts), *spectrum(counts, rate), *histogram(counts[:, 0]))
+
+
+def rate_hz(series: Series) -> float:
+    """Readings per second."""
+    return float((len(series.time_ns) - 1) / (series.time_ns[-1] - series.time_ns[0]) * 1e9)
+
+
+def smoothed(series: Series, window_s: float = WINDOW_S, step_s: float = _STEP_S) -> Curve:
+    """Moving average less the mean of everything, every `step_s`, at the middle of the window (Figure 6)."""
+    rows, step = (max(1, round(seconds * rate_hz(series))) for seconds in (window_s, step_s))
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(series.counts, axis=0, dtype=float)])
+    starts = np.arange(0, len(sums) - rows, step)
+    means = (sums[starts + rows] - sums[starts]) / rows
+    middle = (series.time_ns[starts] + series.time_ns[starts + rows - 1]) / 2e9
+    return Curve(middle, means - series.counts.mean(axis=0))
+
+
+def profile(step_s: float = _STEP_S) -> Curve:
+    """The temperature (degC, in place of LSB) of the box while it is heated (Figure 7)."""
+    motion = Heating()
+    seconds = np.arange(0.0, motion.seconds + step_s / 2, step_s)
+    degc = np.asarray(motion.felt((seconds * 1e9).astype(np.int64)).temperature_degc, float)
+    return Curve(seconds, degc[:, None])
+
+
+def against_temperature(observed: Observed, channel: str, every_s: float = 4.0) -> Scatter:
+    """A channel such as "Gyro2 x" of a sensor of `WARMED` against temperature (Figures 8 and 9)."""
+    name, letter = channel.split()
+    axis, series, line = "xyz".index(letter), observed.warm[name], observed.heated[name]
+    some = slice(None, None, max(1, round(every_s * rate_hz(series))))
+    degc = np.asarray(Heating().felt(series.time_ns[some]).temperature_degc, float)
+    lsb = series.counts[some, axis].astype(float)
+    return Scatter(degc, lsb, float(line.slope[axis]), float(line.intercept[axis]))
+
+
+def opposed(observed: Observed, window_s: float = 30.0) -> Curve:
+    """Gyro1 y, Gyro2 y and half of their difference while heated, averaged over half a minute (Figure 10)."""
+    means = []
+    for name in ("Gyro1", "Gyro2"):
+        series = observed.warm[name]
+        rows = round(window_s * rate_hz(series))
+        whole = len(series.counts) // rows * rows
+        means.append(series.counts[:whole, 1].reshape(-1, rows).mean(axis=1))
+    first, second = means
+    seconds = np.asarray((np.arange(len(first)) + 0.5) * window_s, float)
+    return Curve(seconds, np.column_stack([first, second, (first - second) / 2]))
+
+
+def correlogram(counts: npt.NDArray[np.int16]) -> Floats:
+    """(31, 3) autocorrelation at lags 0 to 30 (Figure 13)."""
+    return np.array([autocorrelation(counts, lag) if lag else np.ones(3) for lag in range(LAGS)])
+
+
+def spectrum(counts: npt.NDArray[np.int16], rate: float) -> tuple[Floats, Floats]:
+    """Hz (k,) and amplitude density (k, 3) in LSB/sqrt(Hz) by Welch (Figures 14, 17 and 19), without 0 Hz and the
+    Nyquist frequency, which are half a bin wide.
+    """
+    hz, power = signal.welch(counts.astype(float), rate, nperseg=SEGMENT, axis=0)
+    return np.asarray(hz[1:-1]), np.sqrt(power[1:-1])
+
+
+def histogram(counts: npt.NDArray[np.int16]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Codes (k,) from the least to the most, and how often each was read (Figure 15)."""
+    lowest = int(counts.min())
+    often = np.bincount(counts.astype(np.int64) - lowest)
+    return np.arange(lowest, lowest + len(often)), often

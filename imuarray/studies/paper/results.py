@@ -1,0 +1,280 @@
+"""Everything recomputed, as one JSON-ready object.
+
+The recomputation as a page that a person reads in half a minute, at most 100 columns wide.
+
+Writing the recomputation down: one JSON object, one CSV file per table, and figures where matplotlib is installed.
+
+All names are known before anything is written, so that either every file may be written or none is.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from decimal import Context, localcontext
+from importlib.util import find_spec
+from io import StringIO
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from imuarray.atomic import write_text
+from imuarray.errors import ImuArrayError, OutputExistsError
+from imuarray.studies.paper import systematic, thermal, variation
+from imuarray.studies.paper.conclusions import conclusions, slips, stated
+from imuarray.studies.paper.tables import RecomputedRow, tally
+from imuarray.studies.paper.variation import derived, readings
+
+SOURCE = (
+    "H. Martin, P. Groves, M. Newman, R. Faragher, A New Approach to Better Low-Cost MEMS IMU Performance Using Sensor "
+    "Arrays, 26th International Technical Meeting of the Satellite Division of The Institute of Navigation "
+    "(ION GNSS+ 2013), Nashville, Tennessee, September 2013"
+)
+"""The paper whose Tables 1 to 11 are recomputed."""
+
+TABLES: dict[str, Callable[[], tuple[RecomputedRow, ...]]] = {
+    "table1": systematic.table1,
+    "table2": systematic.table2,
+    "table3": systematic.table3,
+    "table4": systematic.table4,
+    "table5": variation.table5,
+    "table6": variation.table6,
+    "table7": variation.table7,
+    "table8": thermal.table8,
+    "table9": systematic.table9,
+    "table10": variation.table10,
+    "table11": variation.table11,
+}
+"""The paper's tables, each with what follows for it from the others."""
+
+FURTHER: dict[str, Callable[[], tuple[RecomputedRow, ...]]] = {"derived": derived, "stated": stated}
+"""Further columns of Tables 2, 9 and 11, and figures in the text: a row per number."""
+
+_DIGITS = Context(prec=34)
+
+
+def recomputed_rows() -> dict[str, tuple[RecomputedRow, ...]]:
+    """Everything of `TABLES` and `FURTHER` by name; a caller's decimal context does not matter."""
+    with localcontext(_DIGITS):
+        return {name: build() for name, build in (TABLES | FURTHER).items()}
+
+
+def recompute() -> dict[str, Any]:
+    """Recompute the paper from its published tables.
+
+    `table1` ... `table11` hold rows with the CSV files' column names; a recomputed column `x` is followed by the
+    printed one as `printed_x`; it is rounded as that is if they agree. `matches` counts per table and column [equal
+    to the printed digits, all], `within_input_rounding` [explained by the rounding of the printed inputs, all].
+    `derived` and `stated` are further columns and the text's figures, a row each, with the difference, both verdicts
+    and what it follows from. `pairs`, `boot_fault`, `bias_states`, `blending`, `planes`, `logging_rate`, `readings`
+    and `range_over_deviation` are results that have no printed column; `slips` and `conclusions` are lists of {claim,
+    evidence, holds}; `source` is the citation.
+    """
+    tables = recomputed_rows()
+    with localcontext(_DIGITS):
+        return {
+            "source": SOURCE,
+            "matches": _tallies(tables, within_input_rounding=False),
+            "within_input_rounding": _tallies(tables, within_input_rounding=True),
+            **{name: [row.as_json() for row in rows] for name, rows in tables.items()},
+            "pairs": [pair.as_json() for pair in thermal.pairs()],
+            "boot_fault": [fault.as_json() for fault in variation.boot_faults()],
+            "bias_states": _bias_states(),
+            "blending": variation.bma180_blend().as_json(),
+            "planes": variation.planes(),
+            "logging_rate": variation.logging_rate(),
+            "readings": [found.as_json() for found in readings()],
+            "range_over_deviation": variation.range_over_deviation(),
+            "slips": [statement.as_json() for statement in slips()],
+            "conclusions": [statement.as_json() for statement in conclusions()],
+        }
+
+
+def _tallies(
+    tables: dict[str, tuple[RecomputedRow, ...]], *, within_input_rounding: bool
+) -> dict[str, dict[str, list[int]]]:
+    counts = {name: tally(rows, within_input_rounding=within_input_rounding) for name, rows in tables.items()}
+    return {name: count for name, count in counts.items() if count}
+
+
+def _bias_states() -> dict[str, Any]:
+    states = variation.bias_states()
+    return {
+        "sensor": "Gyro3",
+        "states": [state.as_json() for state in states],
+        "separation": round(variation.separation(states), 2),
+    }
+
+
+_WIDTH = 100
+_TITLES = {
+    "table1": "Table 1 orientation",
+    "table2": "Table 2 gyroscopes, fast",
+    "table3": "Table 3 accelerometers",
+    "table4": "Table 4 gyroscopes",
+    "table5": "Table 5 in-run",
+    "table9": "Table 9 gyroscope noise",
+    "table11": "Table 11 turn-on",
+    "derived": "Tables 2, 9, 11, further",
+    "stated": "figures in the text",
+}
+_NO_BREAK = "\N{NO-BREAK SPACE}"
+
+
+def render_text(result: dict[str, Any]) -> str:
+    """Matches per table, key numbers, slips and conclusions of a `recompute()` result, lines of at most 100 columns."""
+    parts = (_heading(result), _matches(result), _key_numbers(result), _slips(result), _conclusions(result))
+    return "\n".join(line for part in parts for line in (*part, "")).rstrip() + "\n"
+
+
+def _heading(result: dict[str, Any]) -> Iterator[str]:
+    yield "The paper, recomputed from its own tables"
+    yield from wrap(result["source"], _WIDTH)
+
+
+def _matches(result: dict[str, Any]) -> Iterator[str]:
+    yield "Recomputed cells equal to the printed digits, and explained by the rounding of the printed inputs"
+    for table, columns in result["matches"].items():
+        equal, total = _sums(columns)
+        explained, _ = _sums(result["within_input_rounding"][table])
+        short = ", ".join(f"{name} {count[0]}/{count[1]}" for name, count in columns.items() if count[0] < count[1])
+        head = f"  {_TITLES.get(table, table):<24} {equal:>3} of {total:>3} equal, {explained:>3} explained  "
+        yield from _hanging(head, short.replace(" ", _NO_BREAK).replace(f",{_NO_BREAK}", ", ") or "all")
+
+
+def _sums(columns: dict[str, list[int]]) -> tuple[int, int]:
+    return sum(count[0] for count in columns.values()), sum(count[1] for count in columns.values())
+
+
+def _key_numbers(result: dict[str, Any]) -> Iterator[str]:
+    yield "Key numbers"
+    for label, text in _key_lines(result):
+        yield from _hanging(f"  {label:<18}", text)
+
+
+def _key_lines(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    rate, blend = result["logging_rate"], result["blending"]
+    gyros = [pair for pair in result["pairs"] if pair["first"].startswith("Gyro")]
+    yield "gyroscope pairs", "; ".join(map(_pair, gyros)) + " LSB/degC"
+    yield (
+        "BMA180 blending",
+        f"{blend['low_mg']:.2f} mg at 1.5 g, {blend['high_mg']:.2f} at 16 g; weights {blend['weight_low']:.2f}/"
+        f"{blend['weight_high']:.2f} give {blend['weighted_mg']:.2f}, the plain average "
+        f"{blend['plain_average_mg']:.2f}",
+    )
+    planes = [plane for plane in result["planes"] if plane["design"] == "ADXL"]
+    yield "ADXL345 z over xy", ", ".join(f"noise {p['noise_z_over_xy']:.2f} ({p['sensor']})" for p in planes)
+    yield (
+        "logging rate",
+        f"{rate['table10_hz']['mean']:.1f} Hz (Table 10), {rate['table11_hz']['mean']:.1f} Hz (Table 11)",
+    )
+    yield (
+        "standard errors",
+        "; ".join(
+            f"{found['table']} {found['log']}: {found['least']} to {found['most']} readings"
+            for found in result["readings"]
+        ),
+    )
+    for fault in result["boot_fault"]:
+        yield (
+            "boot fault",
+            f"{fault['sensor']} run {fault['run']}: {fault['ratio']:.2f} times the median, as at "
+            f"+-{fault['nearest_range']}",
+        )
+    states = result["bias_states"]["states"]
+    yield (
+        "Gyro3 states",
+        " and ".join(f"({', '.join(f'{c:.1f}' for c in s['centre_lsb'])}) in {len(s['runs'])} runs" for s in states),
+    )
+
+
+def _pair(pair: dict[str, Any]) -> str:
+    less = f"{pair['reduction']:.0f} times less" if pair["reduction"] > 1 else "no less"
+    return f"{pair['box_axis'].lower()} {pair['relation']} {abs(pair['fused_slope_lsb_per_degc']):.3f} ({less})"
+
+
+def _slips(result: dict[str, Any]) -> Iterator[str]:
+    slips = [slip for slip in result["slips"] if not slip["holds"]]
+    yield f"Slips of the paper: {len(slips)} (all evidence: --json)"
+    for slip in slips:
+        yield from _hanging("  - ", slip["claim"])
+        yield from _hanging("    > ", _first_clause(slip))
+
+
+def _conclusions(result: dict[str, Any]) -> Iterator[str]:
+    held = sum(conclusion["holds"] for conclusion in result["conclusions"])
+    yield f"Conclusions of the paper: {held} of {len(result['conclusions'])} hold (evidence and criteria: --json)"
+    for conclusion in result["conclusions"]:
+        yield from _hanging("  yes " if conclusion["holds"] else "  NO  ", conclusion["claim"])
+        if not conclusion["holds"]:
+            yield from _hanging("      > ", _first_clause(conclusion))
+
+
+def _first_clause(statement: dict[str, Any]) -> str:
+    return str(statement["evidence"]).partition("; ")[0]
+
+
+def _hanging(head: str, text: str) -> list[str]:
+    lines = wrap(text, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head), break_on_hyphens=False)
+    return [line.replace(_NO_BREAK, " ") for line in lines]
+
+
+def can_draw() -> bool:
+    """Whether matplotlib is installed."""
+    return find_spec("matplotlib") is not None
+
+
+def as_json(result: Mapping[str, Any]) -> str:
+    """The result as indented JSON text, every number finite."""
+    return json.dumps(result, indent=2, allow_nan=False) + "\n"
+
+
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as CSV text with the columns of all rows in order of appearance; spaces part the items of a list."""
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    text = StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({column: _cell(value) for column, value in row.items()} for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    return " ".join(map(str, value)) if isinstance(value, list) else value
+
+
+def write(result: Mapping[str, Any], directory: Path, *, force: bool) -> tuple[Path, ...]:
+    """Write `paper.json`, `table1.csv` ... `table11.csv`, `pairs.csv` and, if `can_draw()`, the figures.
+
+    The directory is made if it is missing. OutputExistsError when a file exists and `force` is false, before anything
+    is written; ImuArrayError, naming the place, when it can't be written.
+    """
+    texts = {"paper.json": as_json(result)} | {f"{name}.csv": as_csv(result[name]) for name in (*TABLES, "pairs")}
+    try:
+        return _write_all(texts, result, directory, force=force)
+    except OSError as error:
+        raise ImuArrayError(f"{error.filename or directory}: {error.strerror or error}") from error
+
+
+def _write_all(
+    texts: Mapping[str, str], result: Mapping[str, Any], directory: Path, *, force: bool
+) -> tuple[Path, ...]:
+    drawings = _drawings()
+    paths = [directory / name for name in (*texts, *drawings)]
+    if not force and (taken := next((path for path in paths if path.exists()), None)):
+        raise OutputExistsError(taken)
+    directory.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        write_text(directory / name, text, force=True)
+    for name, draw in drawings.items():
+        draw(result, directory / name)
+    return tuple(paths)
+
+
+def _drawings() -> Mapping[str, Any]:
+    if not can_draw():
+        return {}
+    from imuarray.studies.paper.figures import FIGURES  # matplotlib is slow to import and optional
+
+    return FIGURES

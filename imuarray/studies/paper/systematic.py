@@ -1,0 +1,283 @@
+"""Table 3 from Table 10: bias, scale factor and direction of every accelerometer axis, from six faces of a box.
+
+Up and down readings of a face differ by 2 g along that box axis, so half their difference is the response in counts
+per g along it; the three of them are the axis' sensitivity vector in the box frame. Its norm is the scale factor, its
+direction the sensitive axis. The bias is the mean of the six faces (section 5.2.1, Appendix B).
+
+Found by trying: the printed scale factor is that norm with the sign of the half-difference along box X, whatever axis
+the sensor points along. The true sign is that of the main axis, given here as an extra column.
+
+Table 1 against Table 10: which way every triad points, and whether such a triad can exist.
+
+Table 1 names, for each box axis, the sensor axis along it. The three names make a signed permutation; its determinant
+is +1 for a right-handed triad, the only kind that is sold, and -1 for a mirrored one. For accelerometers Table 10
+tells the same independently: each channel's largest response. Nothing in Table 10 tells it for gyroscopes.
+
+Table 4 from Table 10, and the degrees per second of Tables 2 and 9 from their counts.
+
+Unlike Table 3's, Table 4's bias is the mean of all seven readings, the repeated first face counted. Its differences
+are up minus down and its drift first minus last, all with the typical sensitivities 0.07 and 0.00875 dps per count
+(L3G-40, L3G-42).
+
+Appendix B evaluated as it is printed, and with its slips mended, one at a time.
+
+The appendix turns the three half-differences of a channel into azimuth, elevation and a scale factor averaged over
+the six faces. Two slips stand in it: the azimuth's quotient is upside down, and the factor cos(azimuth) of the first
+term of the six belongs to it but stands in the third. Both are switches here, so that it can be counted which form
+made Table 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from decimal import Decimal
+from math import atan, atan2, cos, degrees, hypot, sin
+from typing import Any
+
+from imuarray.studies.paper.tables import (
+    Cell,
+    RecomputedRow,
+    Row,
+    design_of,
+    dps,
+    is_inertial,
+    mean,
+    milli_g,
+    number_in,
+    numbers_in,
+    numeric_cell,
+    row_of,
+    table,
+    text_cell,
+)
+
+READINGS = ("z_up", "x_up", "y_up", "x_down", "y_down", "z_down", "z_up_check")
+"""Table 10's reading columns in the order in which the faces were turned up."""
+
+Response = tuple[Decimal, Decimal, Decimal]
+"""Half-differences along box X, Y, Z in counts per g."""
+
+
+def half_differences(readings: Sequence[Decimal]) -> Response:
+    """(up - down) / 2 along box X, Y, Z from readings in the order of `READINGS`, in counts per g."""
+    z_up, x_up, y_up, x_down, y_down, z_down = readings[:6]
+    return (x_up - x_down) / 2, (y_up - y_down) / 2, (z_up - z_down) / 2
+
+
+def response_of(channel: str) -> Response:
+    """The response of an accelerometer axis such as "BMA2 y" in the box frame, counts per g."""
+    return half_differences(numbers_in(row_of(10, channel), READINGS))
+
+
+def main_axis(response: Response) -> str:
+    """The box axis that a sensitive axis is nearest to, with its sign: "-Y"."""
+    size, letter = max(zip(response, "XYZ", strict=True), key=lambda item: abs(item[0]))
+    return ("+" if size > 0 else "-") + letter
+
+
+def six_face_bias(readings: Sequence[Decimal]) -> Decimal:
+    """Mean of the six faces, the repeated first face left out, in counts."""
+    return mean(readings[:6])
+
+
+def check_drift(readings: Sequence[Decimal]) -> Decimal:
+    """First minus last reading, both with +Z up, in counts."""
+    return readings[0] - readings[6]
+
+
+def norm(response: Response) -> Decimal:
+    """The scale factor without a sign, in counts per g."""
+    return sum((part * part for part in response), Decimal(0)).sqrt()
+
+
+def printed_scale(readings: Sequence[Decimal]) -> Decimal:
+    """The scale factor with the sign that the paper gives it: that of the half-difference along box X."""
+    response = half_differences(readings)
+    return norm(response).copy_sign(response[0])
+
+
+def _row(row: Row) -> RecomputedRow:
+    measured = row_of(10, row["channel"])
+    readings = numbers_in(measured, READINGS)
+    cells = (
+        numeric_cell(row, "drift_lsb", check_drift, readings),
+        numeric_cell(row, "sem_lsb", lambda inputs: inputs[0], [number_in(measured, "sem_lsb")]),
+        numeric_cell(row, "bias_lsb", six_face_bias, readings),
+        numeric_cell(row, "bias_mg", lambda inputs: milli_g(row, six_face_bias(inputs)), readings),
+        numeric_cell(row, "scale_lsb_per_g", printed_scale, readings),
+    )
+    return RecomputedRow(row, cells, _direction(half_differences(readings)))
+
+
+def _direction(response: Response) -> dict[str, Any]:
+    along_x, along_y, along_z = (float(part) for part in response)
+    return {
+        "response_lsb_per_g": [round(along_x, 4), round(along_y, 4), round(along_z, 4)],
+        "main_axis": main_axis(response),
+        "azimuth_deg": round(degrees(atan2(along_y, along_x)), 3),
+        "elevation_deg": round(degrees(atan2(along_z, hypot(along_x, along_y))), 3),
+    }
+
+
+def table3() -> tuple[RecomputedRow, ...]:
+    """Table 3 with all five columns recomputed, and each axis' response, main axis, azimuth and elevation added."""
+    return tuple(_row(row) for row in table(3))
+
+
+BoxAxes = Mapping[str, str]
+"""For each sensor axis "x", "y", "z" the box axis that it points along, such as "-Y"."""
+
+_COLUMNS = {"X": "box_plus_x", "Y": "box_plus_y", "Z": "box_plus_z"}
+
+
+def printed_axes(row: Row) -> dict[str, str]:
+    """Where Table 1 says that a sensor's x, y and z point in the box."""
+    named = {row[column][1].lower(): row[column][0] + box for box, column in _COLUMNS.items()}
+    return {axis: named[axis] for axis in "xyz"}
+
+
+def measured_axes(sensor: str) -> dict[str, str]:
+    """Where Table 10's largest responses say that an accelerometer's x, y and z point in the box."""
+    return {axis: main_axis(response_of(f"{sensor} {axis}")) for axis in "xyz"}
+
+
+def determinant(axes: BoxAxes) -> int:
+    """+1 for a right-handed triad, -1 for a mirrored one; the three box axes must differ."""
+    order = ["XYZ".index(axes[axis][1]) for axis in "xyz"]
+    inversions = sum(order[i] > order[j] for i in range(3) for j in range(i + 1, 3))
+    minus_signs = sum(axes[axis][0] == "-" for axis in "xyz")
+    return -1 if (inversions + minus_signs) % 2 else 1
+
+
+def believed_axes(sensor: str) -> dict[str, str]:
+    """Measured directions for an accelerometer, Table 1's for a gyroscope."""
+    if design_of(sensor) == "Gyro":
+        return printed_axes(next(row for row in table(1) if row["sensor"] == sensor))
+    return measured_axes(sensor)
+
+
+def as_text(axes: BoxAxes) -> str:
+    """Directions as a configuration spells them, "+Y+X-Z": the box axes of x, y and z."""
+    return "".join(axes[axis] for axis in "xyz")
+
+
+def _recomputed(row: Row) -> RecomputedRow:
+    axes = believed_axes(row["sensor"])
+    extra: dict[str, Any] = {
+        "axes": as_text(axes),
+        "determinant": determinant(axes),
+        "printed_determinant": determinant(printed_axes(row)),
+    }
+    if design_of(row["sensor"]) == "Gyro":
+        return RecomputedRow(row, (), extra)
+    along = {box[1]: box[0] + axis.upper() for axis, box in axes.items()}
+    return RecomputedRow(row, tuple(text_cell(row, column, along[box]) for box, column in _COLUMNS.items()), extra)
+
+
+def table1() -> tuple[RecomputedRow, ...]:
+    """Table 1 with the accelerometers' axes recomputed from Table 10, and the determinants before and after."""
+    return tuple(_recomputed(row) for row in table(1))
+
+
+def mirrored() -> tuple[RecomputedRow, ...]:
+    """The rows of Table 1 that, as printed, describe a left-handed triad."""
+    return tuple(row for row in table1() if row.extra["printed_determinant"] < 0)
+
+
+def _up_minus_down(axis: str) -> Callable[[Sequence[Decimal]], Decimal]:
+    up, down = READINGS.index(f"{axis}_up"), READINGS.index(f"{axis}_down")
+    return lambda readings: readings[up] - readings[down]
+
+
+_TABLE_4: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
+    "bias": mean,
+    "dbias_x": _up_minus_down("x"),
+    "dbias_y": _up_minus_down("y"),
+    "dbias_z": _up_minus_down("z"),
+    "drift": check_drift,
+}
+"""Table 4's quantities (columns without `_lsb` or `_dps`) from the seven readings of Table 10."""
+
+
+def _both_units(row: Row, quantity: str) -> tuple[Cell, Cell]:
+    readings = numbers_in(row_of(10, row["channel"]), READINGS)
+    formula = _TABLE_4[quantity]
+    return (
+        numeric_cell(row, f"{quantity}_lsb", formula, readings),
+        numeric_cell(row, f"{quantity}_dps", lambda inputs: dps(row["range"], formula(inputs)), readings),
+    )
+
+
+def table4() -> tuple[RecomputedRow, ...]:
+    """Table 4 with all ten columns recomputed from Table 10."""
+    return tuple(
+        RecomputedRow(row, tuple(cell for quantity in _TABLE_4 for cell in _both_units(row, quantity)))
+        for row in table(4)
+    )
+
+
+def _dps_cells(row: Row, quantities: Sequence[str]) -> tuple[Cell, ...]:
+    if not is_inertial(row):
+        return ()
+    return tuple(
+        numeric_cell(
+            row, f"{quantity}_dps", lambda inputs: dps(row["range"], inputs[0]), [number_in(row, f"{quantity}_lsb")]
+        )
+        for quantity in quantities
+    )
+
+
+def table2() -> tuple[RecomputedRow, ...]:
+    """Table 2 with its dps columns recomputed from its counts."""
+    return tuple(RecomputedRow(row, _dps_cells(row, ("mean", "std"))) for row in table(2))
+
+
+def table9() -> tuple[RecomputedRow, ...]:
+    """Table 9 with its dps columns recomputed; `samples` is how many readings its standard errors imply."""
+    return tuple(
+        RecomputedRow(row, _dps_cells(row, ("mean", "sem", "std")), {"samples": round(_samples(row))})
+        for row in table(9)
+    )
+
+
+def _samples(row: Row) -> Decimal:
+    return (number_in(row, "std_lsb") / number_in(row, "sem_lsb")) ** 2
+
+
+_LAST_DIGIT = 0.01
+"""One unit of the last digit of Table 3's scale factors, in counts per g."""
+
+
+def azimuth(readings: Sequence[Decimal], *, quotient_mended: bool) -> float:
+    """Azimuth in radians: arctan(f_x / f_y) as printed, arctan(f_y / f_x) mended (still without a quadrant)."""
+    along_x, along_y, _ = (float(part) for part in half_differences(readings))
+    return atan(along_y / along_x) if quotient_mended else atan(along_x / along_y)
+
+
+def scale_factor(readings: Sequence[Decimal], *, quotient_mended: bool, sum_mended: bool) -> float:
+    """Appendix B's scale factor in counts per g, with either slip mended or left in."""
+    along_x, along_y, along_z = (float(part) for part in half_differences(readings))
+    turn = azimuth(readings, quotient_mended=quotient_mended)
+    lift = atan(2 * along_z / (along_x / cos(turn) + along_y / sin(turn)))
+    bias = six_face_bias(readings)
+    z_up, x_up, y_up, x_down, y_down, z_down = (float(reading - bias) for reading in readings[:6])
+    first, third = (cos(turn), 1.0) if sum_mended else (1.0, cos(turn))
+    x_terms = (x_up / first - x_down / cos(turn)) / cos(lift)
+    y_terms = (y_up - y_down) / (cos(lift) * sin(turn))
+    z_terms = (z_up / third - z_down) / sin(lift)
+    return (x_terms + y_terms + z_terms) / 6
+
+
+def reproduced(*, quotient_mended: bool, sum_mended: bool) -> int:
+    """How many of Table 3's scale factors this form gives to within one unit of the last printed digit."""
+    count = 0
+    for row in table(3):
+        readings = numbers_in(row_of(10, row["channel"]), READINGS)
+        value = scale_factor(readings, quotient_mended=quotient_mended, sum_mended=sum_mended)
+        count += round(abs(value - float(number_in(row, "scale_lsb_per_g"))), 4) <= _LAST_DIGIT
+    return count
+
+
+def printed_azimuth_deg(channel: str) -> float:
+    """The azimuth in degrees that Appendix B's formula, as printed, gives for a channel."""
+    return degrees(azimuth(numbers_in(row_of(10, channel), READINGS), quotient_mended=False))

@@ -1,0 +1,250 @@
+"""The paper's Tables 1 to 11 as it prints them (`tables/tableNN_*.csv`), read with every digit.
+
+A cell is text until somebody asks for a number; numbers are `decimal.Decimal`, because 0.1 printed is not 0.1 binary
+and the last printed digit is what a recomputation is judged by. Units stand in the column names (`_lsb` are raw
+counts).
+
+A printed number beside its recomputation, and how to judge the two.
+
+Three things are kept apart. `matches`: the recomputed value, rounded to the digits printed, is the printed one.
+`within_input_rounding`: the printed value can be reached when each input moves by at most half a unit of its own last
+printed digit (to first order), which is all that a recomputation from printed tables can ask for. Neither: a slip.
+
+A recomputed value can fall exactly half-way between two printable ones (six cells of Tables 2 to 9 do). Printed
+inputs can't decide such a tie, and the paper prints some up and some down; both neighbours are right, so a tie
+matches either.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
+
+Row = Mapping[str, str]
+"""One printed row: column name to printed text."""
+
+TABLES: dict[int, str] = {
+    1: "table01_orientation.csv",
+    2: "table02_gyro_high_rate.csv",
+    3: "table03_accel_systematic.csv",
+    4: "table04_gyro_systematic.csv",
+    5: "table05_in_run_summary.csv",
+    6: "table06_bma1_runs.csv",
+    7: "table07_gyro3_runs.csv",
+    8: "table08_temperature_fit.csv",
+    9: "table09_gyro_noise.csv",
+    10: "table10_six_position.csv",
+    11: "table11_turn_on.csv",
+}
+
+_MILLI = 1000
+_LSB_PER_G: dict[tuple[str, str], Decimal] = {
+    ("ADXL", "16g"): Decimal(256),  # full resolution, ADX-40
+    ("BMA", "16g"): Decimal(512),  # BMA-76
+    ("BMA", "1.5g"): Decimal(5460),  # BMA-71
+}
+_DPS_PER_LSB: dict[str, Decimal] = {
+    "2k dps": Decimal("0.07"),  # L3G-42
+    "250dps": Decimal("0.00875"),  # L3G-40
+}
+BMA180_LSB_PER_G: dict[str, Decimal] = {
+    "1g": Decimal(8192),
+    "1.5g": Decimal(5460),
+    "2g": Decimal(4096),
+    "3g": Decimal(2730),
+    "4g": Decimal(2048),
+    "8g": Decimal(1024),
+    "16g": Decimal(512),
+}
+"""The BMA180's seven ranges, +-range to counts per g (BMA-70 ... BMA-76); it powers up at 2 g."""
+
+FACES_DEGC = (26.23803, 26.45391, 26.47834, 26.42805, 26.49729, 26.49944, 26.68422)
+"""Row "Indep. Temp" of Table 10, which the BMP180 beside the sensors read: means over the faces in the order in which
+they were up, the repeated first one last. The CSV files hold the rows of the sensors only.
+"""
+DEGC: Mapping[tuple[int, str], float] = MappingProxyType(
+    {
+        (10, "std_lsb"): 0.251412,
+        (11, "runs_mean"): 24.505,
+        (11, "runs_std"): 0.030,
+        (11, "runs_std_of_means"): 0.131,
+        (11, "runs_range_of_means"): 0.473,
+        (11, "cont_mean"): 23.817,
+        (11, "cont_std"): 0.019,
+        (11, "cont_std_of_means"): 0.086,
+        (11, "cont_range_of_means"): 0.193,
+    }
+)
+"""The same row of Tables 10 and 11 by table and the column's name in the CSV files, degC."""
+
+
+@cache
+def table(number: int) -> tuple[Row, ...]:
+    """The rows of Table `number` (1 to 11) in printed order."""
+    text = files("imuarray.studies.paper").joinpath("tables", TABLES[number]).read_text(encoding="utf-8")
+    return tuple(csv.DictReader(text.splitlines()))
+
+
+def row_of(number: int, channel: str) -> Row:
+    """The row of a channel such as "Gyro1 y" in Table 3, 4, 8, 10 or 11."""
+    return next(row for row in table(number) if row["channel"] == channel)
+
+
+def number_in(row: Row, column: str) -> Decimal:
+    """A printed number, exact."""
+    return Decimal(row[column])
+
+
+def numbers_in(row: Row, columns: Sequence[str]) -> tuple[Decimal, ...]:
+    """Several printed numbers of one row, exact."""
+    return tuple(Decimal(row[column]) for column in columns)
+
+
+def design_of(channel: str) -> str:
+    """The sensor design that a channel or sensor name stands for: "ADXL", "BMA" or "Gyro"."""
+    return channel.split()[0].rstrip("0123456789")
+
+
+def is_inertial(row: Row) -> bool:
+    """Whether a row is an accelerometer or gyroscope axis, not a chip's thermometer."""
+    return row["range"] != "int"
+
+
+def channels(number: int, design: str, range_name: str | None = None, axes: str = "xyz") -> tuple[Row, ...]:
+    """The rows of one design in a table, if wanted of one range and of some axes only."""
+    return tuple(
+        row
+        for row in table(number)
+        if design_of(row["channel"]) == design
+        and range_name in (None, row["range"])
+        and row["channel"].split()[1] in tuple(axes)
+    )
+
+
+def milli_g(row: Row, counts: Decimal) -> Decimal:
+    """Accelerometer counts in mg with the data sheet's typical sensitivity for the row's design and range."""
+    return counts * _MILLI / _LSB_PER_G[design_of(row["channel"]), row["range"]]
+
+
+def dps(range_name: str, counts: Decimal) -> Decimal:
+    """L3G4200D counts in degrees per second with the data sheet's typical sensitivity for a range as printed."""
+    return counts * _DPS_PER_LSB[range_name]
+
+
+def physical(row: Row, counts: Decimal) -> Decimal:
+    """Counts in mg (accelerometers) or degrees per second (gyroscopes), typical sensitivities."""
+    return dps(row["range"], counts) if design_of(row["channel"]) == "Gyro" else milli_g(row, counts)
+
+
+def mean(values: Sequence[Decimal]) -> Decimal:
+    """Arithmetic mean in decimal arithmetic; at least one value."""
+    return sum(values, Decimal(0)) / len(values)
+
+
+Formula = Callable[[Sequence[Decimal]], Decimal]
+"""From printed inputs to a recomputed number."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One recomputed cell: the value, what is printed, and whether the inputs explain the difference.
+
+    A value that agrees stands with the digits printed; one that does not stands with two more, to show by how much.
+    """
+
+    column: str
+    value: float | str
+    printed: float | str
+    within_input_rounding: bool
+
+    @property
+    def matches(self) -> bool:
+        """Whether the recomputed value equals the printed one in every printed digit."""
+        return self.value == self.printed
+
+
+@dataclass(frozen=True)
+class RecomputedRow:
+    """A printed row, the cells recomputed in it, and columns that the paper does not have."""
+
+    row: Row
+    cells: tuple[Cell, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """The row under the table's own column names; a recomputed column `x` is followed by `printed_x`."""
+        cells = {cell.column: cell for cell in self.cells}
+        result: dict[str, Any] = {}
+        for column, text in self.row.items():
+            if column in cells:
+                result[column] = cells[column].value
+                result[f"printed_{column}"] = cells[column].printed
+            else:
+                result[column] = plain(text)
+        return result | dict(self.extra)
+
+
+def last_unit(value: Decimal) -> Decimal:
+    """A unit of the last digit that a number was printed with: 0.001 for 1.230."""
+    return Decimal(1).scaleb(int(value.as_tuple().exponent))
+
+
+def half_unit(value: Decimal) -> Decimal:
+    """Half a unit of the last printed digit: how far a correctly rounded number can be off."""
+    return last_unit(value) / 2
+
+
+def rounded_like(value: Decimal, printed: Decimal) -> Decimal:
+    """`value` with the decimals of `printed`; a tie goes to `printed` if that is one of the two. No negative zero."""
+    if abs(value - printed) <= half_unit(printed):
+        return printed + 0
+    return value.quantize(last_unit(printed)) + 0
+
+
+def reach(formula: Formula, inputs: Sequence[Decimal]) -> Decimal:
+    """By how much `formula` can move, to first order, when each input moves by its `half_unit`."""
+    centre = formula(inputs)
+    moved = ([*inputs[:i], value + half_unit(value), *inputs[i + 1 :]] for i, value in enumerate(inputs))
+    return sum((abs(formula(values) - centre) for values in moved), Decimal(0))
+
+
+def numeric_cell(row: Row, column: str, formula: Formula, inputs: Sequence[Decimal]) -> Cell:
+    """The cell of `column` recomputed as `formula(inputs)`, to the digits that `row` prints there if they agree."""
+    printed, value = Decimal(row[column]), formula(inputs)
+    within = abs(value - printed) <= half_unit(printed) + reach(formula, inputs)
+    shown = rounded_like(value, printed)
+    if shown != printed:
+        shown = value.quantize(last_unit(printed) / 100) + 0
+    return Cell(column, float(shown), float(printed), within)
+
+
+def text_cell(row: Row, column: str, value: str) -> Cell:
+    """A cell of words, such as the axis in Table 1."""
+    return Cell(column, value, row[column], value == row[column])
+
+
+def plain(text: str) -> float | int | str | None:
+    """A printed cell as JSON: an empty one is null, whole numbers stay whole, words stay words."""
+    if not text:
+        return None
+    try:
+        value = Decimal(text)
+    except InvalidOperation:
+        return text
+    return int(value) if "." not in text else float(value)
+
+
+def tally(rows: Iterable[RecomputedRow], *, within_input_rounding: bool = False) -> dict[str, list[int]]:
+    """Per recomputed column [cells that agree, all]: to the printed digits, or within the inputs' rounding."""
+    result: dict[str, list[int]] = {}
+    for cell in (cell for row in rows for cell in row.cells):
+        count = result.setdefault(cell.column, [0, 0])
+        count[0] += cell.within_input_rounding if within_input_rounding else cell.matches
+        count[1] += 1
+    return result

@@ -1,0 +1,594 @@
+"""Tables 5 and 11: how far biases wander within a run and from one switch-on to the next.
+
+Table 5 averages Table 11's in-run column over groups of axes. Table 11's ratio is run-to-run over in-run; for BMA1
+and Gyro3 its run-to-run columns follow from the single runs of Tables 6 and 7.
+
+A sample of n numbers that spread over a range R can't have any standard deviation: it lies between R sqrt(1 / (2 (n -
+1))) (all but two in the middle) and R sqrt(floor(n/2) ceil(n/2) / (n (n - 1))) (half at either end). Table 11 prints
+both columns, so each can be checked against the other.
+
+Tables 6 and 7: which run came up in the wrong range, and which runs came up in which of two bias states.
+
+Boot fault (Table 6). The channel that carries gravity is the one with the largest median over the runs. Each run's
+reading over that median, times the configured sensitivity, is the sensitivity that the run appears to have had; the
+nearest of the chip's ranges (nearest in ratio) is the range it was really in. A run is faulty when that is not the
+configured range, so the threshold is the chip's own range table and not a number chosen here.
+
+Two states (Table 7). The three axes are taken together: runs are sorted along the principal axis of their scatter and
+cut at the place that leaves the least scatter within the two parts, over all three axes.
+
+Noise from Tables 9, 10 and 11: blending two ranges, in-plane against out-of-plane axes, and the logging rate.
+
+Blending. Two readings of one quantity with independent noise s_low and s_high are best averaged with weights
+proportional to 1 / s^2; the mean then has 1 / s^2 = 1 / s_low^2 + 1 / s_high^2. The plain average has sqrt(s_low^2 +
+s_high^2) / 2.
+
+Logging rate. A table that prints a standard deviation and the standard error of the mean tells how many samples there
+were, n = (std / sem)^2; over a known duration that is a rate.
+
+Columns of Tables 2, 9 and 11 that follow from others in other ways than by a unit or a quotient.
+
+Table 2 repeats Table 9. A standard error is a standard deviation over the root of the number of readings. All channels
+of one log were read equally often, so one number has to explain a whole column of standard errors: `admitted` says
+which numbers do, whatever the rounding, and the middle one recomputes the column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from math import dist, log, sqrt
+from statistics import fmean, median, stdev
+from typing import Any
+
+from imuarray.studies.paper.tables import (
+    BMA180_LSB_PER_G,
+    Cell,
+    RecomputedRow,
+    Row,
+    channels,
+    design_of,
+    half_unit,
+    is_inertial,
+    mean,
+    milli_g,
+    number_in,
+    numeric_cell,
+    physical,
+    table,
+)
+
+_SOURCES = {"BMA1": 6, "Gyro3": 7}
+_RUNS = 15
+_NORMAL_RANGE = 3.534
+"""Mean of range over sample standard deviation of fifteen normal numbers: 3.4718 (the mean range, Tippett 1925) over
+0.98232 (the mean deviation); the ratio is independent of the deviation (Basu), so its mean is that quotient.
+"""
+
+
+def _spread(values: Sequence[Decimal]) -> Decimal:
+    return max(values) - min(values)
+
+
+def _deviation(values: Sequence[Decimal]) -> Decimal:
+    centre = mean(values)
+    squares = [(value - centre) ** 2 for value in values]
+    return (sum(squares, Decimal(0)) / (len(values) - 1)).sqrt()
+
+
+_RUN_COLUMNS: dict[str, Callable[[Sequence[Decimal]], Decimal]] = {
+    "runs_mean": mean,
+    "runs_std_of_means": _deviation,
+    "runs_range_of_means": _spread,
+}
+
+
+def _run_cells(row: Row) -> tuple[Cell, ...]:
+    sensor, axis = row["channel"].split()
+    if sensor not in _SOURCES:
+        return ()
+    column = "temp_int" if axis == "t" else f"{axis}_lsb"
+    means = [number_in(run, column) for run in table(_SOURCES[sensor])]
+    return tuple(numeric_cell(row, name, formula, means) for name, formula in _RUN_COLUMNS.items())
+
+
+def _ratio_cell(row: Row) -> Cell:
+    inputs = [number_in(row, "runs_std_of_means"), number_in(row, "cont_std_of_means")]
+    return numeric_cell(row, "ratio", lambda values: values[0] / values[1], inputs)
+
+
+def table11() -> tuple[RecomputedRow, ...]:
+    """Table 11 with its ratio recomputed, and for BMA1 and Gyro3 the run-to-run columns from Tables 6 and 7."""
+    return tuple(RecomputedRow(row, (*_run_cells(row), _ratio_cell(row))) for row in table(11))
+
+
+def unexplained_cells() -> tuple[tuple[str, Cell], ...]:
+    """(channel, cell) of every cell of Table 11 that not even the rounding of its inputs explains."""
+    return tuple(
+        (row.row["channel"], cell) for row in table11() for cell in row.cells if not cell.within_input_rounding
+    )
+
+
+def group_members(group: str) -> tuple[Row, ...]:
+    """The rows of Table 11 that a group of Table 5, such as "BMA (1.5g) X&Y", stands for."""
+    *kind, axes = group.split()
+    range_name = kind[1].strip("()") if len(kind) > 1 else None
+    return tuple(
+        row
+        for row in table(11)
+        if design_of(row["channel"]) == kind[0]
+        and range_name in (None, row["range"].replace(" ", ""))
+        and row["channel"].split()[1] in axes.lower().split("&")
+    )
+
+
+def table5() -> tuple[RecomputedRow, ...]:
+    """Table 5 as the mean of Table 11's in-run standard deviations over each group."""
+    return tuple(RecomputedRow(row, (_group_cell(row),)) for row in table(5))
+
+
+def _group_cell(row: Row) -> Cell:
+    inputs = [number_in(member, "cont_std_of_means") for member in group_members(row["group"])]
+    return numeric_cell(row, "std_of_5min_means_lsb", mean, inputs)
+
+
+def deviation_bounds(spread: float, count: int) -> tuple[float, float]:
+    """Smallest and largest sample standard deviation that `count` numbers with range `spread` can have."""
+    smallest = spread * sqrt(1 / (2 * (count - 1)))
+    return smallest, spread * sqrt((count // 2) * ((count + 1) // 2) / (count * (count - 1)))
+
+
+def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
+    """(channel, column, printed standard deviation, bound passed) of Table 11 where its range column forbids it."""
+    found = []
+    for row in table(11):
+        for half in ("runs", "cont"):
+            deviation, spread = (number_in(row, f"{half}_{what}_of_means") for what in ("std", "range"))
+            slack = half_unit(deviation) + half_unit(spread)
+            smallest, largest = deviation_bounds(float(spread), _RUNS)
+            if not smallest - float(slack) <= deviation <= largest + float(slack):
+                bound = largest if deviation > largest else smallest
+                found.append((row["channel"], f"{half}_std_of_means", deviation, bound))
+    return tuple(found)
+
+
+def range_over_deviation() -> dict[str, Any]:
+    """How many ranges of fifteen means were over their standard deviations in Table 11, and what is possible at all.
+
+    `rows` hold a channel's two series; `mean` is over the inertial ones, `normal` what fifteen normal numbers have on
+    average over their sample deviation.
+    """
+    least, most = (1 / bound for bound in reversed(deviation_bounds(1.0, _RUNS)))
+    rows = [_range_row(row, half) for row in table(11) for half in ("runs", "cont")]
+    inertial = [row for row in rows if not row["channel"].endswith(" t") and row["channel"].split()[0] not in _SOURCES]
+    return {
+        "least": round(least, 3),
+        "most": round(most, 3),
+        "normal": _NORMAL_RANGE,
+        "possible": [sum(row["possible"] for row in rows), len(rows)],
+        "mean": {
+            half: round(fmean(row["range_over_deviation"] for row in inertial if row["half"] == half), 3)
+            for half in ("runs", "cont")
+        },
+        "rows": rows,
+    }
+
+
+def _range_row(row: Row, half: str) -> dict[str, Any]:
+    spread, deviation = (number_in(row, f"{half}_{what}_of_means") for what in ("range", "std"))
+    forbidden = {(channel, column) for channel, column, *_ in impossible_deviations()}
+    return {
+        "channel": row["channel"],
+        "half": half,
+        "range_over_deviation": round(float(spread / deviation), 3),
+        "possible": (row["channel"], f"{half}_std_of_means") not in forbidden,
+    }
+
+
+_AXES = ("x_lsb", "y_lsb", "z_lsb")
+_CONFIGURED_RANGE = "16g"
+_POWER_STEPS = 50
+
+Point = tuple[float, ...]
+"""The mean counts of x, y, z over one run."""
+
+
+@dataclass(frozen=True)
+class BootFault:
+    """A run whose gravity reading belongs to another range than the configured one."""
+
+    run: int
+    column: str
+    reading_lsb: Decimal
+    ratio: Decimal
+    """Reading over the median of all runs."""
+    range_g: str
+    range_lsb_per_g: Decimal
+
+    def as_json(self) -> dict[str, Any]:
+        """The fault with the ratio that the range it was in would give exactly."""
+        return {
+            "sensor": "BMA1",
+            "run": self.run,
+            "column": self.column,
+            "reading_lsb": float(self.reading_lsb),
+            "ratio": round(float(self.ratio), 3),
+            "nearest_range": self.range_g,
+            "nearest_range_lsb_per_g": int(self.range_lsb_per_g),
+            "nearest_range_ratio": float(self.range_lsb_per_g / BMA180_LSB_PER_G[_CONFIGURED_RANGE]),
+            "configured_range": _CONFIGURED_RANGE,
+        }
+
+
+def gravity_column(rows: Sequence[Row]) -> str:
+    """The column with the largest median: the axis that carries 1 g."""
+    return max(_AXES, key=lambda column: abs(median(number_in(row, column) for row in rows)))
+
+
+def nearest_range(lsb_per_g: Decimal) -> str:
+    """The BMA180 range whose sensitivity is nearest in ratio to a positive sensitivity in counts per g."""
+    return min(BMA180_LSB_PER_G, key=lambda name: abs(log(lsb_per_g / BMA180_LSB_PER_G[name])))
+
+
+def _ratio(row: Row) -> Decimal:
+    column = gravity_column(table(6))
+    return number_in(row, column) / median(number_in(other, column) for other in table(6))
+
+
+def _range_of(row: Row) -> str:
+    return nearest_range(_ratio(row) * BMA180_LSB_PER_G[_CONFIGURED_RANGE])
+
+
+def boot_faults() -> tuple[BootFault, ...]:
+    """The runs of Table 6 (BMA1) that were not in the configured range."""
+    column = gravity_column(table(6))
+    return tuple(
+        BootFault(int(row["run"]), column, number_in(row, column), _ratio(row), name, BMA180_LSB_PER_G[name])
+        for row in table(6)
+        if (name := _range_of(row)) != _CONFIGURED_RANGE
+    )
+
+
+def table6() -> tuple[RecomputedRow, ...]:
+    """Table 6 with each run's gravity reading over the median, and the range that this belongs to."""
+    return tuple(
+        RecomputedRow(row, (), {"ratio_to_median": round(float(_ratio(row)), 4), "nearest_range": _range_of(row)})
+        for row in table(6)
+    )
+
+
+@dataclass(frozen=True)
+class BiasState:
+    """One of the states that a sensor comes up in: its runs, their centre and their spread, in counts."""
+
+    runs: tuple[int, ...]
+    centre: Point
+    spread: Point
+    """Sample standard deviation of the runs' means, per axis."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The state with its numbers rounded to a thousandth of a count."""
+        return {
+            "runs": list(self.runs),
+            "centre_lsb": [round(value, 3) for value in self.centre],
+            "spread_lsb": [round(value, 3) for value in self.spread],
+        }
+
+
+def principal_axis(points: Sequence[Point]) -> Point:
+    """The unit vector along which points scatter most (power iteration on their scatter matrix)."""
+    centre = _centre(points)
+    offsets = [tuple(value - mid for value, mid in zip(point, centre, strict=True)) for point in points]
+    vector: Point = max(offsets, key=lambda offset: dist(offset, (0.0,) * len(offset)))
+    for _ in range(_POWER_STEPS):
+        weights = [_dot(offset, vector) for offset in offsets]
+        pulled = [_dot(weights, column) for column in zip(*offsets, strict=True)]
+        length = sqrt(_dot(pulled, pulled)) or 1.0
+        vector = tuple(value / length for value in pulled)
+    return vector
+
+
+def two_way_split(points: Sequence[Point]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Indices of the two groups, of two points at least, with the least squared scatter within (module docstring)."""
+    axis = principal_axis(points)
+    order = sorted(range(len(points)), key=lambda i: _dot(points[i], axis))
+    cuts = range(2, len(points) - 1)
+    best = min(cuts, key=lambda cut: sum(_scatter([points[i] for i in part]) for part in (order[:cut], order[cut:])))
+    return tuple(sorted(order[:best])), tuple(sorted(order[best:]))
+
+
+def bias_states() -> tuple[BiasState, BiasState]:
+    """The two bias states of Table 7 (Gyro3), the one of the first run first."""
+    points = [tuple(float(row[column]) for column in _AXES) for row in table(7)]
+    first, second = sorted(two_way_split(points))
+    return _state(first, points), _state(second, points)
+
+
+def separation(states: tuple[BiasState, BiasState]) -> float:
+    """Distance between two states' centres over the larger of their spreads (root sum of squares over the axes)."""
+    spreads = [sqrt(_dot(state.spread, state.spread)) for state in states]
+    return dist(states[0].centre, states[1].centre) / max(spreads)
+
+
+def table7() -> tuple[RecomputedRow, ...]:
+    """Table 7 with the state that each run came up in: 1 for the first run's state, 2 for the other."""
+    first, _ = bias_states()
+    return tuple(RecomputedRow(row, (), {"state": 1 if int(row["run"]) in first.runs else 2}) for row in table(7))
+
+
+def _state(indices: Sequence[int], points: Sequence[Point]) -> BiasState:
+    members = [points[i] for i in indices]
+    spread = tuple(stdev(column) for column in zip(*members, strict=True))
+    return BiasState(tuple(int(table(7)[i]["run"]) for i in indices), _centre(members), spread)
+
+
+def _centre(points: Sequence[Point]) -> Point:
+    return tuple(fmean(column) for column in zip(*points, strict=True))
+
+
+def _scatter(points: Sequence[Point]) -> float:
+    centre = _centre(points)
+    return sum(dist(point, centre) ** 2 for point in points)
+
+
+def _dot(left: Sequence[float], right: Sequence[float]) -> float:
+    return sum(a * b for a, b in zip(left, right, strict=True))
+
+
+FACE_SECONDS = 900
+"""Each face of the six-position experiment was logged for 15 minutes (section 4)."""
+SAMPLE_SECONDS = 300
+"""Each sample of the turn-on experiment lasted five minutes (section 4)."""
+HIGH_RATE_HZ = 350
+"""The rate of the single-sensor experiments (section 5.1)."""
+TRIADS = 12
+"""The factor by which logging the whole array was slower (section 4)."""
+
+
+@dataclass(frozen=True)
+class Blend:
+    """Noise of a low-range and a high-range sensor, alone and combined, in mg."""
+
+    low_mg: Decimal
+    high_mg: Decimal
+
+    @property
+    def weight_low(self) -> Decimal:
+        """The low range's inverse-variance weight; the high range has the rest."""
+        low, high = 1 / self.low_mg**2, 1 / self.high_mg**2
+        return low / (low + high)
+
+    @property
+    def plain_mg(self) -> Decimal:
+        """Noise of the plain average."""
+        return self.noise_mg(Decimal("0.5"))
+
+    @property
+    def weighted_mg(self) -> Decimal:
+        """Noise with the inverse-variance weights, the least that any weights give."""
+        return self.noise_mg(self.weight_low)
+
+    def noise_mg(self, weight_low: Decimal) -> Decimal:
+        """Noise of the weighted mean with any weight of the low range."""
+        return ((weight_low * self.low_mg) ** 2 + ((1 - weight_low) * self.high_mg) ** 2).sqrt()
+
+    def as_json(self) -> dict[str, Any]:
+        """The blend with noise to a thousandth of a mg and the two gains in per cent."""
+        return {
+            "sensor": "BMA180",
+            "low_range": "1.5g",
+            "high_range": "16g",
+            "low_mg": round(float(self.low_mg), 3),
+            "high_mg": round(float(self.high_mg), 3),
+            "weight_low": round(float(self.weight_low), 4),
+            "weight_high": round(float(1 - self.weight_low), 4),
+            "weighted_mg": round(float(self.weighted_mg), 3),
+            "plain_average_mg": round(float(self.plain_mg), 3),
+            "gain_over_plain_average_percent": round(100 * float(1 - self.weighted_mg / self.plain_mg), 1),
+            "gain_over_low_range_percent": round(100 * float(1 - self.weighted_mg / self.low_mg), 1),
+        }
+
+
+def bma180_blend() -> Blend:
+    """The BMA180's noise per range, each the mean of Table 10's six channels with the typical sensitivity."""
+    low, high = (
+        mean([milli_g(row, number_in(row, "std_lsb")) for row in channels(10, "BMA", name)]) for name in ("1.5g", "16g")
+    )
+    return Blend(low, high)
+
+
+PLANE_COLUMNS: dict[str, tuple[int, str]] = {
+    "noise": (10, "std_lsb"),
+    "thermal_slope": (8, "slope_lsb_per_degc"),
+    "in_run": (11, "cont_std_of_means"),
+    "turn_on": (11, "runs_std_of_means"),
+}
+"""What is compared between the out-of-plane and the in-plane axes of a sensor: table and column."""
+
+
+def plane_ratio(sensor: str, quantity: str) -> Decimal:
+    """|z| over the mean of |x| and |y| of one sensor, for a key of `PLANE_COLUMNS`."""
+    number, column = PLANE_COLUMNS[quantity]
+    rows = {row["channel"]: abs(number_in(row, column)) for row in table(number) if is_inertial(row)}
+    return rows[f"{sensor} z"] / mean([rows[f"{sensor} x"], rows[f"{sensor} y"]])
+
+
+def planes() -> list[dict[str, Any]]:
+    """Out-of-plane over in-plane ratio of every triad: noise, temperature slope, in-run and turn-on variation."""
+    sensors = [row["sensor"] for row in table(1)]
+    return [
+        {"sensor": sensor, "design": design_of(sensor)}
+        | {f"{what}_z_over_xy": round(float(plane_ratio(sensor, what)), 3) for what in PLANE_COLUMNS}
+        for sensor in sensors
+    ]
+
+
+def rate_hz(deviation: Decimal, standard_error: Decimal, seconds: int) -> Decimal:
+    """Samples per second that a standard deviation and a standard error imply over `seconds`."""
+    return (deviation / standard_error) ** 2 / seconds
+
+
+def table10_rates() -> tuple[Decimal, ...]:
+    """The logging rate that each inertial channel of Table 10 implies, in Hz."""
+    return tuple(_row_rate(row) for row in table(10) if is_inertial(row))
+
+
+def _row_rate(row: Row) -> Decimal:
+    return rate_hz(number_in(row, "std_lsb"), number_in(row, "sem_lsb"), FACE_SECONDS)
+
+
+def table11_rates() -> tuple[Decimal, ...]:
+    """The logging rate in Hz that each inertial channel of Table 11 implies: separate runs, then the continuous one."""
+    return tuple(
+        rate_hz(number_in(row, f"{half}_std"), number_in(row, f"{half}_sem"), SAMPLE_SECONDS)
+        for half in ("runs", "cont")
+        for row in table(11)
+        if is_inertial(row)
+    )
+
+
+def logging_rate() -> dict[str, Any]:
+    """The array's logging rate in Hz by Tables 10 and 11, beside what section 4's factor of twelve makes of 350 Hz."""
+    return {
+        "table10_hz": _summary(table10_rates()),
+        "table11_hz": _summary(table11_rates()),
+        "stated_hz": round(HIGH_RATE_HZ / TRIADS, 1),
+        "samples_per_face": round(mean(table10_rates()) * FACE_SECONDS),
+    }
+
+
+def _summary(rates: Sequence[Decimal]) -> dict[str, float]:
+    return {
+        "mean": round(float(mean(rates)), 2),
+        "smallest": round(float(min(rates)), 2),
+        "largest": round(float(max(rates)), 2),
+    }
+
+
+def table10() -> tuple[RecomputedRow, ...]:
+    """Table 10 with each channel's implied logging rate and its noise in physical units (typical sensitivity)."""
+    return tuple(RecomputedRow(row, (), _extra(row)) for row in table(10))
+
+
+def _extra(row: Row) -> dict[str, Any]:
+    extra: dict[str, Any] = {"rate_hz": round(float(_row_rate(row)), 2)}
+    if is_inertial(row):
+        extra["noise"] = round(float(physical(row, number_in(row, "std_lsb"))), 4)
+        extra["unit"] = "dps" if design_of(row["channel"]) == "Gyro" else "mg"
+    return extra
+
+
+@dataclass(frozen=True)
+class Readings:
+    """How many readings a column of standard errors admits, `least` to `most`, and what that tells."""
+
+    table: int
+    log: str
+    channels: int
+    least: Decimal
+    most: Decimal
+    rate_hz: Decimal | None
+    """By the middle number, where the paper says for how long (Table 11)."""
+    seconds: Decimal | None
+    """By the middle number, where the paper says how fast (Table 9)."""
+
+    @property
+    def middle(self) -> Decimal:
+        """Half-way between the ends."""
+        return (self.least + self.most) / 2
+
+    def as_json(self) -> dict[str, Any]:
+        """The readings, with `agree` for a column that one number explains."""
+        return {
+            "table": f"Table {self.table}",
+            "log": self.log,
+            "channels": self.channels,
+            "least": round(self.least),
+            "most": round(self.most),
+            "agree": self.least <= self.most,
+            "rate_hz": None if self.rate_hz is None else round(float(self.rate_hz), 2),
+            "seconds": None if self.seconds is None else round(float(self.seconds), 1),
+        }
+
+
+def admitted(deviation: Decimal, standard_error: Decimal) -> tuple[Decimal, Decimal]:
+    """The numbers of readings, least and most, for which both could be printed as they are; the error is not 0."""
+    wide, narrow = half_unit(deviation), half_unit(standard_error)
+    least, most = (deviation - wide) / (standard_error + narrow), (deviation + wide) / (standard_error - narrow)
+    return least**2, most**2
+
+
+def table9_rows(range_name: str) -> tuple[Row, ...]:
+    """The rows of one of Table 9's two logs, its thermometer's included; the upper half is at 250 dps."""
+    half = len(table(9)) // 2
+    return table(9)[:half] if range_name == "250dps" else table(9)[half:]
+
+
+def readings() -> tuple[Readings, ...]:
+    """Of Table 9's two logs (at 350 Hz) and of Table 11's two series (five minutes each)."""
+    found = []
+    for name in ("250dps", "2k dps"):
+        least, most = _common((row, "") for row in table9_rows(name))
+        found.append(Readings(9, name, len(table9_rows(name)), least, most, None, (least + most) / 2 / HIGH_RATE_HZ))
+    for half in ("runs", "cont"):
+        least, most = _common((row, f"{half}_") for row in table(11))
+        found.append(Readings(11, half, len(table(11)), least, most, (least + most) / 2 / SAMPLE_SECONDS, None))
+    return tuple(found)
+
+
+def _common(rows: Iterable[tuple[Row, str]]) -> tuple[Decimal, Decimal]:
+    """What all of them admit; least above most if nothing."""
+    ends = [_ends(row, prefix) for row, prefix in rows]
+    return max(least for least, _ in ends), min(most for _, most in ends)
+
+
+def _ends(row: Row, prefix: str) -> tuple[Decimal, Decimal]:
+    unit = "" if prefix else "_lsb"
+    return admitted(number_in(row, f"{prefix}std{unit}"), number_in(row, f"{prefix}sem{unit}"))
+
+
+def judged(place: str, channel: str, printed: Row, cell: Cell, source: str) -> RecomputedRow:
+    """One recomputed number as a row: where it is printed, the cell, the difference, both verdicts, how it follows."""
+    row = {"table": place, "channel": channel, cell.column: printed[cell.column]}
+    extra = {
+        "difference": round(float(cell.value) - float(cell.printed), 9) + 0.0,
+        "matches": cell.matches,
+        "within_input_rounding": cell.within_input_rounding,
+        "follows_from": source,
+    }
+    return RecomputedRow(row, (cell,), extra)
+
+
+def derived() -> tuple[RecomputedRow, ...]:
+    """Table 2 from Table 9; the standard errors of Tables 9 and 11 from deviation and number of readings."""
+    return (*_table2(), *_table9(), *_table11())
+
+
+def _table2() -> Iterable[RecomputedRow]:
+    for row in table(2):
+        source = next(r for r in table(9) if (r["output"], r["range"]) == (row["output"], row["range"]))
+        for column in ("mean_lsb", "std_lsb"):
+            cell = numeric_cell(row, column, _same, [number_in(source, column)])
+            yield judged("Table 2", f"{row['output']} {row['range']}", row, cell, f"Table 9, {column}")
+
+
+def _table9() -> Iterable[RecomputedRow]:
+    for found in readings()[:2]:
+        for row in table9_rows(found.log):
+            yield _standard_error(found, row, "sem_lsb", "std_lsb", f"{row['output']} {found.log}")
+
+
+def _table11() -> Iterable[RecomputedRow]:
+    for found in readings()[2:]:
+        for row in table(11):
+            yield _standard_error(found, row, f"{found.log}_sem", f"{found.log}_std", row["channel"])
+
+
+def _standard_error(found: Readings, row: Row, column: str, deviation: str, channel: str) -> RecomputedRow:
+    cell = numeric_cell(row, column, lambda values: values[0] / found.middle.sqrt(), [number_in(row, deviation)])
+    return judged(f"Table {found.table}", channel, row, cell, f"{deviation} / sqrt({round(found.middle)})")
+
+
+def _same(values: Sequence[Decimal]) -> Decimal:
+    return values[0]

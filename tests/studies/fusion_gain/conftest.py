@@ -1,0 +1,32 @@
+"""One short study that several tests look at."""
+
+from __future__ import annotations
+
+import pytest
+
+from imuarray.studies.fusion_gain import Study, arrays, study
+from imuarray.studies.fusion_gain.page import Heated, heated
+
+
+@pytest.fixture(scope="session")
+def short_and_warm() -> tuple[Study, Heated]:
+    """Made with short calibrating logs: enough to see rows and curves, too little to learn from them."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("TUMBLE_S", 56.0), ("HEATING_S", 120.0), ("BOOTS", 3), ("BOOT_S", 12.0)):
+            patch.setattr(arrays, name, value)
+        arrays.measured.cache_clear()
+        found = study(("static",), 1, seconds=12.0), heated(1, 100.0)
+    arrays.measured.cache_clear()
+    return found
+
+
+@pytest.fixture(scope="session")
+def short(short_and_warm: tuple[Study, Heated]) -> Study:
+    """Twelve seconds at rest, one seed."""
+    return short_and_warm[0]
+
+
+@pytest.fixture(scope="session")
+def warm(short_and_warm: tuple[Study, Heated]) -> Heated:
+    """A hundred seconds of heating."""
+    return short_and_warm[1]

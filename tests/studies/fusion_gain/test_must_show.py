@@ -1,0 +1,195 @@
+"""What the techniques must show on the simulated paper array, seed by seed against the truth.
+
+Claims about `optimal`, with the whole log and as a live one is fused, are checked on the posterior mean ("bound,
+causal") too, of which they must hold.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.start_up import came_up
+from imuarray.fuse import OPTIMAL, error_frames, fuse
+from imuarray.log import Log, open_log
+from imuarray.simulate import Simulation, plan_of, write_log
+from imuarray.simulate.effects.white_noise import WhiteNoise
+from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
+from imuarray.simulate.experiments import Wanted
+from imuarray.studies.fusion_gain import Row, Study, study, true_calibration
+from imuarray.studies.fusion_gain.arrays import FAULTS, NO_SLOPES, martin2013, measured, simulated
+from imuarray.studies.fusion_gain.study import CAUSAL, OPTIMAL_CAUSAL
+
+MG = 9.80665e-3
+BOUNDED = ("static", "tumble", "heating", "turn-on", "motion")
+SINGLE = ("mean", "opposed", "planes", "ranges")
+
+ESTIMATORS = (OPTIMAL, OPTIMAL_CAUSAL, CAUSAL)
+
+LATE = pytest.mark.xfail(
+    strict=True, reason="28 degC within 20 s, of which a barometer tells 15 s later: the law knows of no such error"
+)
+"""The paper's heating in a sixtieth of its time is beyond a live estimator, whose model is not right there."""
+
+EACH = [
+    pytest.param(technique, experiment, marks=LATE if (technique, experiment) == (OPTIMAL_CAUSAL, "heating") else ())
+    for technique in ESTIMATORS
+    for experiment in BOUNDED
+]
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def whole() -> Study:
+    """Two seeds of every experiment, cut short."""
+    return study((*BOUNDED, "shaking"), 2, seconds=100.0)
+
+
+def one(found: Study, **wanted: str) -> Row:
+    (row,) = found.of(**wanted)
+    return row
+
+
+def test_opposed_gyroscopes_while_heated(tmp_path: Path) -> None:
+    """The paper's heating by 28 degC, its 110 minutes, a calibration that knows no slopes, two seeds.
+
+    About box Y, where the slopes of Gyro1 y, Gyro2 y and Gyro3 y agree to 2 % (Table 8), at most a tenth of the
+    average's drift: of what follows the temperature, seed by seed, and of all drift, rms of minutes less the first.
+    Elsewhere what follows the temperature is not more than the average's by more than one per cent. `optimal` (one
+    seed) reaches the same about Y, and leaves less of all three together.
+    """
+    array = martin2013().only(("Gyro1", "Gyro2", "Gyro3", "BMP180"))
+    squares = np.zeros((2, 3))
+    for seed in (1, 2):
+        path = tmp_path / f"heating{seed}.h5"
+        write_log(simulated(array, MOTIONS["heating"](Wanted()), seed, 200, FAULTS), path)
+        known = measured("martin2013", seed)[NO_SLOPES]
+        techniques = ("mean", "opposed", OPTIMAL) if seed == 1 else ("mean", "opposed")
+        with open_log(path) as log:
+            calibration, _ = came_up(log, known)
+            found = [_drifts(log, calibration, technique) for technique in techniques]
+        x, y, z = np.abs(found[1][0] / found[0][0])
+        assert y <= 0.1 and max(x, z) <= 1.01
+        squares += [minutes for _, minutes in found[:2]]
+        for slope, minutes in found[2:]:
+            assert abs(slope[1]) <= 0.1 * abs(found[0][0][1]) and minutes[1] <= 0.1**2 * found[0][1][1]
+            assert minutes.sum() <= found[1][1].sum()
+    assert squares[1, 1] <= 0.1**2 * squares[0, 1]
+
+
+def _drifts(log: Log, calibration: Calibration, technique: str) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) of the error's slope with the true temperature, and (3,) mean squares of minutes less the first one."""
+    found = error_frames(log, fuse(log, calibration, technique))["angular_rate"]
+    truth = log.truth
+    assert truth is not None and truth.temperature is not None
+    degc = np.interp(found.time, truth.time[:], truth.temperature[:])
+    minutes = np.array([part.mean(axis=0) for part in np.array_split(found.errors, 110)])
+    return np.polyfit(degc, found.errors, 1)[0], np.mean((minutes - minutes[0]) ** 2, axis=0)
+
+
+def test_planes_of_perpendicular_boards(whole: Study) -> None:
+    """Noise along every box axis at most that of the quietest axis in plane: 21.3 mg, ADXL2 x (Tables 10 and 11)."""
+    for axis in "XYZ":
+        row = one(
+            whole, experiment="static", calibration="measured", sensors="2 ADXL345", technique="planes",
+            measure="noise", box_axis=axis,
+        )  # fmt: skip
+        assert row.value / MG <= 21.3
+
+
+def test_ranges_of_two_bma180(tmp_path: Path) -> None:
+    """A 1.5 g and a 16 g BMA180 of Table 10's mean noise, 9.53 and 17.05 mg: 8.3 mg, where the average has 9.8 and the
+    low range alone 9.5. 3 x 14400 readings tell an rms to 0.4 %; four of these.
+    """
+    sensors = ("BMA1", "BMA3")
+    effects = {"BMA1": (WhiteNoise((0.01705,) * 3),), "BMA3": (WhiteNoise((0.00953,) * 3),)}
+    plan = plan_of(martin2013().only(sensors), 48.0, 300.0)
+    simulation = Simulation(plan, MOTIONS["static"](Wanted(seconds=300.0)), effects, seed=1)
+    write_log(simulation, tmp_path / "static.h5")
+    calibration = true_calibration([sensor.header for sensor in simulation.sensors.values()], effects)
+    noise = {}
+    with open_log(tmp_path / "static.h5") as log:
+        for label, technique, only in (
+            ("low", "mean", sensors[1:]), ("average", "mean", sensors), ("ranges", "ranges", sensors)
+        ):  # fmt: skip
+            errors = error_frames(log, fuse(log, calibration, technique, only=only))["specific_force"].errors
+            noise[label] = float(np.sqrt(np.mean(errors**2))) / MG
+    assert noise == pytest.approx({"low": 9.53, "average": 9.77, "ranges": 8.32}, rel=4 * 0.004)
+
+
+@pytest.mark.parametrize(("technique", "experiment"), EACH)
+def test_within_five_per_cent_of_the_bound(whole: Study, technique: str, experiment: str) -> None:
+    rows = whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms")
+    assert {row.box_axis for row in rows} == {"X", "Y", "Z", "XYZ"}
+    for row in rows:
+        assert row.over_bound is not None
+        assert row.over_bound.ratio <= 1.05, (row.sensors, row.quantity, row.box_axis)
+
+
+@pytest.mark.parametrize(("technique", "experiment"), EACH)
+def test_its_covariance_is_consistent(whole: Study, technique: str, experiment: str) -> None:
+    """In its 95 % interval in all but what chance allows of eight runs or more (two seeds, four quantities; of eight
+    more than two are outside in 0.6 % of the cases), and nowhere off by 5 %.
+    """
+    rows = whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms", box_axis="XYZ")
+    shares = [row.consistent for row in rows if row.consistent is not None]
+    assert len(shares) == len(rows) == 4
+    assert np.mean(shares) >= 0.75
+    for row in rows:
+        assert row.normalised == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("technique", "experiment"), EACH)
+def test_never_worse_than_the_best_single_technique(whole: Study, technique: str, experiment: str) -> None:
+    """On the same readings: the whole error within half a per cent of the best of them."""
+    rows = whole.of(experiment=experiment, calibration="true", technique=technique, measure="rms", box_axis="XYZ")
+    assert len(rows) == 4
+    for row in rows:
+        assert row.value <= 1.005 * _best(whole, row), (row.sensors, row.quantity)
+
+
+CALIBRATED = [
+    (technique, experiment, "measured")
+    for technique in (OPTIMAL, OPTIMAL_CAUSAL)
+    for experiment in ("static", "tumble", "turn-on", "motion")
+]
+
+
+@pytest.mark.parametrize(
+    ("technique", "experiment", "calibration"),
+    [*CALIBRATED, (OPTIMAL, "heating", "measured"), (OPTIMAL, "heating", "no slopes")],
+)
+def test_never_worse_than_the_best_single_technique_as_calibrated(
+    whole: Study, technique: str, experiment: str, calibration: str
+) -> None:
+    """With what `calibrate` made of logs of the same units, and without slopes: within one per cent, what two seeds
+    tell of a ratio where the best is the simple average.
+    """
+    rows = whole.of(experiment=experiment, calibration=calibration, technique=technique, measure="rms", box_axis="XYZ")
+    assert len(rows) == 4
+    for row in rows:
+        assert row.value <= 1.01 * _best(whole, row), (row.sensors, row.quantity)
+
+
+@pytest.mark.parametrize("technique", [OPTIMAL, OPTIMAL_CAUSAL])
+def test_shaken_by_hand_it_is_as_good_as_the_average(whole: Study, technique: str) -> None:
+    """Errors are of readings' ages, of which `ranges` alone learns what the ranges differ by: it is better for the
+    gyroscopes by some per cent.
+    """
+    for row in whole.of(experiment="shaking", technique=technique, measure="rms", box_axis="XYZ"):
+        assert row.over_mean.ratio <= 1.01, (row.sensors, row.quantity)
+        if row.quantity == "specific_force":
+            assert row.value <= 1.01 * _best(whole, row), row.sensors
+
+
+def _best(found: Study, row: Row) -> float:
+    """The error of the best single technique on the same readings."""
+    same = found.of(
+        experiment=row.experiment, calibration=row.calibration, sensors=row.sensors, quantity=row.quantity,
+        measure="rms", box_axis="XYZ",
+    )  # fmt: skip
+    return min(other.value for other in same if other.technique in SINGLE)

@@ -1,0 +1,104 @@
+"""What a simulation says of its own units: its logs, calibrated with it, show the truth and noise of the stated law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.fuse import aligned
+from imuarray.fuse.frames import Frames
+from imuarray.log import open_log
+from imuarray.simulate import EFFECTS, write_log
+from imuarray.simulate.experiments import EXPERIMENTS as MOTIONS
+from imuarray.simulate.experiments import Wanted
+from imuarray.studies.fusion_gain import OUTSIDE, ErrorLaw, law_of, true_calibration
+from imuarray.studies.fusion_gain.arrays import martin2013, perpendicular, simulated
+
+G = 9.80665
+
+
+def errors_along_axes(
+    folder: Path, experiment: str, seconds: float, without: tuple[str, ...], quantity: str, seed: int = 5
+) -> tuple[Frames, np.ndarray, ErrorLaw]:
+    """Calibrated readings less the truth along each axis (n, m) in frames that last, and the law."""
+    simulation = simulated(martin2013(), MOTIONS[experiment](Wanted(seconds=seconds)), seed, 0, without)
+    write_log(simulation, folder / "run.h5")
+    effects = {name: sensor.effects for name, sensor in simulation.sensors.items()}
+    headers = [sensor.header for sensor in simulation.sensors.values() if sensor.header.quantity == quantity]
+    calibration = true_calibration(headers, effects)
+    with open_log(folder / "run.h5") as log:
+        names = [sensor.name for sensor in log.of(quantity)]
+        parts = [found[quantity] for found, _ in aligned(log, calibration, only=names)]
+        part = Frames.joined(parts)
+        truth = log.truth
+        assert truth is not None
+        column = truth.specific_force if quantity == "specific_force" else truth.angular_rate
+        assert column is not None
+        felt = np.asarray(column[:], float)[: len(part.time)]
+    law = law_of(headers, effects)
+    return part, part.values - felt @ law.directions_box.T, law
+
+
+@pytest.mark.parametrize(("quantity", "steps"), [("specific_force", 1 / 256), ("angular_rate", 0.07 * np.pi / 180)])
+def test_without_noise_the_true_calibration_gives_the_truth(tmp_path: Path, quantity: str, steps: float) -> None:
+    """Faces of a tumble, everything random left out: what is left is rounding (of the ADXL345 to two counts of 1/256 g,
+    of the L3G4200D to one of 0.07 dps), and in six faces its mean nearly nothing.
+    """
+    drawn = ("white_noise", "turn_on_bias", "bias_instability", "thermometer")
+    part, errors, _ = errors_along_axes(tmp_path, "tumble", 84.0, (*OUTSIDE, *drawn), quantity)
+    step_s = np.diff(part.time) * 1e-9
+    resting = np.abs(np.gradient(part.values, axis=0)).max(axis=1) < 1e-3
+    assert resting.sum() * step_s.mean() > 50
+    unit = G if quantity == "specific_force" else 1.0
+    assert np.abs(errors[resting]).max() < 1.1 * steps * unit
+
+
+def test_noise_is_that_of_the_law(tmp_path: Path) -> None:
+    """Scatter of neighbours over sqrt 2, to five of its standard errors of 1 / sqrt(2 n) 1.2."""
+    for quantity in ("specific_force", "angular_rate"):
+        (folder := tmp_path / quantity).mkdir()
+        _, errors, law = errors_along_axes(folder, "static", 60.0, OUTSIDE, quantity)
+        scatter = np.diff(errors, axis=0).std(axis=0) / np.sqrt(2)
+        assert scatter / law.noise_si == pytest.approx(np.ones(len(scatter)), abs=5 * 1.2 / np.sqrt(2 * len(errors)))
+
+
+@pytest.mark.slow
+def test_slow_errors_are_those_of_the_law(tmp_path: Path) -> None:
+    """Means of 30 s at 20 boots, squared, over the law's variance: a mean over 27 axes of 20 draws is known to
+    sqrt(2 / 540) = 6 %; four of these.
+    """
+    shares = []
+    for seed in range(20):
+        for quantity in ("specific_force", "angular_rate"):
+            (folder := tmp_path / f"{quantity}{seed}").mkdir()
+            _, errors, law = errors_along_axes(folder, "static", 30.0, OUTSIDE, quantity, seed)
+            slow = sum(each.loading**2 for each in law.slow) + law.noise_si**2 / len(errors)
+            shares.append(errors.mean(axis=0) ** 2 / slow)
+    assert np.concatenate(shares).mean() == pytest.approx(1.0, abs=4 * 0.06)
+
+
+def test_heating_leaves_no_slope(tmp_path: Path) -> None:
+    """28 degC in a minute, slopes taken out with the barometer's temperature: half-minute means range
+    over six of their standard deviations at most (3.7 are usual of twenty).
+    """
+    _, errors, law = errors_along_axes(tmp_path, "heating", 600.0, OUTSIDE, "angular_rate")
+    half_minute = np.array([rows.mean(axis=0) for rows in np.array_split(errors, 20)])
+    constant = np.sqrt(sum(each.loading**2 for each in law.slow if each.time_constant_s < np.inf))
+    assert (np.ptp(half_minute, axis=0) < 6 * np.hypot(constant, law.noise_si / np.sqrt(len(errors) / 20))).all()
+    assert np.degrees(np.ptp(half_minute, axis=0)).max() < 0.1  # slopes of 0.008 to 0.036 dps/degC: up to 1 dps
+
+
+def test_what_the_law_has_and_what_it_has_not() -> None:
+    assert set(OUTSIDE) < set(EFFECTS)
+    assert {"tone", "g_sensitivity", "bandwidth", "bistable_bias", "range_reset"} <= set(OUTSIDE)
+    assert not {"white_noise", "turn_on_bias", "bias_instability", "thermal_bias"} & set(OUTSIDE)
+
+
+def test_the_perpendicular_boards() -> None:
+    """One z along Z, the other along X: each box axis has an axis in a plane of silicon."""
+    first, second = (np.array(sensor.orientation) for sensor in perpendicular().sensors if sensor.chip == "adxl345")
+    assert first[:, 2].tolist() == [0, 0, 1]
+    assert second[:, 2].tolist() == [1, 0, 0]
+    assert np.linalg.det(second) == pytest.approx(1.0)

@@ -1,0 +1,299 @@
+"""The paper's page: every number in its place, what is far off marked, nothing fetched, and what happens without the
+optional packages.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from math import inf
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import imuarray.studies.paper.replica as replica_package
+from imuarray.cli import main
+from imuarray.errors import MissingExtraError, OutputExistsError
+from imuarray.studies.paper import page as paper_page
+from imuarray.studies.paper import recompute
+from imuarray.studies.paper import results as paper_files
+from imuarray.studies.paper.figures import accelerometer_figure, gyro_memory_figure, opposed_figure, temperature_figure
+from imuarray.studies.paper.page import NO_FIGURES, Line, line_of, recomputed_text, write_paper_page
+from imuarray.studies.paper.replica import Curves, Observed, Replica, Statistic, compare, curves_of, observe
+from imuarray.studies.paper.tables import Cell
+
+
+class Tables(HTMLParser):
+    """Rows of text by section heading; `open_tags` is empty if all were closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.rows: dict[str, list[list[str]]] = {}
+        self.summary: list[str] = []
+        self.images: list[str] = []
+        self.marked = 0
+        self.open_tags: list[str] = []
+        self._heading = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "img"):
+            self.open_tags.append(tag)
+        if tag == "h2":
+            self._heading = ""
+        elif tag == "tr":
+            self.rows.setdefault(self._heading, []).append([])
+        elif tag in ("th", "td"):
+            self.rows[self._heading][-1].append("")
+        elif tag == "img":
+            self.images.append(dict(attrs)["alt"] or "")
+        self.marked += tag == "mark"
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open_tags.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "h2" in self.open_tags:
+            self._heading += data
+        elif {"th", "td"} & set(self.open_tags):
+            self.rows[self._heading][-1][-1] += data
+        elif "li" in self.open_tags and "a" not in self.open_tags:
+            self.summary.append(data)
+
+    def of(self, start: str) -> list[list[str]]:
+        """The rows of the section that begins so."""
+        return next(rows for heading, rows in self.rows.items() if heading.startswith(start))
+
+
+class Made(NamedTuple):
+    observed: Observed
+    replica: Replica
+    curves: Curves
+    text: str
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    observed = observe(1)
+    replica = Replica(1, tuple(compare(observed)))
+    curves = curves_of(observed)
+    path = tmp_path_factory.mktemp("paper") / "paper.html"
+    write_paper_page(path, replica, curves)
+    return Made(observed, replica, curves, path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def page(made: Made) -> Tables:
+    return Tables(made.text)
+
+
+@pytest.mark.slow
+def test_nothing_is_fetched_and_every_tag_is_closed(made: Made, page: Tables) -> None:
+    without_images = re.sub(r"data:image/svg\+xml;base64,[^\"]*", "", made.text)
+    assert "//" not in without_images and "url(" not in without_images
+    assert "<script" not in made.text
+    assert page.open_tags == []
+    assert made.text.count("</style>") == 1
+    assert "position: sticky" in made.text
+
+
+@pytest.mark.slow
+def test_every_statistic_is_there_and_what_is_far_off_is_marked(made: Made, page: Tables) -> None:
+    """Table 11 has no column in another unit: a row per statistic; marks are of |z| > 2 and of nothing else."""
+    rows = page.of("Table 11")
+    assert rows[0] == ["channel", "statistic", "paper", "recomputed", "simulated", "difference", "z"]
+    assert len(rows) - 1 == 34 * 11
+    assert len(page.of("Table 10")) - 1 == 34 * 9
+    assert page.marked == sum(abs(row.z) > 2 for row in made.replica.statistics)
+    assert [row[:3] for row in rows[1:]][:2] == [["ADXL1 x", "runs_mean", "12.453"], ["ADXL1 x", "runs_sem", "0.047"]]
+
+
+@pytest.mark.slow
+def test_numbers_stand_as_printed(page: Tables) -> None:
+    """Also zeros at the end (Table 2: 0.1240), and scale factors without their sign (Table 3: -261.38)."""
+    two = {(row[0], row[1]): row[2:] for row in page.of("Table 2")}
+    assert two["Gyro1 x 250dps", "mean_dps"] == ["0.1240", "0.1240", "–", "–", "–"]
+    assert two["Gyro1 y 2k dps", "std_lsb"][:2] == ["4.530", "4.530"]
+    three = {(row[0], row[1]): row[2:] for row in page.of("Table 3")}
+    assert three["ADXL1 x", "scale_lsb_per_g"][:2] == ["261.38", "261.38"]
+    assert three["BMA4 x", "scale_lsb_per_g"][:2] == ["5369.79", "5369.7847 ≈"]
+    eleven = {(row[0], row[1]): row[2:] for row in page.of("Table 11")}
+    assert eleven["BMA1 t", "ratio"][:2] == ["17.86", "6.3778 ≠"]
+    assert ["ADXL1", "box_plus_x", "-X", "-X"] in page.of("Table 1")
+
+
+@pytest.mark.slow
+def test_difference_and_z_of_a_row(made: Made, page: Tables) -> None:
+    (found,) = (row for row in made.replica.of("Table 8") if (row.channel, row.statistic[:5]) == ("Gyro1 y", "slope"))
+    (row,) = (row for row in page.of("Table 8") if row[:2] == ["Gyro1 y", "slope_lsb_per_degc"])
+    assert row[2] == "0.265"
+    assert float(row[4]) == pytest.approx(float(row[3]) - 0.265, abs=2e-4)
+    assert float(row[5]) == pytest.approx((found.simulated - 0.265) / found.uncertainty, abs=0.06)
+
+
+@pytest.mark.slow
+def test_opposed_gyroscopes_keep_little(page: Tables) -> None:
+    """0.002 LSB/degC by Table 8; simulated slopes are sure to about 0.008 (in-run wander), so the half-difference to
+    0.006: five of that.
+    """
+    rows = {row[0]: row[1:] for row in page.of("Table 8")}
+    relation, recomputed, less, simulated, _ = rows["Gyro1 y, Gyro2 y"]
+    assert (relation, recomputed, less) == ("opposed along Y", "0.002", "131.5")
+    assert abs(float(simulated)) < 0.03
+
+
+@pytest.mark.slow
+def test_the_summary_tells_what_was_found(made: Made, page: Tables) -> None:
+    whole = made.replica.summary
+    text = " ".join(page.summary)
+    assert f"of {whole.count} statistics {whole.within[0]} (" in text
+    assert f"{whole.chi_square:.2f}, " in text
+    assert f"{len(made.replica.beyond())} statistics are more than three" in text
+    assert "15 of the paper's 18 conclusions hold" in text
+    result = recompute()
+    cells = [count for name, c in result["matches"].items() if name != "stated" for count in c.values()]
+    assert f"{sum(total for _, total in cells)} printed cells follow" in text
+    assert len(page.of("Known gaps")) - 1 == len(made.replica.beyond())
+    assert len(page.of("The paper's conclusions")) - 1 == 18
+    assert len(page.of("The text against the tables")) - 1 == 35
+
+
+@pytest.mark.slow
+def test_figures_stand_with_their_tables(page: Tables) -> None:
+    assert len(page.images) == 10
+    assert all(page.images)
+    assert NO_FIGURES not in page.summary
+
+
+@pytest.mark.slow
+def test_without_curves_the_page_says_so(made: Made, tmp_path: Path) -> None:
+    path = tmp_path / "paper.html"
+    write_paper_page(path, made.replica, None)
+    bare = Tables(path.read_text(encoding="utf-8"))
+    assert bare.images == []
+    assert bare.summary[-1] == NO_FIGURES
+    with pytest.raises(OutputExistsError):
+        write_paper_page(path, made.replica, None)
+
+
+@pytest.mark.slow
+def test_axes_have_units_and_lines_are_where_they_should(made: Made) -> None:
+    drawn = temperature_figure(made.curves, "Gyro2 x", 0.521, 5.67).axes[0]
+    ours, theirs = (line for line in drawn.get_lines() if len(line.get_xdata()) == 2)
+    found = made.observed.heated["Gyro2"]
+    for line, slope, intercept in ((ours, found.slope[0], found.intercept[0]), (theirs, 0.521, 5.67)):
+        np.testing.assert_allclose(line.get_ydata(), slope * np.asarray(line.get_xdata()) + intercept)
+    labels = [drawn.get_xlabel(), drawn.get_ylabel()]
+    for figure in (opposed_figure(made.curves), gyro_memory_figure(made.curves)):
+        labels += [axes.get_ylabel() for axes in figure.axes]
+    labels += [axes.get_xlabel() for axes in accelerometer_figure(made.curves, "BMA2").axes]
+    assert labels == [
+        "temperature (°C)",
+        "Gyro2 x (LSB)",
+        "output (LSB)",
+        "temperature (°C)",
+        "autocorrelation",
+        "density (dps/√Hz)",
+        "averaging time τ (s)",
+        "frequency (Hz)",
+    ]
+
+
+@pytest.mark.slow
+def test_half_of_the_difference_hardly_follows_the_temperature(made: Made) -> None:
+    """Over 28 degC the single ones move by 7 LSB, half of their difference by 0.06 and its own wander (0.1 LSB)."""
+    spans = np.ptp(made.curves.opposed.lsb, axis=0)
+    assert spans[:2].min() > 6
+    assert spans[2] < 0.8
+
+
+def statistic(published: float, simulated: float, uncertainty: float, scale: str = "linear") -> Statistic:
+    return Statistic("Table 0", "a", "b", published, simulated, uncertainty, "", scale)
+
+
+@pytest.mark.parametrize(
+    ("twin", "texts"),
+    [
+        (statistic(6.0, 7.0, 0.577), ["6", "–", "7.00", "+1.00", "+1.7"]),
+        (statistic(6.0, 5.9999, 1.0), ["6", "–", "6.0", "+0.0", "+0.0"]),
+        (statistic(100.0, 50.0, 0.1, "log"), ["100", "–", "50", "-50", "-6.9"]),
+        (statistic(1.0, 0.0, 0.1, "log"), ["1", "–", "0.00", "-1.00", "-inf"]),
+        (statistic(8 / 15, 0.5, 0.04), ["0.533", "–", "0.500", "-0.033", "-0.8"]),
+        (statistic(50.0, inf, 5.0), ["50", "–", "–", "–", "+inf"]),
+    ],
+)
+def test_lines(twin: Statistic, texts: list[str]) -> None:
+    assert line_of(twin).texts() == ["a", "b", *texts]
+
+
+def test_marks_begin_beyond_two() -> None:
+    assert not line_of(statistic(0.0, 2.0, 1.0)).marked
+    assert line_of(statistic(0.0, -2.001, 1.0)).marked
+    assert not Line("a", "b", "1", None, None).marked
+
+
+@pytest.mark.parametrize(
+    ("cell", "printed", "text"),
+    [
+        (Cell("x", 1.2, 1.2, True), "1.20", "1.20"),
+        (Cell("x", 1.2113, 1.2, True), "1.20", "1.2113 ≈"),
+        (Cell("x", 3.5, 1.2, False), "1.20", "3.5 ≠"),
+        (Cell("x", -3.5, -1.2, False), "1.20", "3.5 ≠"),
+        (Cell("x", "-Y", "+Y", False), "+Y", "-Y ≠"),
+    ],
+)
+def test_recomputed_texts(cell: Cell, printed: str, text: str) -> None:
+    assert recomputed_text(cell, printed) == text
+
+
+@pytest.fixture
+def quick(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command without the seconds of simulation."""
+    monkeypatch.setattr(replica_package, "observe", lambda seed, progress: made.observed)
+    monkeypatch.setattr(replica_package, "curves_of", lambda observed: made.curves)
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_command_writes_both_and_overwrites_neither(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "place"
+    assert main(["paper", "--replica", "-o", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {"replica.json", "paper.html"}
+    assert json.loads((out / "replica.json").read_text())["statistics"] == made.replica.as_json()["statistics"]
+    captured = capsys.readouterr()
+    assert "The paper's experiments on the simulated array, seed 1" in captured.out
+    assert "2 files written" in captured.err
+    (out / "replica.json").unlink()
+    assert main(["paper", "--replica", "-o", str(out)]) == 2
+    assert "paper.html: exists already" in capsys.readouterr().err
+    assert not (out / "replica.json").exists()
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_command_without_matplotlib_and_without_jinja2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paper_files, "find_spec", lambda name: None)
+    assert main(["paper", "--replica", "-o", str(tmp_path)]) == 0
+    assert "matplotlib" in capsys.readouterr().err
+    assert NO_FIGURES in Tables((tmp_path / "paper.html").read_text(encoding="utf-8")).summary
+
+    def missing(*_: object, **__: object) -> None:
+        raise MissingExtraError("jinja2", "report")
+
+    monkeypatch.setattr(paper_page, "write_page", missing)
+    assert main(["paper", "--replica", "-o", str(tmp_path / "bare")]) == 0
+    assert "jinja2" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "bare").iterdir()] == ["replica.json"]
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["paper", "--replica", "-o", str(tmp_path / "file" / "below")]) == 2
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert str(tmp_path / "file") in error
