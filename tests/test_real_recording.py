@@ -19,7 +19,7 @@ from imuarray.calibrate import calibrate_tumble, load_calibration
 from imuarray.cli import main
 from imuarray.fuse import aligned, axes_of, fuse
 from imuarray.fuse.axes import directions
-from imuarray.fuse.solve import weighted
+from imuarray.fuse.least_squares import weighted
 from imuarray.log import open_log
 
 EXTRACT = Path(__file__).parent / "data" / "mimu4444" / "exp_1_extract.bin"

@@ -25,7 +25,7 @@ _HEADING = f"{'each':>8} {'together':>9} {'less by':>12}"
 def pairs_of(log: Log, calibration: Calibration, names: Sequence[str]) -> list[dict[str, Any]]:
     """Every pair of the fused sensors, SI, JSON-ready: None stands for infinite."""
     from imuarray.characterise.result import json_ready
-    from imuarray.fuse.techniques.pairs import capabilities
+    from imuarray.fuse.techniques.opposed import capabilities
 
     found = []
     for quantity in INERTIAL:

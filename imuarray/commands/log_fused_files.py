@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from imuarray.fuse import FaultEvent, FusedBlock
-from imuarray.fuse.store import LiveFused
+from imuarray.fuse.fused_file import LiveFused
 from imuarray.log.rotate import part_of, runs_of
 
 

@@ -1,4 +1,4 @@
-"""A fused file (`imuarray.fuse.store`) as a table: specific force and angular rate in SI in the box frame, covariances,
+"""A fused file (`imuarray.fuse.fused_file`) as a table: specific force and angular rate in SI in the box frame, covariances,
 sensors used.
 """
 
@@ -13,8 +13,7 @@ import numpy as np
 from imuarray.errors import ExportError
 from imuarray.export.formats import Wanted
 from imuarray.export.tables import Column, Content, Table
-from imuarray.fuse.fused_file import fused_columns, rows_of, texts_of
-from imuarray.fuse.store import FORMAT, FORMAT_VERSION, UNITS
+from imuarray.fuse.fused_file import FORMAT, FORMAT_VERSION, UNITS, fused_columns, rows_of, texts_of
 from imuarray.log.column import NamedColumn
 
 

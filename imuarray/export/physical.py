@@ -17,7 +17,7 @@ from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.segments import Thermometer, degc_of, has_zero
 from imuarray.errors import LogError
 from imuarray.export.tables import Column
-from imuarray.fuse.thermal import element_temperatures
+from imuarray.fuse.element_temperature import element_temperatures
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import ARRIVAL
 from imuarray.units import SI_NAME, SI_PER_UNIT

@@ -5,21 +5,34 @@ techniques, and the estimator of the whole array that contains them.
 from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.coasting import Coasting, Errors, coasting
 from imuarray.fuse.compare import Comparison, Score, compare, technique_names
-from imuarray.fuse.consistency import Consistency, consistency
-from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, errors_of, evaluate, quiet_noise
+from imuarray.fuse.element_temperature import (
+    allowing_for,
+    away_from,
+    away_sentences,
+    element_temperatures,
+    running_temperatures,
+    slopes_of,
+)
+from imuarray.fuse.evaluation import (
+    Consistency,
+    Error,
+    ErrorFrames,
+    consistency,
+    error_frames,
+    error_of,
+    errors_of,
+    evaluate,
+    quiet_noise,
+)
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
 from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
-from imuarray.fuse.fused_file import FusedHead, read_fused, read_fused_events, read_fused_head
+from imuarray.fuse.fused_file import FusedEvent, FusedHead, read_fused, read_fused_events, read_fused_head, write_fused
+from imuarray.fuse.fusion_notes import Told, told_by
 from imuarray.fuse.gains import Gain, Ratio, gains, ratio_of
 from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, fused_block
-from imuarray.fuse.running import running_temperatures
-from imuarray.fuse.store import write_fused
-from imuarray.fuse.stored_events import FusedEvent
 from imuarray.fuse.stream import FusionStream
 from imuarray.fuse.techniques import TECHNIQUES, changes
-from imuarray.fuse.thermal import allowing_for, away_from, away_sentences, element_temperatures, slopes_of
-from imuarray.fuse.told import Told, told_by
 
 __all__ = [
     "NAMES",

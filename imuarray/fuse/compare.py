@@ -15,8 +15,15 @@ import numpy as np
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.coasting import Coasting, Errors, coasting
-from imuarray.fuse.consistency import Consistency, consistency
-from imuarray.fuse.evaluate import Error, ErrorFrames, error_frames, error_of, errors_together
+from imuarray.fuse.evaluation import (
+    Consistency,
+    Error,
+    ErrorFrames,
+    consistency,
+    error_frames,
+    error_of,
+    errors_together,
+)
 from imuarray.fuse.fuse import AVERAGE, NAMES, Progress, fuse, fuse_together
 from imuarray.fuse.gains import BLOCKS, FEWEST_BLOCKS, Ratio, block_squares, ratio_of
 from imuarray.fuse.techniques import TECHNIQUES

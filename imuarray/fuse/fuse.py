@@ -11,20 +11,24 @@ import numpy as np
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse import techniques
+from imuarray.fuse.alignment import FIRST_ROWS, choose
 from imuarray.fuse.axes import Axis, axes_of
+from imuarray.fuse.element_temperature import (
+    Warming,
+    allowing_for,
+    away_from,
+    element_temperatures,
+    running_temperatures,
+)
 from imuarray.fuse.faults import FaultEvent, Ranges
-from imuarray.fuse.faults.monitor import NO_RANGES
+from imuarray.fuse.faults.monitor import NO_RANGES, Watched, WatchedAgain
 from imuarray.fuse.frames import FusedBlock
-from imuarray.fuse.grid import FIRST_ROWS, choose
+from imuarray.fuse.fusion_notes import Told, told_by
 from imuarray.fuse.optimal import ErrorModel, error_model
-from imuarray.fuse.optimal.pipeline import AsTheyCome, Gathered, Gathering, smoothed
+from imuarray.fuse.optimal.optimal import AsTheyCome, Gathered, Gathering, smoothed
 from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, Together
-from imuarray.fuse.running import Warming, running_temperatures
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
-from imuarray.fuse.thermal import allowing_for, away_from, element_temperatures
-from imuarray.fuse.told import Told, told_by
-from imuarray.fuse.watched import Watched, WatchedAgain
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.spelling import guess

@@ -1,29 +1,50 @@
-"""A fused file read back (`imuarray.fuse.store` says what is in it): nothing of it is believed before it is checked.
+"""A fused file read back (`imuarray.fuse.fused_file` says what is in it): nothing of it is believed before it is checked.
 
 Columns that this format has not are passed over.
+
+The group `/events` of a fused file: which sensors failed, were left out and came back.
+
+Texts have fixed lengths: others can't be read while a file is written (SWMR).
+
+A fused result as a file: HDF5, format "imuarray-fused", with the names of a log's `/truth`.
+
+::
+
+    /       attrs: format="imuarray-fused" format_version=1 epoch technique log calibration software
+    /fused  time (n,) int64 ns since epoch
+            specific_force (n, 3) m/s2, angular_rate (n, 3) rad/s, box frame; NaN: not enough axes
+            specific_force_covariance (n, 6) (m/s2)^2, ...: xx yy zz xy xz yz (attr columns); NaN: a noise is not known
+            specific_force_used (n, s) uint8, ...: which axes of each sensor (attr sensors) went into it: 1 x, 2 y, 4 z
+    /events time (m,) int64 ns since epoch, and text (m,): sensor, kind, state, message: which sensors failed, were left
+            out and came back (`imuarray.fuse.FaultEvent`); empty where nobody watched, not there in older files
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import errno
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.errors import LogError
+from imuarray import __version__
+from imuarray.atomic import whole_file
+from imuarray.errors import LogError, OutputError, OutputExistsError
+from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import ENTRIES, Floats, FusedBlock
-from imuarray.fuse.store import COVARIANCE, FORMAT, FORMAT_VERSION, USED
-from imuarray.fuse.stored_events import FusedEvent, events_in
 from imuarray.log.column import NamedColumn
-from imuarray.log.guard import DAMAGE, open_file
+from imuarray.log.format import FUSED
+from imuarray.log.guard import DAMAGE, MAX_TEXT_BYTES, open_file, read_texts
 from imuarray.log.inspection import refuse_hostile
+from imuarray.log.room import free_bytes, longest_file
 from imuarray.log.unclosed import Unclosed, says_unclosed
 from imuarray.printable import printable
 from imuarray.units import INERTIAL
@@ -178,3 +199,274 @@ def texts_of(attributes: Mapping[str, Any], name: str) -> tuple[str, ...]:
 
 def _text(value: str | bytes) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+_TEXTS = {"sensor": 256, "kind": 32, "state": 32, "message": 1024}
+"""The columns of text, and how many bytes of each are kept."""
+
+_CHUNK = 16
+
+
+class FusedEvent(NamedTuple):
+    """One thing that became of a sensor: `kind` of fault and `state` ("isolated", "readmitted", ...) as `FaultEvent`
+    has them, `message` the same for a person.
+    """
+
+    time_ns: int
+    sensor: str
+    kind: str
+    state: str
+    message: str
+
+
+class StoredEvents:
+    """The events of an open file, empty at first."""
+
+    def __init__(self, file: h5py.File, epoch: str) -> None:
+        self._group = file.create_group("events")
+        self._group.create_dataset("time", (0,), np.int64, maxshape=(None,), chunks=(_CHUNK,))
+        self._group["time"].attrs["units"] = f"nanoseconds since {epoch}"
+        for name, length in _TEXTS.items():
+            text = h5py.string_dtype("utf-8", length)
+            self._group.create_dataset(name, (0,), text, maxshape=(None,), chunks=(_CHUNK,))
+
+    def append(self, event: FaultEvent) -> None:
+        """One more. OSError."""
+        texts = (event.sensor, event.kind, event.state, event.sentence)
+        kept = [_shortened(text, length) for text, length in zip(texts, _TEXTS.values(), strict=True)]
+        for name, value in zip(("time", *_TEXTS), (event.time_ns, *kept), strict=True):
+            column = self._group[name]
+            column.resize(column.shape[0] + 1, axis=0)
+            column[-1] = value
+            column.flush()
+
+
+def events_in(file: h5py.File, where: str) -> tuple[FusedEvent, ...]:
+    """The events of a file, as far as every column has them: a writing that was cut short leaves some longer than
+    others. LogError where they can't be read.
+    """
+    group = file.get("events")
+    if group is None:
+        return ()
+    try:
+        rows = zip(*(_column(group[name]) for name in ("time", *_TEXTS)), strict=False)
+        return tuple(FusedEvent(int(time), *(_plain(text) for text in texts)) for time, *texts in rows)
+    except DAMAGE:
+        raise LogError(f"{where}: its events can't be read") from None
+
+
+def _column(column: h5py.Dataset) -> list[Any]:
+    """All of a column; ValueError for more than anybody has of events, before it is read."""
+    if column.ndim != 1 or column.nbytes > MAX_TEXT_BYTES:
+        raise ValueError("no column of events")
+    return read_texts(column)
+
+
+def _shortened(text: str, length: int) -> bytes:
+    """The first bytes of a text, no character cut through."""
+    return text.encode()[:length].decode(errors="ignore").encode()
+
+
+def _plain(text: object) -> str:
+    return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
+
+
+_SLACK_BYTES = 1 << 18
+"""What HDF5 holds back or adds: a chunk of each column, and where they are."""
+
+_LEVEL = 1
+"""Of the compression: half of a triad's bits are noise, of which the fourth level takes off no more than the first in
+two to three times the time.
+"""
+
+_AT_ONCE = 1 << 14
+"""Frames that are written at once, four chunks: a chunk that is written in parts is packed as often."""
+
+UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "specific_force": "m s-2",
+        "angular_rate": "rad s-1",
+        "specific_force_covariance": "m2 s-4",
+        "angular_rate_covariance": "rad2 s-2",
+        "specific_force_used": "1",
+        "angular_rate_used": "1",
+    }
+)
+
+FORMAT, FORMAT_VERSION = FUSED, 1
+
+COVARIANCE, USED = "_covariance", "_used"
+"""Behind a quantity: the name of a column of its covariances, of the sensors used."""
+
+
+def write_fused(
+    path: str | PathLike[str],
+    blocks: Iterable[FusedBlock],
+    *,
+    epoch: str,
+    technique: str,
+    log: str,
+    calibration: str = "",
+    sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    events: Sequence[FaultEvent] = (),
+    force: bool = False,
+    progress: Callable[[int], None] = lambda frames: None,
+) -> int:
+    """Write blocks as they come, under a temporary name until all are there; the number of frames. `sensors` names, per
+    quantity, those whose use a block tells; `events` are read after the last block, so that they may be what `Watch`
+    finds in the meantime. OutputExistsError, OutputError.
+    """
+    about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
+    with whole_file(path, force=force) as draft, h5py.File(draft, "w") as file:
+        fused = _Fused(file, draft, about, sensors)
+        frames = 0
+        for block in _in_chunks(blocks, progress):
+            fused.append(block)
+            frames += len(block.time)
+        for event in events:
+            fused.events.append(event)
+    return frames
+
+
+def _in_chunks(blocks: Iterable[FusedBlock], progress: Callable[[int], None]) -> Iterator[FusedBlock]:
+    """The same frames in blocks of `_AT_ONCE`, but for the last one; `progress` hears how many have come."""
+    waiting: list[FusedBlock] = []
+    count = total = 0
+    for block in blocks:
+        waiting.append(block)
+        count, total = count + len(block.time), total + len(block.time)
+        progress(total)
+        if count >= _AT_ONCE:
+            whole = FusedBlock.joined(waiting)
+            for start in range(0, count - _AT_ONCE + 1, _AT_ONCE):
+                yield whole.part(slice(start, start + _AT_ONCE))
+            waiting = [whole.part(slice(count - count % _AT_ONCE, count))]
+            count %= _AT_ONCE
+    if count:
+        yield FusedBlock.joined(waiting)
+
+
+class LiveFused:
+    """A fused result under its own name from its first frames on, to be read (SWMR) while it is written; not
+    compressed, which would take the interpreter from a recording for milliseconds. A context manager.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        epoch: str,
+        technique: str,
+        log: str,
+        calibration: str = "",
+        sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
+        force: bool = False,
+    ) -> None:
+        """OutputExistsError, OutputError."""
+        self._path = Path(path)
+        if self._path.exists() and not force:
+            raise OutputExistsError(path)
+        try:
+            self._file = h5py.File(path, "w", libver=("v110", "v110"))
+        except OSError as error:
+            raise OutputError(path, error) from None
+        about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
+        self._fused = _Fused(self._file, self._path, about, sensors, compressed=False)
+        self.frames = 0
+
+    def append(self, block: FusedBlock) -> None:
+        """More frames. OSError."""
+        self._fused.append(block)
+        self.frames += len(block.time)
+        if not self._file.swmr_mode:
+            self._file.swmr_mode = True
+
+    def event(self, event: FaultEvent) -> None:
+        """What became of a sensor. OSError."""
+        self._fused.events.append(event)
+
+    def close(self) -> None:
+        """Complete the file; one without frames goes."""
+        self._file.close()
+        if self.frames == 0:
+            self._path.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _ask_for_room(path: Path, block: FusedBlock) -> None:
+    """OSError where there is no room for a block, before HDF5 runs into it: that it does not survive."""
+    wanted = _SLACK_BYTES + sum(rows.nbytes for rows in _columns(block).values())
+    limit = longest_file()
+    if limit is not None and path.stat().st_size + wanted > limit:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+    if free_bytes(path) < wanted:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _columns(block: FusedBlock) -> dict[str, npt.NDArray[Any]]:
+    """The columns of a block by name."""
+    covariances = {name + COVARIANCE: rows.astype(np.float32) for name, rows in block.covariances.items()}
+    used = {name + USED: np.asarray(rows) for name, rows in block.used.items()}
+    return {"time": block.time, **block.triads, **covariances, **used}
+
+
+class _Fused:
+    """An HDF5 file that a result goes into; its columns are made by the first block."""
+
+    def __init__(
+        self,
+        file: h5py.File,
+        path: Path,
+        about: Mapping[str, str],
+        sensors: Mapping[str, Sequence[str]],
+        compressed: bool = True,
+    ) -> None:
+        file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION, **about, software=f"imuarray {__version__}")
+        file.attrs.update(NX_class="NXroot", default="fused")  # what viewers of NeXus files look for
+        self._file, self._path, self._sensors = file, path, sensors
+        self._group = file.create_group("fused")
+        self.events = StoredEvents(file, about["epoch"])
+        self._epoch = about["epoch"]
+        self._filters: dict[str, Any] = (
+            {"compression": "gzip", "compression_opts": _LEVEL, "shuffle": True, "fletcher32": True}
+            if compressed
+            else {}
+        )
+        self._live = not compressed
+        self._datasets: dict[str, h5py.Dataset] = {}
+
+    def append(self, block: FusedBlock) -> None:
+        """More rows of every column. OSError."""
+        _ask_for_room(self._path, block)
+        columns = _columns(block)
+        if not len(self._group):
+            signal, *others = block.triads
+            self._group.attrs.update(NX_class="NXdata", axes=["time", "."], signal=signal)
+            if others:
+                self._group.attrs["auxiliary_signals"] = others
+        for name in columns.keys() - self._group.keys():
+            self._create(name, columns[name])
+        for name, rows in columns.items():
+            dataset = self._datasets.setdefault(name, self._group[name])
+            dataset.resize(dataset.shape[0] + len(rows), axis=0)
+            dataset[-len(rows) :] = rows
+            if self._live:
+                dataset.flush()
+        if self._live:
+            self._file.flush()
+
+    def _create(self, name: str, rows: npt.NDArray[Any]) -> None:
+        tail = rows.shape[1:]
+        column = self._group.create_dataset(
+            name, (0, *tail), rows.dtype, maxshape=(None, *tail), chunks=(4096, *tail), **self._filters
+        )
+        column.attrs["units"] = UNITS.get(name, f"nanoseconds since {self._epoch}")
+        if name.endswith(COVARIANCE):
+            column.attrs["columns"] = list(ENTRIES)
+        elif name.endswith(USED) and (names := self._sensors.get(name.removesuffix(USED))):
+            column.attrs["sensors"] = list(names)

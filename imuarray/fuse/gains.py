@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
-from imuarray.fuse.evaluate import errors_of
+from imuarray.fuse.evaluation import errors_of
 from imuarray.fuse.fuse import fuse
 from imuarray.log import Log
 from imuarray.log.format import Phase

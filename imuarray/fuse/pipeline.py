@@ -8,8 +8,8 @@ from typing import Protocol, TypeVar, runtime_checkable
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, axis_bits
+from imuarray.fuse.fusion_notes import Remarking, Told
 from imuarray.fuse.techniques import TECHNIQUES, Technique
-from imuarray.fuse.told import Remarking, Told
 from imuarray.spelling import guess
 
 Out_co = TypeVar("Out_co", covariant=True)

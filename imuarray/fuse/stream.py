@@ -1,4 +1,8 @@
-"""Fusion of rows as they come, sensor by sensor, in pieces of any length: every frame as soon as nothing that comes
+"""The short way from counts to triads, where there is nothing to think about: every reading was taken at its frame's
+time, none is in doubt, and the technique weighs its axes alike in every frame. Then the result is one matrix times the
+counts, less a constant.
+
+Fusion of rows as they come, sensor by sensor, in pieces of any length: every frame as soon as nothing that comes
 later can change it.
 
 A frame waits for the rows of all sensors up to some frames beyond it. A sensor that is silent for longer than a
@@ -9,23 +13,80 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
+import numpy.typing as npt
 
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
-from imuarray.fuse.align import MARGIN, Unit, align
+from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, Grid, Rows, Unit, align, choose
 from imuarray.fuse.axes import axes_of, directions
-from imuarray.fuse.consensus import consensus
-from imuarray.fuse.frames import Floats, Frames, Times
-from imuarray.fuse.grid import FIRST_ROWS, Grid, choose
+from imuarray.fuse.element_temperature import Warming
+from imuarray.fuse.frames import Estimate, Floats, Frames, Times
+from imuarray.fuse.least_squares import ConstantGain, consensus
 from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
-from imuarray.fuse.plain import Plain, plain_counts, plain_of
-from imuarray.fuse.rows import FOREVER_NS, Rows
-from imuarray.fuse.running import Warming
 from imuarray.log import Block
+from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
+
+Counts = npt.NDArray[Any]
+
+
+@runtime_checkable
+class FixedWeighing(Protocol):
+    """A technique that does with every whole frame the same."""
+
+    def whole(self) -> tuple[Floats, Callable[[Floats], Estimate]]:
+        """The gain (3, m) that makes a triad of values, and what makes the estimate of frames, all axes valid, of their
+        triads (n, 3).
+        """
+        ...
+
+
+class Plain:
+    """One quantity by a technique that weighs alike in every frame."""
+
+    def __init__(self, technique: FixedWeighing, units: Sequence[Unit]) -> None:
+        gain, self._estimate = technique.whole()
+        bias = np.concatenate([unit.known.bias_lsb for unit in units])
+        scale = np.concatenate([unit.known.lsb_per_si for unit in units])
+        self._triads = ConstantGain(gain / scale, bias)
+
+    def __call__(self, counts: Sequence[Counts]) -> Estimate:
+        """The estimate of the frames whose counts (n, 3) of each sensor these are."""
+        return self._estimate(self._triads(counts))
+
+
+def plain_of(techniques: Mapping[str, object], units: Mapping[str, Sequence[Unit]]) -> dict[str, Plain]:
+    """The short way of every quantity; empty if one of them has none."""
+    found = {
+        quantity: Plain(technique, units[quantity])
+        for quantity, technique in techniques.items()
+        if isinstance(technique, FixedWeighing) and all(_is_plain(unit) for unit in units[quantity])
+    }
+    return found if len(found) == len(techniques) else {}
+
+
+def _is_plain(unit: Unit) -> bool:
+    """Whether nothing but its counts says what it feels, and when."""
+    known = unit.known
+    return unit.warmth is None and known.g_sensitivity_lsb_per_g is None and not unit.delay_s and not unit.conversion_s
+
+
+def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | None:
+    """The counts (n, 3) of each sensor at the times `grid` (n,), n > 0; None unless all are there and sound."""
+    found = []
+    for block in blocks:
+        if block is None:
+            return None
+        first = int(np.searchsorted(block.time, grid[0]))
+        rows = slice(first, first + len(grid))
+        if not np.array_equal(block.time[rows], grid) or (block.status[rows] & (SATURATED | SUSPECT)).any():
+            return None
+        found.append(block.counts[rows])
+    return found
+
 
 Out = TypeVar("Out")
 

@@ -1,6 +1,6 @@
 """Fusion of arrays beside a loop over their frames, beside reading the counts from a log, and beside the time there is.
 
-The kernel (`imuarray.fuse.solve.ConstantGain`, in double precision as `fuse` uses it where every reading is at its
+The kernel (`imuarray.fuse.least_squares.ConstantGain`, in double precision as `fuse` uses it where every reading is at its
 frame's time and none is in doubt, and in single) has the counts in memory, six triads and the paper's 27 axes; so have
 the loop, ``W @ (raw - b)`` frame by frame with NumPy. Beside it stand ``counts.sum()`` over the same array, and what it
 takes to read the same counts from a finished file: what a user waits for anyhow, on any processor. The whole way is
@@ -27,9 +27,9 @@ from compare import Row, row
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import nominal
 from imuarray.fuse import axes_of, fuse, live
+from imuarray.fuse.alignment import cut
 from imuarray.fuse.axes import directions
-from imuarray.fuse.rows import cut
-from imuarray.fuse.solve import ConstantGain, whole_gain
+from imuarray.fuse.least_squares import ConstantGain, whole_gain
 from imuarray.log import Block, Log, LogWriter, SensorLog, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.log.headers import recorded_header

@@ -14,8 +14,8 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.cli import main
 from imuarray.fuse import away_from, fuse
+from imuarray.fuse.element_temperature import AWAY_DEGC, SCALE_PER_DEGC
 from imuarray.fuse.frames import matrices
-from imuarray.fuse.thermal import AWAY_DEGC, SCALE_PER_DEGC
 from imuarray.log import open_log
 from tests.fuse.conftest import DPS, Floats, G, Part, WriteRun, calibration, joined
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from imuarray.fuse import TECHNIQUES, Axis, Frames, fuse
-from imuarray.fuse.techniques.common_mode import CommonMode, OpposingGroup, Smoother, opposing_groups
+from imuarray.fuse.techniques.opposed import CommonMode, OpposingGroup, Smoother, opposing_groups
 from imuarray.log import open_log
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined, pointing
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.fuse import aligned
-from imuarray.fuse.consensus import TOLERATED_SI, consensus
+from imuarray.fuse.least_squares import TOLERATED_SI, consensus
 from imuarray.log import open_log
 from tests.fuse.conftest import Floats, G, Part, WriteRun, calibration, pointing
 

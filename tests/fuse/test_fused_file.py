@@ -13,7 +13,7 @@ import pytest
 from imuarray.errors import LogError
 from imuarray.export import export
 from imuarray.fuse import FaultEvent, FusedBlock, read_fused, read_fused_events, read_fused_head, write_fused
-from imuarray.fuse.store import LiveFused
+from imuarray.fuse.fused_file import LiveFused
 from imuarray.report.files import kind_of
 from imuarray.report.fused_sheet import fused_sections
 from imuarray.report.page import Table

@@ -14,7 +14,7 @@ from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.cli import main
 from imuarray.commands.fuse_pairs import pair_lines, pairs_of
 from imuarray.fuse import errors_of, fuse
-from imuarray.fuse.techniques.pairs import capabilities
+from imuarray.fuse.techniques.opposed import capabilities
 from imuarray.log import Log, open_log
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration
 

@@ -9,7 +9,7 @@ import pytest
 
 from imuarray.calibrate import Calibration
 from imuarray.fuse import running_temperatures
-from imuarray.fuse.running import RunningThermometer
+from imuarray.fuse.element_temperature import RunningThermometer
 from tests.fuse.conftest import Floats
 from tests.fuse.test_thermal import BAROMETER, HEADERS
 from tests.fuse.test_thermal import known as with_slopes

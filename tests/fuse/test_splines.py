@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from imuarray.fuse.splines import between_gaps, derivatives
+from imuarray.fuse.alignment import between_gaps, derivatives
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 50])

@@ -11,7 +11,7 @@ import pytest
 
 from imuarray.errors import FusionError, LogError, OutputExistsError
 from imuarray.fuse import FaultEvent, FusedBlock, read_fused, read_fused_events, write_fused
-from imuarray.fuse.store import LiveFused
+from imuarray.fuse.fused_file import LiveFused
 from tests.fuse.conftest import EPOCH
 
 

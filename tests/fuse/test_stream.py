@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from imuarray.errors import FusionError
 from imuarray.fuse import TECHNIQUES, Axis, EachAlone, Frames, FusedBlock, FusionStream, Pipeline, fuse, live
-from imuarray.fuse.rows import Rows, cut
+from imuarray.fuse.alignment import Rows, cut
 from imuarray.log import Block, Log, open_log
 from imuarray.log.headers import recorded_header
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined

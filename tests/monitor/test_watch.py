@@ -17,7 +17,7 @@ import pytest
 import imuarray.log.writer as writing
 from imuarray.calibrate import Calibration
 from imuarray.fuse import FusedBlock, write_fused
-from imuarray.fuse.store import LiveFused
+from imuarray.fuse.fused_file import LiveFused
 from imuarray.log import LogWriter, RotatingWriter
 from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase

@@ -7,18 +7,26 @@ Two tests, for every axis and for every sensor as a whole:
   fault that begins within the window, another scale).
 
 The hypothesis with the largest gain wins; it is isolated if no other sensor gains nearly as much.
+
+How far each axis has slowly departed from where it began: drift may go so far, a walk-off goes farther.
+
+Which of several sensors that parity can't tell apart is the one: by what only a faulty sensor does by itself.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.fuse.faults.kinds import QUIET, Beside, beside
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Look
+from imuarray.fuse.faults.window import Look, Spaces, Window, look
+from imuarray.units import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
 
@@ -108,3 +116,108 @@ def _rivals(gains: Floats, best: int, gain: float) -> tuple[int, ...]:
     near = gains > gain - max(_MARGIN, _MARGIN_SHARE * gain)
     near[best] = False
     return tuple(int(sensor) for sensor in np.flatnonzero(near))
+
+
+Flags = npt.NDArray[np.bool_]
+
+DRIFT_SI: Mapping[str, float] = MappingProxyType(
+    {"specific_force": 0.1 * STANDARD_GRAVITY, "angular_rate": np.radians(3.0)}
+)
+"""How far an axis may drift in a run: twice what the worst axis of the paper's Table 8 does over its 28 degC
+(1.4 mg and 0.05 dps per degC)."""
+
+_SETTLED = 3
+_SIGMAS = 4.0
+_CLEARLY = 0.7
+"""Another sensor that departs by more than this share of the worst one's departure might be the one as well."""
+
+
+class Baseline:
+    """Where each axis began, and how far it is from there."""
+
+    def __init__(self, rows: Floats, quantity: str) -> None:
+        self._spaces = Spaces(rows)
+        self._limit = DRIFT_SI[quantity]
+        self._seen = np.zeros(len(rows))
+        self._state: Floats | None = None
+        self._covariance: Floats | None = None
+
+    def departed(self, included: Flags, usual: Floats, normal: Normal) -> tuple[Suspect | None, float]:
+        """Of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the one that has walked off farthest,
+        beyond what drift allows, and how far in SI; None if none has.
+
+        To be asked at equal intervals: an axis is settled after `_SETTLED` of them.
+        """
+        self._settle(included, normal)
+        begun = included & (self._seen >= _SETTLED)
+        space = self._spaces(begun.astype(float))
+        if space is None or self._state is None or self._covariance is None:
+            return None, 0.0
+        moved = np.where(begun, ((normal.state - self._state) * usual).sum(axis=1), 0.0)
+        unknown = np.einsum("mi,mij,mj->m", usual, self._covariance, usual)
+        deleted = space.deleted
+        departure = deleted @ moved
+        allowed = self._limit + _SIGMAS * np.sqrt(deleted**2 @ np.where(begun, unknown, 0.0))
+        share = np.where(space.told, np.abs(departure) / allowed, 0.0)
+        worst = int(share.argmax())
+        if share[worst] < 1:
+            return None, 0.0
+        sensors = share.reshape(-1, 3).max(axis=1) > _CLEARLY * share[worst]
+        sensors[worst // 3] = False
+        gain = float((departure[worst] / allowed[worst] * _SIGMAS) ** 2)
+        return Suspect((worst,), gain, "mean", tuple(np.flatnonzero(sensors).tolist())), float(departure[worst])
+
+    def send_back(self, axis: int, normal: Normal) -> None:
+        """Forgets what `normal` learnt of an axis since it began: its walk is no calibration."""
+        if self._state is not None and self._covariance is not None:
+            normal.state[axis], normal.covariance[axis] = self._state[axis], self._covariance[axis]
+
+    def _settle(self, included: Flags, normal: Normal) -> None:
+        """Notes the state of each axis when it has been in use for long enough."""
+        self._seen += included
+        if self._state is None or self._covariance is None:
+            self._state, self._covariance = normal.state.copy(), normal.covariance.copy()
+        now = included & (self._seen == _SETTLED)
+        self._state[now], self._covariance[now] = normal.state[now], normal.covariance[now]
+
+
+Resets = Callable[[Beside, int], tuple[float, float] | None]
+"""The range (and factor) that explains how a sensor (number) reads beside the others."""
+
+_WILD = 6.0
+"""A sensor whose changes from reading to reading have so many times their usual mean square is noisy, ..."""
+
+_CALM = 2.0
+"""... if those of all others have less than this: the box is at rest."""
+
+
+def told_apart(suspect: Suspect, window: Window, seen: Look, normal: Normal, resets: Resets) -> Suspect | None:
+    """The suspect, or one of its rivals, as a whole sensor, if it alone stands still, reads as if in another range of
+    its chip, or is noisy while all others are as ever; None if that is true of none or of several.
+    """
+    views = {}
+    for sensor in (suspect.axes[0] // 3, *suspect.rivals):
+        members = np.arange(3 * sensor, 3 * sensor + 3)
+        rest = seen.included.copy()
+        rest[members] = False
+        without = look(window, normal, seen.rows, rest, Spaces(seen.rows))
+        view = None if without is None else beside(without, window, normal, members.tolist())
+        if view is None:
+            return None
+        views[sensor] = view
+    tests: tuple[Callable[[int], bool], ...] = (
+        lambda sensor: views[sensor].stale or views[sensor].quiet < QUIET,
+        lambda sensor: resets(views[sensor], sensor) is not None,
+        lambda sensor: _wild(views[sensor].quiet, [views[other].quiet for other in views if other != sensor]),
+    )
+    for test in tests:
+        found = [sensor for sensor in views if test(sensor)]
+        if len(found) == 1:
+            axes = tuple(range(3 * found[0], 3 * found[0] + 3))
+            return replace(suspect, axes=axes, rivals=())
+    return None
+
+
+def _wild(own: float, others: list[float]) -> bool:
+    """Noisy while the others are calm."""
+    return own > _WILD and max(others) < _CALM

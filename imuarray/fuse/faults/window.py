@@ -1,4 +1,15 @@
-"""One decision window of an array: its readings, and what is seen in them when some of the axes are believed."""
+"""What sensors feel besides the box's origin because they sit elsewhere on a turning box (the size effect).
+
+Parity space of an array: what its axes say that no motion of the box can explain.
+
+Readings of one instant are ``values = rows @ truth_box + errors``. With weights W (inverse variances, 0 for an axis
+that is left out), ``A = W - W rows (rows' W rows)^-1 rows' W`` is blind to the truth, and ``d = A @ values`` is what
+the readings say of errors only. The generalised likelihood ratio of "these axes F have an error, of any size" against
+"none has" is ``d_F' A_FF^-1 d_F``, chi-square with as many degrees of freedom as axes (Daly, Gai and Harrison,
+Journal of Guidance and Control 2, 1979; Sturza, Navigation 35, 1988).
+
+One decision window of an array: its readings, and what is seen in them when some of the axes are believed.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +19,107 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.fuse.faults.lever import slope
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.parity import Parity, Spaces, parity
-from imuarray.fuse.solve import solve_frames
+from imuarray.fuse.least_squares import solve_frames, spans
 
 Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Times = npt.NDArray[np.int64]
+
+
+def slope(time: Times, triad: Floats) -> Floats:
+    """(n, 3) change per second of triads (n, 3): central differences, one-sided at the ends."""
+    seconds = (time - time[0]) * 1e-9
+    found = np.empty_like(triad)
+    found[1:-1] = (triad[2:] - triad[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
+    found[0] = (triad[1] - triad[0]) / (seconds[1] - seconds[0])
+    found[-1] = (triad[-1] - triad[-2]) / (seconds[-1] - seconds[-2])
+    return found
+
+
+def slopes(time: Times, triads: Floats) -> Floats:
+    """(k, n, 3) the same of k windows at times (k, n)."""
+    seconds = (time - time[:, :1]) * 1e-9
+    found = np.empty_like(triads)
+    found[:, 1:-1] = (triads[:, 2:] - triads[:, :-2]) / (seconds[:, 2:] - seconds[:, :-2])[:, :, None]
+    found[:, 0] = (triads[:, 1] - triads[:, 0]) / (seconds[:, 1] - seconds[:, 0])[:, None]
+    found[:, -1] = (triads[:, -1] - triads[:, -2]) / (seconds[:, -1] - seconds[:, -2])[:, None]
+    return found
+
+
+def lever_arms(time: Times, rate_box: Floats, positions_m: Floats, rows: Floats) -> Floats:
+    """(n, m) specific force along axes `rows` (m, 3) at `positions_m` (m, 3) less that at the origin, in m/s2, of a box
+    that turns at `rate_box` (n, 3) rad/s: angular acceleration x r + rate x (rate x r). Unknown rates (NaN) count as 0.
+    """
+    rate = np.nan_to_num(rate_box)
+    turning = slope(time, rate)[:, None, :]
+    spinning = rate[:, None, :]
+    felt = np.cross(turning, positions_m) + np.cross(spinning, np.cross(spinning, positions_m))
+    return np.asarray((felt * rows).sum(axis=2))
+
+
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Parity:
+    """One choice of weights: `gain` (3, m) gives the triad, `matrix` (m, m) is A, `spread` (3, 3) the triad's
+    covariance, `told` (m,) whether an error of this axis shows at all.
+    """
+
+    gain: Floats
+    matrix: Floats
+    spread: Floats
+    told: Flags
+
+    @cached_property
+    def deleted(self) -> Floats:
+        """(m, m) gives the deleted residuals: each axis against what all the others say of it; 0 for an axis whose
+        error does not show.
+        """
+        size = np.where(self.told, self.matrix.diagonal(), 1.0)
+        return np.asarray(np.where(self.told[:, None], self.matrix / size[:, None], 0.0))
+
+    def axis_gains(self, errors: Floats) -> Floats:
+        """(m,) twice the log-likelihood ratio of an error in one axis, for `errors` (m,): one degree of freedom."""
+        shown = self.matrix @ errors
+        return np.asarray(np.where(self.told, shown**2 / np.where(self.told, self.matrix.diagonal(), 1.0), 0.0))
+
+    def sensor_gains(self, errors: Floats) -> Floats:
+        """(m / 3,) the same of an error in all axes of one triad: three degrees of freedom."""
+        sensors = len(errors) // 3
+        blocks = np.einsum("sisj->sij", self.matrix.reshape(sensors, 3, sensors, 3))
+        shown = (self.matrix @ errors).reshape(sensors, 3, 1)
+        scale = np.maximum(np.einsum("sii->s", blocks), 1e-300)
+        firm = blocks + (1e-9 * scale)[:, None, None] * np.eye(3)
+        return np.asarray((shown * np.linalg.solve(firm, shown)).sum(axis=(1, 2)))
+
+
+def parity(rows: Floats, weights: Floats) -> Parity | None:
+    """The parity space of axes `rows` (m, 3) with `weights` (m,); None where the weighted axes don't span space."""
+    weighted = rows * weights[:, None]
+    normal = weighted.T @ rows
+    if not spans(normal):
+        return None
+    spread = np.asarray(np.linalg.inv(normal), float)
+    gain = spread @ weighted.T
+    matrix = np.diag(weights) - weighted @ gain
+    told = matrix.diagonal() > 1e-6 * weights
+    return Parity(np.asarray(gain), np.asarray(matrix), np.asarray(spread), np.asarray(told & (weights > 0)))
+
+
+class Spaces:
+    """Parity spaces of one set of axes; the last one is kept, for weights change only when somebody is left out."""
+
+    def __init__(self, rows: Floats) -> None:
+        self._rows = rows
+        self._key = b""
+        self._last: Parity | None = None
+
+    def __call__(self, weights: Floats) -> Parity | None:
+        """As `parity`."""
+        if (key := weights.tobytes()) != self._key:
+            self._key, self._last = key, parity(self._rows, weights)
+        return self._last
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
-from imuarray.fuse.optimal.from_calibration import error_model
-from imuarray.fuse.optimal.learned import LearnedBias
+from imuarray.fuse.fusion_notes import LearnedBias
+from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel, error_model
 from imuarray.fuse.optimal.optimal import SEGMENT_S, Optimal, Temperatures
 
 __all__ = [

@@ -7,19 +7,30 @@ A reading of axis i of a sensor, along that axis, in SI::
 u is the specific force or angular rate at the sensor's place, s the axis's calibrated direction and d what is wrong
 with it: scale along s, misalignment across it. c and the common slope belong to a design: all its sensors share them
 along the same own axis, whichever way that points in the box (paper, section 2.1).
+
+The error model of an array from its calibration; where that has nothing, what such sensors are usually like.
+
+The usual figures are those of the paper's array, of 2013's consumer sensors: standard deviations over its units, as
+`configs/models/martin2013.toml` derives them from the paper's tables. What goes with a unit's noise (it is larger where
+the measuring range is) is given as a share of the noise of its readings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.model import Described
+from imuarray.calibrate.stability import BIAS, TurnOn
+from imuarray.calibrate.turns import TOLERANCE
 from imuarray.errors import FusionError
-from imuarray.fuse.axes import Axis
+from imuarray.fuse.axes import Axis, response_shares
+from imuarray.units import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
 
@@ -102,3 +113,212 @@ class ErrorModel:
             if (axis.sensor, axis.index) not in self.axes:
                 raise FusionError(f"sensor {axis.sensor} axis {'xyz'[axis.index]}: the error model does not know it")
         return [self.axes[axis.sensor, axis.index] for axis in axes]
+
+
+_DPS = np.pi / 180
+
+
+@dataclass(frozen=True)
+class Usual:
+    """Standard deviations in SI, and shares of the noise of a reading; `common_share` of a slope's variance that a
+    design's like axes have in common; `felt`: what 1 g does to a gyroscope.
+    """
+
+    bias: float
+    slope_per_degc: float
+    turn_on_share: float
+    drift_share: float
+    response: float
+    common_share: float
+    felt: float = 0.0
+
+
+USUAL: Mapping[str, Usual] = MappingProxyType(
+    {
+        # bias: of BMA180s; slopes: Table 8; turn-on: Table 11, deviation of the runs' means over that of readings;
+        # drift: the same of the uninterrupted run, less the means' own noise
+        "specific_force": Usual(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02, 0.03, 0.5),
+        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, TOLERANCE, 0.8, 0.0083 * _DPS),
+    }
+)
+"""By quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales; of
+gyroscopes L3G-72, and as much of misalignment. `felt`: Table 4. Common shares: in Table 8 the gyroscopes' is 1.0 along
+y, 0.6 along x, and nothing along z. What the best weights leave of the paper's array is least where all is taken to be
+common; 0.8 leaves 2 % more, the mean of the three, 0.5, leaves 8 % more.
+"""
+
+STEEP: Mapping[tuple[str, int], float] = MappingProxyType({("adxl345", 2): 1.2e-3 * STANDARD_GRAVITY})
+"""Slopes per degC of axes, by chip and index, that are not like others: ADX-62, and Table 8."""
+
+DRIFT_TIME_CONSTANT_S = 600.0
+"""Of drift whose time constant nobody measured; the paper's tables don't tell it closer than a factor of ten."""
+
+TIMING_S = 0.5e-3
+"""Of readings of a chip whose own rate is not told."""
+
+_AGE = 1 / np.sqrt(12)
+"""Standard deviation, in periods of a chip's own rate, of the age of a reading that is asked for at any time; its mean
+was taken out.
+"""
+
+UNWATCHED_DEGC = 3.0
+"""Standard deviation, within `UNWATCHED_S`, of a temperature that no thermometer tells."""
+
+UNWATCHED_S = 1000.0
+
+
+def error_model(
+    sensors: Sequence[Described], calibration: Calibration, *, watched: Container[str] | None = None
+) -> ErrorModel:
+    """The errors of the inertial `sensors` of a log as `calibration` leaves them.
+
+    `watched` names the sensors whose temperature will be told (None: every one); what slopes do to others becomes
+    drift. FusionError for a sensor whose noise is not known.
+    """
+    axes: dict[tuple[str, int], AxisErrors] = {}
+    designs: dict[tuple[str, int], DesignErrors] = {}
+    covariances: dict[str, Floats] = {}
+    responses: dict[str, Floats] = {}
+    for sensor in sensors:
+        known, told = calibration.or_nominal(sensor), watched is None or sensor.name in watched
+        usual = USUAL[sensor.quantity]
+        slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
+        timing_s = _AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S
+        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - usual.common_share), told)):
+            wander = 0.0 if known.drift is not None else usual.drift_share * errors.noise
+            slope = 0.0 if known.thermal is not None else float(slopes[index] * np.sqrt(usual.common_share))
+            shared = _of_design(wander, slope, told)
+            axes[sensor.name, index] = replace(
+                errors,
+                timing_s=timing_s,
+                shares_wander=shared.common > 0,
+                shares_slope=shared.slope_per_degc > 0,
+            )
+            place = (sensor.chip, index)
+            designs[place] = _of_both(designs[place], shared) if place in designs else shared
+        if known.bias_covariance_lsb2 is not None:
+            covariances[sensor.name] = known.bias_covariance_lsb2 / np.outer(known.lsb_per_si, known.lsb_per_si)
+        shares = response_shares(known)
+        if shares is not None:
+            responses[sensor.name] = shares
+    return ErrorModel(
+        MappingProxyType(axes), MappingProxyType(designs), MappingProxyType(covariances), MappingProxyType(responses)
+    )
+
+
+def _of_design(wander: float, slope: float, told: bool) -> DesignErrors:
+    """What nobody measured: a design is taken to wander in common as far as its units do singly. What was measured of a
+    unit has all in it, and nothing is added.
+    """
+    if told:
+        return DesignErrors(wander, DRIFT_TIME_CONSTANT_S, slope)
+    return DesignErrors(float(np.hypot(wander, UNWATCHED_DEGC * slope)), UNWATCHED_S)
+
+
+def _of_both(one: DesignErrors, other: DesignErrors) -> DesignErrors:
+    """What two units share: the wandering of the one that wanders less, if it does, and the steeper slope."""
+    wandering = [design for design in (one, other) if design.common > 0] or [one]
+    slope = max(one.slope_per_degc, other.slope_per_degc)
+    return replace(min(wandering, key=lambda design: design.common), slope_per_degc=slope)
+
+
+def _of_sensor(known: SensorCalibration, usual: Usual, slopes_per_degc: Floats, told: bool) -> list[AxisErrors]:
+    """The three axes of one sensor; `slopes_per_degc` of their own where none were measured."""
+    if known.noise_lsb is None:
+        raise FusionError(
+            f"sensor {known.name}: its noise is not known; run `imuarray calibrate noise` and give the file"
+        )
+    noise = known.noise_lsb / known.lsb_per_si
+    for index in np.flatnonzero(~(noise > 0)):
+        raise FusionError(f"sensor {known.name} axis {'xyz'[index]}: noise {noise[index]:g}: it is stuck")
+    drift, time_constant_s = _drift(known, usual, noise)
+    bias, response = _bias(known, usual, noise, drift), _response(known, usual)
+    slope, bias_degc = _slope(known, slopes_per_degc)
+    if not told:  # nor does the bias follow the slopes that are known
+        slope = slope if known.thermal is None else np.hypot(slope, known.thermal.slope_lsb_per_degc / known.lsb_per_si)
+        drift, slope = np.hypot(drift, UNWATCHED_DEGC * slope), np.zeros(3)
+    correlation = known.noise_correlation
+    return [
+        AxisErrors(
+            noise=float(noise[index]),
+            correlation=0.0 if correlation is None else float(np.clip(correlation[index], 0.0, _COLOURED)),
+            bias=float(bias[index]),
+            drift=float(drift[index]),
+            drift_time_constant_s=time_constant_s,
+            slope_per_degc=float(slope[index]),
+            response=float(response[index]),
+            bias_degc=bias_degc,
+        )
+        for index in range(3)
+    ]
+
+
+_COLOURED = 0.99
+"""Correlation of neighbouring readings beyond which they are no noise any more."""
+
+
+def _bias(known: SensorCalibration, usual: Usual, noise: Floats, drift: Floats) -> Floats:
+    """(3,) what is independent in a bias's error: the calibration's own where no covariance tells it, turn-on, now and
+    when it was calibrated, how far it had wandered then, and what gravity does to a gyroscope, which hardly changes
+    while the box stands.
+    """
+    if known.bias_sem_lsb is None:
+        return np.full(3, usual.bias)
+    measured = np.zeros(3) if known.bias_covariance_lsb2 is not None else known.bias_sem_lsb / known.lsb_per_si
+    turn_on, states = usual.turn_on_share * noise, np.zeros(3)
+    if known.turn_on is not None:
+        turn_on = np.hypot(known.turn_on.rms_lsb, known.turn_on.rms_sem_lsb) / known.lsb_per_si
+        states = _between_states(known.turn_on) / known.lsb_per_si**2
+    felt = np.full(3, usual.felt)
+    if known.g_sensitivity_sem_lsb_per_g is not None:
+        felt = np.sqrt(np.mean(known.g_sensitivity_sem_lsb_per_g**2, axis=1)) / known.lsb_per_si
+    then = (turn_on**2 + drift**2) * _of_calibration(known)
+    return np.asarray(np.sqrt(measured**2 + turn_on**2 + then + states + felt**2))
+
+
+def _of_calibration(known: SensorCalibration) -> float:
+    """Share of the variance between switch-ons that a bias has in it: it was calibrated in so many logs, each begun by
+    one. A bias that no log measured has none.
+    """
+    origin = known.provenance.get("bias")
+    return 0.0 if origin is None or not origin.logs else 1 / len(origin.logs)
+
+
+def _between_states(turn_on: TurnOn) -> Floats:
+    """(3,) variance in counts of the change from the state of one run to that of another, drawn alike."""
+    if len(turn_on.states) < 2:
+        return np.zeros(3)
+    biases, shares = (np.array([getattr(state, name) for state in turn_on.states]) for name in ("bias_lsb", "share"))
+    mean = np.average(biases, axis=0, weights=shares)
+    return np.asarray(2 * np.average((biases - mean) ** 2, axis=0, weights=shares))
+
+
+def _drift(known: SensorCalibration, usual: Usual, noise: Floats) -> tuple[Floats, float]:
+    """(3,) rms, and the time constant."""
+    drift = known.drift
+    if drift is None:
+        return usual.drift_share * noise, DRIFT_TIME_CONSTANT_S
+    return np.hypot(drift.rms_lsb, drift.rms_sem_lsb) / known.lsb_per_si, float(drift.time_constant_s)
+
+
+def _response(known: SensorCalibration, usual: Usual) -> Floats:
+    """(3,) shares."""
+    if known.response_sem_lsb_per_unit is None:
+        return np.full(3, usual.response)
+    return np.asarray(known.response_sem_lsb_per_unit / known.scale_lsb_per_unit)
+
+
+def _slope(known: SensorCalibration, usual_per_degc: Floats) -> tuple[Floats, float | None]:
+    """(3,) what is not known of the slopes, in SI per degC, and the temperature at which the bias holds.
+
+    A slope that may be one of scale is not applied to the bias: all of it is in doubt.
+    """
+    thermal = known.thermal
+    if thermal is None:
+        return usual_per_degc, known.temperature_degc if known.bias_sem_lsb is not None else None
+    unsure = np.array([meaning != BIAS for meaning in thermal.meaning])
+    doubt = np.where(unsure, np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc), 0.0)
+    spread = np.where(unsure, doubt, thermal.slope_sem_lsb_per_degc) / known.lsb_per_si
+    if thermal.thermometer == "relative":
+        return spread, thermal.reference_degc
+    return spread, thermal.reference_degc if known.temperature_degc is None else known.temperature_degc

@@ -1,4 +1,16 @@
-"""The recursive part: what is known of the slow errors grows from segment to segment.
+"""What does not go with the stimulus but with its change: no reading's time is known exactly.
+
+A reading that is late by t errs by t times the stimulus's change in a second. While a box is moved to and fro that
+comes and goes as noise does: where the change is fast frames teach less about slow errors, what is told of their own
+errors is wider, and gains are those of noise that is larger by the mean square of the change over the segment before.
+
+What the frames of a segment say of the slow errors, whatever the box felt.
+
+The stimulus of every frame is unknown, so that only the parities of a frame tell anything: the combinations of its
+readings that no stimulus changes. Slow errors stay as they are during a segment, and sums over its frames hold all
+that the frames say.
+
+The recursive part: what is known of the slow errors grows from segment to segment.
 
 Segments are counted from the first frame: of 1, 1, 2, 4, 8, ... frames, up to the full length. Frames of one are solved
 with what those before it told; slow errors stay as they are during one. Where a block ends makes no difference.
@@ -10,16 +22,150 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from imuarray.fuse.frames import Floats
-from imuarray.fuse.optimal.dynamics import Dynamics
-from imuarray.fuse.optimal.evidence import Evidence
-from imuarray.fuse.optimal.geometry import Geometry
-from imuarray.fuse.optimal.kalman import Normal, corrected, predicted
-from imuarray.fuse.optimal.readings import Readings
-from imuarray.fuse.optimal.solve import Solution, solve
-from imuarray.fuse.optimal.states import States
-from imuarray.fuse.optimal.view import View, view_of
+from imuarray.fuse.frames import Flags, Floats, Times
+from imuarray.fuse.optimal.frame_solution import Solution, View, solve, view_of
+from imuarray.fuse.optimal.geometry import Geometry, Readings, held, patterns
+from imuarray.fuse.optimal.states import Normal, States, corrected, predicted
+
+OVER_S = 0.05
+"""Over which a change is looked at: noise of a frame is little beside it, and shaking by hand is slower."""
+
+
+class Dynamics:
+    """The change of consecutive triads, block after block."""
+
+    def __init__(self, geometry: Geometry, period_s: float) -> None:
+        self._geometry = geometry
+        self._back = max(1, round(OVER_S / period_s))
+        self._time, self._triad = np.zeros(0, np.int64), np.zeros((0, 3))
+        self._sum, self._frames, self._mean = 0.0, 0, 0.0
+
+    def recent(self) -> float:
+        """Mean square of the change per second since this was asked before; then begins anew."""
+        if self._frames:
+            self._mean = self._sum / self._frames
+        self._sum, self._frames = 0.0, 0
+        return self._mean
+
+    def __call__(self, view: View, readings: Readings, solution: Solution, frames: slice) -> Floats | None:
+        """(n,) how much the frames still teach, None where all do fully; widens their covariances."""
+        if not self._geometry.timing.any() or not len(readings.time):
+            return None
+        changes = self._changes(readings.time, solution.unknowns[frames, :3])
+        self._sum, self._frames = self._sum + float(changes.sum()), self._frames + len(changes)
+        for valid, which in patterns(readings.valid):
+            usual = view.usual(valid)
+            if usual is not None:
+                solution.covariance[frames][which] += changes[which][:, None, None] * usual.timing
+        worst = float((self._geometry.timing / self._geometry.noise).max())
+        return np.asarray(1 / (1 + worst**2 * changes))
+
+    def _changes(self, time: Times, triad: Floats) -> Floats:
+        """(n,) squares of the change per second; 0 where nothing is known yet."""
+        times, triads = np.concatenate([self._time, time]), held(np.concatenate([self._triad, triad]))
+        now = np.arange(len(self._time), len(times))
+        then = np.maximum(now - self._back, 0)
+        self._time, self._triad = times[-self._back :], triads[-self._back :]
+        seconds = np.maximum((times[now] - times[then]) * 1e-9, 1e-9)
+        return np.asarray(np.nan_to_num(((triads[now] - triads[then]) ** 2).sum(axis=1) / seconds**2))
+
+
+_DOUBT = 3.0
+"""Standard deviations of a sum of squares of noise within which it is taken for noise."""
+
+_KEPT = 1024
+"""Parities that are kept for the next segments."""
+
+
+class _Sums:
+    """Over the frames in which the same rows were in use: of the products of (1, stimulus) with itself, with the
+    readings, and of the stimulus's covariances, which are in the first.
+    """
+
+    def __init__(self, terms: int, rows: int) -> None:
+        self.squares = np.zeros((terms, terms))
+        self.products = np.zeros((terms, rows))
+        self.blur = np.zeros((3, 3))
+
+
+class Evidence:
+    """The sums of the segment that is being gathered, and the `parity` of every set of rows there was."""
+
+    def __init__(self, geometry: Geometry, terms: int) -> None:
+        self._geometry, self._terms = geometry, terms
+        self._parities: dict[bytes, Floats] = {}
+        self._sums: dict[bytes, _Sums] = {}
+
+    def add(self, readings: Readings, solution: Solution, frames: slice, weights: Floats | None = None) -> None:
+        """Take in the readings of `frames` of the solution, by `weights` (n,) up to 1."""
+        triad, covariance = solution.unknowns[frames, :3], solution.covariance[frames, :3, :3]
+        for valid, which in patterns(self._fair(readings.valid, triad, solution.used[frames])):
+            if not valid.any():
+                continue
+            key = valid.tobytes()
+            if key not in self._parities:
+                self._parities[key] = self._geometry.parity(valid)
+            sums = self._sums.setdefault(key, _Sums(self._terms, len(valid)))
+            values = readings.values[which]
+            weight = np.ones(len(values)) if weights is None else weights[which]
+            if self._terms == 1:
+                sums.squares += weight.sum()
+                sums.products += weight @ values
+                continue
+            felt = np.concatenate([np.ones((len(values), 1)), triad[which]], axis=1)
+            weighted = (felt * weight[:, None]).T
+            sums.squares += weighted @ felt
+            sums.products += weighted @ values
+            sums.blur += np.tensordot(weight, covariance[which], axes=1)
+
+    def measurements(self, rows: Floats) -> tuple[Floats, Floats]:
+        """(p, n) and (p,): ``values = measurements @ states + errors`` of unit variance, from `rows` (terms, r, n) of
+        what the readings feel of the states; then begins anew.
+        """
+        parts = []
+        for key, sums in self._sums.items():
+            parity = self._parities[key]
+            seen = parity @ rows
+            for size, weights in _components(sums):
+                values = parity @ (weights @ sums.products) / size
+                parts.append(np.column_stack([np.tensordot(weights, seen, axes=1) * size, values]))
+        self._sums = {}
+        if len(self._parities) > _KEPT:
+            self._parities = {}
+        both = np.concatenate(parts) if parts else np.zeros((0, rows.shape[2] + 1))
+        if len(both) > both.shape[1]:
+            both = np.asarray(np.linalg.qr(both, mode="r"))
+        return both[:, :-1], both[:, -1]
+
+    def _fair(self, valid: Flags, triad: Floats, used: Flags) -> Flags:
+        """The readings to learn from: of frames that have a triad, and of axes that are not near their ends."""
+        solved = np.asarray(used.any(axis=1))
+        if not solved.all():
+            valid = valid & solved[:, None]
+        fair = self._geometry.fair
+        if np.nanmax(np.einsum("ni,ni->n", triad, triad), initial=0.0) < fair.min() ** 2 and fair.min() > 0:
+            return valid
+        return valid & (np.abs(np.nan_to_num(triad) @ self._geometry.rows[:, :3].T) < fair)
+
+
+def _components(sums: _Sums) -> list[tuple[float, npt.NDArray[np.float64]]]:
+    """Root of size, and weights (terms,), of the independent components of the sums of (1, stimulus), without what the
+    stimulus's own noise makes of them.
+    """
+    if len(sums.squares) == 1:
+        return [(float(np.sqrt(sums.squares[0, 0])), np.ones(1))]
+    squares = sums.squares.copy()
+    frames = squares[0, 0]
+    squares[1:, 1:] -= sums.blur
+    sizes, vectors = np.linalg.eigh(squares)
+    noise = _DOUBT * np.sqrt(2 / frames) * np.linalg.eigvalsh(sums.blur)[-1]
+    return [
+        (float(np.sqrt(size)), vectors[:, index])
+        for index, size in enumerate(sizes)
+        if size > max(noise, 1e-9 * sizes[-1])
+    ]
 
 
 class Step(NamedTuple):

@@ -1,19 +1,21 @@
-"""What the rows of an array see of the unknowns of a frame, and with how much noise."""
+"""What the rows of an array see of the unknowns of a frame, and with how much noise.
+
+Frames made ready: what is a value, what is only a bound, and what is left out.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis, directions
+from imuarray.fuse.frames import Flags, Floats, Frames, Times
+from imuarray.fuse.least_squares import spans
 from imuarray.fuse.optimal.error_model import ErrorModel
-from imuarray.fuse.solve import spans
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 AT_END = 0.98
 """Share of the measuring range from which on a reading is taken as a bound: the truth is there or beyond."""
@@ -82,3 +84,78 @@ def geometry_of(axes: Sequence[Axis], model: ErrorModel) -> Geometry:
         timing=np.array([error.timing_s for error in errors]),
         axes=len(axes),
     )
+
+
+Signs = npt.NDArray[np.int8]
+
+
+class Bounds(NamedTuple):
+    """`ends` (n, m) is +1 where an axis is known to be above the bound `at` (n, m), -1 where below, else 0."""
+
+    ends: Signs
+    at: Floats
+
+
+class Readings(NamedTuple):
+    """n frames of r rows: `values` (n, r), 0 where not `valid` (n, r), and bounds where there are any."""
+
+    time: Times
+    values: Floats
+    valid: Flags
+    bounds: Bounds | None = None
+
+    def part(self, frames: slice) -> Readings:
+        """Some of the frames."""
+        bounds = None if self.bounds is None else Bounds(self.bounds.ends[frames], self.bounds.at[frames])
+        return Readings(self.time[frames], self.values[frames], self.valid[frames], bounds)
+
+
+def patterns(flags: Flags) -> list[tuple[Flags, npt.NDArray[np.intp] | slice]]:
+    """The different rows of `flags` (n, r), each with the frames that have it."""
+    if len(flags) == 0:
+        return []
+    if (flags == flags[0]).all():
+        return [(flags[0], slice(None))]
+    packed = np.packbits(flags, axis=1)
+    keys = np.ascontiguousarray(packed).view(np.dtype((np.void, packed.shape[1])))[:, 0]
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    return [(flags[row], np.flatnonzero(which.reshape(-1) == index)) for index, row in enumerate(first)]
+
+
+def held(triad: Floats) -> Floats:
+    """(n, 3) with the last known one in place of NaN, which is left only where none was known before."""
+    known = np.isfinite(triad).all(axis=1)
+    return triad if known.all() else triad[np.maximum.accumulate(np.where(known, np.arange(len(triad)), 0))]
+
+
+def readings_of(frames: Frames, geometry: Geometry) -> Readings:
+    """The axes' readings: beyond the end of the range a bound, and a stale one only where the others don't span
+    space.
+    """
+    valid, bounds = frames.valid, None
+    limits = geometry.end[: geometry.axes]
+    clipped = frames.clipped if frames.clipped is not None and frames.clipped.any() else None
+    if clipped is not None or _any_beyond(frames.values, limits):
+        beyond = valid & (np.abs(frames.values) > limits)
+        signs = np.sign(np.nan_to_num(frames.values))
+        ends = np.where(beyond, signs, 0 if clipped is None else clipped).astype(np.int8)
+        at = ends * np.minimum(np.abs(np.nan_to_num(frames.values, nan=np.inf)), limits)
+        bounds = Bounds(ends, np.asarray(at, float))
+        valid = valid & (ends == 0)
+    if frames.stale is not None and (valid & frames.stale).any():
+        valid = _without_stale(valid, frames.stale, geometry)
+    values = frames.values if valid.all() else np.where(valid, frames.values, 0.0)
+    return Readings(frames.time, values, valid, bounds)
+
+
+def _any_beyond(values: Floats, limits: Floats) -> bool:
+    """Whether any value is, or may be for not being a number."""
+    return len(values) > 0 and not bool(((values.max(axis=0) <= limits) & (values.min(axis=0) >= -limits)).all())
+
+
+def _without_stale(valid: Flags, stale: Flags, geometry: Geometry) -> Flags:
+    fresh = valid & ~stale
+    for pattern, which in patterns(fresh):
+        if not geometry.spans(pattern):
+            fresh[which] = valid[which]
+    return fresh

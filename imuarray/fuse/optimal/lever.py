@@ -15,8 +15,7 @@ import numpy as np
 
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Floats, Times
-from imuarray.fuse.optimal.geometry import Geometry
-from imuarray.fuse.optimal.readings import Bounds, Readings, held
+from imuarray.fuse.optimal.geometry import Bounds, Geometry, Readings, held
 
 FASTEST = 300.0
 """rad/s2, standard deviation of the angular acceleration of anything: a turn at 1000 dps reversed in 0.1 s has 350."""

@@ -1,9 +1,15 @@
-"""`optimal`: every reading of the array by its whole error model, of which the other techniques are special cases.
+"""What an array has found out about its own slow errors: for reports.
+
+How much warmer the axes are than they were when their biases were measured.
+
+`optimal`: every reading of the array by its whole error model, of which the other techniques are special cases.
 
 What the axes have in common beyond the stimulus tells their slow errors (a Kalman filter over segments of frames, whose
 states are `states.py`'s); each frame is then solved by generalised least squares with what is left unknown of them
 (`solve.py`). With equal noise and nothing else it is the mean; with noise alone it weighs by inverse variance, as
 `planes` and `ranges` do; states that a design shares make it `opposed`.
+
+`optimal` between aligned frames and the result: as the frames come, or, with all of them there, smoothed.
 """
 
 from __future__ import annotations
@@ -17,19 +23,57 @@ import numpy as np
 
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Estimate, Floats, Frames, Times, entries
-from imuarray.fuse.optimal.dynamics import Dynamics
+from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, entries
+from imuarray.fuse.fusion_notes import LearnedBias, Told
 from imuarray.fuse.optimal.error_model import ErrorModel
-from imuarray.fuse.optimal.filter import ArrayFilter, Segments
-from imuarray.fuse.optimal.geometry import Geometry, geometry_of
-from imuarray.fuse.optimal.learned import LearnedBias, learned_biases
+from imuarray.fuse.optimal.filter import ArrayFilter, Dynamics, Segments
+from imuarray.fuse.optimal.frame_solution import Solution, View, solve
+from imuarray.fuse.optimal.geometry import Geometry, Readings, geometry_of, readings_of
 from imuarray.fuse.optimal.lever import ROWS, Lever, lever_of, placed, with_lever
-from imuarray.fuse.optimal.readings import Readings, readings_of
-from imuarray.fuse.optimal.smooth import Recorder
-from imuarray.fuse.optimal.solve import Solution, solve
+from imuarray.fuse.optimal.smoother import Recorder
 from imuarray.fuse.optimal.states import states_of
-from imuarray.fuse.optimal.view import View
-from imuarray.fuse.optimal.warmth import Warmth
+from imuarray.fuse.pipeline import fused_block
+
+
+def learned_biases(axes: Sequence[Axis], of: ArrayFilter) -> list[LearnedBias]:
+    """Every axis's, in order."""
+    rows = of.states.rows(of.warmer_degc)[0][: len(axes)]
+    biases = rows @ of.belief.mean
+    spreads = [
+        np.sqrt(np.maximum(np.einsum("in,nk,ik->i", rows, covariance, rows), 0.0))
+        for covariance in (of.belief.covariance, of.states.prior)
+    ]
+    return [
+        LearnedBias(axis.label, float(bias), float(sd), float(sd_before))
+        for axis, bias, sd, sd_before in zip(axes, biases, *spreads, strict=True)
+    ]
+
+
+class Warmth:
+    """Follows the temperatures of the sensors, block after block; one that is not told stays as it was, and is that of
+    the bias before any was told.
+    """
+
+    def __init__(self, axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> None:
+        """`others` rows follow those of the axes, and are never warmer."""
+        self._sensors = [axis.sensor for axis in axes]
+        degc = [error.bias_degc for error in model.of(axes)]
+        self._bias_degc = np.array([np.nan if known is None else known for known in degc])
+        self._warmer = np.zeros(len(axes) + others)
+
+    def of(self, degc: Mapping[str, Floats]) -> Callable[[int], Floats]:
+        """(r,) by the frame of a block whose temperatures are `degc`, (n,) by sensor; frames are asked in order."""
+        return lambda frame: self._at({sensor: float(column[frame]) for sensor, column in degc.items()})
+
+    def _at(self, degc: Mapping[str, float]) -> Floats:
+        if not degc:
+            return self._warmer.copy()
+        now = np.array([degc.get(sensor, np.nan) for sensor in self._sensors])
+        self._bias_degc = np.where(np.isnan(self._bias_degc), now, self._bias_degc)
+        warmer = now - self._bias_degc
+        self._warmer[: len(now)] = np.where(np.isnan(warmer), self._warmer[: len(now)], warmer)
+        return self._warmer.copy()
+
 
 SEGMENT_S = 1.0
 """Over which slow errors are taken to stay as they are: short beside any of their time constants."""
@@ -200,3 +244,56 @@ def _acceleration(solutions: Mapping[str, Solution]) -> Estimate | None:
     if solution is None or solution.unknowns.shape[1] == 3:
         return None
     return Estimate(solution.unknowns[:, 3:], entries(solution.covariance[:, 3:, 3:]), solution.used)
+
+
+Gathered = tuple[Mapping[str, Frames], Mapping[str, Floats]]
+"""Frames by quantity, and the temperatures of their elements by sensor."""
+
+
+class AsTheyCome:
+    """A causal `Optimal` as a `Pipeline`: nothing is held back."""
+
+    def __init__(self, axes: Mapping[str, Sequence[Axis]], model: ErrorModel, period_s: float) -> None:
+        """FusionError for axes that the model does not know."""
+        self._axes = axes
+        self._optimal = Optimal(axes, model, period_s=period_s)
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
+        """See `Pipeline`."""
+        yield fused_block(next(iter(frames.values())).time, self._optimal(frames, degc), self._axes)
+
+    def finish(self) -> Iterator[FusedBlock]:
+        """Nothing."""
+        return iter(())
+
+    def told(self) -> Told:
+        """The slow errors of every axis as they are felt at the last frame."""
+        return Told(self._optimal.learned())
+
+
+class Gathering:
+    """A `Pipeline` that gives its frames as they are, for those who want them all."""
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Gathered]:
+        """See `Pipeline`."""
+        yield frames, degc
+
+    def finish(self) -> Iterator[Gathered]:
+        """Nothing."""
+        return iter(())
+
+
+def smoothed(
+    blocks: Callable[[], Iterator[Gathered]],
+    axes: Mapping[str, Sequence[Axis]],
+    model: ErrorModel,
+    period_s: float,
+    told: Callable[[Told], None] = lambda told: None,
+) -> Iterator[FusedBlock]:
+    """All frames by what all of them tell; `blocks` gives them from the beginning, and is asked twice. `told` hears at
+    the end which slow errors there were. FusionError.
+    """
+    optimal = Optimal(axes, model, period_s=period_s)
+    for time, estimates in optimal.smoothed(blocks):
+        yield fused_block(time, estimates, axes)
+    told(Told(optimal.learned()))

@@ -14,8 +14,7 @@ from imuarray.fuse.axes import Axis
 from imuarray.fuse.techniques import opposed as _opposed
 from imuarray.fuse.techniques import planes as _planes
 from imuarray.fuse.techniques import ranges as _ranges
-from imuarray.fuse.techniques.mean import mean
-from imuarray.fuse.techniques.technique import Maker, Technique
+from imuarray.fuse.techniques.technique import Maker, Technique, mean
 
 TECHNIQUES: Mapping[str, Maker] = MappingProxyType(
     {"mean": mean, "opposed": _opposed.opposed, "planes": _planes.planes, "ranges": _ranges.ranges}

@@ -1,14 +1,328 @@
-"""`opposed`: anti-parallel axes of one design show the error that all its units share; it is taken out."""
+"""What anti-parallel axes of one design can cancel of their errors, pair by pair, as a calibration tells it.
+
+The mean of a pair, one axis counted with the other's sign, keeps half the difference of the two errors (paper, section
+2.1): of the slopes with temperature, and of the biases.
+
+The error that all units of one design share along one box axis, as its anti-parallel axes show it.
+
+Axes along the box axis read ``truth + c + own error``, axes against it ``-truth + c + own error``: half the sum C of
+the two means is c whatever the truth is. So are even-order terms, for these have no sign (paper, section 2.1), and
+odd-order ones are no part of it. c is slow (temperature, supply), so it is low-passed and costs no noise.
+
+It is believed only as far as units that point the same way agree. With `n+` and `n-` axes and a within-way variance s2
+of the slow errors, C has an expected square of ``(2 c)^2 + s2 (1/n+ + 1/n-)``: where units share nothing,
+``F = C^2 / (s2 (1/n+ + 1/n-))`` follows Fisher's law with 1 and n+ + n- - 2 degrees of freedom. c is used from where F
+would be larger by chance with twice the probability `significance`, and in full from where it would be with that
+probability; and as C/2 times ``1 - 1/F``, the share of C^2 that the common part has in it. Where units share nothing
+this costs the average's drift less than 1 % (three axes).
+
+The level of the errors at the start (what is left of turn-on biases) and their change since then are judged apart:
+units that came up with biases of their own may well drift alike. Of the change, C^2 and s2 are variances in time, all
+since the start.
+
+`opposed`: anti-parallel axes of one design show the error that all its units share; it is taken out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import combinations
 
-from imuarray.fuse.axes import Axis, directions
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.calibrate import Calibration, SensorCalibration
+from imuarray.calibrate.opposed import cancelled
+from imuarray.calibrate.stability import BIAS
+from imuarray.fuse.axes import Axis, axes_of, directions
 from imuarray.fuse.frames import Estimate, Frames
-from imuarray.fuse.solve import SlowErrors, solve_frames, weighted
-from imuarray.fuse.techniques.common_mode import CommonMode, opposing_groups
+from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted
 from imuarray.fuse.techniques.technique import Technique, noise_of
+from imuarray.log import SensorLog
+
+_OPPOSED = -0.95
+"""Cosine of the angle between two axes that point in opposite directions."""
+
+_WITHIN = 1.96
+"""Standard errors to either side of a 95 % interval."""
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """An error of a pair: of one axis (`single`, mean of the two magnitudes) and what their mean in the box frame
+    keeps of it (`left`, standard error `left_sem`), in SI, slopes per degC.
+
+    `reduction` is how many times less that is, from `least` to `most` with 95 % (inf where nothing left is possible);
+    `p_value`: probability of such errors if opposing the axes gained nothing.
+    """
+
+    single: float
+    left: float
+    left_sem: float
+    reduction: float
+    least: float
+    most: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two axes ("Gyro1 y") of one `chip`, opposite along `box_axis`, and what they cancel of their drift with
+    temperature and of their bias; None where the calibration doesn't know that of both.
+
+    `is_bias` is False where a slope may be one of scale, which opposing doesn't cancel.
+    """
+
+    first: str
+    second: str
+    chip: str
+    box_axis: str
+    drift: Reduction | None
+    bias: Reduction | None
+    is_bias: bool = True
+
+
+def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Pair]:
+    """Every pair of opposing axes of two of `sensors` (of one quantity) of one design, by their calibrated directions;
+    measuring ranges may differ.
+    """
+    known = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
+    return [
+        Pair(
+            first.label,
+            second.label,
+            first.chip,
+            "XYZ"[int(np.abs(first.direction_box).argmax())],
+            _drift(known[first.sensor], first.index, known[second.sensor], second.index),
+            _bias(known[first.sensor], first.index, known[second.sensor], second.index),
+            all(_is_bias(known[axis.sensor], axis.index) for axis in (first, second)),
+        )
+        for first, second in _opposing(axes_of(sensors, calibration))
+    ]
+
+
+def _opposing(axes: Sequence[Axis]) -> Iterator[tuple[Axis, Axis]]:
+    for first, second in combinations(axes, 2):
+        alike = first.chip == second.chip and first.sensor != second.sensor
+        if alike and np.dot(first.direction_box, second.direction_box) < _OPPOSED:
+            yield first, second
+
+
+def _is_bias(known: SensorCalibration, index: int) -> bool:
+    return known.thermal is None or known.thermal.meaning[index] == BIAS
+
+
+def _drift(first: SensorCalibration, i: int, second: SensorCalibration, j: int) -> Reduction | None:
+    if first.thermal is None or second.thermal is None:
+        return None
+    return _reduction(
+        first.thermal.slope_lsb_per_degc[i] / first.lsb_per_si[i],
+        second.thermal.slope_lsb_per_degc[j] / second.lsb_per_si[j],
+        first.thermal.slope_sem_lsb_per_degc[i] / first.lsb_per_si[i],
+        second.thermal.slope_sem_lsb_per_degc[j] / second.lsb_per_si[j],
+    )
+
+
+def _bias(first: SensorCalibration, i: int, second: SensorCalibration, j: int) -> Reduction | None:
+    if first.bias_sem_lsb is None or second.bias_sem_lsb is None:
+        return None
+    return _reduction(
+        first.bias_lsb[i] / first.lsb_per_si[i],
+        second.bias_lsb[j] / second.lsb_per_si[j],
+        first.bias_sem_lsb[i] / first.lsb_per_si[i],
+        second.bias_sem_lsb[j] / second.lsb_per_si[j],
+    )
+
+
+def _reduction(first: float, second: float, sem_first: float, sem_second: float) -> Reduction:
+    """By standard errors of zero the interval is the figure itself."""
+    tiny = np.finfo(float).tiny
+    left, sem, reduction, p_value, _ = cancelled(first, second, max(sem_first, tiny), max(sem_second, tiny))
+    single = (abs(first) + abs(second)) / 2
+    low, high = abs(left) - _WITHIN * sem, abs(left) + _WITHIN * sem
+    return Reduction(
+        float(single),
+        float(left),
+        float(sem),
+        float(reduction),
+        float(single / high) if high > 0 else np.inf,
+        float(single / low) if low > 0 else np.inf,
+        float(p_value),
+    )
+
+
+Floats = npt.NDArray[np.float64]
+
+SMOOTHING_S = 10.0
+"""Time constant of the low-pass."""
+
+_JUDGED = 6.0
+"""The change is judged by what is left of it behind a low-pass of so many times that; so noise hardly counts."""
+
+_SIGNIFICANCE = 0.05
+_LOST_OF_THREE = 0.125
+"""What `significance` reckons with for one axis along and two against."""
+
+
+@dataclass(frozen=True)
+class OpposingGroup:
+    """Axes (indices) of one design that point along, and against, one box axis."""
+
+    along: tuple[int, ...]
+    against: tuple[int, ...]
+    box_axis: str = ""
+
+
+def opposing_groups(axes: Sequence[Axis]) -> list[OpposingGroup]:
+    """Every design and box axis that has axes both ways, but not equally many: those balance each other in the
+    average.
+    """
+    rows = directions(axes)
+    main = np.abs(rows).argmax(axis=1)
+    groups: dict[tuple[str, int], tuple[list[int], list[int]]] = {}
+    for index, axis in enumerate(axes):
+        ways = groups.setdefault((axis.chip, int(main[index])), ([], []))
+        ways[0 if rows[index, main[index]] > 0 else 1].append(index)
+    return [
+        OpposingGroup(tuple(along), tuple(against), "XYZ"[axis])
+        for (_, axis), (along, against) in groups.items()
+        if 0 < len(along) != len(against) > 0
+    ]
+
+
+@cache
+def significance(along: int, against: int) -> float:
+    """Chance that so many axes each way, which share nothing, are believed to share a drift.
+
+    5 % of three axes; less the more the average would lose by it: a wrong c adds the variance of C/2 times the square
+    of the imbalance ``(n- - n+) / n`` to an average that has s2/n.
+    """
+    lost = (1 / along + 1 / against) * (against - along) ** 2 / (4 * (along + against))
+    return _SIGNIFICANCE * min(1.0, _LOST_OF_THREE / lost) ** 2 if lost else _SIGNIFICANCE
+
+
+@cache
+def _limits(along: int, against: int) -> tuple[float, float]:
+    """F from which a common error is used, and used in full."""
+    from scipy.special import fdtri  # the inverse of Fisher's F without the weight of scipy.stats
+
+    chance = significance(along, against)
+    low, high = fdtri(1, along + against - 2, [1 - 2 * chance, 1 - chance])
+    return float(low), float(high)
+
+
+class CommonMode:
+    """The running estimate of one group's common error; fed with consecutive blocks."""
+
+    def __init__(self, group: OpposingGroup, seconds: float = SMOOTHING_S) -> None:
+        self.members = [*group.along, *group.against]
+        self._along = len(group.along)
+        self._slow = Smoother(seconds, len(self.members))
+        self._slower = Smoother(_JUDGED * seconds, len(self.members))
+        self._freedom = len(self.members) - 2
+        self._spread = 1 / len(group.along) + 1 / len(group.against)
+        self._limits = _limits(len(group.along), len(group.against))
+        self._level = np.zeros(len(self.members))
+        self._seen = 0
+        self._sums = np.zeros((2, 1 + len(self.members)))
+
+    def estimate(self, time: npt.NDArray[np.int64], residual: Floats, valid: npt.NDArray[np.bool_]) -> Floats:
+        """(n,) the common error in the unit of `residual` (n, m): axis values less what the average triad explains."""
+        errors = np.where(valid[:, self.members], residual[:, self.members], np.nan)
+        slow = self._slow(time, errors)
+        begin = self._slow.begin  # the level is what the low-pass held first
+        if begin < len(slow) and self._seen == 0:
+            self._level = slow[begin].copy()
+        level = np.concatenate([slow[:begin], np.broadcast_to(self._level, (len(slow) - begin, len(self.members)))])
+        parts = self._parts(level)
+        common = self._trust(parts**2) * parts[:, 0] / 2
+        if begin < len(slow):
+            change = slow[begin:] - self._level
+            judged = self._parts(self._slower(time[begin:], change))
+            common[begin:] += self._trust(self._variances(judged)) * self._parts(change)[:, 0] / 2
+        return np.asarray(common)
+
+    def _parts(self, errors: Floats) -> Floats:
+        """(n, 1 + m) the sum of both ways' means, and what each axis differs by from its way's."""
+        ways = errors[:, : self._along], errors[:, self._along :]
+        total = sum((way.mean(axis=1, keepdims=True) for way in ways), np.zeros((len(errors), 1)))
+        return np.concatenate([total, *(way - way.mean(axis=1, keepdims=True) for way in ways)], axis=1)
+
+    def _variances(self, parts: Floats) -> Floats:
+        """(n, 1 + m) sums of squares about the mean in time, of all rows so far."""
+        sums = self._sums[:, None, :] + np.cumsum([parts, parts**2], axis=1)
+        number = self._seen + np.arange(1, len(parts) + 1)[:, None]
+        if len(parts):
+            self._seen, self._sums = int(number[-1, 0]), sums[:, -1]
+        return np.asarray(np.maximum(sums[1] - sums[0] ** 2 / number, 0))
+
+    def _trust(self, squares: Floats) -> Floats:
+        """(n,) how far the common part is believed, 0 to 1, by the squares (n, 1 + m) of `_parts`."""
+        own = squares[:, 1:].sum(axis=1) / self._freedom * self._spread
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(squares[:, 0] > 0, squares[:, 0] / own, 0.0)
+            low, high = np.log(self._limits)
+            surely = np.clip((np.log(ratio) - low) / (high - low), 0, 1)
+        return np.asarray(surely * (1 - 1 / np.maximum(ratio, 1.0)))
+
+
+class Smoother:
+    """First-order low-pass over consecutive blocks of rows (n, k); at first, the mean of what there is.
+
+    A running mean becomes the exponential one after the time constant: no transient from an arbitrary start. As many
+    rows as came until then are the time constant from then on. NaN keeps the value before it.
+    """
+
+    def __init__(self, seconds: float, columns: int) -> None:
+        from scipy.signal import lfilter  # its weight is for those who ask, and not while rows come
+
+        self._filter = lfilter
+        self.begin = 0
+        """Row of the last block from which the mean was exponential, its length if none was."""
+        self._span_ns = seconds * 1e9
+        self._first_ns: int | None = None
+        self._rows_held = 0
+        self._seen = 0
+        self._state = np.zeros(columns)
+        self._last = np.zeros(columns)
+
+    def __call__(self, time: npt.NDArray[np.int64], rows: Floats) -> Floats:
+        """Low-passed `rows`, taken at `time` (n,) ns."""
+        held = self._hold(rows)
+        begin = self.begin = self._begin(time)
+        out = np.empty_like(held)
+        if begin:
+            counts = self._seen + np.arange(1, begin + 1)[:, None]
+            out[:begin] = (self._state * self._seen + np.cumsum(held[:begin], axis=0)) / counts
+            self._state = out[begin - 1]
+        if begin < len(held):
+            gain = 1 / self._rows_held
+            start = (1 - gain) * self._state[None, :]
+            out[begin:], _ = self._filter([gain], [1, gain - 1], held[begin:], axis=0, zi=start)
+            self._state = out[-1]
+        self._seen += len(held)
+        return out
+
+    def _begin(self, time: npt.NDArray[np.int64]) -> int:
+        """The first row beyond the running mean."""
+        if self._rows_held or len(time) == 0:
+            return 0
+        self._first_ns = int(time[0]) if self._first_ns is None else self._first_ns
+        begin = int(np.searchsorted(time, self._first_ns + self._span_ns))
+        self._rows_held = self._seen + begin if begin < len(time) else 0
+        return begin
+
+    def _hold(self, rows: Floats) -> Floats:
+        """`rows` with the last finite value in place of NaN."""
+        known = np.isfinite(rows)
+        source = np.maximum.accumulate(np.where(known, np.arange(len(rows))[:, None], -1), axis=0)
+        if len(rows) == 0:
+            return rows
+        held = np.where(source >= 0, np.take_along_axis(rows, np.maximum(source, 0), axis=0), self._last)
+        self._last = held[-1]
+        return held
 
 
 def opposed(axes: Sequence[Axis]) -> Technique:

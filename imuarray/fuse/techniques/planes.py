@@ -16,7 +16,7 @@ import numpy as np
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Floats, Frames
-from imuarray.fuse.solve import SlowErrors, solve_frames, weighted
+from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
 from imuarray.units import READABLE_SI
 

@@ -1,4 +1,7 @@
-"""What a technique is, and what is asked of the axes that some of them weigh."""
+"""What a technique is, and what is asked of the axes that some of them weigh.
+
+`mean`: every axis weighs the same.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from imuarray.errors import FusionError
-from imuarray.fuse.axes import Axis
+from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Floats, Frames
-from imuarray.fuse.solve import SlowErrors, weighted, whole_gain
+from imuarray.fuse.least_squares import SlowErrors, weighted, whole_gain
 
 Technique = Callable[[Frames], Estimate]
 """Frames of one quantity, block after block in order, to their estimate; the result does not depend on the blocks."""
@@ -71,3 +74,8 @@ def known_noise_of(axes: Sequence[Axis]) -> Floats:
         if not axis.noise_si > 0:
             raise FusionError(f"sensor {axis.sensor} axis {'xyz'[axis.index]}: noise {axis.noise_si}: it is stuck")
     return noise_of(axes)
+
+
+def mean(axes: Sequence[Axis]) -> Technique:
+    """The simple average of the literature (paper, section 2): the yardstick."""
+    return FixedWeights(directions(axes), np.ones(len(axes)), noise_of(axes), SlowErrors(axes))

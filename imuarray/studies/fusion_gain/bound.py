@@ -43,7 +43,7 @@ from imuarray.calibrate.stability import BIAS, Drift, Thermal, TurnOn
 from imuarray.errors import FusionError
 from imuarray.fuse import Frames, FusedBlock, aligned
 from imuarray.fuse.frames import entries
-from imuarray.fuse.optimal.readings import patterns
+from imuarray.fuse.optimal.geometry import patterns
 from imuarray.log import Log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate import EFFECTS

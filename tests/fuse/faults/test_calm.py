@@ -9,7 +9,7 @@ import pytest
 
 from imuarray.fuse import Frames
 from imuarray.fuse.faults import FaultMonitor
-from imuarray.fuse.faults.judge import Judge
+from imuarray.fuse.faults.fault_isolation import Judge
 from tests.fuse.faults.conftest import QUANTITIES, Floats, Run, faulty, simulated, watched
 
 

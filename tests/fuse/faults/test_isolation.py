@@ -15,7 +15,7 @@ import pytest
 from imuarray.fuse import Frames
 from imuarray.fuse.axes import directions
 from imuarray.fuse.faults import FaultEvent, FaultMonitor
-from imuarray.fuse.solve import weighted
+from imuarray.fuse.least_squares import weighted
 from tests.fuse.faults.conftest import (
     ACCELEROMETERS,
     GYROSCOPES,

@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from imuarray.fuse.faults.normal import Floats, Normal
-from imuarray.fuse.faults.parity import Spaces
-from imuarray.fuse.faults.window import Window, look
+from imuarray.fuse.faults.window import Spaces, Window, look
 
 ROWS = np.tile(np.eye(3), (3, 1))
 PERIOD_S = 0.01

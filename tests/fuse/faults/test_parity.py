@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.fuse.faults.parity import Floats, Parity, parity
+from imuarray.fuse.faults.window import Floats, Parity, parity
 
 
 def drawn(seed: int, sensors: int) -> tuple[Floats, Floats, Floats]:

@@ -9,7 +9,7 @@ from scipy.stats import norm, truncnorm
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Frames, matrices
 from imuarray.fuse.optimal import AxisErrors, ErrorModel, Optimal
-from imuarray.fuse.optimal.censoring import truncated
+from imuarray.fuse.optimal.frame_solution import truncated
 from tests.fuse.optimal.conftest import FORCE, PERIOD_S, model_of, times, triad
 
 END = 0.98 * 10.0

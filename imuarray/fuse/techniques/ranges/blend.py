@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.frames import Estimate, Flags, Floats, Frames, entries
-from imuarray.fuse.solve import SlowErrors, frame_gains, solve_frames, weighted
+from imuarray.fuse.least_squares import SlowErrors, frame_gains, solve_frames, weighted
 from imuarray.fuse.techniques.ranges.fading import Fading, has_low_range
-from imuarray.fuse.techniques.ranges.moments import GAP_S, Rows
-from imuarray.fuse.techniques.ranges.relative import States, Tracker
+from imuarray.fuse.techniques.ranges.relative import GAP_S, Rows, States, Tracker
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
 
 FOLLOWED_PERIODS = 3

@@ -1,4 +1,8 @@
-"""What each axis reads otherwise than the blend of all: a bias, a scale and a delay, tracked while all are trusted.
+"""The weighted means of any set of an array's axes, and what shows of each axis' error against them.
+
+Sums over segments of frames that tell what each axis reads otherwise than the blend of all.
+
+What each axis reads otherwise than the blend of all: a bias, a scale and a delay, tracked while all are trusted.
 
 Of an axis along ``r`` the residual against the blend B of all axes is ::
 
@@ -16,18 +20,164 @@ learned; what was known stays, and grows uncertain.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Flags, Floats
-from imuarray.fuse.techniques.ranges.blends import Blends
+from imuarray.fuse.frames import Flags, Floats, Times
+from imuarray.fuse.least_squares import whole_gain
 from imuarray.fuse.techniques.ranges.fading import UNKNOWN_BANDWIDTH_HZ
-from imuarray.fuse.techniques.ranges.moments import SEGMENT, Moments, Rows, moments
 from imuarray.units import READABLE_SI
+
+
+class Blend(NamedTuple):
+    """Of a set of axes: the gain (3, m), the noise (m,) of its triad along each axis, and of the residuals their
+    variance (m,) and how much of every axis' error is in them: `apart` (m, m), `share` (m,) its sums of squares.
+    `seen` (m,): there is something to see.
+    """
+
+    gain: Floats
+    along: Floats
+    variance: Floats
+    share: Floats
+    apart: Floats
+    seen: Flags
+
+    def level(self, differences: Floats, rows: Floats) -> Floats:
+        """(..., m, 3) What of the differences (..., m, 3: bias, scale, delay) of the axes is the blend's own, along
+        each axis: nothing, if they were told by this blend.
+        """
+        bias = differences[..., 0] @ self.gain.T @ rows.T
+        mixed = (np.einsum("im,...m,mj->...ij", self.gain, differences[..., column], rows) for column in (1, 2))
+        return np.stack([bias, *(np.einsum("mi,...ij,mj->...m", rows, turned, rows) for turned in mixed)], axis=-1)
+
+
+class Blends:
+    """The blends of axes along `rows` (m, 3), with `weights` and `noise` (m,), by which of them are there."""
+
+    def __init__(self, rows: Floats, weights: Floats, noise: Floats) -> None:
+        self._rows, self._weights, self._noise = rows, weights, noise
+        self._known: dict[bytes, Blend | None] = {}
+
+    def of(self, present: npt.NDArray[np.bool_]) -> Blend | None:
+        """The blend of the axes `present` (m,); None if they don't span space."""
+        key = present.tobytes()
+        if key not in self._known:
+            spans = present.any() and np.linalg.matrix_rank(self._rows[present], tol=1e-3) == 3
+            self._known[key] = self._of(present) if spans else None
+        return self._known[key]
+
+    def _of(self, present: npt.NDArray[np.bool_]) -> Blend:
+        gain = whole_gain(self._weights * present, self._rows)
+        through = self._rows @ gain
+        apart = (np.eye(len(through)) - through) * present[:, None] * present
+        variance, share = apart**2 @ self._noise**2, (apart**2).sum(axis=1)
+        return Blend(gain, np.sqrt(through**2 @ self._noise**2), variance, share, apart, share > 1e-6)
+
+
+SEGMENT = 64
+"""Frames that are looked at together."""
+
+GAP_S = 0.5
+"""Two frames further apart than this tell no slope."""
+
+_ENOUGH = 10.0
+"""Times its noise that a motion's mean square must have: with less, the noise of the regressor would weaken the result
+by more than a tenth.
+"""
+
+_FEWEST = 8
+
+
+class Rows(NamedTuple):
+    """n frames to learn from: time (n,), values and valid (n, m); `steady` (n,): no sensor is on its way out or in."""
+
+    time: Times
+    values: Floats
+    valid: Flags
+    steady: Flags
+
+    def then(self, other: Rows) -> Rows:
+        """These rows and then the others."""
+        return Rows(
+            np.concatenate([self.time, other.time]),
+            np.concatenate([self.values, other.values]),
+            np.concatenate([self.valid, other.valid]),
+            np.concatenate([self.steady, other.steady]),
+        )
+
+    def part(self, rows: slice) -> Rows:
+        """Some of the rows."""
+        return Rows(self.time[rows], self.values[rows], self.valid[rows], self.steady[rows])
+
+
+class Moments(NamedTuple):
+    """Of one segment: when it ended (ns), the axes present (m,), which of them moved enough to tell more than a bias
+    (m,); sums of products of 1, signal and the effect of a delay (m, 3, 3), and of these with the residual (m, 3); all
+    zero where it tells nothing.
+    """
+
+    end_ns: int
+    present: Flags
+    moved: Flags
+    products: Floats
+    residual: Floats
+
+
+def moments(rows: Rows, directions: Floats, blends: Blends) -> Iterator[Moments]:
+    """The sums over each whole segment. A frame counts if it is steady, as its neighbours are, and no axis that is
+    present in the segment is missing in it.
+    """
+    count = len(rows.time) // SEGMENT
+    if not count:
+        return
+    shape, axes = (count, SEGMENT), len(directions)
+    time_s = ((rows.time - rows.time[0]) * 1e-9).reshape(shape)
+    valid, steady = rows.valid.reshape(*shape, axes), rows.steady.reshape(shape)
+    present = np.asarray((valid & steady[:, :, None]).any(axis=1))
+    taken = steady & (valid | ~present[:, None, :]).all(axis=2)
+    values = np.where(valid, rows.values.reshape(*shape, axes), 0.0)
+    found = [blends.of(some) for some in present]
+    gain = np.array([np.zeros((3, axes)) if blend is None else blend.gain for blend in found])
+    noise = np.array([np.zeros(axes) if blend is None else blend.along for blend in found])
+    triads = values @ gain.transpose(0, 2, 1)
+    passed_s = np.maximum(time_s[:, 2:] - time_s[:, :-2], 1e-9)
+    taken = taken[:, 1:-1] & taken[:, :-2] & taken[:, 2:] & (passed_s <= GAP_S)
+    late = -(triads[:, 2:] - triads[:, :-2]) / passed_s[:, :, None] @ directions.T
+    along = triads[:, 1:-1] @ directions.T
+    moved, products, residual = _sums(along, late, values[:, 1:-1] - along, taken, noise, passed_s.mean(axis=1))
+    for index, blend in enumerate(found):
+        told = np.zeros(axes) if blend is None or taken[index].sum() < _FEWEST else blend.seen * 1.0
+        end_ns = int(rows.time[(index + 1) * SEGMENT - 1])
+        sums = products[index] * told[:, None, None], residual[index] * told[:, None]
+        yield Moments(end_ns, present[index], moved[index], *sums)
+
+
+def _sums(
+    along: Floats, late: Floats, residual: Floats, taken: Flags, noise: Floats, passed_s: Floats
+) -> tuple[Flags, Floats, Floats]:
+    """Which axes moved (k, m); sums over the frames `taken` (k, n) of each segment: products of 1, signal and effect of
+    a delay (k, m, 3, 3), and of these with the residual (k, m, 3).
+
+    A signal that moves too little against its `noise` (k, m) is as good as its mean, a slope as good as none.
+    """
+    one = taken[:, :, None].astype(float)
+    count = np.maximum(one.sum(axis=1), 1.0)
+    mean = (along * one).sum(axis=1) / count
+    moving = ((along - mean[:, None]) ** 2 * one).sum(axis=1) > _ENOUGH * count * noise**2
+    along = np.where(moving[:, None], along, mean[:, None])
+    jitter = 2 * (noise / passed_s[:, None]) ** 2
+    rising = (late**2 * one).sum(axis=1) > _ENOUGH * count * jitter
+    late = np.where(rising[:, None], late, 0.0)
+    columns = (np.broadcast_to(one, along.shape), along * one, late * one)
+    plain = (np.ones_like(along), along, late, residual)
+    sums = np.array([[(left * right).sum(axis=1) for right in plain] for left in columns])
+    return moving, np.moveaxis(sums[:, :3], (0, 1), (2, 3)), np.moveaxis(sums[:, 3], 0, 2)
+
 
 MEMORY_S = 20.0
 """How far back the bias looks."""

@@ -1,4 +1,9 @@
-"""The decisions: window by window, who is left out, why, and who comes back."""
+"""Sensors whose readings the log's own flags rule out, or that are not there at all, for long enough to be told.
+
+Triads whose readings don't change: stuck, or so coarse that their noise has vanished.
+
+The decisions: window by window, who is left out, why, and who comes back.
+"""
 
 from __future__ import annotations
 
@@ -8,25 +13,131 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.faults.baseline import Baseline
-from imuarray.fuse.faults.calm import Stretch
 from imuarray.fuse.faults.events import UNIT
-from imuarray.fuse.faults.exclusions import Exclusion, agreeing, needs
-from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Suspect, strongest
-from imuarray.fuse.faults.kinds import Beside, Kind, Ranges, beside, kind_of, reset_to
+from imuarray.fuse.faults.exclusions import Exclusion, Telling, agreeing, needs
+from imuarray.fuse.faults.fast_path import Stretch
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, strongest, told_apart
+from imuarray.fuse.faults.kinds import QUIET, Beside, Kind, Ranges, beside, kind_of, reset_to
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.parity import Spaces
-from imuarray.fuse.faults.rivals import told_apart
-from imuarray.fuse.faults.silence import Silence
-from imuarray.fuse.faults.stillness import QUIETEST, Stillness
-from imuarray.fuse.faults.telling import Telling
-from imuarray.fuse.faults.window import Look, Window, look
-from imuarray.fuse.solve import spans
+from imuarray.fuse.faults.window import Look, Spaces, Window, look
+from imuarray.fuse.least_squares import spans
 from imuarray.fuse.techniques.technique import noise_of
 from imuarray.units import SI_PER_UNIT
 
-Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
+
+SILENT_S = 1.0
+
+
+class Silence:
+    """Counts windows without valid readings, by sensor."""
+
+    def __init__(self, sensors: int, window_s: float) -> None:
+        self._window_s = window_s
+        self._patience = max(1, round(SILENT_S / window_s))
+        self._absent = np.zeros(sensors, int)
+        self._heard = np.zeros(sensors, int)
+        self._told = np.zeros(sensors, bool)
+
+    @property
+    def anybody(self) -> bool:
+        """Whether anybody is silent."""
+        return bool(self._told.any())
+
+    def all_heard(self) -> None:
+        """A window in which every sensor has enough readings, none being silent."""
+        self._absent[:] = 0
+        self._heard += 1
+
+    def __call__(self, present: Flags, time_ns: int, telling: Telling) -> None:
+        """Takes the axes (m,) that have enough readings in the next window."""
+        there = present.reshape(-1, 3).any(axis=1)
+        self._absent = np.where(there, 0, self._absent + 1)
+        self._heard = np.where(there, self._heard + 1, 0)
+        for sensor in np.flatnonzero(~self._told & (self._absent >= self._patience)).tolist():
+            telling.silent(sensor, self._patience * self._window_s, time_ns)
+            self._told[sensor] = True
+        for sensor in np.flatnonzero(self._told & (self._heard >= self._patience)).tolist():
+            telling.back(sensor, time_ns)
+            self._told[sensor] = False
+
+
+Floats = npt.NDArray[np.float64]
+
+_KNOWN_WINDOWS = 20
+"""So many windows tell what is normal for a sensor."""
+
+_RARE = 1e-3
+"""A sensor is judged by its changes only if no more than this share of its windows was quiet by itself: where noise is
+less than a count, windows without a change are normal; so are stale ones where a chip is slower than the frames."""
+
+_SHORT = 3
+"""Runs of no more windows may be what a sensor does by itself."""
+
+QUIETEST = 0.2
+"""A window with less than this share of the usual changes may hold the begin or the end of a standstill: nothing is
+learnt of noise from it."""
+
+
+class Stillness:
+    """Which sensors stand still, by two windows in a row; what is normal is learnt of the windows before."""
+
+    def __init__(self, sensors: int) -> None:
+        self._quiet, self._stale = _Runs(sensors), _Runs(sensors)
+
+    @property
+    def standing(self) -> Flags:
+        """(s,) the sensors that show no change in the last window."""
+        return np.asarray((self._quiet.length > 0) | (self._stale.length > 0))
+
+    def __call__(self, window: Window, normal: Normal) -> Flags:
+        """(s,) the sensors that stood still in this window and in the one before."""
+        share = (window.changes / normal.change).reshape(-1, 3).mean(axis=1)
+        whole: Flags = np.asarray(window.valid.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
+        stale: Flags = np.zeros(len(share), bool)
+        if window.stale is not None:
+            stale = np.asarray(window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
+        return self._quiet(whole & (share < QUIET), whole) | self._stale(whole & stale, whole)
+
+    def moves(self, changes: Floats, normal: Normal) -> bool:
+        """Whether no sensor stood still in the window before nor does in this one, of which every reading is there and
+        none is stale: its mean squares of `changes` (m,).
+        """
+        if self._quiet.any or self._stale.any:
+            return False
+        share = (changes / normal.change).reshape(-1, 3).sum(axis=1)
+        return bool(share.min() >= 3 * QUIET)
+
+    def moved(self) -> None:
+        """Counts such a window."""
+        self._quiet.pass_by()
+        self._stale.pass_by()
+
+
+class _Runs:
+    """Runs of windows that show something unusual, by sensor; and how usual it is."""
+
+    def __init__(self, sensors: int) -> None:
+        self.length = np.zeros(sensors, int)
+        self.any = False
+        self._windows = np.zeros(sensors)
+        self._by_itself = np.zeros(sensors)
+
+    def pass_by(self) -> None:
+        """A window that shows it of no sensor, after one that did not either."""
+        self._windows += 1
+
+    def __call__(self, shows: Flags, judged: Flags) -> Flags:
+        """(s,) the sensors for which this window and the one before show it, though that is unusual."""
+        usual = self._by_itself > _RARE * self._windows
+        ended = ~shows & judged
+        self._by_itself += np.where(ended & ((self.length <= _SHORT) | usual), self.length, 0)
+        self.length = np.where(shows, self.length + 1, np.where(judged, 0, self.length))
+        self.any = bool(self.length.any())
+        self._windows += judged & ~shows
+        return np.asarray(~usual & (self._windows >= _KNOWN_WINDOWS) & (self.length == 2))
+
+
 Times = npt.NDArray[np.int64]
 
 _MOST = 4

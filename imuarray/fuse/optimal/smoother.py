@@ -1,4 +1,6 @@
-"""The slow errors of a log with all that its frames say: back over the filter's steps.
+"""A stack of arrays on the disk: what a smoother has to keep of a log does not stay in memory.
+
+The slow errors of a log with all that its frames say: back over the filter's steps.
 
 The filter puts its steps on a spool, with what it believed at every `_STRIDE`th; from there the beliefs between are
 worked out again on the way back, so that memory holds those of one stride. The results lie on a second spool, the
@@ -7,15 +9,65 @@ first segment on top.
 
 from __future__ import annotations
 
+import math
+import struct
+from collections.abc import Sequence
+from tempfile import TemporaryFile
+
 import numpy as np
 
 from imuarray.fuse.frames import Floats
 from imuarray.fuse.optimal.filter import Step
+from imuarray.fuse.optimal.frame_solution import View, view_of
 from imuarray.fuse.optimal.geometry import Geometry
-from imuarray.fuse.optimal.kalman import Adjoint, Innovation, Normal, backwards, corrected, predicted, smoothed
-from imuarray.fuse.optimal.spool import Spool
-from imuarray.fuse.optimal.states import States
-from imuarray.fuse.optimal.view import View, view_of
+from imuarray.fuse.optimal.states import Adjoint, Innovation, Normal, States, backwards, corrected, predicted, smoothed
+
+_PLACE = struct.Struct("<qq")
+"""Behind a group: the length of its head, the shapes, and where the group begins."""
+
+
+class Spool:
+    """Groups of arrays, last in, first out, in a temporary file that nobody else sees and that ends with the object."""
+
+    def __init__(self) -> None:
+        self._file = TemporaryFile()  # noqa: SIM115, it lives as long as the spool
+        self._end = 0
+
+    def __bool__(self) -> bool:
+        """Whether there is anything on it."""
+        return self._end > 0
+
+    def push(self, arrays: Sequence[Floats]) -> None:
+        """Put a group on top."""
+        shapes = [array.shape for array in arrays]
+        parts = [np.ascontiguousarray(array, np.float64).tobytes() for array in arrays]
+        head = np.array([number for shape in shapes for number in (len(shape), *shape)], np.int64).tobytes()
+        self._file.seek(self._end)
+        self._file.write(b"".join((*parts, head, _PLACE.pack(len(head), self._end))))
+        self._end = self._file.tell()
+
+    def pop(self) -> list[Floats]:
+        """Take the topmost group; IndexError if there is none."""
+        if not self:
+            raise IndexError("nothing is on the spool")
+        self._file.seek(self._end - _PLACE.size)
+        head_bytes, start = _PLACE.unpack(self._file.read(_PLACE.size))
+        self._file.seek(start)
+        content = self._file.read(self._end - start - _PLACE.size)
+        head = iter(np.frombuffer(content[len(content) - head_bytes :], np.int64).tolist())
+        arrays, at = [], 0
+        for dimensions in head:
+            shape = tuple(next(head) for _ in range(dimensions))
+            size = math.prod(shape)
+            arrays.append(np.frombuffer(content, np.float64, size, at).reshape(shape))
+            at += 8 * size
+        self._end = start
+        return arrays
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._file.close()
+
 
 _STRIDE = 32
 

@@ -6,7 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
-from imuarray.fuse.optimal.learned import LearnedBias
+
+@dataclass(frozen=True)
+class LearnedBias:
+    """The slow error of one axis as it is felt now, in m/s2 or rad/s along the axis: all states but those of its
+    response. `sd_before`: its standard deviation had the log told nothing.
+    """
+
+    axis: str
+    bias: float
+    sd: float
+    sd_before: float
 
 
 @dataclass(frozen=True)

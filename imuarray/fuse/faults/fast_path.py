@@ -19,9 +19,8 @@ import numpy.typing as npt
 
 from imuarray.fuse.faults.exclusions import AGREES
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, least_energy_limit
-from imuarray.fuse.faults.lever import slopes
 from imuarray.fuse.faults.normal import STATES, Normal
-from imuarray.fuse.faults.parity import Parity
+from imuarray.fuse.faults.window import Parity, slopes
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -146,7 +145,7 @@ class Stretch:
 
 def _inverse(normal: Floats) -> Floats | None:
     """(3, 3) of a symmetric matrix by its cofactors, several times faster than a general one; None where the axes with
-    this normal matrix don't tell all of a triad (as `imuarray.fuse.solve.spans`).
+    this normal matrix don't tell all of a triad (as `imuarray.fuse.least_squares.spans`).
     """
     (a, b, c), (_, d, e), (_, _, f) = normal.tolist()
     first, second, third = d * f - e * e, c * e - b * f, b * e - c * d

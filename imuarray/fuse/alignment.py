@@ -1,0 +1,402 @@
+"""Rows of one sensor as they come, kept as long as they are wanted.
+
+The times of the frames: those of a sensor that is read in the middle of them, and of others while it is silent.
+
+Cubic splines that know where their data pauses.
+
+All sensor axes of one quantity on one time grid: a pure function of the readings around it.
+
+Each sensor gives its nearest reading within half a frame, which was made some time before it was read; what the motion
+did between the instant of the frame and that one is taken out with the slope of the array's own mean, which is far
+quieter than one sensor, so that no reading is smoothed by its neighbours (and of which a sensor that fails does not get
+hold: `consensus.py`). Values are calibrated, in SI, along each
+sensor axis, with the bias at the temperature of the reading where that is known.
+
+The slope m' of a spline through white noise scatters by 1.18 a frame, and makes the mean of readings whose mean delay
+is d noisier by ``9 (2 / sqrt 3 - 1) d^2`` of its variance, d in frames. The curvature m'' goes against the noise of the
+mean itself, by ``-6 (sqrt 3 - 1)`` of its variance: a part ``K d^2 m''`` of the second order of Taylor's series, whose
+half is wanted, with ``K = 3/8 (1 - 1 / sqrt 3)``, takes back what the slope added, but for terms in d^4, and the
+motion is followed the better for it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_banded
+
+from imuarray.calibrate import SensorCalibration
+from imuarray.errors import FusionError
+from imuarray.fuse.frames import Flags, Floats, Frames, Times
+from imuarray.fuse.least_squares import consensus
+from imuarray.log import Block
+from imuarray.log.format import SATURATED, STALE, SUSPECT
+
+FOREVER_NS = 1 << 62
+"""Later than any time of a log."""
+
+
+class Rows:
+    """A window that slides over one sensor's rows: `append` at its end, `forget` at its beginning."""
+
+    def __init__(self) -> None:
+        self._parts: list[Block] = []
+        self.newest_ns = -FOREVER_NS
+        self.ended = False
+        """Nothing comes any more."""
+
+    def append(self, block: Block) -> None:
+        """Rows that follow those that are there; ValueError if they don't."""
+        if len(block.time) == 0:
+            return
+        if block.time[0] <= self.newest_ns:
+            raise ValueError(f"row at {block.time[0]} ns comes after one at {self.newest_ns} ns")
+        self._parts.append(block)
+        self.newest_ns = int(block.time[-1])
+
+    def __len__(self) -> int:
+        return sum(len(part.time) for part in self._parts)
+
+    @property
+    def block(self) -> Block | None:
+        """All rows that are kept; None if there are none."""
+        if len(self._parts) > 1:
+            self._parts = [joined(self._parts)]
+        return self._parts[0] if self._parts else None
+
+    def forget(self, before_ns: int) -> None:
+        """Let go of the rows before a time."""
+        kept = [part for part in self._parts if part.time[-1] >= before_ns]
+        if kept and (first := int(np.searchsorted(kept[0].time, before_ns))):
+            kept[0] = cut(kept[0], slice(first, None))
+        self._parts = kept
+
+
+def joined(parts: list[Block]) -> Block:
+    """Rows one after the other. All parts have the same columns."""
+    first = parts[0]
+    degrees = [part.temperature_counts for part in parts if part.temperature_counts is not None]
+    return Block(
+        np.concatenate([part.time for part in parts]),
+        np.concatenate([part.counts for part in parts]),
+        np.concatenate([part.status for part in parts]),
+        np.concatenate(degrees) if degrees else None,
+        {name: np.concatenate([part.compensated[name] for part in parts]) for name in first.compensated},
+    )
+
+
+def cut(block: Block, rows: slice) -> Block:
+    """Some rows of a block, copied: what they were cut from can go."""
+    compensated: Mapping[str, np.ndarray] = {name: column[rows].copy() for name, column in block.compensated.items()}
+    degrees = None if block.temperature_counts is None else block.temperature_counts[rows].copy()
+    return Block(block.time[rows].copy(), block.counts[rows].copy(), block.status[rows].copy(), degrees, compensated)
+
+
+FIRST_ROWS = 64
+"""Rows of each sensor by which the grid is chosen."""
+
+_APART = 0.9
+"""Share of a period within which two rows are of one frame."""
+_SILENT = 1.75
+"""Periods without a row after which others stand in: more than a frame that takes longer than others."""
+_ALIKE = 0.25
+"""Share by which periods of sensors that are read once a frame may differ."""
+_TIE = 0.001
+"""Share of a period by which a sensor must lie nearer to the middle to be taken in place of an earlier one."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """`order`: the sensors (numbers) whose times make the grid, the best first; `period_ns` of a frame."""
+
+    order: tuple[int, ...]
+    period_ns: float
+
+    @property
+    def ahead_ns(self) -> int:
+        """How far beyond a time every row must be known for it to be certain whether it is in the grid."""
+        return round(_SILENT * len(self.order) * self.period_ns)
+
+    def times(self, rows: Sequence[Times]) -> Times:
+        """The grid over some rows of all sensors: those of the best one, and of each further one those in the pauses of
+        the better ones. Certain up to `ahead_ns` from either end.
+        """
+        kept = rows[self.order[0]]
+        for number in self.order[1:]:
+            more = rows[number]
+            if len(more := self._between(kept, more)):
+                kept = np.sort(np.concatenate([kept, more]))
+        return kept
+
+    def _between(self, kept: Times, more: Times) -> Times:
+        """Those of `more` that stand in the pauses of `kept`; before its first and after its last row is a pause."""
+        edges = np.concatenate([[-FOREVER_NS // 2], kept, [FOREVER_NS // 2]])  # their difference is a time too
+        pauses = np.flatnonzero(np.diff(edges) >= _SILENT * self.period_ns)
+        apart_ns = round(_APART * self.period_ns)
+        first = np.searchsorted(more, edges[pauses] + apart_ns)
+        last = np.searchsorted(more, edges[pauses + 1] - apart_ns, "right")
+        return np.concatenate([more[:0], *(more[start:stop] for start, stop in zip(first, last, strict=True))])
+
+
+def choose(first: Sequence[Times], groups: Sequence[Sequence[int]], where: Sequence[str]) -> Grid:
+    """The grid that costs least, by the `first` rows (at most `FIRST_ROWS` of each sensor); FusionError if there are
+    too few.
+
+    What a sensor that is read `late` did meanwhile is taken out with a slope that has noise: a quantity pays for the
+    mean delay of its sensors, so that the largest of these (of the quantities' `groups` of sensors) is to be small.
+    """
+    enough = [number for number, time in enumerate(first) if len(time) >= 3]
+    if not enough:
+        raise FusionError(f"{where[0]}: {len(first[0])} rows, nothing to fuse")
+    periods = {number: _period_ns(first[number]) for number in enough}
+    usual = sorted(periods.values())[(len(periods) - 1) // 2]  # of two halves the faster one: no reading is passed over
+    regular = [number for number in enough if abs(periods[number] - usual) <= _ALIKE * usual]
+    delays = {number: _delay(first[number], first, groups, usual) for number in regular}
+    best = sorted(regular, key=lambda number: (round(delays[number] / _TIE), number))
+    return Grid(tuple(best), periods[best[0]])
+
+
+def _period_ns(time: Times) -> float:
+    """Over two rows: a sensor that is read from either end of the frames in turn comes early and late in turn."""
+    return float(np.median(time[2:] - time[:-2])) / 2
+
+
+def _delay(grid: Times, first: Sequence[Times], groups: Sequence[Sequence[int]], period_ns: float) -> float:
+    """The largest mean delay of a quantity's readings behind `grid`, as a share of the period."""
+    means = []
+    for group in groups:
+        delays = [np.mean(late) for number in group if len(late := _late(grid, first[number], period_ns))]
+        means.append(abs(float(np.mean(delays))) if delays else 0.0)
+    return max(means, default=0.0)
+
+
+def _late(grid: Times, time: Times, period_ns: float) -> Floats:
+    """Delays of the readings nearest to `grid`, of those within half a period, as shares of it."""
+    if len(time) == 0:
+        return np.zeros(0)
+    late = (time[nearest(time, grid)] - grid) / period_ns
+    return np.asarray(late[np.abs(late) <= 0.5])
+
+
+def nearest(time: Times, grid: Times) -> Times:
+    """(n,) the index of the row of `time` (k,), k > 0, that is nearest to each of `grid` (n,)."""
+    after = np.minimum(np.searchsorted(time, grid), len(time) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.asarray(np.where(grid - time[before] <= time[after] - grid, before, after))
+
+
+def between_gaps(known: Times, rows: Floats, at: Times, gap_ns: float) -> Floats:
+    """Rows (k, c) at times `known` (k,) ns, interpolated at `at` (n,) ns: (n, c).
+
+    One spline for each stretch without a row that is not finite and without a pause longer than `gap_ns`; NaN outside
+    the stretches.
+    """
+    result = np.full((len(at), rows.shape[1]), np.nan)
+    for run in _stretches(known, rows, gap_ns):
+        inside = (at >= known[run][0]) & (at <= known[run][-1])
+        spline = _Spline((known[run] - known[0]) * 1e-9, rows[run])
+        result[inside] = spline.at((at[inside] - known[0]) * 1e-9)
+    return result
+
+
+def derivatives(known: Times, rows: Floats, gap_ns: float) -> tuple[Floats, Floats]:
+    """First and second derivative (k, c) per second of rows (k, c) at their own times (k,) ns, by the splines of
+    `between_gaps`; zero where there is none.
+    """
+    first, second = np.zeros(rows.shape), np.zeros(rows.shape)
+    for run in _stretches(known, rows, gap_ns):
+        spline = _Spline((known[run] - known[0]) * 1e-9, rows[run])
+        first[run], second[run] = spline.slopes, spline.curvatures()
+    return first, second
+
+
+class _Spline:
+    """The cubic spline through rows (k, c) at knots (k,), k > 1, whose third derivative is the same on either side of
+    the first and last inner knot ("not a knot"; de Boor, "A Practical Guide to Splines", 1978, chapter IV): that of
+    `scipy.interpolate.CubicSpline`, whose package takes half a second to import, and with its derivatives at the knots,
+    which come with the solution, for nothing.
+    """
+
+    def __init__(self, knots: Floats, rows: Floats) -> None:
+        self._knots, self._rows = knots, rows
+        self._widths = np.diff(knots)[:, None]
+        self._rises = np.diff(rows, axis=0) / self._widths
+        self.slopes = self._solved()
+        """(k, c) at the knots."""
+
+    def curvatures(self) -> Floats:
+        """(k, c) second derivatives at the knots."""
+        square, cube = self._powers()
+        last = 2 * square[-1:] + 6 * cube[-1:] * self._widths[-1:]
+        return np.concatenate([2 * square, last])
+
+    def at(self, places: Floats) -> Floats:
+        """(n, c) at places (n,) from the first to the last knot."""
+        piece = np.clip(np.searchsorted(self._knots, places, "right") - 1, 0, len(self._knots) - 2)
+        square, cube = self._powers()
+        beyond = (places - self._knots[piece])[:, None]
+        return np.asarray(
+            self._rows[piece] + beyond * (self.slopes[piece] + beyond * (square[piece] + beyond * cube[piece]))
+        )
+
+    def _powers(self) -> tuple[Floats, Floats]:
+        """(k - 1, c) factors of the square and the cube of the way from the knot before."""
+        bend = (self.slopes[:-1] + self.slopes[1:] - 2 * self._rises) / self._widths
+        return (self._rises - self.slopes[:-1]) / self._widths - bend, bend / self._widths
+
+    def _solved(self) -> Floats:
+        """The slopes at the knots that make the second derivative continuous."""
+        widths, rises, count = self._widths, self._rises, len(self._knots)
+        if count == 2:
+            return np.repeat(rises, 2, axis=0)
+        wanted = np.empty(self._rows.shape)
+        wanted[1:-1] = 3 * (widths[1:] * rises[:-1] + widths[:-1] * rises[1:])
+        if count == 3:  # one parabola
+            wanted[0], wanted[-1] = 2 * rises[0], 2 * rises[1]
+            h, g = widths[0, 0], widths[1, 0]
+            return np.asarray(
+                np.linalg.solve(np.array([[1.0, 1.0, 0.0], [g, 2 * (h + g), h], [0.0, 1.0, 1.0]]), wanted)
+            )
+        bands = np.empty((3, count))
+        bands[1, 1:-1] = 2 * (widths[:-1, 0] + widths[1:, 0])
+        bands[0, 2:], bands[2, :-2] = widths[:-1, 0], widths[1:, 0]
+        first, last = widths[0, 0] + widths[1, 0], widths[-2, 0] + widths[-1, 0]
+        bands[1, 0], bands[0, 1] = widths[1, 0], first
+        bands[1, -1], bands[2, -2] = widths[-2, 0], last
+        wanted[0] = ((widths[0] + 2 * first) * widths[1] * rises[0] + widths[0] ** 2 * rises[1]) / first
+        wanted[-1] = (widths[-1] ** 2 * rises[-2] + (2 * last + widths[-1]) * widths[-2] * rises[-1]) / last
+        return np.asarray(solve_banded((1, 1), bands, wanted, overwrite_ab=True, overwrite_b=True, check_finite=False))
+
+
+def _stretches(known: Times, rows: Floats, gap_ns: float) -> list[slice]:
+    """The rows, two and more of them, between which nothing is missing."""
+    whole = np.asarray(np.isfinite(rows).all(axis=1))
+    ends = np.flatnonzero(~whole[1:] | ~whole[:-1] | (np.diff(known) > gap_ns)) + 1
+    bounds = [0, *ends.tolist(), len(known)]
+    return [slice(start, stop) for start, stop in itertools.pairwise(bounds) if stop - start > 1]
+
+
+MARGIN = 32
+"""Frames on either side that frames in between depend on: a cubic spline forgets its ends by a factor of 3.7 a knot."""
+
+_AT_END = 0.95
+"""Share of the measuring range beyond which an axis of a triad that is flagged as saturated is the one at its end."""
+
+_Kind = TypeVar("_Kind", bound=np.generic)
+
+_SAME_RATE = 0.1
+"""Share by which the chip's rate and that of the frames may differ for them to be one."""
+
+_SECOND_ORDER = 0.375 * (1 - 1 / np.sqrt(3))
+
+
+class Warmth(Protocol):
+    """How warm a sensor's element was."""
+
+    def at(self, time_s: Floats) -> Floats:
+        """Degrees (n,) at times (n,) in s since the log's epoch; NaN where it is not known."""
+        ...
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One sensor of a quantity: its calibration, the end of its range in counts, how warm it was (None: unknown), how
+    long it takes to make a reading (0: unknown), and by how much its filter is behind.
+    """
+
+    known: SensorCalibration
+    end_lsb: float
+    warmth: Warmth | None = None
+    conversion_s: float = 0.0
+    delay_s: float = 0.0
+
+    def age_s(self, period_s: float) -> float:
+        """How old a reading is on average when it is read: half a conversion, unless there is one a frame, which then
+        has the time at which it was made (a queue's, an imported recording's).
+        """
+        is_its_own = abs(self.conversion_s - period_s) < _SAME_RATE * period_s
+        return self.delay_s + (0.0 if is_its_own else self.conversion_s / 2)
+
+
+class _Part(NamedTuple):
+    """One sensor on the grid: values and clipped (n, 3) along its axes; valid, stale and late_s (n,)."""
+
+    values: Floats
+    clipped: npt.NDArray[np.int8]
+    valid: Flags
+    stale: Flags
+    late_s: Floats
+
+
+def align(
+    units: Sequence[Unit], rows: Sequence[Block | None], grid: Times, period_ns: float, directions: Floats
+) -> Frames:
+    """The frames of one quantity at the times `grid` (n,) from the `rows` of its `units` around them; `directions`
+    (m, 3) are those of all their axes in the box frame.
+
+    Frames that are nearer than `MARGIN` to either end of the grid are as the rest only if nothing lies beyond it.
+    """
+    parts = [_on_grid(unit, block, grid, period_ns) for unit, block in zip(units, rows, strict=True)]
+    values = np.concatenate([part.values for part in parts], axis=1)
+    valid = _by_axis([part.valid for part in parts])
+    late_s = _by_axis([part.late_s for part in parts])
+    if late_s.any():
+        mean = consensus(values, valid, directions, units[0].known.quantity)
+        values -= _motion(grid, mean, valid, late_s, period_ns, directions)
+    clipped = np.concatenate([part.clipped for part in parts], axis=1)
+    return Frames(grid, values, valid, clipped, _by_axis([part.stale for part in parts]))
+
+
+def _by_axis(columns: Sequence[npt.NDArray[_Kind]]) -> npt.NDArray[_Kind]:
+    """(n, 3 s) from s columns (n,): each sensor's three times."""
+    return np.repeat(np.stack(columns, axis=1), 3, axis=1)
+
+
+def _on_grid(unit: Unit, block: Block | None, grid: Times, period_ns: float) -> _Part:
+    """The readings nearest to each grid time, within half a frame."""
+    if block is None or len(block.time) == 0:
+        nothing, empty = np.zeros(len(grid), bool), np.zeros((len(grid), 3))
+        return _Part(empty, empty.astype(np.int8), nothing, nothing, np.zeros(len(grid)))
+    index = nearest(block.time, grid)
+    time, status = block.time[index], block.status[index]
+    late_ns = (time - grid).astype(float)
+    age_ns = 1e9 * unit.age_s(period_ns * 1e-9)
+    counts = block.counts[index].astype(float)
+    values = (counts - _bias(unit, time)) / unit.known.lsb_per_si
+    near = np.abs(late_ns) <= int(period_ns / 2)
+    if not near.all():  # whatever else there is belongs to other frames
+        values, status, late_ns = np.where(near[:, None], values, 0.0), status * near, late_ns * near
+    late_ns -= age_ns * near
+    valid = ((status & (SATURATED | SUSPECT)) == 0) & near
+    return _Part(values, _clipped(unit, counts, status), valid, (status & STALE) != 0, late_ns * 1e-9)
+
+
+def _bias(unit: Unit, time: Times) -> Floats:
+    """(3,) or (n, 3) the bias in counts, at the temperature of the readings where it is known."""
+    if unit.warmth is None:
+        return unit.known.bias_lsb
+    degc = unit.warmth.at(np.asarray(time * 1e-9, float))
+    return np.where(np.isfinite(degc)[:, None], unit.known.bias_at(np.nan_to_num(degc)), unit.known.bias_lsb)
+
+
+def _clipped(unit: Unit, counts: Floats, status: npt.NDArray[np.uint16]) -> npt.NDArray[np.int8]:
+    """(n, 3) the end at which an axis of a triad that is flagged as saturated stands."""
+    flagged = (status & SATURATED) != 0
+    if not flagged.any():
+        return np.zeros(counts.shape, np.int8)
+    at_end = (np.abs(counts) >= _AT_END * unit.end_lsb) & flagged[:, None]
+    return np.where(at_end, np.sign(counts), 0).astype(np.int8)
+
+
+def _motion(grid: Times, mean: Floats, valid: Flags, late_s: Floats, period_ns: float, directions: Floats) -> Floats:
+    """(n, m) what the motion, the array's `mean` (n, 3), did along each axis between the grid and the reading; zero
+    where too little is valid to tell.
+    """
+    slope, curvature = derivatives(grid, mean, gap_ns=5 * period_ns)
+    usual_s = (late_s * valid).sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=1, keepdims=True), 1)
+    return np.asarray(late_s * ((slope - _SECOND_ORDER * usual_s * curvature) @ directions.T))
