@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from imuarray.errors import FusionError
-from imuarray.fuse.pipeline import EachAlone
+from imuarray.fuse.pipeline import QuantityPipeline
 from imuarray.spelling import guess
 
 
@@ -16,4 +16,4 @@ def test_the_nearest_word_or_none() -> None:
 
 def test_a_technique() -> None:
     with pytest.raises(FusionError, match=r"^technique 'oposed': allowed are mean, .*; did you mean opposed\?$"):
-        EachAlone({}, "oposed")
+        QuantityPipeline({}, "oposed")

@@ -23,7 +23,7 @@ from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.fuse import Error, FaultEvent, FusedBlock, Told
+    from imuarray.fuse import Error, FaultEvent, FusedBlock, FusionNotes
     from imuarray.log import Log
 
 _STEPS = 1000
@@ -151,7 +151,7 @@ class _Work:
         self,
         technique: str,
         found: Callable[[FaultEvent], None] = lambda event: None,
-        told: Callable[[Told], None] = lambda told: None,
+        told: Callable[[FusionNotes], None] = lambda told: None,
         progress: Callable[[float], None] = lambda share: None,
     ) -> Iterator[FusedBlock]:
         """The result; `found` hears of sensors that fail, `told` what the technique has to say at the end."""
@@ -166,18 +166,18 @@ class _Work:
             only=self.names,
             causal=self.causal,
             watch=watch,
-            told=told,
+            notes=told,
             progress=progress,
         )
 
 
-def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], Told]:
+def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], FusionNotes]:
     """Write the fused file; where it is and what came of it, beside the average, and what the technique has to say."""
     from imuarray.fuse import read_fused, write_fused
 
     log, technique = work.log, work.technique
     events: list[FaultEvent] = []
-    told: list[Told] = []
+    told: list[FusionNotes] = []
     with progress(_STEPS, technique) as done:
         frames = write_fused(
             output,
@@ -240,7 +240,7 @@ def _error(error: Error) -> dict[str, Any]:
     }
 
 
-def _print(report: dict[str, Any], told: Told | None) -> None:
+def _print(report: dict[str, Any], told: FusionNotes | None) -> None:
     technique = report["technique"]
     if "fused" in report:
         click.echo(f"{report['fused']}: {report['frames']} frames by {technique}")

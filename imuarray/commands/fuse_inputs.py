@@ -63,10 +63,10 @@ def followed_by_temperature(log: Log, calibration: Calibration, names: Sequence[
 
 def temperature_lines(log: Log, calibration: Calibration, names: Sequence[str]) -> list[str]:
     """What to say of sensors that were calibrated at another temperature."""
-    from imuarray.fuse import away_from, away_sentences
+    from imuarray.fuse import mismatch_sentences, temperature_mismatch
 
     fused = [sensor for sensor in inertial(log) if not names or sensor.name in names]
-    return list(away_sentences(calibration, away_from(log, fused, calibration)))
+    return list(mismatch_sentences(calibration, temperature_mismatch(log, fused, calibration)))
 
 
 def inertial(log: Log) -> list[SensorLog]:

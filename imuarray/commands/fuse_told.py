@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 from imuarray.units import READABLE_SI
 
 if TYPE_CHECKING:
-    from imuarray.fuse import Told
+    from imuarray.fuse import FusionNotes
     from imuarray.fuse.optimal import LearnedBias
 
 _MOST = 40
 """Remarks that are told on the screen."""
 
 
-def told_sentences(told: Told) -> Iterator[str]:
+def told_sentences(told: FusionNotes) -> Iterator[str]:
     """A table of biases, a row a sensor, and the remarks."""
     for quantity, biases in told.biases.items():
         yield from _table(quantity, biases)

@@ -25,7 +25,7 @@ from imuarray.calibrate import Calibration
 from imuarray.chips import CHIPS
 from imuarray.commands.log_fused_files import FusedFiles, names_of
 from imuarray.errors import ImuArrayError
-from imuarray.fuse import FaultEvent, FusedBlock, FusionStream, Told, Watch, live, told_by
+from imuarray.fuse import FaultEvent, FusedBlock, FusionNotes, FusionStream, Watch, live, notes_of
 from imuarray.log import Block
 from imuarray.log.format import SensorHeader
 from imuarray.log.room import WATERMARK, free_bytes
@@ -74,7 +74,7 @@ class LiveFusion:
         self._watch = Watch(watch, {name: chip.sensitivity for name, chip in CHIPS.items()}, self._failed)
         self._faults: deque[FaultEvent] = deque(maxlen=_FAULTS_KEPT)
         self._unwritten: list[FaultEvent] = []
-        self._told = Told()
+        self._told = FusionNotes()
         self._files: FusedFiles | None = None
         self.first_path = names_of(path, log, 0, rotate_s)[0]
         """What it will write first."""
@@ -201,7 +201,7 @@ class LiveFusion:
                         self._write(files, held)
                         held = []
                 self._write(files, [*held, *stream.finish()])
-                self._told = told_by(stream.pipeline)
+                self._told = notes_of(stream.pipeline)
         except Exception as error:  # whatever it is, the log goes on
             known = isinstance(error, ImuArrayError | OSError)
             self.failure = str(error) if known else f"{type(error).__name__}: {error}"

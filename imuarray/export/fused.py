@@ -1,5 +1,5 @@
-"""A fused file (`imuarray.fuse.fused_file`) as a table: specific force and angular rate in SI in the box frame, covariances,
-sensors used.
+"""A fused file (`imuarray.fuse.fused_file`) as a table: specific force and angular rate in SI in the box frame,
+covariances, sensors used.
 """
 
 from __future__ import annotations

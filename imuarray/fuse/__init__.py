@@ -6,12 +6,12 @@ from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.coasting import Coasting, Errors, coasting
 from imuarray.fuse.compare import Comparison, Score, compare, technique_names
 from imuarray.fuse.element_temperature import (
-    allowing_for,
-    away_from,
-    away_sentences,
+    causal_temperatures,
     element_temperatures,
-    running_temperatures,
+    mismatch_sentences,
     slopes_of,
+    temperature_mismatch,
+    with_mismatch,
 )
 from imuarray.fuse.evaluation import (
     Consistency,
@@ -28,9 +28,9 @@ from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import Estimate, Frames, FusedBlock
 from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse, live
 from imuarray.fuse.fused_file import FusedEvent, FusedHead, read_fused, read_fused_events, read_fused_head, write_fused
-from imuarray.fuse.fusion_notes import Told, told_by
+from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.gains import Gain, Ratio, gains, ratio_of
-from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, fused_block
+from imuarray.fuse.pipeline import Pipeline, PipelineFactory, QuantityPipeline, fused_block
 from imuarray.fuse.stream import FusionStream
 from imuarray.fuse.techniques import TECHNIQUES, changes
 
@@ -43,7 +43,6 @@ __all__ = [
     "Coasting",
     "Comparison",
     "Consistency",
-    "EachAlone",
     "Error",
     "ErrorFrames",
     "Errors",
@@ -53,19 +52,18 @@ __all__ = [
     "FusedBlock",
     "FusedEvent",
     "FusedHead",
+    "FusionNotes",
     "FusionStream",
     "Gain",
-    "Making",
     "Pipeline",
+    "PipelineFactory",
+    "QuantityPipeline",
     "Ratio",
     "Score",
-    "Told",
     "Watch",
     "aligned",
-    "allowing_for",
-    "away_from",
-    "away_sentences",
     "axes_of",
+    "causal_temperatures",
     "changes",
     "coasting",
     "compare",
@@ -79,14 +77,16 @@ __all__ = [
     "fused_block",
     "gains",
     "live",
+    "mismatch_sentences",
+    "notes_of",
     "quiet_noise",
     "ratio_of",
     "read_fused",
     "read_fused_events",
     "read_fused_head",
-    "running_temperatures",
     "slopes_of",
     "technique_names",
-    "told_by",
+    "temperature_mismatch",
+    "with_mismatch",
     "write_fused",
 ]

@@ -22,7 +22,7 @@ from imuarray.calibrate.model import Described
 from imuarray.calibrate.segments import Thermometer, degc_of, has_zero, thermometer_of
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.calibrate.thermal import SEGMENT_S
-from imuarray.fuse.alignment import Warmth
+from imuarray.fuse.alignment import ElementTemperature
 from imuarray.fuse.frames import Floats, Times
 from imuarray.fuse.optimal.error_model import STEEP, USUAL
 from imuarray.log import Block, Log, SensorLog
@@ -64,12 +64,12 @@ def element_temperatures(
             thermometer = shared or thermometer_of(log, sensor, SEGMENT_S)
             if thermometer is not None and thermometer.kind in _OF_THE_BOX:
                 shared = thermometer
-            if thermometer is not None and goes_with(thermometer.kind, thermal):
+            if thermometer is not None and is_compatible(thermometer.kind, thermal):
                 found[sensor.name] = thermometer if thermal is None else _behind(thermometer, thermal)
     return found
 
 
-def goes_with(kind: str, thermal: Thermal | None) -> bool:
+def is_compatible(kind: str, thermal: Thermal | None) -> bool:
     """Whether slopes can be taken over a thermometer of a kind: both have a zero, or neither has. Slopes that nobody
     measured want one that compares with the temperature of the bias.
     """
@@ -86,7 +86,7 @@ def _behind(thermometer: Thermometer, thermal: Thermal) -> Thermometer:
 
 
 @dataclass(frozen=True)
-class Away:
+class TemperatureMismatch:
     """How far a log is from where a sensor was calibrated: its temperature then and its mean one in the log (degC), the
     root mean square of the difference, and what the bias (3,) is uncertain by for each degree, in counts.
     """
@@ -103,13 +103,15 @@ class Away:
         return self.rms_degc * self.unsure_lsb_per_degc
 
 
-def away_from(log: Log, sensors: Iterable[SensorLog], calibration: Calibration) -> dict[str, Away]:
+def temperature_mismatch(
+    log: Log, sensors: Iterable[SensorLog], calibration: Calibration
+) -> dict[str, TemperatureMismatch]:
     """By sensor, of those whose bias was calibrated at a temperature that is known and that the log knows, too.
 
     A bias that follows the log's temperature is uncertain by the standard errors of its slopes; one that does not, by
     what such slopes usually are.
     """
-    found: dict[str, Away] = {}
+    found: dict[str, TemperatureMismatch] = {}
     shared: Thermometer | None = None
     for sensor in sensors:
         known = calibration.or_nominal(sensor)
@@ -128,11 +130,11 @@ def away_from(log: Log, sensors: Iterable[SensorLog], calibration: Calibration) 
             doubt = np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc)
             unsure = np.where(follows, thermal.slope_sem_lsb_per_degc, doubt)
         mean, rms = known.temperature_degc + float(off.mean()), float(np.sqrt(np.mean(off**2)))
-        found[sensor.name] = Away(sensor.name, known.temperature_degc, mean, rms, unsure)
+        found[sensor.name] = TemperatureMismatch(sensor.name, known.temperature_degc, mean, rms, unsure)
     return found
 
 
-def allowing_for(calibration: Calibration, away: Mapping[str, Away]) -> Calibration:
+def with_mismatch(calibration: Calibration, away: Mapping[str, TemperatureMismatch]) -> Calibration:
     """The calibration with covariances of bias and response that hold at the temperatures of a log."""
     sensors = dict(calibration.sensors)
     for name, each in away.items():
@@ -155,7 +157,7 @@ def allowing_for(calibration: Calibration, away: Mapping[str, Away]) -> Calibrat
     return replace(calibration, sensors=sensors)
 
 
-def away_sentences(calibration: Calibration, away: Mapping[str, Away]) -> Iterator[str]:
+def mismatch_sentences(calibration: Calibration, away: Mapping[str, TemperatureMismatch]) -> Iterator[str]:
     """A line for all sensors that were calibrated at one temperature, if the log is far from it."""
     far = [each for each in away.values() if each.rms_degc > AWAY_DEGC]
     for calibrated_degc in sorted({round(each.calibrated_degc, 1) for each in far}):
@@ -204,7 +206,7 @@ class _Segment(NamedTuple):
     trend: float = 0.0
 
 
-class RunningThermometer:
+class CausalThermometer:
     """Temperatures as they come, and what elements behind the lags (k,) have of them, by rows that are `delay_s` old.
 
     Ask for no time before all rows up to `delay_s` earlier were added, nor for times long before those that were asked
@@ -297,10 +299,10 @@ class RunningThermometer:
 
 
 @dataclass(frozen=True)
-class Element:
+class ElementThermometer:
     """The element of one sensor: a thermometer behind one of its lags."""
 
-    thermometer: RunningThermometer
+    thermometer: CausalThermometer
     column: int
 
     def at(self, time_s: Floats) -> Floats:
@@ -309,19 +311,19 @@ class Element:
 
 
 @dataclass(frozen=True)
-class Warming:
+class TemperatureSources:
     """The `elements` whose temperature the bias follows; who must hear of rows for that, and how much older than a
     frame these may be; all by sensor.
     """
 
-    elements: Mapping[str, Warmth]
+    elements: Mapping[str, ElementTemperature]
     feeds: Mapping[str, Callable[[Block], None]]
     delays_s: Mapping[str, float]
 
 
-def running_temperatures(
+def causal_temperatures(
     everything: Sequence[Described], sensors: Iterable[Described], calibration: Calibration, *, of_all: bool = False
-) -> Warming:
+) -> TemperatureSources:
     """As `element_temperatures`, of what is known when a frame is: by the barometer, the chip's own thermometer, or
     that of another chip among `everything`. A reference is known afterwards only, and not used.
     """
@@ -329,19 +331,19 @@ def running_temperatures(
     for sensor in sensors:
         thermal = slopes_of(calibration, sensor)
         source = _source(everything, sensor) if of_all or thermal is not None else None
-        if source is not None and goes_with(_kind(source), thermal):
+        if source is not None and is_compatible(_kind(source), thermal):
             lag_s = 0.0 if thermal is None else thermal.significant_lag_s
             wanted.setdefault(source.name, {})[sensor.name] = lag_s
-    elements: dict[str, Warmth] = {}
+    elements: dict[str, ElementTemperature] = {}
     feeds: dict[str, Callable[[Block], None]] = {}
     delays_s: dict[str, float] = {}
     for source in everything:
         if lags := wanted.get(source.name):
             delays_s[source.name] = BAROMETER_S if source.quantity == "pressure" else 0.0
-            thermometer = RunningThermometer(list(lags.values()), delays_s[source.name])
-            elements |= {name: Element(thermometer, column) for column, name in enumerate(lags)}
+            thermometer = CausalThermometer(list(lags.values()), delays_s[source.name])
+            elements |= {name: ElementThermometer(thermometer, column) for column, name in enumerate(lags)}
             feeds[source.name] = _feed(thermometer, source)
-    return Warming(elements, feeds, delays_s)
+    return TemperatureSources(elements, feeds, delays_s)
 
 
 def _source(everything: Sequence[Described], sensor: Described) -> Described | None:
@@ -365,7 +367,7 @@ def _compensates(sensor: Described) -> bool:
     )
 
 
-def _feed(thermometer: RunningThermometer, source: Described) -> Callable[[Block], None]:
+def _feed(thermometer: CausalThermometer, source: Described) -> Callable[[Block], None]:
     """What adds the temperatures of a sensor's rows."""
     if source.quantity == "pressure":
         return lambda block: thermometer.add(block.time, np.asarray(block.compensated["temperature"], float))

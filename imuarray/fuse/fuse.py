@@ -14,19 +14,19 @@ from imuarray.fuse import techniques
 from imuarray.fuse.alignment import FIRST_ROWS, choose
 from imuarray.fuse.axes import Axis, axes_of
 from imuarray.fuse.element_temperature import (
-    Warming,
-    allowing_for,
-    away_from,
+    TemperatureSources,
+    causal_temperatures,
     element_temperatures,
-    running_temperatures,
+    temperature_mismatch,
+    with_mismatch,
 )
 from imuarray.fuse.faults import FaultEvent, Ranges
-from imuarray.fuse.faults.monitor import NO_RANGES, Watched, WatchedAgain
+from imuarray.fuse.faults.monitor import NO_RANGES, MaskedPipeline, MonitoredPipeline
 from imuarray.fuse.frames import FusedBlock
-from imuarray.fuse.fusion_notes import Told, told_by
+from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.optimal import ErrorModel, error_model
-from imuarray.fuse.optimal.optimal import AsTheyCome, Gathered, Gathering, smoothed
-from imuarray.fuse.pipeline import EachAlone, Making, Pipeline, Together
+from imuarray.fuse.optimal.optimal import CausalPipeline, FrameBlock, FramePipeline, smoothed
+from imuarray.fuse.pipeline import Pipeline, PipelineFactory, QuantityPipeline, TechniqueSet
 from imuarray.fuse.stream import TIMEOUT_S, FusionStream
 from imuarray.fuse.techniques import TECHNIQUES
 from imuarray.log import Block, Log, SensorLog
@@ -47,7 +47,7 @@ NAMES = (*TECHNIQUES, OPTIMAL)
 
 _Sensor = TypeVar("_Sensor", SensorLog, SensorHeader)
 _Out = TypeVar("_Out")
-Found = Callable[[FaultEvent], None]
+EventCallback = Callable[[FaultEvent], None]
 Progress = Callable[[float], None]
 """Told from time to time what share of the work is done, 0 ... 1."""
 
@@ -60,9 +60,9 @@ class Watch:
 
     on: bool | None = None
     ranges: Ranges = field(default_factory=lambda: NO_RANGES)
-    found: Found = lambda event: None
+    found: EventCallback = lambda event: None
 
-    def over(self, technique: str | Making) -> bool:
+    def over(self, technique: str | PipelineFactory) -> bool:
         """Whether there is any watching."""
         return technique == OPTIMAL if self.on is None else self.on
 
@@ -76,12 +76,12 @@ _FIRST_PASS = 0.75
 def fuse(
     log: Log,
     calibration: Calibration,
-    technique: str | Making,
+    technique: str | PipelineFactory,
     *,
     only: Collection[str] = (),
     causal: bool = False,
     watch: Watch = WATCH,
-    told: Callable[[Told], None] = lambda told: None,
+    notes: Callable[[FusionNotes], None] = lambda notes: None,
     progress: Progress = lambda share: None,
     block: int = BLOCK,
 ) -> Iterator[FusedBlock]:
@@ -90,7 +90,7 @@ def fuse(
 
     Biases follow the temperature that the log tells, where the calibration says how; covariances allow for what a
     calibration at another temperature leaves unknown. `causal`: by what was known when
-    each frame was read, as `live` does; otherwise `optimal` smooths: every frame by what the whole log tells. `told`
+    each frame was read, as `live` does; otherwise `optimal` smooths: every frame by what the whole log tells. `notes`
     hears, after the last block, what the technique has found out about the sensors.
 
     >>> from imuarray import load_calibration, open_log
@@ -103,19 +103,19 @@ def fuse(
     chosen = _chosen(everything, only, str(log.path))
     if not causal and technique != OPTIMAL:  # which follows the temperature itself
         inertial = [sensor for sensors in chosen.values() for sensor in sensors]
-        calibration = allowing_for(calibration, away_from(log, inertial, calibration))
+        calibration = with_mismatch(calibration, temperature_mismatch(log, inertial, calibration))
     array = _Array(chosen, calibration, technique, watch)
     if causal:
-        warming = running_temperatures(everything, array.inertial, calibration, of_all=array.is_optimal)
+        temperatures = causal_temperatures(everything, array.inertial, calibration, of_all=array.is_optimal)
     else:
         of_all = element_temperatures(log, array.inertial, calibration, of_all=array.is_optimal)
-        warming = Warming(of_all, {}, {})
+        temperatures = TemperatureSources(of_all, {}, {})
     if array.is_optimal and not causal:
-        yield from _smoothed(log, array, warming, told, progress, block)
+        yield from _smoothed(log, array, temperatures, notes, progress, block)
         return
-    stream = FusionStream(array.groups, calibration, array.making(warming), warming, timeout_s=float("inf"))
+    stream = FusionStream(array.groups, calibration, array.making(temperatures), temperatures, timeout_s=float("inf"))
     yield from _replayed(log, stream, block, progress)
-    told(told_by(stream.pipeline))
+    notes(notes_of(stream.pipeline))
 
 
 def fuse_together(
@@ -131,10 +131,10 @@ def fuse_together(
     blocks by the name of the technique. FusionError.
     """
     array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, AVERAGE, Watch(on=False))
-    warming = Warming(element_temperatures(log, array.inertial, calibration), {}, {})
+    temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration), {}, {})
     axes = array.axes
     stream = FusionStream(
-        array.groups, calibration, lambda period_s: Together(axes, names), warming, timeout_s=float("inf")
+        array.groups, calibration, lambda period_s: TechniqueSet(axes, names), temperatures, timeout_s=float("inf")
     )
     return _replayed(log, stream, block, progress)
 
@@ -142,7 +142,7 @@ def fuse_together(
 def live(
     sensors: Sequence[SensorHeader],
     calibration: Calibration,
-    technique: str | Making,
+    technique: str | PipelineFactory,
     *,
     only: Collection[str] = (),
     watch: Watch = WATCH,
@@ -154,21 +154,23 @@ def live(
     """
     sensors = sorted(sensors, key=lambda sensor: sensor.name)  # as a log has them
     array = _Array(_chosen(sensors, only, "the array"), calibration, technique, watch)
-    warming = running_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)
-    making = array.making(warming)
+    temperatures = causal_temperatures(sensors, array.inertial, calibration, of_all=array.is_optimal)
+    making = array.making(temperatures)
     making(1.0)  # what can't be fed is said before anything is read
-    return FusionStream(array.groups, calibration, making, warming, timeout_s=timeout_s, tell=tell)
+    return FusionStream(array.groups, calibration, making, temperatures, timeout_s=timeout_s, tell=tell)
 
 
 def aligned(
     log: Log, calibration: Calibration, *, only: Collection[str] = (), block: int = BLOCK
-) -> Iterator[Gathered]:
+) -> Iterator[FrameBlock]:
     """What techniques are given of a log: blocks of frames by quantity, with the temperatures of elements by sensor.
     FusionError.
     """
     array = _Array(_chosen(list(log.sensors.values()), only, str(log.path)), calibration, OPTIMAL, Watch(on=False))
-    warming = Warming(element_temperatures(log, array.inertial, calibration, of_all=True), {}, {})
-    stream = FusionStream(array.groups, calibration, lambda period_s: Gathering(), warming, timeout_s=float("inf"))
+    temperatures = TemperatureSources(element_temperatures(log, array.inertial, calibration, of_all=True), {}, {})
+    stream = FusionStream(
+        array.groups, calibration, lambda period_s: FramePipeline(), temperatures, timeout_s=float("inf")
+    )
     return _replayed(log, stream, block)
 
 
@@ -176,7 +178,7 @@ class _Array(Generic[_Sensor]):
     """Sensors by quantity, and what is to be done with them; FusionError for a technique that there isn't."""
 
     def __init__(
-        self, groups: dict[str, list[_Sensor]], calibration: Calibration, technique: str | Making, watch: Watch
+        self, groups: dict[str, list[_Sensor]], calibration: Calibration, technique: str | PipelineFactory, watch: Watch
     ) -> None:
         if isinstance(technique, str) and technique not in NAMES:
             raise FusionError(f"technique {technique!r}: allowed are {', '.join(NAMES)}{guess(technique, NAMES)}")
@@ -196,53 +198,53 @@ class _Array(Generic[_Sensor]):
         """By quantity."""
         return {quantity: axes_of(sensors, self.calibration) for quantity, sensors in self.groups.items()}
 
-    def model(self, warming: Warming) -> ErrorModel:
+    def model(self, temperatures: TemperatureSources) -> ErrorModel:
         """The errors that the calibration leaves."""
-        return error_model(self.inertial, self.calibration, watched=warming.elements)
+        return error_model(self.inertial, self.calibration, watched=temperatures.elements)
 
-    def making(self, warming: Warming) -> Callable[[float], Pipeline[FusedBlock]]:
+    def making(self, temperatures: TemperatureSources) -> Callable[[float], Pipeline[FusedBlock]]:
         """What makes the pipeline, of the seconds from frame to frame."""
         axes, technique = self.axes, self.technique
         if technique == OPTIMAL:
-            model = self.model(warming)
-            return lambda period_s: self.watched(AsTheyCome(axes, model, period_s), axes, period_s)
+            model = self.model(temperatures)
+            return lambda period_s: self.watched(CausalPipeline(axes, model, period_s), axes, period_s)
         if isinstance(technique, str):
-            return lambda period_s: self.watched(EachAlone(axes, technique), axes, period_s)
+            return lambda period_s: self.watched(QuantityPipeline(axes, technique), axes, period_s)
         return lambda period_s: self.watched(technique(axes, period_s), axes, period_s)
 
     def watched(self, pipeline: Pipeline[_Out], axes: Mapping[str, Sequence[Axis]], period_s: float) -> Pipeline[_Out]:
         """The pipeline behind fault monitors, if there is to be any watching."""
         if not self.watch.over(self.technique):
             return pipeline
-        return Watched(pipeline, axes, period_s, self.watch.ranges, self.watch.found)
+        return MonitoredPipeline(pipeline, axes, period_s, self.watch.ranges, self.watch.found)
 
 
 def _smoothed(
     log: Log,
     array: _Array[SensorLog],
-    warming: Warming,
-    told: Callable[[Told], None],
+    temperatures: TemperatureSources,
+    notes: Callable[[FusionNotes], None],
     progress: Progress,
     block: int,
 ) -> Iterator[FusedBlock]:
     """Every frame by what the whole log tells: it is read twice."""
-    axes, model = array.axes, array.model(warming)
+    axes, model = array.axes, array.model(temperatures)
     period_s = _period_s(array)
-    passes: list[Pipeline[Gathered] | None] = []
+    passes: list[Pipeline[FrameBlock] | None] = []
 
-    def making(period_s: float) -> Pipeline[Gathered]:
+    def making(period_s: float) -> Pipeline[FrameBlock]:
         first = passes[0] if passes else None  # what failed is looked for, and told, once
-        if isinstance(first, Watched):
-            return WatchedAgain(Gathering(), first.left_out)
-        return array.watched(Gathering(), axes, period_s)
+        if isinstance(first, MonitoredPipeline):
+            return MaskedPipeline(FramePipeline(), first.left_out)
+        return array.watched(FramePipeline(), axes, period_s)
 
-    def blocks() -> Iterator[Gathered]:
-        stream = FusionStream(array.groups, array.calibration, making, warming, timeout_s=float("inf"))
+    def blocks() -> Iterator[FrameBlock]:
+        stream = FusionStream(array.groups, array.calibration, making, temperatures, timeout_s=float("inf"))
         first, share = (_FIRST_PASS, 1 - _FIRST_PASS) if passes else (0.0, _FIRST_PASS)
         yield from _replayed(log, stream, block, lambda done: progress(first + share * done))
         passes.append(stream.pipeline)
 
-    yield from smoothed(blocks, axes, model, period_s, told)
+    yield from smoothed(blocks, axes, model, period_s, notes)
 
 
 def _period_s(array: _Array[SensorLog]) -> float:

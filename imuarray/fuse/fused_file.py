@@ -1,12 +1,7 @@
-"""A fused file read back (`imuarray.fuse.fused_file` says what is in it): nothing of it is believed before it is checked.
+"""A fused result as a file: its format, writing, and reading with every part checked.
 
-Columns that this format has not are passed over.
-
-The group `/events` of a fused file: which sensors failed, were left out and came back.
-
-Texts have fixed lengths: others can't be read while a file is written (SWMR).
-
-A fused result as a file: HDF5, format "imuarray-fused", with the names of a log's `/truth`.
+HDF5, format "imuarray-fused", with the names of a log's `/truth`; a reader ignores other columns. Texts have fixed
+lengths: others can't be read while a file is written (SWMR).
 
 ::
 
@@ -250,7 +245,7 @@ def events_in(file: h5py.File, where: str) -> tuple[FusedEvent, ...]:
         return ()
     try:
         rows = zip(*(_column(group[name]) for name in ("time", *_TEXTS)), strict=False)
-        return tuple(FusedEvent(int(time), *(_plain(text) for text in texts)) for time, *texts in rows)
+        return tuple(FusedEvent(int(time), *(_direct(text) for text in texts)) for time, *texts in rows)
     except DAMAGE:
         raise LogError(f"{where}: its events can't be read") from None
 
@@ -267,7 +262,7 @@ def _shortened(text: str, length: int) -> bytes:
     return text.encode()[:length].decode(errors="ignore").encode()
 
 
-def _plain(text: object) -> str:
+def _direct(text: object) -> str:
     return text.decode(errors="replace") if isinstance(text, bytes) else str(text)
 
 
@@ -318,7 +313,7 @@ def write_fused(
     """
     about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
     with whole_file(path, force=force) as draft, h5py.File(draft, "w") as file:
-        fused = _Fused(file, draft, about, sensors)
+        fused = _FusedColumns(file, draft, about, sensors)
         frames = 0
         for block in _in_chunks(blocks, progress):
             fused.append(block)
@@ -371,7 +366,7 @@ class LiveFused:
         except OSError as error:
             raise OutputError(path, error) from None
         about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
-        self._fused = _Fused(self._file, self._path, about, sensors, compressed=False)
+        self._fused = _FusedColumns(self._file, self._path, about, sensors, compressed=False)
         self.frames = 0
 
     def append(self, block: FusedBlock) -> None:
@@ -415,7 +410,7 @@ def _columns(block: FusedBlock) -> dict[str, npt.NDArray[Any]]:
     return {"time": block.time, **block.triads, **covariances, **used}
 
 
-class _Fused:
+class _FusedColumns:
     """An HDF5 file that a result goes into; its columns are made by the first block."""
 
     def __init__(

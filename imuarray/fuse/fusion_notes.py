@@ -20,7 +20,7 @@ class LearnedBias:
 
 
 @dataclass(frozen=True)
-class Told:
+class FusionNotes:
     """The slow errors that were learnt of every axis, by quantity (`optimal` does), and `remarks`: sentences."""
 
     biases: Mapping[str, Sequence[LearnedBias]] = field(default_factory=dict)
@@ -33,7 +33,7 @@ class Told:
 
 
 @runtime_checkable
-class Remarking(Protocol):
+class RemarkSource(Protocol):
     """A technique that has something to say of the axes it was given."""
 
     def remarks(self, quantity: str) -> list[str]:
@@ -42,14 +42,14 @@ class Remarking(Protocol):
 
 
 @runtime_checkable
-class Telling(Protocol):
+class NoteSource(Protocol):
     """A pipeline that has found out something."""
 
-    def told(self) -> Told:
+    def notes(self) -> FusionNotes:
         """What it knows by the frames so far."""
         ...
 
 
-def told_by(pipeline: object) -> Told:
+def notes_of(pipeline: object) -> FusionNotes:
     """What a pipeline tells; nothing, if it is none that does."""
-    return pipeline.told() if isinstance(pipeline, Telling) else Told()
+    return pipeline.notes() if isinstance(pipeline, NoteSource) else FusionNotes()

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, axis_bits
-from imuarray.fuse.fusion_notes import Remarking, Told
+from imuarray.fuse.fusion_notes import FusionNotes, RemarkSource
 from imuarray.fuse.techniques import TECHNIQUES, Technique
 from imuarray.spelling import guess
 
@@ -31,7 +31,7 @@ class Pipeline(Protocol[Out_co]):
         ...
 
 
-Making = Callable[[Mapping[str, Sequence[Axis]], float], Pipeline[FusedBlock]]
+PipelineFactory = Callable[[Mapping[str, Sequence[Axis]], float], Pipeline[FusedBlock]]
 """The axes by quantity, and the seconds from frame to frame, to a pipeline for them; FusionError if they can't feed it.
 """
 
@@ -44,7 +44,7 @@ class ByQuantity(Protocol):
     techniques: Mapping[str, Technique]
 
 
-class EachAlone:
+class QuantityPipeline:
     """A technique on each quantity by itself."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], technique: str) -> None:
@@ -68,21 +68,21 @@ class EachAlone:
         """Nothing."""
         return iter(())
 
-    def told(self) -> Told:
+    def notes(self) -> FusionNotes:
         """What the techniques remark."""
         remarks: list[str] = []
         for quantity, technique in self.techniques.items():
             remarking: object = technique
-            remarks += remarking.remarks(quantity) if isinstance(remarking, Remarking) else []
-        return Told(remarks=remarks)
+            remarks += remarking.remarks(quantity) if isinstance(remarking, RemarkSource) else []
+        return FusionNotes(remarks=remarks)
 
 
-class Together:
+class TechniqueSet:
     """Several techniques, each on each quantity by itself: blocks by technique. A `Pipeline`."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], names: Sequence[str]) -> None:
-        """FusionError as `EachAlone`."""
-        self._each = {name: EachAlone(axes, name) for name in names}
+        """FusionError as `QuantityPipeline`."""
+        self._each = {name: QuantityPipeline(axes, name) for name in names}
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[dict[str, FusedBlock]]:
         """See `Pipeline`; nothing is held back."""

@@ -22,7 +22,7 @@ from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
 from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, Grid, Rows, Unit, align, choose
 from imuarray.fuse.axes import axes_of, directions
-from imuarray.fuse.element_temperature import Warming
+from imuarray.fuse.element_temperature import TemperatureSources
 from imuarray.fuse.frames import Estimate, Floats, Frames, Times
 from imuarray.fuse.least_squares import ConstantGain, consensus
 from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
@@ -44,7 +44,7 @@ class FixedWeighing(Protocol):
         ...
 
 
-class Plain:
+class DirectCombination:
     """One quantity by a technique that weighs alike in every frame."""
 
     def __init__(self, technique: FixedWeighing, units: Sequence[Unit]) -> None:
@@ -58,10 +58,12 @@ class Plain:
         return self._estimate(self._triads(counts))
 
 
-def plain_of(techniques: Mapping[str, object], units: Mapping[str, Sequence[Unit]]) -> dict[str, Plain]:
+def direct_combinations(
+    techniques: Mapping[str, object], units: Mapping[str, Sequence[Unit]]
+) -> dict[str, DirectCombination]:
     """The short way of every quantity; empty if one of them has none."""
     found = {
-        quantity: Plain(technique, units[quantity])
+        quantity: DirectCombination(technique, units[quantity])
         for quantity, technique in techniques.items()
         if isinstance(technique, FixedWeighing) and all(_is_plain(unit) for unit in units[quantity])
     }
@@ -71,7 +73,7 @@ def plain_of(techniques: Mapping[str, object], units: Mapping[str, Sequence[Unit
 def _is_plain(unit: Unit) -> bool:
     """Whether nothing but its counts says what it feels, and when."""
     known = unit.known
-    return unit.warmth is None and known.g_sensitivity_lsb_per_g is None and not unit.delay_s and not unit.conversion_s
+    return unit.element is None and known.g_sensitivity_lsb_per_g is None and not unit.delay_s and not unit.conversion_s
 
 
 def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | None:
@@ -110,17 +112,17 @@ class FusionStream(Generic[Out]):
         sensors: Mapping[str, Sequence[Described]],
         calibration: Calibration,
         making: Callable[[float], Pipeline[Out]],
-        warming: Warming,
+        temperatures: TemperatureSources,
         *,
         timeout_s: float = TIMEOUT_S,
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         """`sensors` by quantity; `making` makes their pipeline, once it is known how many seconds lie from frame to
-        frame; `warming` of their elements. `tell` hears which sensor is not waited for any more, and
+        frame; `temperatures` of their elements. `tell` hears which sensor is not waited for any more, and
         which one is back. CalibrationError if the calibration does not fit.
         """
         inertial = [sensor for group in sensors.values() for sensor in group]
-        self._feeds = dict(warming.feeds)
+        self._feeds = dict(temperatures.feeds)
         self._names = [sensor.name for sensor in inertial]
         self._where = [sensor.where for sensor in inertial]
         self._rows = {name: Rows() for name in (*self._names, *(set(self._feeds) - set(self._names)))}
@@ -128,21 +130,21 @@ class FusionStream(Generic[Out]):
             Unit(
                 calibration.or_nominal(sensor),
                 sensor.range * sensor.sensitivity,
-                warming.elements.get(sensor.name),
+                temperatures.elements.get(sensor.name),
                 1 / sensor.rate_hz if sensor.rate_hz > 0 else 0.0,
                 (sensor.delay_ns or 0) * 1e-9,
             )
             for sensor in inertial
         ]
-        self._delays_ns = {name: round(delay_s * 1e9) for name, delay_s in warming.delays_s.items()}
-        self._elements = dict(warming.elements)
+        self._delays_ns = {name: round(delay_s * 1e9) for name, delay_s in temperatures.delays_s.items()}
+        self._elements = dict(temperatures.elements)
         self._groups: dict[str, Group] = {}
         for quantity, group in sensors.items():
             numbers = tuple(self._names.index(sensor.name) for sensor in group)
             self._groups[quantity] = Group(numbers, directions(axes_of(group, calibration)))
         self._making = making
         self._pipeline: Pipeline[Out] | None = None
-        self._plain: Mapping[str, Plain] = {}
+        self._direct: Mapping[str, DirectCombination] = {}
         self._timeout_ns = timeout_s * 1e9
         self._tell = tell
         self._silent: set[str] = set()
@@ -259,20 +261,20 @@ class FusionStream(Generic[Out]):
         """The pipeline, with the short way through it if there is one."""
         if isinstance(pipeline, ByQuantity):
             units = {quantity: [self._units[k] for k in group.numbers] for quantity, group in self._groups.items()}
-            self._plain = plain_of(pipeline.techniques, units)
+            self._direct = direct_combinations(pipeline.techniques, units)
         return pipeline
 
     def _fused(self, pipeline: Pipeline[Out], grid: Grid, wanted: slice) -> Iterator[Out]:
         """The frames of the times `wanted`, by the short way if it leads there."""
-        if self._plain and isinstance(pipeline, ByQuantity):
+        if self._direct and isinstance(pipeline, ByQuantity):
             time, blocks = self._times[wanted], [self._rows[name].block for name in self._names]
             counts = plain_counts(blocks, time)
             if counts is not None:
                 found = {
-                    quantity: self._plain[quantity]([counts[number] for number in group.numbers])
+                    quantity: self._direct[quantity]([counts[number] for number in group.numbers])
                     for quantity, group in self._groups.items()
                 }
-                yield cast(Out, fused_block(time, found, pipeline.axes))  # what `EachAlone` gives
+                yield cast(Out, fused_block(time, found, pipeline.axes))  # what `QuantityPipeline` gives
                 return
         yield from pipeline(*self._frames(grid, wanted))
 
@@ -289,7 +291,7 @@ class FusionStream(Generic[Out]):
             frames[quantity] = align(units, rows, around, grid.period_ns, group.directions).part(inner)
         self._felt(frames)
         seconds: Floats = np.asarray(around[inner] * 1e-9, float)
-        return frames, {name: warmth.at(seconds) for name, warmth in self._elements.items()}
+        return frames, {name: element.at(seconds) for name, element in self._elements.items()}
 
     def _felt(self, frames: dict[str, Frames]) -> None:
         """Takes out of what gyroscopes read what they feel of the specific force, as far as that was calibrated."""

@@ -25,7 +25,7 @@ _MOST_BYTES = 1 << 20
 """Of earlier notes that are read, the last ones: some ten thousand events."""
 
 
-class Told:
+class FusionNotes:
     """Events and phases that were taken so far."""
 
     def __init__(self) -> None:

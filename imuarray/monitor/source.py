@@ -12,7 +12,7 @@ from imuarray.log.journal import journal_of
 from imuarray.log.unclosed import says_unclosed
 from imuarray.monitor.backlog import Backlog
 from imuarray.monitor.held import Attributes
-from imuarray.monitor.notes import Told
+from imuarray.monitor.notes import FusionNotes
 from imuarray.monitor.window import Window
 
 
@@ -22,7 +22,7 @@ class Seen:
 
     span_ns: int
     windows: dict[str, Window] = field(default_factory=dict)
-    told: Told = field(default_factory=Told)
+    told: FusionNotes = field(default_factory=FusionNotes)
 
     def expect(self, names: Iterable[str]) -> None:
         """These sensors: windows of the same ones go on, others begin empty."""

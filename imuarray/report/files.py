@@ -38,7 +38,7 @@ NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarr
 
 
 @dataclass(frozen=True)
-class Together:
+class TechniqueSet:
     """What the files of a page know of each other: the calibrations, merged in their order, and whether to draw."""
 
     calibration: Calibration
@@ -51,7 +51,7 @@ Sayings = tuple[list[str], list[Section]]
 """Lines of the summary, and sections."""
 
 
-def _log(path: Path, together: Together) -> Sayings:
+def _log(path: Path, together: TechniqueSet) -> Sayings:
     with ExitStack() as stack:
         log: Log = stack.enter_context(open_log(path))
         known = together.calibration
@@ -69,17 +69,17 @@ def _log(path: Path, together: Together) -> Sayings:
         return list(log_summary(log)), sections
 
 
-def _calibration(path: Path, together: Together) -> Sayings:
+def _calibration(path: Path, together: TechniqueSet) -> Sayings:
     calibration = load_calibration(path)
     return list(calibration_summary(path, calibration)), list(calibration_sections(path, calibration))
 
 
-def _fused(path: Path, together: Together) -> Sayings:
+def _fused(path: Path, together: TechniqueSet) -> Sayings:
     head = read_fused_head(path)
     return list(fused_summary(path, head)), list(fused_sections(path, head, drawn=together.drawn))
 
 
-def _gap(path: Path, together: Together) -> Sayings:
+def _gap(path: Path, together: TechniqueSet) -> Sayings:
     from imuarray.gap.findings.files import diagnosis_of
     from imuarray.report.gap_page import gap_sections, gap_summary
 
@@ -87,7 +87,7 @@ def _gap(path: Path, together: Together) -> Sayings:
     return list(gap_summary(diagnosis)), list(gap_sections(diagnosis, drawn=together.drawn))
 
 
-def _validation(path: Path, together: Together) -> Sayings:
+def _validation(path: Path, together: TechniqueSet) -> Sayings:
     from imuarray.report.validation_figures import plots_of
     from imuarray.report.validation_page import validation_sections
     from imuarray.report.validation_words import summary_lines
@@ -99,7 +99,7 @@ def _validation(path: Path, together: Together) -> Sayings:
     return list(summary_lines(figures)), list(validation_sections(figures, plots))
 
 
-KINDS: Mapping[str, Callable[[Path, Together], Sayings]] = MappingProxyType(
+KINDS: Mapping[str, Callable[[Path, TechniqueSet], Sayings]] = MappingProxyType(
     {
         "log": _log,
         "calibration": _calibration,
@@ -137,7 +137,7 @@ def write_report(
     sections: list[Section] = []
     for done, path in enumerate(sorted(kinds, key=lambda path: list(KINDS).index(kinds[path]))):
         own_progress = partial(_moved, progress, done, len(kinds))
-        lines, own = KINDS[kinds[path]](_file_of(path), Together(known, drawn, own_progress))
+        lines, own = KINDS[kinds[path]](_file_of(path), TechniqueSet(known, drawn, own_progress))
         summary += lines
         sections += own
         own_progress(1.0)

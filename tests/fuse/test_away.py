@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.cli import main
-from imuarray.fuse import away_from, fuse
+from imuarray.fuse import fuse, temperature_mismatch
 from imuarray.fuse.element_temperature import AWAY_DEGC, SCALE_PER_DEGC
 from imuarray.fuse.frames import matrices
 from imuarray.log import open_log
@@ -109,6 +109,6 @@ def test_a_line_says_so(write_run: WriteRun, tmp_path: Path, capsys: pytest.Capt
 
 def test_nothing_is_said_where_no_temperature_is_known(write_run: WriteRun) -> None:
     with open_log(write_run(parts(), truth="truth", frames=400)) as log:
-        assert away_from(log, list(log.sensors.values()), known(5.0)) == {}
+        assert temperature_mismatch(log, list(log.sensors.values()), known(5.0)) == {}
     with open_log(write_run(parts(), truth="reference", frames=400, name="b.h5")) as log:
-        assert away_from(log, list(log.sensors.values()), known(None)) == {}
+        assert temperature_mismatch(log, list(log.sensors.values()), known(None)) == {}

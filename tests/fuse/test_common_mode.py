@@ -25,7 +25,7 @@ def gyros(
     return [Part(n, axes, "angular_rate", "l3g4200d", 250.0, 100.0, sigma=sigma, error=error) for n, axes in ways]
 
 
-def warming(seconds: Floats) -> Floats:
+def temperatures(seconds: Floats) -> Floats:
     """The same on every axis of every unit: 1 dps (1 - exp(-t / 100 s))."""
     return np.outer(DRIFT_DPS * (1 - np.exp(-seconds / TIME_S)), [1, 1, 1])
 
@@ -38,11 +38,11 @@ def fused_dps(write_run: WriteRun, parts: list[Part], technique: str, **options:
 
 def test_a_drift_that_all_units_share_is_taken_out(write_run: WriteRun) -> None:
     """1 + 2 axes: the average keeps a third. The low-pass of 10 s lags by 10 s times the slope."""
-    parts = gyros(warming)
+    parts = gyros(temperatures)
     average = fused_dps(write_run, parts, "mean", frames=8000, rate_hz=20.0)
     opposed = fused_dps(write_run, parts, "opposed", frames=8000, rate_hz=20.0)
     end = slice(6000, 8000)
-    drift = warming(np.arange(6000, 8000) / 20).mean()
+    drift = temperatures(np.arange(6000, 8000) / 20).mean()
     # Of 1 + 2 axes, one minus two over three: +1/3 of it along X (two point along), -1/3 along Y, +1/3 along Z.
     noise = 5 * 0.2 / np.sqrt(3 * 2000)
     assert average[end].mean(axis=0) == pytest.approx(drift / 3 * np.array([1, -1, 1]), abs=noise)
@@ -51,7 +51,7 @@ def test_a_drift_that_all_units_share_is_taken_out(write_run: WriteRun) -> None:
 
 
 def test_taking_it_out_costs_no_noise(write_run: WriteRun) -> None:
-    parts = gyros(warming)
+    parts = gyros(temperatures)
     scatter = {}
     for name in ("mean", "opposed"):
         rows = fused_dps(write_run, parts, name, frames=8000, rate_hz=20.0)
@@ -69,12 +69,12 @@ def test_a_motion_is_not_taken_for_a_drift(write_run: WriteRun) -> None:
 
 def test_one_pair_balances_itself(write_run: WriteRun) -> None:
     """1 + 1 axes along Y and Z: the average is free of what they share. Along X both point alike: nothing is seen."""
-    parts = gyros(warming, GYROS[:2], sigma=0.0)
+    parts = gyros(temperatures, GYROS[:2], sigma=0.0)
     average = fused_dps(write_run, parts, "mean", frames=4000, rate_hz=20.0)
     opposed = fused_dps(write_run, parts, "opposed", frames=4000, rate_hz=20.0)
     assert opposed == pytest.approx(average, abs=1e-12)
     assert np.abs(average[:, 1:]).max() < 1e-9
-    assert average[:, 0] == pytest.approx(warming(np.arange(4000) / 20)[:, 0], abs=0.6 / 100)
+    assert average[:, 0] == pytest.approx(temperatures(np.arange(4000) / 20)[:, 0], abs=0.6 / 100)
 
 
 def steady(errors: Floats, ways: tuple[tuple[str, str], ...] = GYROS) -> tuple[Floats, Floats]:
@@ -119,9 +119,9 @@ def test_a_shared_drift_is_seen_beneath_biases_of_their_own(write_run: WriteRun)
     rng = np.random.default_rng(4)
 
     def biased(bias: Floats) -> Callable[[Floats], Floats]:
-        return lambda seconds: warming(seconds) + bias
+        return lambda seconds: temperatures(seconds) + bias
 
-    parts = [part._replace(error=biased(rng.normal(0, 2, 3))) for part in gyros(warming, sigma=0.05)]
+    parts = [part._replace(error=biased(rng.normal(0, 2, 3))) for part in gyros(temperatures, sigma=0.05)]
     moved = {}
     for name in ("mean", "opposed"):
         rows = fused_dps(write_run, parts, name, frames=12000, rate_hz=20.0)
@@ -171,7 +171,7 @@ def test_odd_order_errors_stay_as_in_the_average(write_run: WriteRun) -> None:
     def steady_turn(seconds: Floats) -> Floats:
         return np.outer(np.where(seconds > 60, 80.0, 0.0), [1.0, 1.0, 1.0])
 
-    parts = [part._replace(error=cubic(part.axes)) for part in gyros(warming, sigma=0.0)]
+    parts = [part._replace(error=cubic(part.axes)) for part in gyros(temperatures, sigma=0.0)]
     average, opposed = (
         fused_dps(write_run, parts, name, frames=6000, rate_hz=20.0, rate=steady_turn) for name in ("mean", "opposed")
     )

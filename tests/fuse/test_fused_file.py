@@ -141,18 +141,18 @@ def test_a_result_can_be_read_while_it_is_written_and_if_its_writing_was_cut_sho
     """HDF5 refuses a file that says it is open for writing; one column is longer, for it came first."""
     live = LiveFused(tmp_path / "live.h5", epoch=EPOCH, technique="mean", log="run.h5")
     live.append(block())
-    path, beside = tmp_path / "live.h5", tmp_path / "cut.h5"
+    path, cut_file = tmp_path / "live.h5", tmp_path / "cut.h5"
     with live:
         (back,) = read_fused(path)
         assert (back.time == block().time).all()
         assert (back.triads[FORCE] == block().triads[FORCE]).all()
         live._fused._group["time"].resize(FRAMES + 10, axis=0)
         live._fused._group["time"].flush()
-        beside.write_bytes(path.read_bytes())
-    assert read_fused_head(beside).frames == FRAMES
-    assert [len(part.time) for part in read_fused(beside, block=30)] == [30, 20]
-    assert sum(export(beside, tmp_path / "f.csv").rows.values()) == FRAMES
-    assert kind_of(beside) == "fused result"
+        cut_file.write_bytes(path.read_bytes())
+    assert read_fused_head(cut_file).frames == FRAMES
+    assert [len(part.time) for part in read_fused(cut_file, block=30)] == [30, 20]
+    assert sum(export(cut_file, tmp_path / "f.csv").rows.values()) == FRAMES
+    assert kind_of(cut_file) == "fused result"
 
 
 EVENT = FaultEvent(1, "specific_force", "A", ("x",), "stuck", "isolated", 0.0, 9.0)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from imuarray.calibrate import Calibration
-from imuarray.fuse import running_temperatures
-from imuarray.fuse.element_temperature import RunningThermometer
+from imuarray.fuse import causal_temperatures
+from imuarray.fuse.element_temperature import CausalThermometer
 from tests.fuse.conftest import Floats
 from tests.fuse.test_thermal import BAROMETER, HEADERS
 from tests.fuse.test_thermal import known as with_slopes
 
 
-def fed(seconds: Floats, degc: Floats, lags_s: list[float], cuts: int = 7) -> RunningThermometer:
-    thermometer = RunningThermometer(lags_s)
+def fed(seconds: Floats, degc: Floats, lags_s: list[float], cuts: int = 7) -> CausalThermometer:
+    thermometer = CausalThermometer(lags_s)
     for part in np.array_split(np.arange(len(seconds)), cuts):
         thermometer.add(np.round(seconds[part] * 1e9).astype(np.int64), degc[part])
     return thermometer
@@ -41,7 +41,7 @@ def test_noise_costs_little() -> None:
     variance the slope has 12 / (4 (4^2 - 1) 5^2) s^-2, and 7.5 / 125 s^-1 in common with the last of them.
     """
     rng = np.random.default_rng(4)
-    late = RunningThermometer([0.0], 15.0)
+    late = CausalThermometer([0.0], 15.0)
     seconds = np.arange(40_000) / 4
     late.add((seconds * 1e9).astype(np.int64), rng.normal(0, 1, len(seconds)))
     told = np.array([late.at(np.array([at]), 0)[0] for at in (seconds[-1] - 299.9 + np.arange(0, 299, 5.0))])
@@ -65,7 +65,7 @@ def test_behind_a_lag_a_ramp_is_late_by_it() -> None:
 
 def test_rows_that_come_late_are_waited_for_by_nobody() -> None:
     """15 s old: as if it were 15 s earlier, but that the ramp has gone on, and the element behind it."""
-    late = RunningThermometer([0.0, 40.0], 15.0)
+    late = CausalThermometer([0.0, 40.0], 15.0)
     late.add((SECONDS * 1e9).astype(np.int64), 20 + 0.1 * SECONDS)
     asked = np.array([615.1, 903.0])
     assert late.at(asked, 0) == pytest.approx(20 + 0.1 * asked)
@@ -99,7 +99,7 @@ def test_values_that_are_none_do_not_count() -> None:
 
 
 def test_it_keeps_no_more_than_it_needs() -> None:
-    thermometer = RunningThermometer([10.0])
+    thermometer = CausalThermometer([10.0])
     for start in range(0, 40_000, 50):
         seconds = start + np.arange(50.0)
         thermometer.add((seconds * 1e9).astype(np.int64), 20 + 0.001 * seconds)
@@ -120,11 +120,11 @@ def test_it_keeps_no_more_than_it_needs() -> None:
 def test_whose_thermometer_it_is(thermometers: list[str], slopes: str, found: dict[str, str]) -> None:
     inertial = [replace(header, has_temperature=name in thermometers) for name, header in HEADERS.items()]
     everything = [*inertial, *([BAROMETER] if "P" in thermometers else [])]
-    warming = running_temperatures(everything, inertial, with_slopes(slopes))
-    assert set(warming.elements) == set(found)
-    assert set(warming.feeds) == set(found.values())
+    temperatures = causal_temperatures(everything, inertial, with_slopes(slopes))
+    assert set(temperatures.elements) == set(found)
+    assert set(temperatures.feeds) == set(found.values())
 
 
 def test_without_slopes_nobody_is_asked() -> None:
-    warming = running_temperatures([*HEADERS.values(), BAROMETER], list(HEADERS.values()), Calibration())
-    assert (warming.elements, warming.feeds) == ({}, {})
+    temperatures = causal_temperatures([*HEADERS.values(), BAROMETER], list(HEADERS.values()), Calibration())
+    assert (temperatures.elements, temperatures.feeds) == ({}, {})

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imuarray.errors import FusionError
-from imuarray.fuse import TECHNIQUES, Axis, EachAlone, Frames, FusedBlock, FusionStream, Pipeline, fuse, live
+from imuarray.fuse import TECHNIQUES, Axis, Frames, FusedBlock, FusionStream, Pipeline, QuantityPipeline, fuse, live
 from imuarray.fuse.alignment import Rows, cut
 from imuarray.log import Block, Log, open_log
 from imuarray.log.headers import recorded_header
@@ -217,7 +217,9 @@ def test_a_pipeline_may_hold_frames_back(run: Path) -> None:
             return iter(self.held)
 
     with open_log(run) as log:
-        late = list(fuse(log, calibration(parts()), lambda axes, period_s: Late(EachAlone(axes, "opposed")), block=100))
+        late = list(
+            fuse(log, calibration(parts()), lambda axes, period_s: Late(QuantityPipeline(axes, "opposed")), block=100)
+        )
         same(late, list(fuse(log, calibration(parts()), "opposed")))
 
 
@@ -227,7 +229,7 @@ def test_a_pipeline_hears_how_warm_the_elements_are(warm: Path) -> None:
     class Listening:
         def __init__(self, axes: Mapping[str, Sequence[Axis]], period_s: float) -> None:
             assert period_s > 0
-            self.inner = EachAlone(axes, "mean")
+            self.inner = QuantityPipeline(axes, "mean")
 
         def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
             for name, values in degc.items():

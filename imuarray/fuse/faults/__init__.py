@@ -8,6 +8,6 @@
 
 from imuarray.fuse.faults.events import FaultEvent
 from imuarray.fuse.faults.kinds import Ranges
-from imuarray.fuse.faults.monitor import FaultMonitor, LeftOut
+from imuarray.fuse.faults.monitor import ExclusionMasks, FaultMonitor
 
-__all__ = ["FaultEvent", "FaultMonitor", "LeftOut", "Ranges"]
+__all__ = ["ExclusionMasks", "FaultEvent", "FaultMonitor", "Ranges"]

@@ -15,7 +15,7 @@ from imuarray.fuse.faults.events import FaultEvent, State
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, energy_limit
 from imuarray.fuse.faults.kinds import Kind
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Look
+from imuarray.fuse.faults.window import WindowResiduals
 
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -59,7 +59,7 @@ def needs(offences: int, window_s: float) -> int:
     return max(1, round(min(AGREES_S * 2.0 ** (offences - 1), _LONGEST_S) / window_s))
 
 
-def agreeing(seen: Look, normal: Normal, present: Flags) -> Flags:
+def agreeing(seen: WindowResiduals, normal: Normal, present: Flags) -> Flags:
     """(m,) the axes whose readings, included or not, are what the included ones and the normal model say."""
     mean = seen.means**2 < AGREES * seen.spread
     centred = np.where(seen.residual == 0, 0.0, seen.residual - seen.means)
@@ -76,7 +76,7 @@ _UNKNOWN = Kind("bias", 0.0)
 _ALL = (0, 1, 2)
 
 
-class Telling:
+class FaultReport:
     """The events of one quantity, whose sensors have these names."""
 
     def __init__(self, names: Sequence[str], quantity: str) -> None:
@@ -122,5 +122,5 @@ class Telling:
     ) -> None:
         labels = tuple("xyz"[axis % 3] for axis in axes)
         sigmas = float(np.sqrt(gain))
-        told = (time_ns, self._quantity, self._names[sensor], labels, kind.name, state, kind.size, sigmas)
-        self.events.append(FaultEvent(*told, others=others, range=kind.range))
+        observable = (time_ns, self._quantity, self._names[sensor], labels, kind.name, state, kind.size, sigmas)
+        self.events.append(FaultEvent(*observable, others=others, range=kind.range))

@@ -30,7 +30,7 @@ _UNEVEN = 1e-6
 """Least determinant of a normal matrix over the cube of its trace that goes without saying: `spans` asks for 1e-9."""
 
 
-class Seen(NamedTuple):
+class WindowStatistics(NamedTuple):
     """A window without a fault: `residual` (n, m) and its `means` (m,), the `aged` covariances (m, 5, 5) of the normal
     model's states, the `moments` (m, 5, 5) of its regressors, their products (m, 5) with the residuals and their
     `usual` values (m, 5), and which axes are `sound` (m,) enough to be learnt from.
@@ -45,7 +45,7 @@ class Seen(NamedTuple):
     sound: Flags
 
 
-class Stretch:
+class WindowSeries:
     """k consecutive windows of n frames of m axes, whose noise is known by now: `variance` (m,) of single readings.
 
     `time` (k, n) ns, `values` (k, n, m) in SI; `out` (m,) are left out, `white` is the parity space of the others.
@@ -68,7 +68,7 @@ class Stretch:
         self._moments = _moments(triad, along)
         self.changes = (np.diff(values, axis=1) ** 2).sum(axis=1) / (self._frames - 1)
         # No triad is left in the residuals, so that the deleted ones are these by weight over A's diagonal.
-        own = np.where(white.told, white.matrix.diagonal(), np.inf)
+        own = np.where(white.observable, white.matrix.diagonal(), np.inf)
         self._precision = 1 / (own * variance**2)
         self.share = np.asarray(white.matrix.diagonal() * variance)
         self.counts = np.full(len(rows), float(self._frames))
@@ -76,7 +76,7 @@ class Stretch:
         normal = rows[self.included].T @ rows[self.included]
         self._even = float(np.linalg.det(normal) / np.trace(normal) ** 3)
 
-    def seen(self, index: int, normal: Normal, waiting: Sequence[Sequence[int]]) -> Seen | None:
+    def seen(self, index: int, normal: Normal, waiting: Sequence[Sequence[int]]) -> WindowStatistics | None:
         """What a window shows; None where it may show a fault, where one of those (axes, each) who are `waiting` to be
         used again may agree with the others, or where this way does not tell.
         """
@@ -110,7 +110,7 @@ class Stretch:
         moments = shear @ self._moments[index] @ shear.T
         if not self._all:
             aged = np.where(self.included[:, None, None], aged, normal.covariance)
-        return Seen(residual, means, aged, moments, with_residual, usual, sound)
+        return WindowStatistics(residual, means, aged, moments, with_residual, usual, sound)
 
     def _sound(self, doubt: Floats, means: Floats, waiting: Sequence[Sequence[int]]) -> Flags | None:
         """(m,) the axes that nothing speaks against; None where something may speak for a fault, or for somebody who
@@ -138,8 +138,8 @@ class Stretch:
         if whole < AXIS_GAIN / 2:
             return self.included
         own = weights - ((weighted @ spread) * weighted).sum(axis=1)
-        told = own > 1e-6 * weights
-        gains = np.where(told, shown**2 / np.where(told, own, 1.0), 0.0)
+        observable = own > 1e-6 * weights
+        gains = np.where(observable, shown**2 / np.where(observable, own, 1.0), 0.0)
         return np.asarray((gains < AXIS_GAIN / 2) & self.included)
 
 

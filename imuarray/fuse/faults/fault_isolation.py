@@ -14,12 +14,12 @@ import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.events import UNIT
-from imuarray.fuse.faults.exclusions import Exclusion, Telling, agreeing, needs
-from imuarray.fuse.faults.fast_path import Stretch
-from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, strongest, told_apart
-from imuarray.fuse.faults.kinds import QUIET, Beside, Kind, Ranges, beside, kind_of, reset_to
+from imuarray.fuse.faults.exclusions import Exclusion, FaultReport, agreeing, needs
+from imuarray.fuse.faults.fast_path import WindowSeries
+from imuarray.fuse.faults.hypotheses import AXIS_GAIN, Baseline, Suspect, separate_rivals, strongest
+from imuarray.fuse.faults.kinds import QUIET, Kind, Ranges, TriadComparison, compare_triad, kind_of, reset_to
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Look, Spaces, Window, look
+from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_residuals
 from imuarray.fuse.least_squares import spans
 from imuarray.fuse.techniques.technique import noise_of
 from imuarray.units import SI_PER_UNIT
@@ -37,29 +37,29 @@ class Silence:
         self._patience = max(1, round(SILENT_S / window_s))
         self._absent = np.zeros(sensors, int)
         self._heard = np.zeros(sensors, int)
-        self._told = np.zeros(sensors, bool)
+        self._reported = np.zeros(sensors, bool)
 
     @property
     def anybody(self) -> bool:
         """Whether anybody is silent."""
-        return bool(self._told.any())
+        return bool(self._reported.any())
 
     def all_heard(self) -> None:
         """A window in which every sensor has enough readings, none being silent."""
         self._absent[:] = 0
         self._heard += 1
 
-    def __call__(self, present: Flags, time_ns: int, telling: Telling) -> None:
+    def __call__(self, present: Flags, time_ns: int, report: FaultReport) -> None:
         """Takes the axes (m,) that have enough readings in the next window."""
         there = present.reshape(-1, 3).any(axis=1)
         self._absent = np.where(there, 0, self._absent + 1)
         self._heard = np.where(there, self._heard + 1, 0)
-        for sensor in np.flatnonzero(~self._told & (self._absent >= self._patience)).tolist():
-            telling.silent(sensor, self._patience * self._window_s, time_ns)
-            self._told[sensor] = True
-        for sensor in np.flatnonzero(self._told & (self._heard >= self._patience)).tolist():
-            telling.back(sensor, time_ns)
-            self._told[sensor] = False
+        for sensor in np.flatnonzero(~self._reported & (self._absent >= self._patience)).tolist():
+            report.silent(sensor, self._patience * self._window_s, time_ns)
+            self._reported[sensor] = True
+        for sensor in np.flatnonzero(self._reported & (self._heard >= self._patience)).tolist():
+            report.back(sensor, time_ns)
+            self._reported[sensor] = False
 
 
 Floats = npt.NDArray[np.float64]
@@ -156,7 +156,7 @@ _STUCK_GAIN = 100.0
 """Ten standard deviations: what two windows without a change stand for, at the least."""
 
 
-class Judge:
+class FaultIsolation:
     """The state of one quantity: the normal model, who is out, what was said."""
 
     def __init__(
@@ -171,7 +171,7 @@ class Judge:
         names = [axis.sensor for axis in axes[::3]]
         self._still = Stillness(len(names))
         self._silence = Silence(len(names), self._window_s)
-        self.telling = Telling(names, quantity)
+        self.report = FaultReport(names, quantity)
         self._out: list[Exclusion] = []
         self._offences = np.zeros(len(axes), int)
         self._doubts: dict[int, tuple[int, int]] = {}
@@ -186,7 +186,7 @@ class Judge:
             mask[list(exclusion.axes)] = True
         return mask
 
-    def stretch(self, time: Times, values: Floats) -> Stretch | None:
+    def stretch(self, time: Times, values: Floats) -> WindowSeries | None:
         """The short way through windows, time (k, n) ns and values (k, n, m), in which every reading is there and none
         is stale; None where there is none now.
         """
@@ -194,11 +194,13 @@ class Judge:
         if not self._normal.settled:
             return None
         white = self._spaces(np.where(out, 0.0, 1 / self._normal.variance))
-        if white is None or not white.told[~out].all():
+        if white is None or not white.observable[~out].all():
             return None
-        return Stretch(time, values, out, white, self._rows, self._normal.variance)
+        return WindowSeries(time, values, out, white, self._rows, self._normal.variance)
 
-    def undisturbed(self, stretch: Stretch, index: int, window: Callable[[], Window], masks: Sequence[Flags]) -> bool:
+    def undisturbed(
+        self, stretch: WindowSeries, index: int, window: Callable[[], Window], masks: Sequence[Flags]
+    ) -> bool:
         """Judges the next window, number `index` of `stretch`, by the short way; False, with nothing done, where that
         does not lead to the end.
         """
@@ -236,7 +238,7 @@ class Judge:
             self._normal.begin(window.changes)
         self._count += 1
         before, time_ns = self.out, int(window.time[0])
-        self._silence(window.present, time_ns, self.telling)
+        self._silence(window.present, time_ns, self.report)
         self._normal.age(~before)
         for sensor in np.flatnonzero(self._still(window, self._normal)).tolist():
             self._exclude(Suspect(_members(sensor), _STUCK_GAIN, "energy"), time_ns)
@@ -267,11 +269,11 @@ class Judge:
         """Names what had no time to show."""
         for exclusion in self._out:
             if not exclusion.named:
-                self.telling.isolated(exclusion, exclusion.first)
+                self.report.isolated(exclusion, exclusion.first)
 
     def _search(
         self, window: Window, time_ns: int, departed: tuple[Suspect, float] | None = None
-    ) -> tuple[Look | None, Flags]:
+    ) -> tuple[WindowResiduals | None, Flags]:
         """Leaves out one suspect after the other until what is left agrees; the window as that sees it (None: too
         little is left), and the axes (m,) of sensors of whom one is faulty, but none knows which.
         """
@@ -288,27 +290,27 @@ class Judge:
             if suspect is None:
                 return seen, nobody
             if suspect.rivals:
-                suspect = told_apart(suspect, window, seen, self._normal, self._reset) or suspect
+                suspect = separate_rivals(suspect, window, seen, self._normal, self._reset) or suspect
             if suspect.rivals or not self._exclude(suspect, time_ns, drifted, window):
                 return seen, self._doubt(suspect, seen, window, drifted)
         return self._look(window), nobody
 
-    def _look(self, window: Window) -> Look | None:
+    def _look(self, window: Window) -> WindowResiduals | None:
         """The window as those see it who are in; says so once if they can't check each other."""
         seen = self._seen_by(~self.out, window)
         if (
             self._out
             and self._out[-1].named
             and not self._blind
-            and (seen is None or not seen.white.told[seen.included].any())
+            and (seen is None or not seen.white.observable[seen.included].any())
         ):
             self._blind = True
-            self.telling.blind(self._out[-1].sensor, int(window.time[0]))
+            self.report.blind(self._out[-1].sensor, int(window.time[0]))
         return seen
 
-    def _seen_by(self, included: Flags, window: Window) -> Look | None:
+    def _seen_by(self, included: Flags, window: Window) -> WindowResiduals | None:
         """The window as the axes `included` see it."""
-        return look(window, self._normal, self._rows, window.present & included, self._spaces)
+        return window_residuals(window, self._normal, self._rows, window.present & included, self._spaces)
 
     def _exclude(self, suspect: Suspect, time_ns: int, drifted: float = 0.0, window: Window | None = None) -> bool:
         """Leaves axes out; False where the others would no longer tell all of a triad."""
@@ -328,18 +330,20 @@ class Judge:
             made.first = self._kind(made.sensor, made.axes, drifted, seen, window)
         return True
 
-    def _kind(self, sensor: int, axes: Sequence[int], drifted: float, seen: Look, window: Window) -> Kind | None:
+    def _kind(
+        self, sensor: int, axes: Sequence[int], drifted: float, seen: WindowResiduals, window: Window
+    ) -> Kind | None:
         """What a fault looks like in a window; None where there is nothing to see."""
         if drifted:
             return Kind("random_walk", drifted)
-        view = beside(seen, window, self._normal, _members(sensor))
+        view = compare_triad(seen, window, self._normal, _members(sensor))
         return None if view is None else kind_of(view, [axis % 3 for axis in axes], self._reset(view, sensor))
 
-    def _reset(self, view: Beside, sensor: int) -> tuple[float, float] | None:
+    def _reset(self, view: TriadComparison, sensor: int) -> tuple[float, float] | None:
         """The range that explains a view of a sensor."""
         return reset_to(view, self._axes[3 * sensor], self._ranges, self._unit_si)
 
-    def _name(self, exclusion: Exclusion, seen: Look, window: Window) -> None:
+    def _name(self, exclusion: Exclusion, seen: WindowResiduals, window: Window) -> None:
         """Says what it is, a window after it was found: by then it fills a window. A sensor that is stuck or measures
         in another range is left out as a whole.
         """
@@ -354,9 +358,9 @@ class Judge:
             if spans(self._rows[~out].T @ self._rows[~out]):
                 self._out = [each for each in self._out if each.sensor != exclusion.sensor or each is exclusion]
                 exclusion.axes = _members(exclusion.sensor)
-        self.telling.isolated(exclusion, exclusion.kind)
+        self.report.isolated(exclusion, exclusion.kind)
 
-    def _doubt(self, suspect: Suspect, seen: Look, window: Window, drifted: float) -> Flags:
+    def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: Window, drifted: float) -> Flags:
         """Counts the windows in which a fault shows that is nobody's, and says so when it lasts."""
         sensor = suspect.axes[0] // 3
         among = sorted({sensor, *suspect.rivals})
@@ -368,29 +372,29 @@ class Judge:
             others[list(suspect.axes)] = False
             beside_it = self._seen_by(others, window) or seen
             kind = self._kind(sensor, suspect.axes, drifted, beside_it, window)
-            self.telling.doubted(suspect.axes, suspect.rivals, int(window.time[0]), kind, suspect.gain)
+            self.report.doubted(suspect.axes, suspect.rivals, int(window.time[0]), kind, suspect.gain)
         doubted = np.zeros(len(self._axes), bool)
         doubted.reshape(-1, 3)[among] = True
         return doubted
 
-    def _learn(self, seen: Look, window: Window, doubted: Flags) -> None:
+    def _learn(self, seen: WindowResiduals, window: Window, doubted: Flags) -> None:
         """What the sound axes read is normal."""
         gains = seen.slow.axis_gains(seen.means)
         sound = seen.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)
         self._normal.learn(seen.regressors, seen.residual, sound)
-        whole = sound & (seen.counts == len(seen.triad)) & seen.white.told
+        whole = sound & (seen.counts == len(seen.triad)) & seen.white.observable
         whole &= window.changes > QUIETEST * self._normal.change
         share = seen.white.matrix.diagonal() * self._normal.variance
         self._normal.learn_noise(seen.residual, seen.means, share, seen.counts, whole)
 
-    def _readmit(self, seen: Look, present: Flags, time_ns: int) -> None:
+    def _readmit(self, seen: WindowResiduals, present: Flags, time_ns: int) -> None:
         """Takes back those that have agreed for long enough."""
         agrees = agreeing(seen, self._normal, present) & ~np.repeat(self._still.standing, 3)
         for exclusion in list(self._out):
             if exclusion.hears(agrees):
                 self._out.remove(exclusion)
                 self._blind = False
-                self.telling.readmitted(exclusion, time_ns)
+                self.report.readmitted(exclusion, time_ns)
 
 
 def _members(sensor: int) -> tuple[int, int, int]:

@@ -23,9 +23,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.fuse.faults.kinds import QUIET, Beside, beside
+from imuarray.fuse.faults.kinds import QUIET, TriadComparison, compare_triad
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Look, Spaces, Window, look
+from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_residuals
 from imuarray.units import STANDARD_GRAVITY
 
 Floats = npt.NDArray[np.float64]
@@ -61,7 +61,7 @@ class Suspect:
     rivals: tuple[int, ...] = ()
 
 
-def strongest(seen: Look, normal: Normal) -> Suspect | None:
+def strongest(seen: WindowResiduals, normal: Normal) -> Suspect | None:
     """The most likely fault of a window, None if it shows none."""
     axis, sensor = seen.slow.axis_gains(seen.means), seen.slow.sensor_gains(seen.means)
     energy, lasting = seen.energies(normal)
@@ -89,7 +89,7 @@ def least_energy_limit(frames: int) -> float:
     return float(min(energy_limit(frames, np.ones(1), np.zeros(1))[0], frames * AXIS_GAIN))
 
 
-def _by_mean(axis: Floats, sensor: Floats, seen: Look) -> Suspect:
+def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
     """Of the means: the sensor that gains most, or the one axis of it that does nearly all of that."""
     best = int(sensor.argmax())
     members = np.arange(3 * best, 3 * best + 3)
@@ -158,7 +158,7 @@ class Baseline:
         deleted = space.deleted
         departure = deleted @ moved
         allowed = self._limit + _SIGMAS * np.sqrt(deleted**2 @ np.where(begun, unknown, 0.0))
-        share = np.where(space.told, np.abs(departure) / allowed, 0.0)
+        share = np.where(space.observable, np.abs(departure) / allowed, 0.0)
         worst = int(share.argmax())
         if share[worst] < 1:
             return None, 0.0
@@ -181,7 +181,7 @@ class Baseline:
         self._state[now], self._covariance[now] = normal.state[now], normal.covariance[now]
 
 
-Resets = Callable[[Beside, int], tuple[float, float] | None]
+Resets = Callable[[TriadComparison, int], tuple[float, float] | None]
 """The range (and factor) that explains how a sensor (number) reads beside the others."""
 
 _WILD = 6.0
@@ -191,7 +191,9 @@ _CALM = 2.0
 """... if those of all others have less than this: the box is at rest."""
 
 
-def told_apart(suspect: Suspect, window: Window, seen: Look, normal: Normal, resets: Resets) -> Suspect | None:
+def separate_rivals(
+    suspect: Suspect, window: Window, seen: WindowResiduals, normal: Normal, resets: Resets
+) -> Suspect | None:
     """The suspect, or one of its rivals, as a whole sensor, if it alone stands still, reads as if in another range of
     its chip, or is noisy while all others are as ever; None if that is true of none or of several.
     """
@@ -200,8 +202,8 @@ def told_apart(suspect: Suspect, window: Window, seen: Look, normal: Normal, res
         members = np.arange(3 * sensor, 3 * sensor + 3)
         rest = seen.included.copy()
         rest[members] = False
-        without = look(window, normal, seen.rows, rest, Spaces(seen.rows))
-        view = None if without is None else beside(without, window, normal, members.tolist())
+        without = window_residuals(window, normal, seen.rows, rest, Spaces(seen.rows))
+        view = None if without is None else compare_triad(without, window, normal, members.tolist())
         if view is None:
             return None
         views[sensor] = view

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.normal import Normal
-from imuarray.fuse.faults.window import Look, Window
+from imuarray.fuse.faults.window import Window, WindowResiduals
 
 Floats = npt.NDArray[np.float64]
 
@@ -48,13 +48,13 @@ class Kind:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """One triad beside what the others make of it: `own` readings, less what is normal for it, and `told` (n, 3) along
-    its axes, valid readings only; `noise` (3,) of a single one.
+class TriadComparison:
+    """One triad compared with the other sensors: its `own` readings less its normal errors, and the readings `expected`
+    (n, 3) along its axes, valid readings only; `noise` (3,) of a single reading.
     """
 
     own: Floats
-    told: Floats
+    expected: Floats
     noise: Floats
     quiet: float
     """Mean square of its changes over the usual one."""
@@ -63,32 +63,32 @@ class Beside:
     @property
     def ratio(self) -> float:
         """How many times what the others tell it reads; NaN where there is too little to tell it from."""
-        power = float((self.told**2).mean(axis=0).sum())
-        if not power > _TOLD**2 * float((self.noise**2).sum()) / len(self.told):
+        power = float((self.expected**2).mean(axis=0).sum())
+        if not power > _TOLD**2 * float((self.noise**2).sum()) / len(self.expected):
             return np.nan
-        return float((self.own * self.told).sum() / (self.told**2).sum())
+        return float((self.own * self.expected).sum() / (self.expected**2).sum())
 
     @property
     def noise_ratios(self) -> Floats:
         """(3,) by how much more than usual each axis scatters about what the others tell."""
-        return np.asarray((self.own - self.told).std(axis=0) / self.noise)
+        return np.asarray((self.own - self.expected).std(axis=0) / self.noise)
 
 
-def beside(seen: Look, window: Window, normal: Normal, axes: Sequence[int]) -> Beside | None:
+def compare_triad(seen: WindowResiduals, window: Window, normal: Normal, axes: Sequence[int]) -> TriadComparison | None:
     """A triad (its three `axes`) beside the axes included in `seen`; None where it has too few valid readings."""
     members = list(axes)
     rows = window.valid[:, members].all(axis=1)
     if rows.sum() < 3:
         return None
-    told = seen.triad @ seen.rows[members].T
+    expected = seen.triad @ seen.rows[members].T
     with np.errstate(invalid="ignore"):
         quiet = float(np.mean(window.changes[members] / normal.change[members]))
     stale = bool(window.stale is not None and window.stale[rows][:, members].all())
-    own = told[rows] + seen.residual[rows][:, members]
-    return Beside(own, told[rows], np.sqrt(normal.variance[members]), quiet, stale)
+    own = expected[rows] + seen.residual[rows][:, members]
+    return TriadComparison(own, expected[rows], np.sqrt(normal.variance[members]), quiet, stale)
 
 
-def reset_to(view: Beside, axis: Axis, ranges: Ranges, unit_si: float) -> tuple[float, float] | None:
+def reset_to(view: TriadComparison, axis: Axis, ranges: Ranges, unit_si: float) -> tuple[float, float] | None:
     """The range of its chip that explains how many times too much a triad reads (or, where there is nothing to read,
     scatters), and that factor; None if none does.
     """
@@ -108,14 +108,14 @@ def reset_to(view: Beside, axis: Axis, ranges: Ranges, unit_si: float) -> tuple[
     return (best, factors[best]) if abs(ratio / factors[best] - 1) < alike else None
 
 
-def kind_of(view: Beside, which: Sequence[int], reset: tuple[float, float] | None) -> Kind:
+def kind_of(view: TriadComparison, which: Sequence[int], reset: tuple[float, float] | None) -> Kind:
     """What the fault of the axes `which` (0, 1, 2) of a triad is."""
     if view.stale or (view.quiet < QUIET and reset is None):
         return Kind("stuck", 0.0, whole=True)
     if reset is not None:
         return Kind("range_reset", reset[1], whole=True, range=reset[0])
     chosen = list(which)
-    off = (view.own - view.told)[:, chosen]
+    off = (view.own - view.expected)[:, chosen]
     size = float(off.mean(axis=0)[np.abs(off.mean(axis=0)).argmax()])
     about = off - off.mean(axis=0)
     noise = view.noise[chosen]
@@ -125,14 +125,14 @@ def kind_of(view: Beside, which: Sequence[int], reset: tuple[float, float] | Non
     return _by_scale(view, chosen, about) or Kind("bias", size)
 
 
-def _by_scale(view: Beside, chosen: Sequence[int], about: Floats) -> Kind | None:
+def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> Kind | None:
     """Another scale, where that explains a window far better than another bias."""
-    told, own = view.told[:, chosen], view.own[:, chosen]
-    power = (told**2).sum(axis=0)
+    expected, own = view.expected[:, chosen], view.own[:, chosen]
+    power = (expected**2).sum(axis=0)
     if not power.min() > _TOLD**2 * float((view.noise[chosen] ** 2).max()):
         return None
-    factor = (own * told).sum(axis=0) / power
-    left = ((own - factor * told) ** 2).sum()
+    factor = (own * expected).sum(axis=0) / power
+    left = ((own - factor * expected) ** 2).sum()
     return Kind("scale", float(factor[np.abs(factor - 1).argmax()])) if left < 0.3 * (about**2).sum() else None
 
 

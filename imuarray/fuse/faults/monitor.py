@@ -20,12 +20,12 @@ import numpy.typing as npt
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.faults.events import FaultEvent
-from imuarray.fuse.faults.fast_path import Stretch
-from imuarray.fuse.faults.fault_isolation import Judge
+from imuarray.fuse.faults.fast_path import WindowSeries
+from imuarray.fuse.faults.fault_isolation import FaultIsolation
 from imuarray.fuse.faults.kinds import Ranges
 from imuarray.fuse.faults.window import Window, lever_arms
 from imuarray.fuse.frames import Floats, Frames
-from imuarray.fuse.fusion_notes import Told, told_by
+from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.least_squares import consensus
 from imuarray.fuse.pipeline import Pipeline
 
@@ -43,7 +43,7 @@ _AT_FIRST, _AT_ONCE = 8, 256
 NO_RANGES: Ranges = MappingProxyType({})
 
 
-class LeftOut:
+class ExclusionMasks:
     """Which axes a monitor left out of which frames: what does not change for long takes no room."""
 
     def __init__(self, window: int, axes: int) -> None:
@@ -86,18 +86,18 @@ class FaultMonitor:
         _check(axes, period_s)
         self.window = max(LEAST_FRAMES, round(WINDOW_S / period_s))
         self._rows = directions(axes)
-        self._judge = Judge(axes, self._rows, quantity, self.window, period_s, ranges)
+        self._isolation = FaultIsolation(axes, self._rows, quantity, self.window, period_s, ranges)
         self._positions_m = np.array([axis.position_m for axis in axes])
         self._spread_out = quantity == "specific_force" and bool(np.ptp(self._positions_m, axis=0).any())
         self._held: Frames | None = None
         self._rates = np.empty((0, 3))
         self._masks: list[Flags] = []
-        self.left_out = LeftOut(self.window, len(axes))
+        self.left_out = ExclusionMasks(self.window, len(axes))
 
     @property
     def events(self) -> tuple[FaultEvent, ...]:
         """What was found so far, in order."""
-        return tuple(self._judge.telling.events)
+        return tuple(self._isolation.report.events)
 
     def __call__(self, frames: Frames, rate_box: Floats | None = None) -> Frames:
         """The frames that are done with, in order: none at all while the first window fills.
@@ -121,11 +121,11 @@ class FaultMonitor:
                     stretch, begin = self._stretch(held, starts[number : number + ahead]), number
                     ahead = min(2 * ahead, _AT_ONCE)
                 window = partial(self._window_at, held, start)
-                if stretch is not None and self._judge.undisturbed(stretch, number - begin, window, masks):
+                if stretch is not None and self._isolation.undisturbed(stretch, number - begin, window, masks):
                     continue
-            out = self._judge.out
-            self._judge(self._window_at(held, start), masks)
-            if (self._judge.out != out).any():
+            out = self._isolation.out
+            self._isolation(self._window_at(held, start), masks)
+            if (self._isolation.out != out).any():
                 stretch, ahead = None, _AT_FIRST
         return self._release(held, max(0, len(self._masks) - 1))
 
@@ -135,11 +135,11 @@ class FaultMonitor:
         """
         if self._held is None or not len(self._held.time):
             return None
-        self._judge.close()
-        self._masks.append(self._judge.out)
+        self._isolation.close()
+        self._masks.append(self._isolation.out)
         return self._release(self._held, len(self._masks))
 
-    def _stretch(self, held: Frames, starts: range) -> Stretch | None:
+    def _stretch(self, held: Frames, starts: range) -> WindowSeries | None:
         """The short way through the windows that begin at these rows, if there is one now."""
         rows = slice(starts[0], starts[-1] + self.window)
         shape = (len(starts), self.window)
@@ -149,7 +149,7 @@ class FaultMonitor:
             values = values - np.stack(
                 [lever_arms(*each, self._positions_m, self._rows) for each in zip(time, rates, strict=True)]
             )
-        return self._judge.stretch(time, values)
+        return self._isolation.stretch(time, values)
 
     def _window_at(self, held: Frames, start: int) -> Window:
         """The decision window that begins at a row."""
@@ -202,7 +202,7 @@ Out = TypeVar("Out")
 _RATE = "angular_rate"
 
 
-class Watched(Generic[Out]):
+class MonitoredPipeline(Generic[Out]):
     """A fault monitor of each quantity before another pipeline; both monitors judge in the same windows, so that they
     give back the same frames. `found` hears each event as it is found.
     """
@@ -219,14 +219,14 @@ class Watched(Generic[Out]):
         self._monitors = {
             quantity: FaultMonitor(its, quantity, period_s=period_s, ranges=ranges) for quantity, its in axes.items()
         }
-        self._found, self._told = found, dict.fromkeys(axes, 0)
+        self._found, self._reported = found, dict.fromkeys(axes, 0)
         self._gyroscopes = directions(axes.get(_RATE, []))
         self._apart = any(axis.position_m != its[0].position_m for its in axes.values() for axis in its)
         self._degc: dict[str, Floats] = {}
         """Temperatures of the frames that the monitors hold back."""
 
     @property
-    def left_out(self) -> dict[str, LeftOut]:
+    def left_out(self) -> dict[str, ExclusionMasks]:
         """Which axes were left out of the frames so far, by quantity."""
         return {quantity: monitor.left_out for quantity, monitor in self._monitors.items()}
 
@@ -252,9 +252,9 @@ class Watched(Generic[Out]):
         yield from self._passed({quantity: part for quantity, part in last.items() if part is not None})
         yield from self._inner.finish()
 
-    def told(self) -> Told:
+    def notes(self) -> FusionNotes:
         """What the pipeline behind it tells."""
-        return told_by(self._inner)
+        return notes_of(self._inner)
 
     def _passed(self, frames: Mapping[str, Frames]) -> Iterator[Out]:
         """Frames that are done with, and their temperatures."""
@@ -266,15 +266,15 @@ class Watched(Generic[Out]):
 
     def _tell(self) -> None:
         for quantity, monitor in self._monitors.items():
-            for event in monitor.events[self._told[quantity] :]:
+            for event in monitor.events[self._reported[quantity] :]:
                 self._found(event)
-            self._told[quantity] = len(monitor.events)
+            self._reported[quantity] = len(monitor.events)
 
 
-class WatchedAgain(Generic[Out]):
+class MaskedPipeline(Generic[Out]):
     """A pipeline that is given the frames of a log again, without the axes that were left out the first time."""
 
-    def __init__(self, inner: Pipeline[Out], left_out: Mapping[str, LeftOut]) -> None:
+    def __init__(self, inner: Pipeline[Out], left_out: Mapping[str, ExclusionMasks]) -> None:
         self._inner, self._left_out, self._first = inner, left_out, 0
 
     def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Out]:

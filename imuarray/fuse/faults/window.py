@@ -63,26 +63,28 @@ Flags = npt.NDArray[np.bool_]
 @dataclass(frozen=True)
 class Parity:
     """One choice of weights: `gain` (3, m) gives the triad, `matrix` (m, m) is A, `spread` (3, 3) the triad's
-    covariance, `told` (m,) whether an error of this axis shows at all.
+    covariance, `observable` (m,) whether an error of this axis shows at all.
     """
 
     gain: Floats
     matrix: Floats
     spread: Floats
-    told: Flags
+    observable: Flags
 
     @cached_property
     def deleted(self) -> Floats:
         """(m, m) gives the deleted residuals: each axis against what all the others say of it; 0 for an axis whose
         error does not show.
         """
-        size = np.where(self.told, self.matrix.diagonal(), 1.0)
-        return np.asarray(np.where(self.told[:, None], self.matrix / size[:, None], 0.0))
+        size = np.where(self.observable, self.matrix.diagonal(), 1.0)
+        return np.asarray(np.where(self.observable[:, None], self.matrix / size[:, None], 0.0))
 
     def axis_gains(self, errors: Floats) -> Floats:
         """(m,) twice the log-likelihood ratio of an error in one axis, for `errors` (m,): one degree of freedom."""
         shown = self.matrix @ errors
-        return np.asarray(np.where(self.told, shown**2 / np.where(self.told, self.matrix.diagonal(), 1.0), 0.0))
+        return np.asarray(
+            np.where(self.observable, shown**2 / np.where(self.observable, self.matrix.diagonal(), 1.0), 0.0)
+        )
 
     def sensor_gains(self, errors: Floats) -> Floats:
         """(m / 3,) the same of an error in all axes of one triad: three degrees of freedom."""
@@ -103,8 +105,8 @@ def parity(rows: Floats, weights: Floats) -> Parity | None:
     spread = np.asarray(np.linalg.inv(normal), float)
     gain = spread @ weighted.T
     matrix = np.diag(weights) - weighted @ gain
-    told = matrix.diagonal() > 1e-6 * weights
-    return Parity(np.asarray(gain), np.asarray(matrix), np.asarray(spread), np.asarray(told & (weights > 0)))
+    observable = matrix.diagonal() > 1e-6 * weights
+    return Parity(np.asarray(gain), np.asarray(matrix), np.asarray(spread), np.asarray(observable & (weights > 0)))
 
 
 class Spaces:
@@ -146,7 +148,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Look:
+class WindowResiduals:
     """A window as the axes `included` (m,) see it.
 
     `triad` (n, 3) is their estimate; `residual` (n, m) is what each axis (also one that is not included) reads beside
@@ -184,26 +186,30 @@ class Look:
         centred = np.where(self.residual == 0, 0.0, self.residual - self.means)
         deleted = self.white.deleted
         found = (centred @ deleted.T) ** 2
-        noise = np.where(self.white.told, 1 / np.where(self.white.told, self.white.matrix.diagonal(), 1.0), np.inf)
+        noise = np.where(
+            self.white.observable, 1 / np.where(self.white.observable, self.white.matrix.diagonal(), 1.0), np.inf
+        )
         known = self.regressors - self.regressors.mean(axis=1, keepdims=True)
         lasting = deleted**2 @ normal.doubt_within(known)
         noise = noise + deleted**2 @ normal.jitter(self.regressors)
         return found.sum(axis=0) / (noise + lasting), lasting / (noise + lasting)
 
 
-def look(window: Window, normal: Normal, rows: Floats, included: Flags, spaces: Spaces) -> Look | None:
+def window_residuals(
+    window: Window, normal: Normal, rows: Floats, included: Flags, spaces: Spaces
+) -> WindowResiduals | None:
     """The window as the axes `included` see it; None where these don't tell all of a triad."""
     weights = np.where(included, 1 / normal.variance, 0.0)
     white = spaces(weights)
     if white is None:
         return None
     bias, valid = normal.state[:, 0], window.valid
-    triad, told = _solve(window.values - bias, valid, white, weights, rows)
+    triad, observable = _solve(window.values - bias, valid, white, weights, rows)
     regressors = normal.regressors(triad, slope(window.time, triad), rows)
     errors = window.values - normal.explains(regressors)
     triad, _ = _solve(errors, valid, white, weights, rows)
     residual = errors - triad @ rows.T
-    valid = valid & told[:, None]
+    valid = valid & observable[:, None]
     counts = np.maximum(valid.sum(axis=0), 1).astype(float)
     if not valid.all():
         residual = np.where(valid, residual, 0.0)
@@ -214,7 +220,7 @@ def look(window: Window, normal: Normal, rows: Floats, included: Flags, spaces: 
     slow = parity(rows, np.where(included, 1 / doubt, 0.0))
     if slow is None:
         return None
-    return Look(included, triad, residual, means, counts, doubt, white, slow, regressors, rows)
+    return WindowResiduals(included, triad, residual, means, counts, doubt, white, slow, regressors, rows)
 
 
 def _solve(values: Floats, valid: Flags, space: Parity, weights: Floats, rows: Floats) -> tuple[Floats, Flags]:
@@ -224,8 +230,8 @@ def _solve(values: Floats, valid: Flags, space: Parity, weights: Floats, rows: F
     if valid[:, weights > 0].all():
         return np.asarray(values @ space.gain.T), np.ones(len(values), bool)
     triad = solve_frames(np.where(valid, values, 0.0), weights * valid, rows)
-    told = np.isfinite(triad[:, 0])
-    if told.all() or not told.any():
-        return np.nan_to_num(triad), told
-    last = np.maximum.accumulate(np.where(told, np.arange(len(triad)), -1))
-    return np.asarray(triad[np.where(last < 0, told.argmax(), last)]), told
+    observable = np.isfinite(triad[:, 0])
+    if observable.all() or not observable.any():
+        return np.nan_to_num(triad), observable
+    last = np.maximum.accumulate(np.where(observable, np.arange(len(triad)), -1))
+    return np.asarray(triad[np.where(last < 0, observable.argmax(), last)]), observable

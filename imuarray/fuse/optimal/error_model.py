@@ -119,7 +119,7 @@ _DPS = np.pi / 180
 
 
 @dataclass(frozen=True)
-class Usual:
+class DesignDefaults:
     """Standard deviations in SI, and shares of the noise of a reading; `common_share` of a slope's variance that a
     design's like axes have in common; `felt`: what 1 g does to a gyroscope.
     """
@@ -133,12 +133,12 @@ class Usual:
     felt: float = 0.0
 
 
-USUAL: Mapping[str, Usual] = MappingProxyType(
+USUAL: Mapping[str, DesignDefaults] = MappingProxyType(
     {
         # bias: of BMA180s; slopes: Table 8; turn-on: Table 11, deviation of the runs' means over that of readings;
         # drift: the same of the uninterrupted run, less the means' own noise
-        "specific_force": Usual(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02, 0.03, 0.5),
-        "angular_rate": Usual(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, TOLERANCE, 0.8, 0.0083 * _DPS),
+        "specific_force": DesignDefaults(0.125 * STANDARD_GRAVITY, 5e-4 * STANDARD_GRAVITY, 0.033, 0.02, 0.03, 0.5),
+        "angular_rate": DesignDefaults(0.84 * _DPS, 0.022 * _DPS, 0.17, 0.04, TOLERANCE, 0.8, 0.0083 * _DPS),
     }
 )
 """By quantity. Response: of accelerometers Table 10's misalignments, 2 degrees, and half of that of its scales; of
@@ -222,7 +222,9 @@ def _of_both(one: DesignErrors, other: DesignErrors) -> DesignErrors:
     return replace(min(wandering, key=lambda design: design.common), slope_per_degc=slope)
 
 
-def _of_sensor(known: SensorCalibration, usual: Usual, slopes_per_degc: Floats, told: bool) -> list[AxisErrors]:
+def _of_sensor(
+    known: SensorCalibration, usual: DesignDefaults, slopes_per_degc: Floats, told: bool
+) -> list[AxisErrors]:
     """The three axes of one sensor; `slopes_per_degc` of their own where none were measured."""
     if known.noise_lsb is None:
         raise FusionError(
@@ -257,7 +259,7 @@ _COLOURED = 0.99
 """Correlation of neighbouring readings beyond which they are no noise any more."""
 
 
-def _bias(known: SensorCalibration, usual: Usual, noise: Floats, drift: Floats) -> Floats:
+def _bias(known: SensorCalibration, usual: DesignDefaults, noise: Floats, drift: Floats) -> Floats:
     """(3,) what is independent in a bias's error: the calibration's own where no covariance tells it, turn-on, now and
     when it was calibrated, how far it had wandered then, and what gravity does to a gyroscope, which hardly changes
     while the box stands.
@@ -293,7 +295,7 @@ def _between_states(turn_on: TurnOn) -> Floats:
     return np.asarray(2 * np.average((biases - mean) ** 2, axis=0, weights=shares))
 
 
-def _drift(known: SensorCalibration, usual: Usual, noise: Floats) -> tuple[Floats, float]:
+def _drift(known: SensorCalibration, usual: DesignDefaults, noise: Floats) -> tuple[Floats, float]:
     """(3,) rms, and the time constant."""
     drift = known.drift
     if drift is None:
@@ -301,7 +303,7 @@ def _drift(known: SensorCalibration, usual: Usual, noise: Floats) -> tuple[Float
     return np.hypot(drift.rms_lsb, drift.rms_sem_lsb) / known.lsb_per_si, float(drift.time_constant_s)
 
 
-def _response(known: SensorCalibration, usual: Usual) -> Floats:
+def _response(known: SensorCalibration, usual: DesignDefaults) -> Floats:
     """(3,) shares."""
     if known.response_sem_lsb_per_unit is None:
         return np.full(3, usual.response)

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.fuse.frames import Flags, Floats, Times
-from imuarray.fuse.optimal.frame_solution import Solution, View, solve, view_of
+from imuarray.fuse.optimal.frame_solution import SegmentView, Solution, segment_view, solve
 from imuarray.fuse.optimal.geometry import Geometry, Readings, held, patterns
 from imuarray.fuse.optimal.states import Normal, States, corrected, predicted
 
@@ -49,7 +49,7 @@ class Dynamics:
         self._sum, self._frames = 0.0, 0
         return self._mean
 
-    def __call__(self, view: View, readings: Readings, solution: Solution, frames: slice) -> Floats | None:
+    def __call__(self, view: SegmentView, readings: Readings, solution: Solution, frames: slice) -> Floats | None:
         """(n,) how much the frames still teach, None where all do fully; widens their covariances."""
         if not self._geometry.timing.any() or not len(readings.time):
             return None
@@ -227,7 +227,7 @@ class ArrayFilter:
         self._record, self._dynamics = record, dynamics
         self._since: int | None = None
         self._stimulus = np.zeros(3)
-        self._view: View | None = None
+        self._view: SegmentView | None = None
         self._step = (self.belief, np.ones(len(states.names)), np.zeros(len(states.names)))
 
     def __call__(self, readings: Readings, warmer: Callable[[int], Floats]) -> Solution:
@@ -242,14 +242,14 @@ class ArrayFilter:
                 self.end()
         return solution
 
-    def _begun(self, part: Readings, warmer_degc: Floats) -> View:
+    def _begun(self, part: Readings, warmer_degc: Floats) -> SegmentView:
         """What is believed as a segment begins."""
         since = int(part.time[0]) if self._since is None else self._since
         left, added = self.states.transition(max(0, int(part.time[0]) - since) * 1e-9)
         self._step = (self.belief, left, added)
         self.belief = predicted(self.belief, left, added)
         self._since, self.warmer_degc = int(part.time[0]), warmer_degc
-        self._view = view_of(self.states, self.geometry, self.belief, warmer_degc)
+        self._view = segment_view(self.states, self.geometry, self.belief, warmer_degc)
         self._view.begin(part, self._stimulus, self._dynamics.recent())
         self._stimulus = self._view.stimulus
         return self._view

@@ -30,7 +30,7 @@ is so little off costs is of second order.
 """
 
 
-class Usual(NamedTuple):
+class NominalGain(NamedTuple):
     """What most frames of a segment with the same rows in use have: `gain` (k, r), 0 for the others, what it makes of
     the slow errors expected, (k,), and the covariances of what it makes of noise, (k, k), of the slow errors' terms,
     (terms^2, k, k), and, for a unit of change in a second, of times, (k, k).
@@ -43,7 +43,7 @@ class Usual(NamedTuple):
     timing: Floats
 
 
-class View:
+class SegmentView:
     """During one segment: `offset` (r,) the expected sum of the slow errors of the r rows of a geometry, `response` (r,
     3) the expected error of each row's direction, `errors` (terms, terms, r, r) the covariances of the errors' terms,
     which (1, stimulus) goes with. `final`: the frames themselves are in them already (a smoother's).
@@ -55,7 +55,7 @@ class View:
         self.stimulus, self._variance = np.zeros(3), geometry.noise**2
         self.rows = geometry.rows.copy()
         self.rows[:, :3] += response
-        self._usual: dict[bytes, Usual | None] = {}
+        self._usual: dict[bytes, NominalGain | None] = {}
 
     def begin(self, readings: Readings, before: Floats, change: float) -> None:
         """Make the stimulus of the first of the frames the usual one (`before` if that can't be told), and `change`,
@@ -97,22 +97,22 @@ class View:
         errors = self.slow(terms)[:, valid][:, :, valid] + np.diag(self.geometry.noise[valid] ** 2)
         return np.asarray(gains @ errors @ np.swapaxes(gains, -1, -2))
 
-    def usual(self, valid: Flags) -> Usual | None:
+    def usual(self, valid: Flags) -> NominalGain | None:
         """The gain at the usual stimulus; None where the rows in use don't span space."""
         key = valid.tobytes()
         if key not in self._usual:
-            self._usual[key] = self._worked_out(valid) if self.geometry.spans(valid) else None
+            self._usual[key] = self._nominal_gain(valid) if self.geometry.spans(valid) else None
         return self._usual[key]
 
-    def _worked_out(self, valid: Flags) -> Usual:
+    def _nominal_gain(self, valid: Flags) -> NominalGain:
         gain = np.zeros(self.rows.shape[::-1])
         (gain[:, valid],) = self.gains(valid, self.terms(self.stimulus[None]))
         noise = (gain * self.geometry.noise**2) @ gain.T
         errors = (gain @ self.errors @ gain.T).reshape(-1, *noise.shape)
         timing = (gain * self.geometry.timing**2) @ gain.T
-        return Usual(gain, gain @ self.offset, noise, errors, timing)
+        return NominalGain(gain, gain @ self.offset, noise, errors, timing)
 
-    def usual_spreads(self, usual: Usual, stimulus: Floats) -> Floats:
+    def usual_spreads(self, usual: NominalGain, stimulus: Floats) -> Floats:
         """(n, k, k), or (1, k, k) for all, covariances of what the usual gain makes of frames of (n, 3)."""
         if len(self.errors) == 1:
             return np.asarray(usual.noise + usual.errors)
@@ -133,7 +133,9 @@ class View:
         return float((2 * tolerated / (slope + np.sqrt(slope**2 + 4 * curvature * tolerated) + 1e-300)).min())
 
 
-def view_of(states: States, geometry: Geometry, belief: Normal, warmer_degc: Floats, *, final: bool = False) -> View:
+def segment_view(
+    states: States, geometry: Geometry, belief: Normal, warmer_degc: Floats, *, final: bool = False
+) -> SegmentView:
     """The states as the rows of `geometry` feel them while they are warmer than their biases by (r,)."""
     rows = states.rows(warmer_degc)
     terms, count, _ = rows.shape
@@ -141,7 +143,7 @@ def view_of(states: States, geometry: Geometry, belief: Normal, warmer_degc: Flo
     felt = (flat @ belief.mean).reshape(terms, count)
     errors = (flat @ belief.covariance @ flat.T).reshape(terms, count, terms, count).transpose(0, 2, 1, 3)
     response = felt[1:].T if terms > 1 else np.zeros((count, 3))
-    return View(geometry, felt[0], response, np.ascontiguousarray(errors), final)
+    return SegmentView(geometry, felt[0], response, np.ascontiguousarray(errors), final)
 
 
 def _pairs(terms: Floats) -> Floats:
@@ -153,7 +155,7 @@ _FAR = 50.0
 """Standard deviations beyond which the tail's variance is taken from its asymptotic series."""
 
 
-class Clipped(NamedTuple):
+class ClippedReadings(NamedTuple):
     """c clipped axes of n frames: `rows` (c, k) of the unknowns; `known` (n, k, c), how the slow errors of the axes in
     use, as the gain turns them into unknowns, go with those of the clipped ones; `own` (n, c, c) covariance of their
     slow errors and noise; `bounds` (n, c) less expected slow errors, and `signs` (n, c) of the end they stand at.
@@ -178,7 +180,7 @@ def truncated(distance: Floats) -> tuple[Floats, Floats]:
     return mean, np.clip(variance, 0.0, 1.0)
 
 
-def censored(unknowns: Floats, covariance: Floats, clipped: Clipped) -> tuple[Floats, Floats]:
+def censored(unknowns: Floats, covariance: Floats, clipped: ClippedReadings) -> tuple[Floats, Floats]:
     """`unknowns` (n, k) and their covariance (n, k, k) with what clipped axes say."""
     count = unknowns.shape[1]
     mean = np.concatenate([unknowns, unknowns @ clipped.rows.T], axis=1)
@@ -194,7 +196,7 @@ def censored(unknowns: Floats, covariance: Floats, clipped: Clipped) -> tuple[Fl
     return mean[:, :count], joint[:, :count, :count]
 
 
-def _joint(covariance: Floats, clipped: Clipped) -> Floats:
+def _joint(covariance: Floats, clipped: ClippedReadings) -> Floats:
     """(n, k + c, k + c) covariance of the unknowns and of the readings that the clipped axes would have given."""
     rows = clipped.rows
     across = covariance @ rows.T - clipped.known
@@ -220,7 +222,7 @@ class Solution:
         self.used = np.zeros((frames, geometry.axes), bool)
 
 
-def solve(view: View, readings: Readings, into: Solution, frames: slice) -> None:
+def solve(view: SegmentView, readings: Readings, into: Solution, frames: slice) -> None:
     """The triads of `readings`, which are `frames` of `into`."""
     unknowns, covariance, used = into.unknowns[frames], into.covariance[frames], into.used[frames]
     every = np.arange(len(readings.time))
@@ -242,7 +244,7 @@ def solve(view: View, readings: Readings, into: Solution, frames: slice) -> None
 
 
 def _solve_odd(
-    view: View,
+    view: SegmentView,
     readings: Readings,
     valid: Flags,
     frames: Places,
@@ -264,7 +266,7 @@ def _solve_odd(
             unknowns[at], covariance[at] = censored(unknowns[at], covariance[at], beyond)
 
 
-def _telling(view: View, bounds: Bounds, which: Places | slice, unknowns: Floats, covariance: Floats) -> Flags:
+def _telling(view: SegmentView, bounds: Bounds, which: Places | slice, unknowns: Floats, covariance: Floats) -> Flags:
     """(n, m) the clipped axes of these frames whose bounds say anything: not those that are expected far beyond."""
     ends = bounds.ends[which]
     telling: Flags = np.asarray(ends != 0)
@@ -280,11 +282,11 @@ def _telling(view: View, bounds: Bounds, which: Places | slice, unknowns: Floats
 
 
 def _beyond(
-    view: View, bounds: Bounds, valid: Flags, axes: Places, frames: Places, terms: Floats, gains: Floats
-) -> Clipped:
+    view: SegmentView, bounds: Bounds, valid: Flags, axes: Places, frames: Places, terms: Floats, gains: Floats
+) -> ClippedReadings:
     """What the clipped `axes` say in `frames`, whose gains and terms these are."""
     slow = view.slow(terms)
-    return Clipped(
+    return ClippedReadings(
         rows=view.rows[axes],
         known=gains @ slow[:, valid][:, :, axes],
         own=slow[:, axes][:, :, axes] + np.diag(view.geometry.noise[axes] ** 2),

@@ -24,10 +24,10 @@ import numpy as np
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, entries
-from imuarray.fuse.fusion_notes import LearnedBias, Told
+from imuarray.fuse.fusion_notes import FusionNotes, LearnedBias
 from imuarray.fuse.optimal.error_model import ErrorModel
 from imuarray.fuse.optimal.filter import ArrayFilter, Dynamics, Segments
-from imuarray.fuse.optimal.frame_solution import Solution, View, solve
+from imuarray.fuse.optimal.frame_solution import SegmentView, Solution, solve
 from imuarray.fuse.optimal.geometry import Geometry, Readings, geometry_of, readings_of
 from imuarray.fuse.optimal.lever import ROWS, Lever, lever_of, placed, with_lever
 from imuarray.fuse.optimal.smoother import Recorder
@@ -49,7 +49,7 @@ def learned_biases(axes: Sequence[Axis], of: ArrayFilter) -> list[LearnedBias]:
     ]
 
 
-class Warmth:
+class BiasTemperature:
     """Follows the temperatures of the sensors, block after block; one that is not told stays as it was, and is that of
     the bias before any was told.
     """
@@ -173,9 +173,9 @@ class _Group:
         states = states_of(axes, model, others)
         self._recorder = Recorder(geometry, states) if recording else None
         self.filter = ArrayFilter(geometry, states, segment_frames, Dynamics(geometry, period_s), self._recorder)
-        self._warmth = Warmth(axes, model, others)
+        self._bias_temperature = BiasTemperature(axes, model, others)
         self._again: Segments | None = None
-        self._view: View | None = None
+        self._view: SegmentView | None = None
         self._stimulus = np.zeros(3)
         self._segment_frames, self._dynamics = segment_frames, Dynamics(geometry, period_s)
 
@@ -185,7 +185,7 @@ class _Group:
             readings = self.lever(readings, np.full((len(frames.time), 3), np.nan) if rate is None else rate)
         if self._again is not None:
             return self._with_views(readings, self._again)
-        return self.filter(readings, self._warmth.of(degc))
+        return self.filter(readings, self._bias_temperature.of(degc))
 
     def noise_covariance(self) -> Floats:
         """(3, 3) of the triad, by noise alone, with every axis."""
@@ -246,11 +246,11 @@ def _acceleration(solutions: Mapping[str, Solution]) -> Estimate | None:
     return Estimate(solution.unknowns[:, 3:], entries(solution.covariance[:, 3:, 3:]), solution.used)
 
 
-Gathered = tuple[Mapping[str, Frames], Mapping[str, Floats]]
+FrameBlock = tuple[Mapping[str, Frames], Mapping[str, Floats]]
 """Frames by quantity, and the temperatures of their elements by sensor."""
 
 
-class AsTheyCome:
+class CausalPipeline:
     """A causal `Optimal` as a `Pipeline`: nothing is held back."""
 
     def __init__(self, axes: Mapping[str, Sequence[Axis]], model: ErrorModel, period_s: float) -> None:
@@ -266,34 +266,34 @@ class AsTheyCome:
         """Nothing."""
         return iter(())
 
-    def told(self) -> Told:
+    def notes(self) -> FusionNotes:
         """The slow errors of every axis as they are felt at the last frame."""
-        return Told(self._optimal.learned())
+        return FusionNotes(self._optimal.learned())
 
 
-class Gathering:
+class FramePipeline:
     """A `Pipeline` that gives its frames as they are, for those who want them all."""
 
-    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[Gathered]:
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FrameBlock]:
         """See `Pipeline`."""
         yield frames, degc
 
-    def finish(self) -> Iterator[Gathered]:
+    def finish(self) -> Iterator[FrameBlock]:
         """Nothing."""
         return iter(())
 
 
 def smoothed(
-    blocks: Callable[[], Iterator[Gathered]],
+    blocks: Callable[[], Iterator[FrameBlock]],
     axes: Mapping[str, Sequence[Axis]],
     model: ErrorModel,
     period_s: float,
-    told: Callable[[Told], None] = lambda told: None,
+    notes: Callable[[FusionNotes], None] = lambda notes: None,
 ) -> Iterator[FusedBlock]:
-    """All frames by what all of them tell; `blocks` gives them from the beginning, and is asked twice. `told` hears at
+    """All frames by what all of them tell; `blocks` gives them from the beginning, and is asked twice. `notes` hears at
     the end which slow errors there were. FusionError.
     """
     optimal = Optimal(axes, model, period_s=period_s)
     for time, estimates in optimal.smoothed(blocks):
         yield fused_block(time, estimates, axes)
-    told(Told(optimal.learned()))
+    notes(FusionNotes(optimal.learned()))

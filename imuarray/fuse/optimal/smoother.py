@@ -18,7 +18,7 @@ import numpy as np
 
 from imuarray.fuse.frames import Floats
 from imuarray.fuse.optimal.filter import Step
-from imuarray.fuse.optimal.frame_solution import View, view_of
+from imuarray.fuse.optimal.frame_solution import SegmentView, segment_view
 from imuarray.fuse.optimal.geometry import Geometry
 from imuarray.fuse.optimal.states import Adjoint, Innovation, Normal, States, backwards, corrected, predicted, smoothed
 
@@ -97,10 +97,10 @@ class Recorder:
                 adjoint = self._back(stride[::-1], adjoint)
                 stride = []
 
-    def view(self) -> View:
+    def view(self) -> SegmentView:
         """The next segment's."""
         offset, response, errors = self._views.pop()
-        return View(self._geometry, offset, response, errors, final=True)
+        return SegmentView(self._geometry, offset, response, errors, final=True)
 
     def close(self) -> None:
         """Give the room back."""
@@ -117,7 +117,7 @@ class Recorder:
             taken.append((at, innovation))
         for (at, innovation), (left, _, warmer_degc, *_) in zip(taken[::-1], stride[::-1], strict=True):
             adjoint = backwards(adjoint, at, innovation)
-            view = view_of(self._states, self._geometry, smoothed(at, adjoint), warmer_degc, final=True)
+            view = segment_view(self._states, self._geometry, smoothed(at, adjoint), warmer_degc, final=True)
             self._views.push([view.offset, view.response, view.errors])
             adjoint = Adjoint(left * adjoint.vector, adjoint.matrix * np.outer(left, left))
         return adjoint

@@ -9,7 +9,7 @@ import pytest
 
 from imuarray.fuse import Frames
 from imuarray.fuse.faults import FaultMonitor
-from imuarray.fuse.faults.fault_isolation import Judge
+from imuarray.fuse.faults.fault_isolation import FaultIsolation
 from tests.fuse.faults.conftest import QUANTITIES, Floats, Run, faulty, simulated, watched
 
 
@@ -43,11 +43,11 @@ def test_both_ways_leave_out_the_same_and_learn_the_same(
     monitor = run.monitor()
     whole, events = watched(monitor, fed)
     with monkeypatch.context() as patch:
-        patch.setattr(Judge, "stretch", lambda *_: None)
+        patch.setattr(FaultIsolation, "stretch", lambda *_: None)
         long = run.monitor()
-        wanted, told = watched(long, fed)
+        wanted, observable = watched(long, fed)
     assert (whole.valid == wanted.valid).all()
-    for event, other in zip(events, told, strict=True):
+    for event, other in zip(events, observable, strict=True):
         same = {"size_si": other.size_si, "significance": other.significance}
         assert replace(event, **same) == other
         assert [event.size_si, event.significance] == pytest.approx(list(same.values()), rel=1e-6)
@@ -58,14 +58,14 @@ def test_both_ways_leave_out_the_same_and_learn_the_same(
 
 def learnt(monitor: FaultMonitor) -> dict[str, Floats]:
     """What the monitor holds for normal."""
-    normal = monitor._judge._normal
+    normal = monitor._isolation._normal
     return {name: getattr(normal, name) for name in ("state", "covariance", "colour", "change", "variance")}
 
 
 def test_nearly_every_window_at_rest_takes_the_short_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else it is of no use: of 250 windows those of the first seconds, in which noise is learnt, and few others."""
     run, calls = simulated("static", 25.0)["specific_force"], []
-    judge = Judge.__call__
-    monkeypatch.setattr(Judge, "__call__", lambda *given: (calls.append(1), judge(*given)))
+    judge = FaultIsolation.__call__
+    monkeypatch.setattr(FaultIsolation, "__call__", lambda *given: (calls.append(1), judge(*given)))
     watched(run.monitor(), run.frames)
     assert len(calls) < 25

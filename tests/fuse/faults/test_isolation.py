@@ -117,10 +117,10 @@ def check(motion: Motion, sensor: str, fault: Fault, onset_s: float = 0.0) -> No
     concerned = [run.members(sensor)[axis] for axis in fault.axes]
     late = run.frames.valid[motion.begins : motion.ends, concerned] & left[:, concerned]
     assert not late[onset - motion.begins + 100 :].any()
-    told = [event for event in events if event.state in ("isolated", "not isolated")]
-    assert {event.sensor for event in told} == {sensor}
-    assert told[0].kind == fault.kind
-    assert set("".join("".join(event.axes) for event in told)) == {"xyz"[axis] for axis in fault.axes}
+    observable = [event for event in events if event.state in ("isolated", "not isolated")]
+    assert {event.sensor for event in observable} == {sensor}
+    assert observable[0].kind == fault.kind
+    assert set("".join("".join(event.axes) for event in observable)) == {"xyz"[axis] for axis in fault.axes}
     without = run.frames.valid[motion.begins : motion.ends].copy()
     without[:, concerned] = False
     for weights in (np.ones(len(run.axes)), 1 / run.noise**2):

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from imuarray.fuse.faults.normal import Floats, Normal
-from imuarray.fuse.faults.window import Spaces, Window, look
+from imuarray.fuse.faults.window import Spaces, Window, window_residuals
 
 ROWS = np.tile(np.eye(3), (3, 1))
 PERIOD_S = 0.01
@@ -22,7 +22,9 @@ def learnt(values: Floats, sigma: float = 0.02, window: int = 10) -> Normal:
     for start in range(0, len(values) - window + 1, window):
         part = slice(start, start + window)
         normal.age(every)
-        seen = look(Window(time[part], values[part], np.ones((window, 9), bool), None), normal, ROWS, every, spaces)
+        seen = window_residuals(
+            Window(time[part], values[part], np.ones((window, 9), bool), None), normal, ROWS, every, spaces
+        )
         assert seen is not None
         normal.learn(seen.regressors, seen.residual, every)
         share = seen.white.matrix.diagonal() * normal.variance

@@ -83,7 +83,7 @@ def test_of_two_triads_either_explains_all() -> None:
 def test_an_axis_that_nobody_checks_shows_nothing() -> None:
     """x twice, y and z once: only x can be checked."""
     space = of(np.eye(3)[[0, 1, 2, 0]], np.ones(4))
-    assert space.told.tolist() == [True, False, False, True]
+    assert space.observable.tolist() == [True, False, False, True]
     assert space.axis_gains(np.array([0.0, 5.0, 5.0, 0.0])) == pytest.approx([0.0, 0.0, 0.0, 0.0])
 
 
