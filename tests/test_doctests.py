@@ -17,7 +17,7 @@ SHOWN = (
     "imuarray.array.load_array",
     "imuarray.bus.open_bus",
     "imuarray.calibrate.load_calibration",
-    "imuarray.fuse.evaluation",
+    "imuarray.fuse.evaluate",
     "imuarray.fuse.fuse",
     "imuarray.gap.diagnose.diagnose",
     "imuarray.log.open_log",
