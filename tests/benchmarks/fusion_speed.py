@@ -4,8 +4,8 @@ The kernel (`imuarray.fuse.least_squares.ConstantGain`, in double precision as `
 its frame's time and none is in doubt, and in single) has the counts in memory, six triads and the paper's 27 axes; so
 have the loop, ``W @ (raw - b)`` frame by frame with NumPy. Beside it stand ``counts.sum()`` over the same array, and
 what it takes to read the same counts from a finished file: what a user waits for anyhow, on any processor.
-The whole way is `fuse(log)` from the file to the estimates with their covariance, of a log whose sensors are read at once and
-of one
+The whole way is `fuse(log)` from the file to the estimates with their covariance, of a log whose sensors are read at
+once and of one
 whose sensors are read one after the other, beside a loop that reads the same log 4096 rows at a time and does nothing
 but ``W @ (raw - b)``: no times, no flags. Live is the same array at 400 Hz in steps of a second, as `log --fuse` gets
 it, by the mean and by the estimator of the whole array. Turns are taken alternately and the least of each side counts.
