@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from imuarray.calibrate.readings import PoseReadings
 from imuarray.errors import CalibrationError
@@ -60,6 +59,8 @@ def same_sides(sensor: SensorLog) -> str:
 
 def _common(directions: Sequence[Floats]) -> Floats:
     """(3, k) mean of the sensors' directions (3, k), each turned onto it (Kabsch, Acta Cryst. A32, 1976, p. 922)."""
+    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
     common = np.asarray(directions[0])
     for _ in range(3):
         turned = [Rotation.align_vectors(common.T, own.T)[0].as_matrix() @ own for own in directions]

@@ -19,7 +19,6 @@ from itertools import pairwise, permutations, product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from imuarray.axes import UP_AXES, orientation_of, up_vector
 from imuarray.calibrate.labels import axes_text
@@ -148,6 +147,8 @@ def _carried(sensor: SensorLog, poses: Sequence[Pose]) -> list[Floats | None]:
 
 
 def _turned(sensor: SensorLog, first: Pose, second: Pose) -> Floats | None:
+    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
     if first.log is not second.log:
         return None
     here, _ = first.rows_of(sensor)

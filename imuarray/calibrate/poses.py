@@ -251,9 +251,11 @@ def windows_of(
             if flags:
                 inside &= (np.asarray(sensor.status[block]) & flags) == 0
             value = np.asarray(sensor.counts[block], float)[inside] / sensor.sensitivity @ sensor.orientation.T
-            np.add.at(sums, window[inside], value)
-            np.add.at(squares, window[inside], value**2)
-            np.add.at(rows, window[inside], 1)
+            number = window[inside]
+            for axis, column in enumerate(value.T):
+                sums[:, axis] += np.bincount(number, column, count)
+                squares[:, axis] += np.bincount(number, column**2, count)
+            rows += np.bincount(number, minlength=count)
         spreads[rows < 2] = np.inf  # nothing is known of a window in which a sensor read nothing
         rows = np.maximum(rows, 1)[:, None]
         means += sums / rows / len(sensors)

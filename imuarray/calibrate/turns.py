@@ -20,7 +20,6 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, worst
 from imuarray.calibrate.fits import beyond_noise
@@ -251,6 +250,8 @@ class _Missed:
 
 def _missed(turn: _Turn, inverse: Floats) -> _Missed:
     """Carry gravity through a turn."""
+    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
     rates = turn.counts @ inverse.T
     steps = turn.steps_s[:, None]
     angles = steps * (rates[1:] + rates[:-1]) / 2 + steps**2 / 12 * np.cross(rates[:-1], rates[1:])

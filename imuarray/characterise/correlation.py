@@ -20,6 +20,9 @@ LAGS = 32
 SEGMENT = 8192
 """Rows whose mean is taken off: 20 s at 400 Hz. So few products are also added up without waking other threads."""
 
+_AT_ONCE = 1 << 15
+"""Rows of whole segments that are worked on together: of short segments the calls would take longer than the sums."""
+
 
 @dataclass(frozen=True)
 class Autocorrelation:
@@ -61,17 +64,23 @@ class Autocovariance:
         self._seen += len(rows)
         start, length = 0, self._line.shape[1]
         while start < len(rows):
+            whole = min(len(rows) - start, max(length, _AT_ONCE)) // length
+            if whole and not self._filled:
+                lines = np.array(rows[start : start + whole * length].T, float, order="C")
+                self._add(lines.reshape(len(lines), whole, length))
+                start += whole * length
+                continue
             part = rows[start : start + length - self._filled]
             self._line[:, self._filled : self._filled + len(part)] = part.T
             self._filled += len(part)
             start += len(part)
             if self._filled == length:
-                self._add()
+                self._add_line()
 
     def end_run(self) -> None:
         """A gap: the next rows don't continue those before. The last segment counts if twice as long as the lags."""
         if self._filled >= 2 * len(self._pairs):
-            self._add()
+            self._add_line()
         self._filled = 0
 
     def result(self) -> Autocorrelation:
@@ -97,16 +106,23 @@ class Autocovariance:
             products = self._products + self._lost[:, np.newaxis] * variance
             return np.asarray(products / self._pairs[:, np.newaxis] / variance)
 
-    def _add(self) -> None:
-        """One segment: products of what is left of each column without its mean."""
-        rows = self._filled
-        line = self._line[:, :rows]
-        line -= line.mean(axis=1, keepdims=True)
-        lags = range(len(self._pairs))
-        self._products += [np.einsum("kn,kn->k", line[:, : rows - lag], line[:, lag:]) for lag in lags]
-        pairs = rows - np.arange(len(lags))
-        self._pairs += pairs
-        self._lost += pairs / rows
-        self._rows += rows
-        self._segments += 1
+    def _add_line(self) -> None:
+        """The rows of the segment that was being filled."""
+        self._add(self._line[:, np.newaxis, : self._filled].copy())
         self._filled = 0
+
+    def _add(self, lines: Vector) -> None:
+        """Whole segments (k, s, n): products of what is left of each column without its mean, segment after segment."""
+        lines -= lines.mean(axis=2, keepdims=True)
+        _, segments, rows = lines.shape
+        lags = range(len(self._pairs))
+        products = np.empty((1 + segments, *self._products.shape))
+        products[0] = self._products
+        for lag in lags:
+            products[1:, lag] = np.einsum("ksn,ksn->sk", lines[:, :, : rows - lag], lines[:, :, lag:])
+        self._products = products.sum(axis=0)
+        pairs = rows - np.arange(len(lags))
+        self._pairs += segments * pairs
+        self._lost += segments * pairs / rows
+        self._rows += segments * rows
+        self._segments += segments

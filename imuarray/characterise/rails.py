@@ -14,7 +14,7 @@ from math import inf
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from imuarray.characterise.codes import NARROW, NOTHING, Histogram, histogram, usual_step
 from imuarray.log import SensorLog
@@ -118,7 +118,7 @@ def _is_pile(seen: Histogram, side: int) -> bool:
         return False
     inwards = side * (code - seen.codes)
     before = int(seen.counts[(inwards > 0) & (inwards <= BEFORE * step)].sum())
-    return bool(binom.sf(count - 1, count + before, 1 / (BEFORE + 1)) < SURE)
+    return bool(bdtrc(count - 1, count + before, 1 / (BEFORE + 1)) < SURE)
 
 
 def _moving(sensor: SensorLog, piles: list[tuple[int, int]], steps: list[int]) -> list[tuple[int, int]]:

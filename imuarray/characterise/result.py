@@ -80,6 +80,8 @@ def json_ready(value: Any) -> Any:
         return {name: json_ready(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
         return [json_ready(item) for item in value]
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iufb" and np.isfinite(value).all():
+        return value.tolist()
     if isinstance(value, np.ndarray | np.generic):
         return json_ready(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -126,14 +126,12 @@ def _files() -> list[str]:
 
 def _write(result: dict[str, Any], output: Path) -> list[Path]:
     """The files that were written into `output`; without matplotlib figures are left out and that is said."""
-    import json
-
     from imuarray.characterise.plots import FIGURES
 
     paths = [output / RESULT]
     try:
         output.mkdir(parents=True, exist_ok=True)
-        write_text(paths[0], json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + "\n", force=True)
+        write_text(paths[0], json_text(result) + "\n", force=True)
         for name, draw in FIGURES.items():
             save_figure(output / name, draw(result), metadata={"Software": None})
             paths.append(output / name)
@@ -142,6 +140,21 @@ def _write(result: dict[str, Any], output: Path) -> list[Path]:
     except OSError as error:
         raise ImuArrayError(f"{error.filename or output}: {error.strerror or error}") from None
     return paths
+
+
+def json_text(value: Any, depth: int = 0) -> str:
+    """JSON with a line for each entry of an object, and one for each list of numbers or texts: the curves are long, and
+    the encoder of the standard library indents in Python, number by number.
+    """
+    import json
+
+    margin = "\n" + " " * (depth + 1)
+    if isinstance(value, dict) and value:
+        entries = (f"{json.dumps(name)}: {json_text(item, depth + 1)}" for name, item in value.items())
+        return "{" + margin + f",{margin}".join(entries) + margin[:-1] + "}"
+    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
+        return "[" + margin + f",{margin}".join(json_text(item, depth + 1) for item in value) + margin[:-1] + "]"
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
 def _write_kalibr(result: dict[str, Any], output: Path) -> list[Path]:

@@ -12,6 +12,7 @@ import pytest
 from imuarray.characterise import characterise_log
 from imuarray.characterise.plots import COLOURS, allan_figure
 from imuarray.cli import main
+from imuarray.commands.characterise import json_text
 from imuarray.errors import MissingExtraError
 from imuarray.log import open_log
 
@@ -138,3 +139,12 @@ def test_a_log_without_phases_is_characterised_where_it_rests(
     assert result["stretch"]["end_s"] <= 12.0
     # 16 mg of noise are 8.2 counts; the shaking would make hundreds of them
     assert result["sensors"][0]["axes"][0]["counts"]["std"] == pytest.approx(8.2, rel=0.2)
+
+
+def test_a_curve_is_written_in_a_line() -> None:
+    """The text says the same as that of the standard library, with a line for each list of numbers."""
+    result = {"log": "ü", "sensors": [{"tau_s": [0.1, 1e-7, None], "rows": [[1, 2], [3]], "none": {}, "nobody": []}]}
+    text = json_text(result)
+    assert json.loads(text) == result
+    assert '"tau_s": [0.1, 1e-07, null]' in text
+    assert len(text.splitlines()) == 14
