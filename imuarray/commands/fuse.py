@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import click
 
@@ -23,8 +23,10 @@ from imuarray.units import INERTIAL, READABLE_SI
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.fuse import Error, FaultEvent, FusedBlock, FusionNotes
+    from imuarray.fuse import Error, FaultEvent, FusedBlock, FusionNotes, PipelineFactory, QuietNoise
     from imuarray.log import Log
+
+_MEAN = "mean"
 
 _STEPS = 1000
 """Of a bar."""
@@ -149,7 +151,7 @@ class _Work:
 
     def fused(
         self,
-        technique: str,
+        technique: str | PipelineFactory,
         found: Callable[[FaultEvent], None] = lambda event: None,
         told: Callable[[FusionNotes], None] = lambda told: None,
         progress: Callable[[float], None] = lambda share: None,
@@ -173,15 +175,15 @@ class _Work:
 
 def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[str, Any], FusionNotes]:
     """Write the fused file; where it is and what came of it, beside the average, and what the technique has to say."""
-    from imuarray.fuse import read_fused, write_fused
+    from imuarray.fuse import write_fused
 
     log, technique = work.log, work.technique
     events: list[FaultEvent] = []
     told: list[FusionNotes] = []
-    with progress(_STEPS, technique) as done:
+    with progress(_STEPS, technique) as done, _quality_of(log) as quality:
         frames = write_fused(
             output,
-            work.fused(technique, events.append, told.append, lambda share: done(int(share * _STEPS))),
+            _measured(work, quality, events.append, told.append, lambda share: done(int(share * _STEPS))),
             epoch=log.epoch,
             technique=technique,
             log=str(log.path),
@@ -190,8 +192,7 @@ def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[
             events=events,
             force=force,
         )
-    results = {} if technique == "mean" else {"mean": _result(log, work.fused("mean"))}
-    results[technique] = _result(log, read_fused(output))
+        results = quality.results()
     known = bool(log.truth or log.reference)
     report = {
         "fused": str(output),
@@ -202,6 +203,34 @@ def _written(work: _Work, output: Path, source: str, force: bool) -> tuple[dict[
         "results": results,
     }
     return report, told[0]
+
+
+def _measured(
+    work: _Work,
+    quality: _Errors | _Noise,
+    found: Callable[[FaultEvent], None],
+    told: Callable[[FusionNotes], None],
+    progress: Callable[[float], None],
+) -> Iterator[FusedBlock]:
+    """The result; `quality` is given its blocks, and the average's of the same frames before them. Where nothing is
+    left out of the frames they are aligned once for both.
+    """
+    from imuarray.fuse import TECHNIQUES, ComparisonPipeline
+
+    technique = work.technique
+    if technique == _MEAN or technique not in TECHNIQUES or work.watch:
+        if technique != _MEAN:
+            for block in work.fused(_MEAN):
+                quality.add({_MEAN: block})
+        for block in work.fused(technique, found, told, progress):
+            quality.add({technique: block})
+            yield block
+        return
+    averages: list[FusedBlock] = []
+    both: PipelineFactory = lambda axes, period_s: ComparisonPipeline(axes, technique, _MEAN, averages.append)  # noqa: E731
+    for block in work.fused(both, found, told, progress):
+        quality.add({_MEAN: averages.pop(), technique: block})
+        yield block
 
 
 def _sensors(log: Log, names: Sequence[str]) -> dict[str, list[str]]:
@@ -220,13 +249,62 @@ def _changes(log: Log, calibration: Calibration, technique: str, names: Sequence
     return found
 
 
-def _result(log: Log, blocks: Iterable[FusedBlock]) -> dict[str, Any]:
-    """How good a result is: against the truth if the log knows it, else how quiet it is at rest; SI, JSON-ready."""
-    from imuarray.fuse import evaluate, quiet_noise
+class _Errors:
+    """How good results are against the truth that the log knows; SI, JSON-ready. A context manager."""
 
-    if log.truth or log.reference:
-        return {quantity: _error(error) for quantity, error in evaluate(log, blocks).items()}
-    return {quantity: {"noise": noise.tolist()} for quantity, noise in quiet_noise(blocks).items()}
+    def __init__(self, log: Log) -> None:
+        from imuarray.fuse import Evaluation
+
+        self._evaluation = Evaluation(log)
+
+    def add(self, together: Mapping[str, FusedBlock]) -> None:
+        """The next block of each result, by technique."""
+        self._evaluation.add(together)
+
+    def results(self) -> dict[str, Any]:
+        """By technique and quantity."""
+        return {
+            technique: {quantity: _error(error) for quantity, error in errors.items()}
+            for technique, errors in self._evaluation.errors().items()
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._evaluation.__exit__(*error)
+
+
+class _Noise:
+    """How quiet results are at rest, where nobody knows the truth. A context manager."""
+
+    def __init__(self) -> None:
+        self._noise: dict[str, QuietNoise] = {}
+
+    def add(self, together: Mapping[str, FusedBlock]) -> None:
+        """The next block of each result, by technique."""
+        from imuarray.fuse import QuietNoise
+
+        for technique, block in together.items():
+            self._noise.setdefault(technique, QuietNoise()).add(block)
+
+    def results(self) -> dict[str, Any]:
+        """By technique and quantity."""
+        return {
+            technique: {quantity: {"noise": scatter.tolist()} for quantity, scatter in noise.scatter().items()}
+            for technique, noise in self._noise.items()
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Nothing to give back."""
+
+
+def _quality_of(log: Log) -> _Errors | _Noise:
+    """What measures how good results on this log are."""
+    return _Errors(log) if log.truth or log.reference else _Noise()
 
 
 def _error(error: Error) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from imuarray.fuse.evaluation import (
     Consistency,
     Error,
     ErrorFrames,
+    Evaluation,
+    QuietNoise,
     consistency,
     error_frames,
     error_of,
@@ -30,7 +32,7 @@ from imuarray.fuse.fuse import NAMES, NEEDS_NOISE, OPTIMAL, Watch, aligned, fuse
 from imuarray.fuse.fused_file import FusedEvent, FusedHead, read_fused, read_fused_events, read_fused_head, write_fused
 from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.gains import Gain, Ratio, gains, ratio_of
-from imuarray.fuse.pipeline import Pipeline, PipelineFactory, QuantityPipeline, fused_block
+from imuarray.fuse.pipeline import ComparisonPipeline, Pipeline, PipelineFactory, QuantityPipeline, fused_block
 from imuarray.fuse.stream import FusionStream
 from imuarray.fuse.techniques import TECHNIQUES, changes
 
@@ -42,11 +44,13 @@ __all__ = [
     "Axis",
     "Coasting",
     "Comparison",
+    "ComparisonPipeline",
     "Consistency",
     "Error",
     "ErrorFrames",
     "Errors",
     "Estimate",
+    "Evaluation",
     "FaultEvent",
     "Frames",
     "FusedBlock",
@@ -58,6 +62,7 @@ __all__ = [
     "Pipeline",
     "PipelineFactory",
     "QuantityPipeline",
+    "QuietNoise",
     "Ratio",
     "Score",
     "Watch",

@@ -72,36 +72,88 @@ def evaluate(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = (
     >>> errors["specific_force"].rms.shape  # along x, y and z of the box
     (3,)
     """
-    with ExitStack() as stack:
-        kept: dict[str, _ErrorSpool] = {quantity: stack.enter_context(_ErrorSpool()) for quantity in INERTIAL}
-        for _, quantity, frames in _error_blocks(log, ({"": block} for block in blocks), phases):
+    with Evaluation(log, phases) as evaluation:
+        for block in blocks:
+            evaluation.add({"": block})
+        return evaluation.errors().get("", {})
+
+
+class Evaluation:
+    """Errors of several results against `/truth` (or `/reference`), block by block as they are made: what is kept of
+    them lies on the disk. A context manager.
+    """
+
+    def __init__(self, log: Log, phases: Iterable[Phase] = ()) -> None:
+        """Only inside `phases`, if there are any. FusionError if the log has neither."""
+        self._track = _track_of(log)
+        self._stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
+        self._stack = ExitStack()
+        self._kept: dict[str, dict[str, _ErrorSpool]] = {}
+
+    def add(self, together: Mapping[str, FusedBlock]) -> None:
+        """The next block of each result by its name, all of the same frames."""
+        for name, quantity, frames in _errors_in(self._track, self._stretches, together):
+            kept = self._kept.setdefault(name, {})
+            if quantity not in kept:
+                kept[quantity] = self._stack.enter_context(_ErrorSpool())
             kept[quantity].add(frames.errors)
-        return {quantity: errors.figures() for quantity, errors in kept.items() if errors.frames > 1}
+
+    def errors(self) -> dict[str, dict[str, Error]]:
+        """By name and quantity, of those with two frames or more."""
+        return {
+            name: {quantity: kept[quantity].figures() for quantity in INERTIAL if _frames(kept, quantity) > 1}
+            for name, kept in self._kept.items()
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
 
 
 def quiet_noise(blocks: Iterable[FusedBlock]) -> dict[str, Floats]:
-    """Scatter (3,) in SI from frame to frame where a fused result is quietest, by quantity: it needs no truth.
+    """Scatter (3,) in SI from frame to frame where a fused result is quietest, by quantity: it needs no truth."""
+    noise = QuietNoise()
+    for block in blocks:
+        noise.add(block)
+    return noise.scatter()
+
+
+class QuietNoise:
+    """The scatter of `quiet_noise`, block by block.
 
     The lower quartile over segments of `SEGMENT` frames of the standard deviation of differences over sqrt 2; a motion
     that lasts does not count, a box that never rests makes it too large.
     """
-    scatter: dict[str, list[Floats]] = {quantity: [] for quantity in INERTIAL}
-    rest: dict[str, Floats] = {quantity: np.zeros((0, 3)) for quantity in INERTIAL}
-    for block in blocks:
+
+    def __init__(self) -> None:
+        self._scatters: dict[str, list[Floats]] = {quantity: [] for quantity in INERTIAL}
+        self._rest: dict[str, Floats] = {quantity: np.zeros((0, 3)) for quantity in INERTIAL}
+
+    def add(self, block: FusedBlock) -> None:
+        """The next frames."""
         for quantity, triad in block.triads.items():
-            frames = np.concatenate([rest[quantity], triad])
+            frames = np.concatenate([self._rest[quantity], triad])
             whole = len(frames) // SEGMENT * SEGMENT
-            rest[quantity] = frames[whole:]
-            scatter[quantity] += _scatters(frames[:whole])
-    for quantity, frames in rest.items():
-        scatter[quantity] += _scatters(frames)
-    return {quantity: np.quantile(parts, 0.25, axis=0) for quantity, parts in scatter.items() if parts}
+            self._rest[quantity] = frames[whole:]
+            self._scatters[quantity].append(_scatters(frames[:whole].reshape(-1, SEGMENT, 3)))
+
+    def scatter(self) -> dict[str, Floats]:
+        """Of all frames so far, (3,) by quantity."""
+        found = {}
+        for quantity, parts in self._scatters.items():
+            every = np.concatenate([*parts, _scatters(self._rest[quantity][None])])
+            if len(every):
+                found[quantity] = np.quantile(every, 0.25, axis=0)
+        return found
 
 
-def _scatters(frames: Floats) -> list[Floats]:
-    """The scatter (3,) from frame to frame of every segment that has no hole."""
-    parts = [np.diff(frames[start : start + SEGMENT], axis=0) for start in range(0, len(frames), SEGMENT)]
-    return [np.std(steps, axis=0) / np.sqrt(2) for steps in parts if len(steps) > 1 and np.isfinite(steps).all()]
+def _scatters(segments: Floats) -> Floats:
+    """(s, 3) the scatter from frame to frame of those of the segments (s, n, 3) that have no hole."""
+    steps = np.diff(segments, axis=1)
+    whole = steps[np.isfinite(steps).all(axis=(1, 2))]
+    return np.asarray(np.std(whole, axis=1) / np.sqrt(2) if steps.shape[1] > 1 else np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
@@ -141,30 +193,47 @@ def errors_together(
     return {name: {quantity: _joined(parts) for quantity, parts in own.items() if parts} for name, own in found.items()}
 
 
+def _track_of(log: Log) -> Track:
+    """What the log knows of the motion; FusionError if it knows nothing."""
+    track = log.truth or log.reference
+    if track is None:
+        raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
+    return track
+
+
+def _frames(kept: Mapping[str, _ErrorSpool], quantity: str) -> int:
+    return kept[quantity].frames if quantity in kept else 0
+
+
 def _error_blocks(
     log: Log, blocks: Iterable[Mapping[str, FusedBlock]], phases: Iterable[Phase]
 ) -> Iterator[tuple[str, str, ErrorFrames]]:
     """Technique, quantity and frames with an error, block by block. FusionError if nothing is known."""
-    track = log.truth or log.reference
-    if track is None:
-        raise FusionError(f"{log.path}: neither /truth nor /reference in it, nothing to compare with")
+    track = _track_of(log)
     stretches = [(phase.start_ns, phase.end_ns) for phase in phases]
     for together in blocks:
-        time = next(iter(together.values())).time
-        inside = np.ones(len(time), bool)
-        if stretches:
-            inside = np.any([(time >= start) & (time < end) for start, end in stretches], axis=0)
-        for quantity in INERTIAL:
-            if not any(quantity in block.triads for block in together.values()):
-                continue
-            felt = _felt(track, quantity, time)
-            if felt is None:
-                continue
-            for name, block in together.items():
-                errors = block.triads[quantity] - felt
-                keep = inside & np.isfinite(errors).all(axis=1)
-                claimed = np.asarray(block.covariances.get(quantity, np.full((len(errors), 6), np.nan)), float)
-                yield name, quantity, ErrorFrames(time[keep], errors[keep], felt[keep], claimed[keep])
+        yield from _errors_in(track, stretches, together)
+
+
+def _errors_in(
+    track: Track, stretches: Sequence[tuple[int, int]], together: Mapping[str, FusedBlock]
+) -> Iterator[tuple[str, str, ErrorFrames]]:
+    """The same of one block of each technique; only inside the `stretches` (start and end in ns), if there are any."""
+    time = next(iter(together.values())).time
+    inside = np.ones(len(time), bool)
+    if stretches:
+        inside = np.any([(time >= start) & (time < end) for start, end in stretches], axis=0)
+    for quantity in INERTIAL:
+        if not any(quantity in block.triads for block in together.values()):
+            continue
+        felt = _felt(track, quantity, time)
+        if felt is None:
+            continue
+        for name, block in together.items():
+            errors = block.triads[quantity] - felt
+            keep = inside & np.isfinite(errors).all(axis=1)
+            claimed = np.asarray(block.covariances.get(quantity, np.full((len(errors), 6), np.nan)), float)
+            yield name, quantity, ErrorFrames(time[keep], errors[keep], felt[keep], claimed[keep])
 
 
 def error_of(rows: Floats) -> Error:

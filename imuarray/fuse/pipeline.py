@@ -93,6 +93,32 @@ class TechniqueSet:
         return iter(())
 
 
+class ComparisonPipeline:
+    """A technique on each quantity by itself, and another one on the same frames: `heard` is given the other's block
+    before the technique's is. A `Pipeline`.
+    """
+
+    def __init__(
+        self, axes: Mapping[str, Sequence[Axis]], technique: str, other: str, heard: Callable[[FusedBlock], None]
+    ) -> None:
+        """FusionError as `QuantityPipeline`."""
+        self._technique, self._other = QuantityPipeline(axes, technique), QuantityPipeline(axes, other)
+        self._heard = heard
+
+    def __call__(self, frames: Mapping[str, Frames], degc: Mapping[str, Floats]) -> Iterator[FusedBlock]:
+        """See `Pipeline`; nothing is held back."""
+        self._heard(next(self._other(frames, degc)))
+        yield from self._technique(frames, degc)
+
+    def finish(self) -> Iterator[FusedBlock]:
+        """Nothing."""
+        return iter(())
+
+    def notes(self) -> FusionNotes:
+        """What the technique remarks."""
+        return self._technique.notes()
+
+
 def fused_block(time: Times, estimates: Mapping[str, Estimate], axes: Mapping[str, Sequence[Axis]]) -> FusedBlock:
     """The estimates, by quantity, of one block of frames at `time` (n,) ns, as the result."""
     return FusedBlock(

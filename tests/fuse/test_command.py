@@ -10,7 +10,10 @@ import h5py
 import numpy as np
 import pytest
 
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.noise import with_noise_of
 from imuarray.cli import main
+from imuarray.fuse import evaluate, fuse, quiet_noise, read_fused
 from imuarray.log import open_log
 from imuarray.log.format import Phase
 from tests.fuse.arrays import HIGH_MG, LOW_MG, low_and_high
@@ -217,3 +220,29 @@ def test_it_says_what_the_technique_changed_and_what_is_not_calibrated(
     assert set(report["results"]) == {"mean", "opposed"}
     same = [report["results"][name]["specific_force"]["rms"] for name in ("mean", "opposed")]
     assert same[0] == pytest.approx(same[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("technique", ["mean", "opposed", "ranges"])
+@pytest.mark.parametrize("truth", ["truth", ""])
+def test_both_results_are_measured_while_the_file_is_written(
+    write_run: WriteRun, tmp_path: Path, technique: str, truth: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As each of them fused by itself, and the file read back."""
+    path = write_run(parts(), phases=STATIC, truth=truth)
+    assert main(["fuse", str(path), "--technique", technique, "-o", str(tmp_path / "f.h5"), "--json"]) == 0
+    results = json.loads(capsys.readouterr().out)["results"]
+    assert list(results) == list(dict.fromkeys(["mean", technique]))
+    with open_log(path) as log:
+        for name, by_quantity in results.items():
+            blocks = list(fuse(log, with_noise_of(log, Calibration()), name))
+            if name == technique:
+                written = np.concatenate([block.triads["specific_force"] for block in read_fused(tmp_path / "f.h5")])
+                np.testing.assert_array_equal(
+                    written, np.concatenate([block.triads["specific_force"] for block in blocks])
+                )
+            if truth:
+                for quantity, error in evaluate(log, blocks).items():
+                    np.testing.assert_allclose(by_quantity[quantity]["rms"], error.rms, rtol=1e-12)
+            else:
+                for quantity, noise in quiet_noise(blocks).items():
+                    np.testing.assert_allclose(by_quantity[quantity]["noise"], noise, rtol=1e-12)
