@@ -7,7 +7,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from imuarray.calibrate.cancellation import Cancellation, cancellation  # a function that hides its module
+from imuarray.calibrate.opposed import Cancellation, cancellation  # a function that hides its module
 
 if TYPE_CHECKING:
     from imuarray.calibrate.comparison import CalibrationComparison, compare_calibrations

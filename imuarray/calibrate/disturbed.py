@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import fdtrc
 
-from imuarray.calibrate.poses import Pose
-from imuarray.calibrate.readings import PoseReadings
+from imuarray.calibrate.pose_readings import Pose, PoseReadings
 
 Floats = npt.NDArray[np.float64]
 

@@ -23,8 +23,7 @@ from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, left_out_of,
 from imuarray.calibrate.fits import TriadFit, straight_lines
 from imuarray.calibrate.labels import axes_text, check_labels
 from imuarray.calibrate.model import SensorCalibration, nominal
-from imuarray.calibrate.poses import Pose
-from imuarray.calibrate.readings import PoseReadings, read_poses
+from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc
+
+from imuarray.errors import CalibrationError
+from imuarray.log import SensorLog
+from imuarray.units import READABLE
 
 Floats = npt.NDArray[np.float64]
 
@@ -101,3 +106,15 @@ def beyond_noise(chi_squared: float, freedom: float, among: int = 1) -> bool:
     at once.
     """
     return freedom > 0.5 and float(chdtrc(freedom, chi_squared)) < MORE_THAN_NOISE / among
+
+
+def refuse_imprecise(sensor: SensorLog, sem_lsb: Floats, most: Mapping[str, float], message: str) -> None:
+    """CalibrationError if a standard error (3,) in counts exceeds the limit `most` of the sensor's quantity (in its
+    unit); `message` gets the worst `axis`, its `sem` and the `unit` in which people read it.
+    """
+    sem = sem_lsb / sensor.sensitivity
+    worst = int(sem.argmax())
+    if sem[worst] > most[sensor.quantity]:
+        factor, unit = READABLE[sensor.unit]
+        text = message.format(axis="xyz"[worst], sem=f"{factor * sem[worst]:.3g}", unit=unit)
+        raise CalibrationError(f"{sensor.where}: {text}")

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from imuarray.calibrate.disturbed import chance_of_misfit
 from imuarray.calibrate.fits import DRIFTS, TriadFit, straight_lines
 from imuarray.calibrate.model import SensorCalibration, nominal
-from imuarray.calibrate.poses import Pose
-from imuarray.calibrate.readings import PoseReadings, read_poses
+from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.log import SensorLog
 
 Floats = npt.NDArray[np.float64]

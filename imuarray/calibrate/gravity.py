@@ -1,4 +1,10 @@
-"""Any static poses, no table, no labels: in every one of them the specific force is one g long, and all accelerometers
+"""Where gravity pointed, from nothing but its length: a start for the joint fit.
+
+Per accelerometer, ``|shape @ (mean - bias)| = 1 g`` over all poses gives the bias (3) and a triangular shape matrix
+(6): an ellipsoid (Skog & Handel, Proc. XVII IMEKO World Congress, 2006). What is left, a turn per sensor, comes from
+the others: all felt the same, so their directions are turned onto each other.
+
+Any static poses, no table, no labels: in every one of them the specific force is one g long, and all accelerometers
 feel the same.
 
 From directions near the truth (`ellipsoid`) all sensors and all directions are fitted at once (`bundle`), biases that
@@ -15,20 +21,69 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from imuarray.calibrate.bundle import Bundle, in_box_frame, solve
 from imuarray.calibrate.disturbed import LeftOut, another_go, chance_of_misfit, left_out_of, moved_within, worst
-from imuarray.calibrate.ellipsoid import directions_of, same_sides
 from imuarray.calibrate.faces import accelerometer_of
 from imuarray.calibrate.fits import DRIFTS, TriadFit, beyond_noise
 from imuarray.calibrate.model import SensorCalibration
-from imuarray.calibrate.poses import Pose
-from imuarray.calibrate.readings import PoseReadings, read_poses
+from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
 
 Floats = npt.NDArray[np.float64]
+
+_TRIANGLE = np.triu_indices(3)
+
+
+def directions_of(readings: PoseReadings) -> Floats:
+    """(k, 3) directions of gravity's reaction in the box frame, near the truth.
+
+    CalibrationError if the poses do not tell bias from scale.
+    """
+    means = readings.mean_lsb / readings.sensitivity[:, None, None]
+    directions = []
+    for sensor, mean in zip(readings.sensors, means, strict=True):
+        gravity = _ellipsoid(sensor, mean)
+        directions.append(sensor.orientation @ gravity / np.linalg.norm(gravity, axis=0))
+    return _common(directions).T
+
+
+def _ellipsoid(sensor: SensorLog, means: Floats) -> Floats:
+    """Specific force (3, k) in g, sensor frame, of readings (k, 3) in g; CalibrationError if the poses do not tell bias
+    from scale.
+    """
+
+    def gravity(parameters: Floats) -> Floats:
+        shape = np.zeros((3, 3))
+        shape[_TRIANGLE] = parameters[3:]
+        return np.asarray(shape @ (means - parameters[:3]).T)
+
+    start = np.concatenate([np.zeros(3), np.eye(3)[_TRIANGLE]])
+    fit = least_squares(lambda parameters: np.linalg.norm(gravity(parameters), axis=0) - 1, start)
+    if not fit.success or np.linalg.cond(fit.jac.T @ fit.jac) > 1e8:
+        raise CalibrationError(same_sides(sensor))
+    return gravity(fit.x)
+
+
+def same_sides(sensor: SensorLog) -> str:
+    """What is wrong with poses that leave something open."""
+    return f"{sensor.where}: the poses do not tell bias from scale; put the box on more different sides"
+
+
+def _common(directions: Sequence[Floats]) -> Floats:
+    """(3, k) mean of the sensors' directions (3, k), each turned onto it (Kabsch, Acta Cryst. A32, 1976, p. 922)."""
+    from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
+
+    common = np.asarray(directions[0])
+    for _ in range(3):
+        turned = [Rotation.align_vectors(common.T, own.T)[0].as_matrix() @ own for own in directions]
+        common = np.mean(turned, axis=0)
+        common /= np.linalg.norm(common, axis=0)
+    return common
+
 
 MIN_POSES = 9
 """Nine unknowns per sensor."""

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.axes import UP_AXES, up_vector
-from imuarray.calibrate.readings import PoseReadings
+from imuarray.calibrate.pose_readings import PoseReadings
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
 

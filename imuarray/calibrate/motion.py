@@ -1,4 +1,7 @@
-"""Whether the box stood still where a calibration needs it to: a figure that is made of motion is none of a sensor."""
+"""A stretch of a log at rest where no phase says that there is one.
+
+Whether the box stood still where a calibration needs it to: a figure that is made of motion is none of a sensor.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,26 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.calibrate.poses import windows_of
+from imuarray.calibrate.pose_readings import find_poses, windows_of
+from imuarray.characterise.stretch import Stretch, choose_stretch
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
 from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
 from imuarray.units import INERTIAL, READABLE
+
+
+def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
+    """The longest pose that the sensors show; None if none shows, or a `phase` is asked for or says it rests."""
+    if phase is not None or choose_stretch(log, None).phase is not None:
+        return None
+    try:
+        poses = [pose.phase for pose in find_poses(log)]
+    except CalibrationError:
+        return None
+    longest = max(poses, key=lambda pose: pose.end_ns - pose.start_ns, default=None)
+    chosen_by = "the longest at rest, as the sensors show: no phase says so"
+    return longest and Stretch(longest.start_ns, longest.end_ns, longest.name, "", chosen_by)
+
 
 Floats = npt.NDArray[np.float64]
 

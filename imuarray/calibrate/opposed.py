@@ -1,4 +1,9 @@
-"""What a pair of opposing axes of one design cancels of its temperature drift (section 2.1 of the paper).
+"""What pairing anti-parallel axes of one design would cancel of their biases (the paper's section 2.1).
+
+An error that all units of a design share adds up among axes that point the same way and cancels between opposite
+ones. Here it is looked at where it shows first: in the calibrated biases, turned into the box frame.
+
+What a pair of opposing axes of one design cancels of its temperature drift (section 2.1 of the paper).
 
 In the box frame one axis of the pair counts with the other's sign, so that their mean drifts with half the difference
 of their slopes: 0.002 LSB/degC for the y axes of the paper's Gyro1 and Gyro2, 0.263 had both pointed the same way.
@@ -15,9 +20,54 @@ from itertools import combinations, product
 import numpy as np
 from scipy.special import ndtr
 
-from imuarray.calibrate.model import SensorCalibration
+from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS
 from imuarray.log import SensorLog
+
+
+@dataclass(frozen=True)
+class Cancellation:
+    """One design along one box axis: mean bias, box frame and the sensor's unit, of the axes along it, of those
+    against it, and of both halves averaged; None where no axis points that way.
+    """
+
+    chip: str
+    quantity: str
+    unit: str
+    box_axis: str
+    along: float | None
+    against: float | None
+    opposed: float | None
+    single_rms: float
+
+
+def cancellation(sensors: Sequence[SensorLog], calibration: Calibration) -> list[Cancellation]:
+    """A row for every design (chip) and box axis of the inertial `sensors`."""
+    biases: dict[tuple[str, str, str, int], dict[int, list[float]]] = {}
+    for sensor in sensors:
+        known = calibration.or_nominal(sensor)
+        for direction, bias in zip(known.directions_box, known.bias_in_units(), strict=True):
+            axis = int(np.abs(direction).argmax())
+            sign = 1 if direction[axis] > 0 else -1
+            ways = biases.setdefault((sensor.chip, sensor.quantity, sensor.unit, axis), {})
+            ways.setdefault(sign, []).append(sign * float(bias))
+    return [_row(*key, ways) for key, ways in sorted(biases.items())]
+
+
+def _row(chip: str, quantity: str, unit: str, axis: int, ways: Mapping[int, list[float]]) -> Cancellation:
+    along, against = (float(np.mean(ways[sign])) if sign in ways else None for sign in (1, -1))
+    everything = [bias for way in ways.values() for bias in way]
+    return Cancellation(
+        chip,
+        quantity,
+        unit,
+        "XYZ"[axis],
+        along,
+        against,
+        (along + against) / 2 if along is not None and against is not None else None,
+        float(np.sqrt(np.mean(np.square(everything)))),
+    )
+
 
 _OPPOSED = -0.95
 """Cosine of the angle between two axes that point in opposite directions."""

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from imuarray.axes import UP_AXES, orientation_of, up_vector
 from imuarray.calibrate.labels import axes_text
-from imuarray.calibrate.poses import Pose, find_poses, named_faces
+from imuarray.calibrate.pose_readings import Pose, find_poses, named_faces
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL, SI_PER_UNIT

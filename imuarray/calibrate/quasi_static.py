@@ -18,8 +18,7 @@ import numpy.typing as npt
 
 from imuarray.calibrate.disturbed import LeftOut, left_out_of
 from imuarray.calibrate.gravity import GravityFit, fit_weighted
-from imuarray.calibrate.poses import Pose
-from imuarray.calibrate.readings import PoseReadings
+from imuarray.calibrate.pose_readings import Pose, PoseReadings
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase

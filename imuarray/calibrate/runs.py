@@ -1,10 +1,23 @@
-"""Many short logs as runs: what each sensor read in each, how warm it was, and how its reading wandered meanwhile."""
+"""Which runs came up wrong, and whether the others came up in one state or in two: from run means, all axes together.
+
+Two states: with the scatter of all runs made round (the same in all directions, which takes nothing away: a common
+covariance is not known anyway), the split into two groups that leaves the least scatter within them is the likeliest
+one. The share of the scatter that it explains does not depend on scale or correlation of the axes, so how large it gets
+by chance follows from the number of runs alone and is drawn: for normal scatter and for heavy tails (Student's t with
+three degrees of freedom), and it has to beat both.
+
+With temperatures each group is a line in temperature and both have the same slope, so that a warm-up is not called a
+state: scatter is what a line leaves, and a split explains ``|sum of one group|^2 / |its membership less a line|^2``.
+
+Many short logs as runs: what each sensor read in each, how warm it was, and how its reading wandered meanwhile.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +30,178 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
 
 Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+MIN_STATE_RUNS = 3
+"""A state was seen in so many runs at least; fewer that lie apart are runs that came up wrong."""
+
+MIN_RUNS = 2 * MIN_STATE_RUNS
+
+SIGNIFICANT = 0.01
+
+_APART = 8.0
+_DRAWS = 1998
+_PARTS = 9
+"""The draws are worked through in parts, to keep memory small."""
+
+_DIRECTIONS = 24
+_TOLD = 0.1
+"""Temperatures that say more than nine tenths of who belongs to which group leave nothing to tell a state by."""
+
+_LOOKS_LIKE = 0.15
+"""Another range explains a reading within this share of what it gives: each range has an offset of its own (BMA-79)."""
+
+Ranges = Mapping[str, Mapping[float, float]]
+"""By name of a chip or sensor: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""
+
+
+@dataclass(frozen=True)
+class BootFault:
+    """A run that came up wrong: its number, its reading over the usual one on the axis that carries gravity (nan if
+    none does), and the range that this is the sensitivity of (None: nothing explains it).
+    """
+
+    run: int
+    ratio: float
+    range: float | None
+    unit: str = ""
+
+    def __str__(self) -> str:
+        if self.range is None:
+            return f"run {self.run}: apart from all others, unexplained"
+        return f"run {self.run}: {self.ratio:.2f} times the usual reading: came up at {self.range:g} {self.unit}"
+
+
+def explained_range(
+    mean_lsb: Floats, usual_lsb: Floats, sensitivity: float, ranges: Mapping[float, float]
+) -> tuple[float, float | None]:
+    """Reading over the usual one on the axis that carries gravity, and the other range whose sensitivity it shows.
+
+    (nan, None) unless an axis usually carries more than half a g; None if no other range is near.
+    """
+    axis = int(np.abs(usual_lsb).argmax())
+    if not abs(usual_lsb[axis]) > sensitivity / 2 or not np.isfinite(mean_lsb[axis]):
+        return np.nan, None
+    ratio = float(mean_lsb[axis] / usual_lsb[axis])
+    off = {each: abs(ratio * sensitivity / lsb - 1) for each, lsb in ranges.items()}
+    nearest = min(off, key=lambda each: off[each], default=None)
+    if nearest is None or ranges[nearest] == sensitivity or off[nearest] > _LOOKS_LIKE:
+        return ratio, None
+    return ratio, nearest
+
+
+def runs_apart(means: Floats, floor: Floats) -> Mask:
+    """Which of the runs (r, 3) have no company: the distance to the second nearest other run is more than 8 spreads.
+
+    The spread of an axis is the first quartile of the differences of all pairs (Rousseeuw and Croux, J. Am. Stat.
+    Assoc. 88, 1993, p. 1273), which two states don't widen; `floor` (3,) is the least that it can be.
+    """
+    if len(means) < MIN_RUNS:
+        return np.zeros(len(means), bool)
+    differences = np.abs(means[:, None] - means[None])
+    pairs = differences[np.triu_indices(len(means), 1)]
+    spread = np.maximum(2.2219 * np.quantile(pairs, 0.25, axis=0), np.maximum(floor, 1e-9))
+    distance = np.sort(np.linalg.norm(differences / spread, axis=2), axis=1)
+    return np.asarray(distance[:, MIN_STATE_RUNS - 1] > _APART)
+
+
+def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[Mask, float]:
+    """The likeliest split of runs (r, 3), True for those that are not in the first run's group, and the probability of
+    as good a one by chance.
+
+    What `temperatures` (r,) explain linearly is taken out first, in the draws too. (nothing, 1.0) for fewer than 6
+    runs.
+    """
+    rows = len(means)
+    if rows < MIN_RUNS:
+        return np.zeros(rows, bool), 1.0
+    warm = _unit(temperatures, rows)
+    left = _without(means, warm)
+    left = _rounded(left / np.maximum(left.std(axis=0), 1e-12))
+    if left.shape[1] == 0:
+        return np.zeros(rows, bool), 1.0
+    share, second = best_split(left[None], warm)
+    beaten = max(
+        int(np.count_nonzero(drawn >= share[0])) for drawn in _by_chance(rows, left.shape[1], seed, tuple(warm))
+    )
+    return second[0] ^ second[0, 0], (beaten + 1) / (_DRAWS + 1)
+
+
+def best_split(rounded: Floats, warm: Floats) -> tuple[Floats, Mask]:
+    """For each set of points (b, r, d) with unit scatter about lines in `warm` (r,), a unit vector about zero or zero,
+    the split into two groups of at least three that explains most of it: the share explained (b,) and the members
+    (b, r) of one group.
+
+    The best split is a cut of the points sorted along some direction of their d coordinates and `warm`. Tried are the
+    directions of the first 24 points; then, three times, the one that tells the best groups apart.
+    """
+    lifted = np.concatenate([rounded, np.broadcast_to(warm[:, None], (*rounded.shape[:2], 1))], axis=2)
+    best, members = _cut(lifted, lifted[:, :_DIRECTIONS])
+    for _ in range(3):
+        share, cut = _cut(lifted, _towards(lifted, members)[:, None])
+        better = share > best
+        best, members = np.where(better, share, best), np.where(better[:, None], cut, members)
+    return best, members
+
+
+def _towards(lifted: Floats, members: Mask) -> Floats:
+    """The direction (b, d + 1) that tells the groups apart: from one centre to the other, across the common slope."""
+    sums = np.einsum("br,brd->bd", members, lifted)
+    count, rows = members.sum(axis=1), members.shape[1]
+    alone = count * (rows - count) / rows - sums[:, -1] ** 2
+    slope = sums[:, -1] * (sums[:, :-1] ** 2).sum(axis=1) / np.maximum(alone, 1e-9)
+    return np.concatenate([sums[:, :-1], slope[:, None]], axis=1)
+
+
+def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Mask]:
+    """The best cut (b,) along any of the directions (b, k, d + 1), and the members (b, r) of its first group."""
+    draws, rows, _ = lifted.shape
+    order = np.argsort(np.einsum("brd,bkd->bkr", lifted, directions), axis=2)
+    sums = np.cumsum(lifted[np.arange(draws)[:, None, None], order], axis=2)
+    sums = sums[:, :, MIN_STATE_RUNS - 1 : rows - MIN_STATE_RUNS]
+    first = np.arange(MIN_STATE_RUNS, rows - MIN_STATE_RUNS + 1)
+    whole = first * (rows - first) / rows
+    alone = whole - sums[..., -1] ** 2
+    told = alone > _TOLD * whole
+    explained = np.where(told, (sums[..., :-1] ** 2).sum(axis=3) / np.where(told, alone, 1.0), 0.0)
+    flat = explained.reshape(draws, -1)
+    at = flat.argmax(axis=1)
+    direction, cut = np.divmod(at, len(first))
+    rank = np.argsort(order[np.arange(draws), direction], axis=1)
+    return np.take_along_axis(flat, at[:, None], 1)[:, 0], rank < (cut + MIN_STATE_RUNS)[:, None]
+
+
+def _unit(temperatures: Floats | None, rows: int) -> Floats:
+    """Temperatures (r,) about zero with unit length; zeros if they are not known or all the same."""
+    centred = np.zeros(rows) if temperatures is None else temperatures - temperatures.mean()
+    return np.asarray(centred / (float(np.linalg.norm(centred)) or 1.0))
+
+
+def _without(points: Floats, warm: Floats) -> Floats:
+    """Points (..., r, d) less their mean and what is linear in `warm` (r,)."""
+    centred = points - points.mean(axis=-2, keepdims=True)
+    return np.asarray(centred - warm[:, None] * np.einsum("r,...rd->...d", warm, centred)[..., None, :])
+
+
+def _rounded(points: Floats) -> Floats:
+    """Centred points (r, d) with unit scatter in every direction in which they scatter at all."""
+    left, values, _ = np.linalg.svd(points, full_matrices=False)
+    return np.asarray(left[:, values > 1e-9 * max(float(values.max()), 1e-300)])
+
+
+@lru_cache(maxsize=64)
+def _by_chance(rows: int, axes: int, seed: int, warm: tuple[float, ...]) -> tuple[Floats, Floats]:
+    """Shares explained (draws,) where there is one state: with normal scatter and with heavy tails."""
+    generator = np.random.default_rng(seed)
+    normal, heavy = generator.normal(size=(2, _DRAWS, rows, axes))
+    heavy /= np.sqrt(generator.chisquare(3, (_DRAWS, rows, 1)) / 3)
+    line = np.array(warm)
+    first, second = (
+        np.concatenate([best_split(np.linalg.qr(_without(part, line))[0], line)[0] for part in np.split(drawn, _PARTS)])
+        for drawn in (normal, heavy)
+    )
+    return first, second
+
 
 _SEGMENTS = 60
 """A run is looked at in so many parts."""

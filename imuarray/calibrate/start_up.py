@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.calibrate.model import Calibration, SensorCalibration
-from imuarray.calibrate.poses import Pose, find_poses
+from imuarray.calibrate.pose_readings import Pose, find_poses
+from imuarray.calibrate.runs import Ranges, explained_range
 from imuarray.calibrate.stability import TurnOn
-from imuarray.calibrate.states import Ranges, explained_range
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
 

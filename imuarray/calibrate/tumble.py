@@ -16,9 +16,8 @@ from imuarray.calibrate.fits import TriadFit
 from imuarray.calibrate.g_sensitivity import fit_g_sensitivity
 from imuarray.calibrate.gravity import MIN_POSES, fit_gravity
 from imuarray.calibrate.model import Calibration, SensorCalibration
-from imuarray.calibrate.poses import Pose, find_poses, noted_faces
+from imuarray.calibrate.pose_readings import Pose, find_poses, noted_faces, read_poses
 from imuarray.calibrate.quasi_static import fit_path
-from imuarray.calibrate.readings import read_poses
 from imuarray.calibrate.segments import Thermometer, thermometer_of
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.calibrate.turns import TurnFit, fit_turns

@@ -16,14 +16,24 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import fdtrc
 
+from imuarray.calibrate.fits import refuse_imprecise
 from imuarray.calibrate.model import Calibration, nominal
 from imuarray.calibrate.motion import motion_in, refuse_other_poses
-from imuarray.calibrate.runs import Runs, read_runs, run_stretches
+from imuarray.calibrate.runs import (
+    SIGNIFICANT,
+    BootFault,
+    Ranges,
+    Runs,
+    explained_range,
+    read_runs,
+    run_stretches,
+    runs_apart,
+    two_states,
+)
 from imuarray.calibrate.stability import BiasState, TurnOn
-from imuarray.calibrate.states import SIGNIFICANT, BootFault, Ranges, explained_range, runs_apart, two_states
 from imuarray.errors import CalibrationError
-from imuarray.log import Log, SensorLog
-from imuarray.units import INERTIAL, READABLE
+from imuarray.log import Log
+from imuarray.units import INERTIAL
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,10 +42,14 @@ _NONE: Mapping[float, float] = MappingProxyType({})
 
 _FEWEST_RUNS = 3
 
-UNTOLD: Mapping[str, float] = MappingProxyType({"specific_force": 0.05, "angular_rate": 10.0})
-"""Standard error of the change from run to run, by quantity in its unit, from which on nothing was measured: data
-sheets promise the whole zero level to be as good (BMA-113: 60 mg; L3G-70: 10 dps).
+MOST_SEM: Mapping[str, float] = MappingProxyType({"specific_force": 0.05, "angular_rate": 10.0})
+"""Largest standard error of the change from run to run that counts as a measurement, by quantity in its unit: the data
+sheets give as much for the whole zero level (BMA-113: 60 mg; L3G-70: 10 dps).
 """
+_IMPRECISE = (
+    "these runs determine the change of the {axis} bias from run to run only to {sem} {unit}; readings change as much"
+    " within a run"
+)
 
 
 @dataclass(frozen=True)
@@ -99,9 +113,10 @@ def calibrate_turn_on(
     results, known = [], {}
     for sensor in sensors:
         result = compare_runs(read_runs(logs, sensor), ranges.get(sensor.chip, {}), seed, SIGNIFICANT / len(sensors))
-        _refuse_unknown(sensor, result.turn_on())
+        turn_on = result.turn_on()
+        refuse_imprecise(sensor, turn_on.rms_sem_lsb, MOST_SEM, _IMPRECISE)
         results.append(result)
-        known[sensor.name] = replace(nominal(sensor), turn_on=result.turn_on())
+        known[sensor.name] = replace(nominal(sensor), turn_on=turn_on)
     return Calibration(known, tuple(str(log.path) for log in logs)).stamped(logs), tuple(results)
 
 
@@ -121,18 +136,6 @@ def _refuse_moving(logs: Sequence[Log]) -> None:
             names.append(name)
             forces.append(np.mean(felt, axis=0) if felt else np.full(3, np.nan))
     refuse_other_poses(names, np.array(forces).reshape(-1, 3))
-
-
-def _refuse_unknown(sensor: SensorLog, told: TurnOn) -> None:
-    """CalibrationError where the runs don't tell what is asked of them."""
-    per_unit = told.rms_sem_lsb / sensor.sensitivity
-    worst = int(per_unit.argmax())
-    if per_unit[worst] > UNTOLD[sensor.quantity]:
-        factor, unit = READABLE[sensor.unit]
-        raise CalibrationError(
-            f"{sensor.where}: these runs tell the change of its {'xyz'[worst]} bias from run to run to no better than"
-            f" {factor * per_unit[worst]:.3g} {unit}: readings change as much within a run"
-        )
 
 
 def compare_runs(

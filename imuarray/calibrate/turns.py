@@ -24,7 +24,7 @@ import numpy.typing as npt
 from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, worst
 from imuarray.calibrate.fits import beyond_noise
 from imuarray.calibrate.model import SensorCalibration
-from imuarray.calibrate.poses import Pose, read_pose
+from imuarray.calibrate.pose_readings import Pose, read_pose
 from imuarray.log import SensorLog
 from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY

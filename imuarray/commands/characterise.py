@@ -88,7 +88,7 @@ def _characterise(
     calibration: Path | None,
 ) -> dict[str, Any]:
     """The result, with a bar on standard error while it is computed."""
-    from imuarray.calibrate.rest import longest_rest
+    from imuarray.calibrate.motion import longest_rest
     from imuarray.characterise import characterise_log
 
     chosen = [log[name] for name in sensors] if sensors else [item for item in log.sensors.values() if item.is_triad]

@@ -13,7 +13,7 @@ from typing import Any
 
 from imuarray.atomic import write_text
 from imuarray.calibrate import Calibration
-from imuarray.calibrate.rest import longest_rest
+from imuarray.calibrate.motion import longest_rest
 from imuarray.characterise import characterise_log
 from imuarray.characterise.kalibr import imu_files, imu_text
 from imuarray.errors import ExportError, OutputExistsError

@@ -1,12 +1,11 @@
-"""How warm each sensor's element was: what its bias follows, where a calibration says how, and what a calibration that
-was made at another temperature is worth.
+"""The temperature of each sensor's element, which its bias follows where the calibration has slopes, and the
+uncertainty of a calibration that was made at another temperature.
 
-How warm elements are by what is known so far: a thermometer for those who can't see the future.
-
-A temperature is the mean over the last whole segment of `SEGMENT_S`, and goes on from its middle as the line through
-the segments of `TREND_S` does until the next one is whole: while a box is heated, what a barometer told 20 s ago is
-degrees behind. Behind a first-order lag, the element follows straight lines between the middles of segments, and that
-line from the last of them on. Before the first segment is whole its rows so far are averaged.
+`element_temperatures` reads a finished log. `causal_temperatures` uses only rows that were read before the frame: a
+temperature is the mean over the last complete segment of `SEGMENT_S`, extrapolated from its middle along the line
+through the segments of the last `TREND_S`, because a barometer's value of 20 s ago is degrees behind while a box is
+heated. Behind a first-order lag, the element follows straight lines between the middles of segments, and that line
+after the last of them. Before the first segment is complete its rows so far are averaged.
 """
 
 from __future__ import annotations
@@ -56,17 +55,23 @@ def element_temperatures(
     without a zero go with no other kind, and slopes over another not with it. `of_all`: of sensors without slopes too,
     without a lag.
     """
-    found: dict[str, Thermometer] = {}
-    shared: Thermometer | None = None
+    sensors = list(sensors)
+    slopes = {sensor.name: slopes_of(calibration, sensor) for sensor in sensors}
+    return {
+        sensor.name: thermometer if (thermal := slopes[sensor.name]) is None else _behind(thermometer, thermal)
+        for sensor, thermometer in _thermometers(log, [s for s in sensors if of_all or slopes[s.name] is not None])
+        if is_compatible(thermometer.kind, slopes[sensor.name])
+    }
+
+
+def _thermometers(log: Log, sensors: Iterable[SensorLog]) -> Iterator[tuple[SensorLog, Thermometer]]:
+    """Each sensor that has one with its best thermometer; one that serves the whole box is read once."""
+    of_box: Thermometer | None = None
     for sensor in sensors:
-        thermal = slopes_of(calibration, sensor)
-        if of_all or thermal is not None:
-            thermometer = shared or thermometer_of(log, sensor, SEGMENT_S)
-            if thermometer is not None and thermometer.kind in _OF_THE_BOX:
-                shared = thermometer
-            if thermometer is not None and is_compatible(thermometer.kind, thermal):
-                found[sensor.name] = thermometer if thermal is None else _behind(thermometer, thermal)
-    return found
+        thermometer = of_box or thermometer_of(log, sensor, SEGMENT_S)
+        if thermometer is not None:
+            of_box = thermometer if thermometer.kind in _OF_THE_BOX else None
+            yield sensor, thermometer
 
 
 def is_compatible(kind: str, thermal: Thermal | None) -> bool:
@@ -111,16 +116,15 @@ def temperature_mismatch(
     A bias that follows the log's temperature is uncertain by the standard errors of its slopes; one that does not, by
     what such slopes usually are.
     """
-    found: dict[str, TemperatureMismatch] = {}
-    shared: Thermometer | None = None
-    for sensor in sensors:
-        known = calibration.or_nominal(sensor)
-        if known.temperature_degc is None or known.bias_sem_lsb is None:
+    mismatches: dict[str, TemperatureMismatch] = {}
+    sensors = list(sensors)
+    calibrated = {sensor.name: calibration.or_nominal(sensor) for sensor in sensors}
+    wanted = [s for s in sensors if calibrated[s.name].temperature_degc is not None]
+    wanted = [s for s in wanted if calibrated[s.name].bias_sem_lsb is not None]
+    for sensor, thermometer in _thermometers(log, wanted):
+        known = calibrated[sensor.name]
+        if known.temperature_degc is None or thermometer.kind == "relative":
             continue
-        thermometer = shared or thermometer_of(log, sensor, SEGMENT_S)
-        if thermometer is None or thermometer.kind == "relative":
-            continue
-        shared = thermometer if thermometer.kind in _OF_THE_BOX else None
         off = thermometer.degc - known.temperature_degc
         usual = [STEEP.get((sensor.chip, axis), USUAL[sensor.quantity].slope_per_degc) for axis in range(3)]
         unsure = np.array(usual) * known.lsb_per_si
@@ -130,8 +134,8 @@ def temperature_mismatch(
             doubt = np.hypot(thermal.slope_lsb_per_degc, thermal.slope_sem_lsb_per_degc)
             unsure = np.where(follows, thermal.slope_sem_lsb_per_degc, doubt)
         mean, rms = known.temperature_degc + float(off.mean()), float(np.sqrt(np.mean(off**2)))
-        found[sensor.name] = TemperatureMismatch(sensor.name, known.temperature_degc, mean, rms, unsure)
-    return found
+        mismatches[sensor.name] = TemperatureMismatch(sensor.name, known.temperature_degc, mean, rms, unsure)
+    return mismatches
 
 
 def with_mismatch(calibration: Calibration, away: Mapping[str, TemperatureMismatch]) -> Calibration:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from imuarray.calibrate import Tumble, calibrate_tumble
 from imuarray.calibrate.disturbed import another_go, chance_of_misfit, worst
-from imuarray.calibrate.poses import Pose
+from imuarray.calibrate.pose_readings import Pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from imuarray.calibrate import Tumble, calibrate_tumble
 from imuarray.calibrate.faces import face_fit, fit_faces
-from imuarray.calibrate.poses import named_faces
+from imuarray.calibrate.pose_readings import named_faces
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader

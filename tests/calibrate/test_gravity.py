@@ -16,8 +16,7 @@ from scipy.stats import chi2, norm, t
 
 from imuarray.calibrate import SensorCalibration
 from imuarray.calibrate.gravity import GravityFit, fit_gravity, fit_readings
-from imuarray.calibrate.poses import Pose
-from imuarray.calibrate.readings import PoseReadings
+from imuarray.calibrate.pose_readings import Pose, PoseReadings
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog, open_log
 from imuarray.log.format import Phase

@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.calibrate import calibrate_noise, calibrate_thermal, calibrate_turn_on
 from imuarray.calibrate.motion import STILL, motion_in
-from imuarray.calibrate.turn_on import UNTOLD
+from imuarray.calibrate.turn_on import MOST_SEM
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, Stimulus, open_log
@@ -92,7 +92,7 @@ def test_a_change_that_readings_do_not_tell_is_refused(tmp_path: Path) -> None:
         calibrate_turn_on(logs)
     for log in logs:
         log.close()
-    assert UNTOLD["specific_force"] == 0.05  # BMA-113: 60 mg, and somewhat less
+    assert MOST_SEM["specific_force"] == 0.05  # BMA-113: 60 mg, and somewhat less
 
 
 @pytest.mark.parametrize("felt", [carried, rolled])

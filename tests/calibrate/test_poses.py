@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 from scipy.stats import chi2
 
-from imuarray.calibrate.poses import Pose, find_poses, find_rests, named_faces, read_pose
+from imuarray.calibrate.pose_readings import Pose, find_poses, find_rests, named_faces, read_pose
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Phase, SensorHeader

@@ -16,8 +16,7 @@ from imuarray.calibrate import load_calibration
 from imuarray.calibrate.correlated import Noise, products, regress
 from imuarray.calibrate.opposed import cancelled
 from imuarray.calibrate.segments import Segments, Thermometer, segment_means
-from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal
-from imuarray.calibrate.thermal_fit import fit_axes
+from imuarray.calibrate.thermal import ThermalResult, calibrate_thermal, fit_axes
 from imuarray.cli import main
 from imuarray.errors import CalibrationError
 from imuarray.log import Block, LogWriter, Stimulus, open_log

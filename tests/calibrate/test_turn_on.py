@@ -10,10 +10,9 @@ import pytest
 
 from imuarray.calibrate import Calibration, SensorCalibration, load_calibration
 from imuarray.calibrate.correlated import mean_of_series
-from imuarray.calibrate.runs import Runs
+from imuarray.calibrate.runs import Runs, best_split, explained_range, runs_apart, two_states
 from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.calibrate.start_up import state_of
-from imuarray.calibrate.states import best_split, explained_range, runs_apart, two_states
 from imuarray.calibrate.turn_on import TurnOnResult, calibrate_turn_on, compare_runs, holm, variance_ratio_p
 from imuarray.chips import CHIPS
 from imuarray.errors import CalibrationError

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.axes import up_vector
-from imuarray.calibrate.poses import MIN_POSE_S, find_rests
+from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
 from imuarray.errors import CalibrationError, LogError
 from imuarray.gap.recording.attitude import array_mean, ups_of

@@ -3,18 +3,28 @@
 A log whose phases name the faces (`z_up`, `x_down`, ...) says itself where they are. Any other log is searched:
 windows of half a second in which the accelerometers hardly move and no gyroscope turns, joined as long as their means
 agree. In a log without accelerometers its gyroscopes tell, or else its magnetometers (`find_rests`).
+
+Readings of many sensors over many poses as arrays, and how well their means are known.
+
+The readings of a sensor at rest that count, a block at a time, and where they follow one another without a gap.
+
+Stale, saturated and suspect rows are left out; readings on either side of a gap are no neighbours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from imuarray.axes import UP_AXES, face_up, up_vector
+from imuarray.characterise.noise import LEFT_OUT
+from imuarray.characterise.stretch import GAP, broken_rows
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
@@ -261,3 +271,149 @@ def windows_of(
         means += sums / rows / len(sensors)
         spreads += np.sqrt(np.maximum(squares / rows - (sums / rows) ** 2, 0)) / len(sensors)
     return means, spreads.max(axis=1)
+
+
+Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PoseReadings:
+    """What `sensors` (s) read in `poses` (k), in counts along their own axes.
+
+    `mean_lsb`, its `variance_lsb2` by the scatter within poses, and `change_lsb`, the mean of a pose's second half
+    less that of its first, with `change_sem_lsb`: all (s, k, 3).
+    """
+
+    sensors: tuple[SensorLog, ...]
+    poses: tuple[Pose, ...]
+    mean_lsb: Floats
+    variance_lsb2: Floats
+    change_lsb: Floats
+    change_sem_lsb: Floats
+
+    def only(self, kept: Sequence[int] | Indices) -> PoseReadings:
+        """The same in some of the poses."""
+        places = np.asarray(kept, int)
+        columns = (self.mean_lsb, self.variance_lsb2, self.change_lsb, self.change_sem_lsb)
+        mean, variance, change, sem = (column[:, places] for column in columns)
+        return PoseReadings(self.sensors, tuple(self.poses[place] for place in places), mean, variance, change, sem)
+
+    def force_box_g(self) -> Floats:
+        """(s, k, 3) specific force in g in the box frame by the data sheets' sensitivities, biases and all."""
+        turns = np.array([sensor.orientation / sensor.sensitivity for sensor in self.sensors])
+        return np.asarray(np.einsum("sij,skj->ski", turns, self.mean_lsb))
+
+    @property
+    def sensitivity(self) -> Floats:
+        """(s,) counts per unit by the data sheets."""
+        return np.array([sensor.sensitivity for sensor in self.sensors])
+
+    @property
+    def middle_s(self) -> Floats:
+        """(k,) middle of each pose, in s since the epoch of its log."""
+        return np.array([(pose.phase.start_ns + pose.phase.end_ns) * 0.5e-9 for pose in self.poses])
+
+    def powers_of_time(self, highest: int) -> Floats:
+        """(k, highest + 1) orthogonal polynomials of time over the poses, mean square 1, the first all ones; nothing
+        but that for poses of several logs, which have no common time, and for those that are too few.
+        """
+        if not self.one_run or len(self.poses) <= highest + 1:
+            return np.ones((len(self.poses), 1))
+        since = self.middle_s - self.middle_s.mean()
+        powers = np.linalg.qr(np.vander(since / np.abs(since).max(), highest + 1, increasing=True))[0]
+        powers *= np.sqrt(len(self.poses)) * np.sign(powers[-1])
+        powers[:, 0] = 1.0
+        return np.asarray(powers)
+
+    @property
+    def one_run(self) -> bool:
+        """True if all poses are in one log, so that their times compare."""
+        return len({id(pose.log) for pose in self.poses}) == 1
+
+
+def read_poses(sensors: Sequence[SensorLog], poses: Sequence[Pose]) -> PoseReadings:
+    """Read every sensor in every pose; CalibrationError if one read nothing sound there.
+
+    An axis scatters in all poses alike: its variances are pooled, so that a pose that was calm by luck does not weigh
+    more. Means of counts that hardly scatter keep an error of rounding, ``exp(-4 pi^2 sd^2) / 12`` (the first harmonic
+    of a rounding's bias under a normal scatter sd).
+    """
+    readings = [[read_pose(sensor, pose) for pose in poses] for sensor in sensors]
+
+    def column(name: str) -> Floats:
+        return np.array([[getattr(reading, name) for reading in row] for row in readings], float)
+
+    rows = column("rows")[:, :, None]
+    scatter = np.mean(rows * column("sem_lsb") ** 2, axis=1, keepdims=True)
+    rounding = np.exp(-4 * np.pi**2 * np.mean(column("sd_lsb") ** 2, axis=1, keepdims=True)) / 12
+    variance = scatter / rows + rounding
+    return PoseReadings(
+        tuple(sensors), tuple(poses), column("mean_lsb"), variance, column("change_lsb"), 2 * np.sqrt(variance)
+    )
+
+
+Stretches = Sequence[tuple[SensorLog, slice]]
+"""A sensor at rest: rows of its logs."""
+
+SEGMENT_ROWS = 256
+"""What changes over more rows is drift and no noise."""
+
+_BLOCK_ROWS = 256 * SEGMENT_ROWS
+
+
+class Clock(NamedTuple):
+    """Readings a second, and the interval that is a gap."""
+
+    rate_hz: float
+    limit_ns: float
+
+
+def clock_of(stretches: Stretches) -> Clock:
+    """From the first block of the longest stretch; no rate where that has no two sound readings."""
+    sensor, rows = max(stretches, key=lambda stretch: stretch[1].stop - stretch[1].start)
+    part = slice(rows.start, min(rows.stop, rows.start + _BLOCK_ROWS))
+    sound = (np.asarray(sensor.status[part]) & LEFT_OUT) == 0
+    intervals = np.diff(np.asarray(sensor.time[part])[sound]).astype(float)
+    if len(intervals) == 0:
+        return Clock(0.0, np.inf)
+    limit_ns = GAP * float(np.quantile(intervals, 0.75))
+    usual = intervals[(intervals > 0) & (intervals <= limit_ns)]
+    return Clock(1e9 / float(usual.mean()) if len(usual) else 0.0, limit_ns)
+
+
+class Readings(NamedTuple):
+    """Sound readings of one block: counts (n, 3), the segment of the stretch that each is in, and whether it doesn't
+    continue the one before.
+    """
+
+    counts: Floats
+    segment: npt.NDArray[np.int64]
+    is_first: npt.NDArray[np.bool_]
+
+
+def readings(sensor: SensorLog, rows: slice, limit_ns: float) -> Iterator[Readings]:
+    """The sound readings of `rows`, block after block; an interval longer than `limit_ns` is a gap."""
+    last_ns, breaks, breaks_then = -np.inf, 0, 0
+    for start in range(rows.start, rows.stop, _BLOCK_ROWS):
+        part = slice(start, min(start + _BLOCK_ROWS, rows.stop))
+        status = np.asarray(sensor.status[part])
+        sound = (status & LEFT_OUT) == 0
+        so_far = breaks + np.cumsum(broken_rows(status))
+        breaks = int(so_far[-1])
+        if not sound.any():
+            continue
+        time = np.asarray(sensor.time[part])[sound].astype(float)
+        apart = np.diff(time, prepend=last_ns) > limit_ns
+        apart |= np.diff(so_far[sound], prepend=breaks_then) > 0
+        segment = (np.flatnonzero(sound) + start - rows.start) // SEGMENT_ROWS
+        yield Readings(np.asarray(sensor.counts[part], float)[sound], segment, apart)
+        last_ns, breaks_then = float(time[-1]), int(so_far[sound][-1])
+
+
+def runs_of(part: Readings) -> Iterator[tuple[bool, Floats]]:
+    """The readings between gaps, and whether there is one before them."""
+    edges = np.flatnonzero(part.is_first)
+    if len(edges) == 0 or edges[0] > 0:
+        yield False, part.counts[: edges[0]] if len(edges) else part.counts
+    for begin, end in pairwise([*edges.tolist(), len(part.counts)]):
+        yield True, part.counts[begin:end]
