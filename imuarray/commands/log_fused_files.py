@@ -70,8 +70,15 @@ class FusedFiles:
 
     def _begun(self, number: int) -> LiveFused:
         path, log = names_of(self._path, self._log, number, self._rotate_s)
-        about = {"epoch": self._epoch, "technique": self._technique, "log": str(log), "calibration": self._calibration}
-        made = LiveFused(path, sensors=self._sensors, force=self._force, **about)
+        made = LiveFused(
+            path,
+            sensors=self._sensors,
+            force=self._force,
+            epoch=self._epoch,
+            technique=self._technique,
+            log=str(log),
+            calibration=self._calibration,
+        )
         self.paths.append(path)
         return made
 

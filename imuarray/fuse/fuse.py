@@ -73,6 +73,7 @@ _FIRST_PASS = 0.75
 """Share of the time that the first of two passes takes: it looks for faults and filters."""
 
 
+# The options of `fuse` and `live` are independent of one another, keyword-only and the interface of the package.
 def fuse(
     log: Log,
     calibration: Calibration,

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, NotRequired, Self, TypedDict, Unpack
 
 import h5py
 import numpy as np
@@ -294,26 +294,33 @@ COVARIANCE, USED = "_covariance", "_used"
 """Behind a quantity: the name of a column of its covariances, of the sensors used."""
 
 
+class FusedOrigin(TypedDict):
+    """What a fused result was made of: the `epoch` of its times, the `technique`, the paths of `log` and `calibration`
+    ("" or left out: data-sheet values).
+    """
+
+    epoch: str
+    technique: str
+    log: str
+    calibration: NotRequired[str]
+
+
 def write_fused(
     path: str | PathLike[str],
     blocks: Iterable[FusedBlock],
     *,
-    epoch: str,
-    technique: str,
-    log: str,
-    calibration: str = "",
     sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
     events: Sequence[FaultEvent] = (),
     force: bool = False,
     progress: Callable[[int], None] = lambda frames: None,
+    **origin: Unpack[FusedOrigin],
 ) -> int:
     """Write blocks as they come, under a temporary name until all are there; the number of frames. `sensors` names, per
     quantity, those whose use a block tells; `events` are read after the last block, so that they may be what `Watch`
     finds in the meantime. OutputExistsError, OutputError.
     """
-    about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
     with whole_file(path, force=force) as draft, h5py.File(draft, "w") as file:
-        fused = _FusedColumns(file, draft, about, sensors)
+        fused = _FusedColumns(file, draft, origin, sensors)
         frames = 0
         for block in _in_chunks(blocks, progress):
             fused.append(block)
@@ -350,12 +357,9 @@ class LiveFused:
         self,
         path: str | PathLike[str],
         *,
-        epoch: str,
-        technique: str,
-        log: str,
-        calibration: str = "",
         sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
         force: bool = False,
+        **origin: Unpack[FusedOrigin],
     ) -> None:
         """OutputExistsError, OutputError."""
         self._path = Path(path)
@@ -365,8 +369,7 @@ class LiveFused:
             self._file = h5py.File(path, "w", libver=("v110", "v110"))
         except OSError as error:
             raise OutputError(path, error) from None
-        about = {"epoch": epoch, "technique": technique, "log": log, "calibration": calibration}
-        self._fused = _FusedColumns(self._file, self._path, about, sensors, compressed=False)
+        self._fused = _FusedColumns(self._file, self._path, origin, sensors, compressed=False)
         self.frames = 0
 
     def append(self, block: FusedBlock) -> None:
@@ -417,16 +420,21 @@ class _FusedColumns:
         self,
         file: h5py.File,
         path: Path,
-        about: Mapping[str, str],
+        origin: FusedOrigin,
         sensors: Mapping[str, Sequence[str]],
         compressed: bool = True,
     ) -> None:
-        file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION, **about, software=f"imuarray {__version__}")
+        file.attrs.update(
+            format=FORMAT,
+            format_version=FORMAT_VERSION,
+            **{"calibration": "", **origin},
+            software=f"imuarray {__version__}",
+        )
         file.attrs.update(NX_class="NXroot", default="fused")  # what viewers of NeXus files look for
         self._file, self._path, self._sensors = file, path, sensors
         self._group = file.create_group("fused")
-        self.events = StoredEvents(file, about["epoch"])
-        self._epoch = about["epoch"]
+        self.events = StoredEvents(file, origin["epoch"])
+        self._epoch = origin["epoch"]
         self._filters: dict[str, Any] = (
             {"compression": "gzip", "compression_opts": _LEVEL, "shuffle": True, "fletcher32": True}
             if compressed

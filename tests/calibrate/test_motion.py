@@ -88,7 +88,7 @@ def test_runs_of_several_poses_are_refused_and_named(tmp_path: Path) -> None:
 def test_a_change_that_readings_do_not_tell_is_refused(tmp_path: Path) -> None:
     """Three runs of a tenth of a second that scatter by 0.09 g: less than motion, far more than is asked."""
     logs = [open_log(record(tmp_path / f"{i}.h5", resting, i, seconds=0.1, noise_g=0.09)) for i in range(3)]
-    with pytest.raises(CalibrationError, match=r"sensor A: these runs tell the change of its . bias from run to run"):
+    with pytest.raises(CalibrationError, match=r"sensor A: these runs determine the change of the . bias"):
         calibrate_turn_on(logs)
     for log in logs:
         log.close()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -86,41 +87,48 @@ class FaultReport:
     def isolated(self, exclusion: Exclusion, kind: Kind | None) -> None:
         """Axes are left out: known from the window after it, told with the time when it was found."""
         exclusion.named = True
-        self._add(exclusion.sensor, exclusion.axes, exclusion.since_ns, kind or _UNKNOWN, "isolated", exclusion.gain)
+        self._add(
+            exclusion.sensor,
+            exclusion.axes,
+            exclusion.since_ns,
+            kind or _UNKNOWN,
+            "isolated",
+            significance=float(np.sqrt(exclusion.gain)),
+        )
 
     def readmitted(self, exclusion: Exclusion, time_ns: int) -> None:
         """They are used again."""
         kind = exclusion.kind or _UNKNOWN
-        self._add(exclusion.sensor, exclusion.axes, time_ns, kind, "readmitted", 0.0)
+        self._add(exclusion.sensor, exclusion.axes, time_ns, kind, "readmitted")
 
     def doubted(self, axes: Sequence[int], rivals: Sequence[int], time_ns: int, kind: Kind | None, gain: float) -> None:
         """A fault that may be of one sensor as well as of others."""
         others = tuple(self._names[rival] for rival in rivals)
-        self._add(axes[0] // 3, axes, time_ns, kind or _UNKNOWN, "not isolated", gain, others)
+        self._add(
+            axes[0] // 3,
+            axes,
+            time_ns,
+            kind or _UNKNOWN,
+            "not isolated",
+            significance=float(np.sqrt(gain)),
+            others=others,
+        )
 
     def silent(self, sensor: int, seconds: float, time_ns: int) -> None:
         """A sensor has had nothing valid to say for some time."""
-        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", seconds), "silent", 0.0)
+        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", seconds), "silent")
 
     def back(self, sensor: int, time_ns: int) -> None:
         """It says something again."""
-        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "back", 0.0)
+        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "back")
 
     def blind(self, sensor: int, time_ns: int) -> None:
         """What is left besides this sensor can't be checked any more."""
-        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "no redundancy", 0.0)
+        self._add(sensor, _ALL, time_ns, Kind("dropped_samples", 0.0), "no redundancy")
 
-    def _add(
-        self,
-        sensor: int,
-        axes: Sequence[int],
-        time_ns: int,
-        kind: Kind,
-        state: State,
-        gain: float,
-        others: tuple[str, ...] = (),
-    ) -> None:
+    def _add(self, sensor: int, axes: Sequence[int], time_ns: int, kind: Kind, state: State, **more: Any) -> None:
+        """Appends an event; `more` are further fields of `FaultEvent`."""
         labels = tuple("xyz"[axis % 3] for axis in axes)
-        sigmas = float(np.sqrt(gain))
-        observable = (time_ns, self._quantity, self._names[sensor], labels, kind.name, state, kind.size, sigmas)
-        self.events.append(FaultEvent(*observable, others=others, range=kind.range))
+        fields = {"significance": 0.0, "range": kind.range, **more}
+        name = self._names[sensor]
+        self.events.append(FaultEvent(time_ns, self._quantity, name, labels, kind.name, state, kind.size, **fields))

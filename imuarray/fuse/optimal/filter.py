@@ -232,7 +232,7 @@ class ArrayFilter:
 
     def __call__(self, readings: Readings, warmer: Callable[[int], Floats]) -> Solution:
         """The triads of the next frames."""
-        solution = Solution(len(readings.time), self.geometry)
+        solution = Solution.empty(len(readings.time), self.geometry)
         for frames, starts, ends in self._segments.parts(len(readings.time)):
             part = readings.part(frames)
             view = self._begun(part, warmer(frames.start)) if starts or self._view is None else self._view

@@ -13,6 +13,7 @@ the signal, and bounds where axes are clipped.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -212,67 +213,74 @@ _CERTAIN = 5.0
 Places = npt.NDArray[np.intp]
 
 
+@dataclass(frozen=True)
 class Solution:
-    """n frames: `unknowns` (n, k), NaN where the axes in use don't span space, `covariance` (n, k, k), `used`."""
+    """n frames: `unknowns` (n, k), NaN if the axes don't span space, `covariance` (n, k, k), `used` (n, m)."""
 
-    def __init__(self, frames: int, geometry: Geometry) -> None:
+    unknowns: Floats
+    covariance: Floats
+    used: Flags
+
+    @classmethod
+    def empty(cls, frames: int, geometry: Geometry) -> Solution:
+        """Frames that are not solved yet."""
         unknowns = geometry.rows.shape[1]
-        self.unknowns = np.full((frames, unknowns), np.nan)
-        self.covariance = np.full((frames, unknowns, unknowns), np.nan)
-        self.used = np.zeros((frames, geometry.axes), bool)
+        return cls(
+            np.full((frames, unknowns), np.nan),
+            np.full((frames, unknowns, unknowns), np.nan),
+            np.zeros((frames, geometry.axes), bool),
+        )
+
+    def part(self, frames: slice) -> Solution:
+        """Some of the frames: the same memory."""
+        return Solution(self.unknowns[frames], self.covariance[frames], self.used[frames])
 
 
 def solve(view: SegmentView, readings: Readings, into: Solution, frames: slice) -> None:
     """The triads of `readings`, which are `frames` of `into`."""
-    unknowns, covariance, used = into.unknowns[frames], into.covariance[frames], into.used[frames]
+    into = into.part(frames)
     every = np.arange(len(readings.time))
     for valid, which in patterns(readings.valid):
         usual = view.usual(valid)
         if usual is None:
             continue
         solved = readings.values[which] @ usual.gain.T - usual.expected
-        unknowns[which], used[which] = solved, valid[: view.geometry.axes]
-        covariance[which] = view.usual_spreads(usual, solved[:, :3])
+        into.unknowns[which], into.used[which] = solved, valid[: view.geometry.axes]
+        into.covariance[which] = view.usual_spreads(usual, solved[:, :3])
         odd = np.linalg.norm(solved[:, :3] - view.stimulus, axis=1) > view.reach
         telling = None
         if readings.bounds is not None:
-            telling = _telling(view, readings.bounds, which, unknowns, covariance)
+            telling = _telling(view, readings.bounds, which, into)
             odd |= telling.any(axis=1)
         if odd.any():
-            bounds = None if telling is None or readings.bounds is None else (readings.bounds, telling[odd])
-            _solve_odd(view, readings, valid, every[which][odd], unknowns, covariance, bounds)
+            _solve_odd(view, readings, valid, every[which][odd], into, None if telling is None else telling[odd])
 
 
 def _solve_odd(
-    view: SegmentView,
-    readings: Readings,
-    valid: Flags,
-    frames: Places,
-    unknowns: Floats,
-    covariance: Floats,
-    bounds: tuple[Bounds, Flags] | None,
+    view: SegmentView, readings: Readings, valid: Flags, frames: Places, into: Solution, clipped: Flags | None
 ) -> None:
-    """Frames with a gain of their own, and with `bounds` of those axes that are marked (n, m)."""
-    terms = view.terms(unknowns[frames, :3])
+    """Frames with a gain of their own, and with the bounds of those axes that are `clipped` (n, m)."""
+    terms = view.terms(into.unknowns[frames, :3])
     gains = view.gains(valid, terms)
-    unknowns[frames] = np.einsum("nkp,np->nk", gains, (readings.values[frames] - view.offset)[:, valid])
-    covariance[frames] = view.spreads(valid, gains, terms)
-    if bounds is None:
+    into.unknowns[frames] = np.einsum("nkp,np->nk", gains, (readings.values[frames] - view.offset)[:, valid])
+    into.covariance[frames] = view.spreads(valid, gains, terms)
+    if clipped is None or readings.bounds is None:
         return
-    for clipped, which in patterns(bounds[1]):
-        if clipped.any():
+    for axes, which in patterns(clipped):
+        if axes.any():
             at = frames[which]
-            beyond = _beyond(view, bounds[0], valid, np.flatnonzero(clipped), at, terms[which], gains[which])
-            unknowns[at], covariance[at] = censored(unknowns[at], covariance[at], beyond)
+            bounds = Bounds(readings.bounds.ends[at], readings.bounds.at[at])
+            beyond = _clipped_readings(view, bounds, valid, np.flatnonzero(axes), terms[which], gains[which])
+            into.unknowns[at], into.covariance[at] = censored(into.unknowns[at], into.covariance[at], beyond)
 
 
-def _telling(view: SegmentView, bounds: Bounds, which: Places | slice, unknowns: Floats, covariance: Floats) -> Flags:
+def _telling(view: SegmentView, bounds: Bounds, which: Places | slice, into: Solution) -> Flags:
     """(n, m) the clipped axes of these frames whose bounds say anything: not those that are expected far beyond."""
     ends = bounds.ends[which]
     telling: Flags = np.asarray(ends != 0)
     frames = np.flatnonzero(telling.any(axis=1))
     if len(frames):
-        solved, spread = unknowns[which][frames], covariance[which][frames]
+        solved, spread = into.unknowns[which][frames], into.covariance[which][frames]
         rows, noise = view.rows[: ends.shape[1]], view.geometry.noise[: ends.shape[1]]
         known = np.einsum("mk,nkl,ml->nm", rows, spread, rows, optimize=True)
         variance = 2 * (known + view.own(view.terms(solved[:, :3]))[:, : len(noise)] + noise**2)
@@ -281,15 +289,15 @@ def _telling(view: SegmentView, bounds: Bounds, which: Places | slice, unknowns:
     return telling
 
 
-def _beyond(
-    view: SegmentView, bounds: Bounds, valid: Flags, axes: Places, frames: Places, terms: Floats, gains: Floats
+def _clipped_readings(
+    view: SegmentView, bounds: Bounds, valid: Flags, axes: Places, terms: Floats, gains: Floats
 ) -> ClippedReadings:
-    """What the clipped `axes` say in `frames`, whose gains and terms these are."""
+    """What the clipped `axes` say in the frames of `bounds`, whose gains and terms these are."""
     slow = view.slow(terms)
     return ClippedReadings(
         rows=view.rows[axes],
         known=gains @ slow[:, valid][:, :, axes],
         own=slow[:, axes][:, :, axes] + np.diag(view.geometry.noise[axes] ** 2),
-        bounds=bounds.at[frames][:, axes] - view.offset[axes],
-        signs=bounds.ends[frames][:, axes].astype(float),
+        bounds=bounds.at[:, axes] - view.offset[axes],
+        signs=bounds.ends[:, axes].astype(float),
     )

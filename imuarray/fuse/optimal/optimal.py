@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -150,9 +151,16 @@ class Optimal:
                 lever = lever_of(axes, rate_covariance, self._period_s)
                 geometry = with_lever(geometry, axes, rate_covariance, self._period_s)
             groups[quantity] = _Group(
-                axes, self._model, geometry, lever, self._segment_frames, self._period_s, recording
+                axes, self._model, geometry, lever, _Timing(self._segment_frames, self._period_s), recording
             )
         return groups
+
+
+class _Timing(NamedTuple):
+    """Frames of a segment, and seconds from frame to frame."""
+
+    segment_frames: int
+    period_s: float
 
 
 class _Group:
@@ -164,20 +172,21 @@ class _Group:
         model: ErrorModel,
         geometry: Geometry,
         lever: Lever | None,
-        segment_frames: int,
-        period_s: float,
+        timing: _Timing,
         recording: bool,
     ) -> None:
         self._geometry, self.lever = geometry, lever
         others = ROWS if lever is not None else 0
         states = states_of(axes, model, others)
         self._recorder = Recorder(geometry, states) if recording else None
-        self.filter = ArrayFilter(geometry, states, segment_frames, Dynamics(geometry, period_s), self._recorder)
+        self.filter = ArrayFilter(
+            geometry, states, timing.segment_frames, Dynamics(geometry, timing.period_s), self._recorder
+        )
         self._bias_temperature = BiasTemperature(axes, model, others)
         self._again: Segments | None = None
         self._view: SegmentView | None = None
         self._stimulus = np.zeros(3)
-        self._segment_frames, self._dynamics = segment_frames, Dynamics(geometry, period_s)
+        self._segment_frames, self._dynamics = timing.segment_frames, Dynamics(geometry, timing.period_s)
 
     def __call__(self, frames: Frames, degc: Temperatures, rate: Floats | None) -> Solution:
         readings = readings_of(frames, self._geometry)
@@ -211,7 +220,7 @@ class _Group:
             self._recorder.close()
 
     def _with_views(self, readings: Readings, segments: Segments) -> Solution:
-        solution = Solution(len(readings.time), self._geometry)
+        solution = Solution.empty(len(readings.time), self._geometry)
         for frames, starts, _ in segments.parts(len(readings.time)):
             part = readings.part(frames)
             if (starts or self._view is None) and self._recorder is not None:

@@ -122,14 +122,13 @@ def run(name: str, seed: int, seconds: float | None = None) -> list[Measured]:
             known = measured(array_name, seed)
             first = _BOOTS_APART * list(EXPERIMENTS).index(name)
             for boot in range(first, first + EXPERIMENTS[name].boots):
-                rows += _of_boot(name, seed, boot, seconds, array, known, place)
+                rows += _of_boot(name, (seed, boot), seconds, array, known, place)
     return rows
 
 
 def _of_boot(
     name: str,
-    seed: int,
-    boot: int,
+    replicate: tuple[int, int],
     seconds: float | None,
     array: ArrayConfig,
     known: Mapping[str, Calibration],
@@ -141,12 +140,12 @@ def _of_boot(
     sets = {chosen: names for chosen, (whose, names) in SETS.items() if whose == array.name}
     kinds = ((FAULTS, "all.h5"), (OUTSIDE, "law.h5"))
     for without, file in kinds if about.is_bounded else kinds[:1]:
-        simulation = simulated(array, motion, seed, boot, without)
+        simulation = simulated(array, motion, *replicate, without)
         write_log(simulation, folder / file, force=True)
         with open_log(folder / file) as log:
             ranges = {sensor.name: RANGES[sensor.chip] for sensor in log.sensors.values()}
             for sensors, names in sets.items():
-                label = partial(Measured, name, sensors=sensors, replicate=(seed, boot))
+                label = partial(Measured, name, sensors=sensors, replicate=replicate)
                 if file == "all.h5":
                     wanted = (SLOPES, NO_SLOPES) if name == "heating" else (SLOPES,)
                     for which in wanted:
