@@ -16,6 +16,7 @@ passes the limit.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -129,6 +130,21 @@ def _solved(values: Floats, weights: Floats, rows: Floats) -> tuple[Floats, Floa
 
 def frame_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """(n, 3, m) gains that turn axis values into a triad, and whether the weighted axes span space at all."""
+    if len(weights) == 1:  # of a block in which all frames weigh alike, and so of the blocks before it
+        return _gain_of(np.asarray(weights, float).tobytes(), np.asarray(rows, float).tobytes())
+    return _solve_gains(weights, rows)
+
+
+@lru_cache(maxsize=64)
+def _gain_of(weights: bytes, rows: bytes) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """The gain of one set of weights (the bytes of float64), not to be written to."""
+    gains, solvable = _solve_gains(np.frombuffer(weights)[None], np.frombuffer(rows).reshape(-1, 3))
+    gains.flags.writeable = solvable.flags.writeable = False
+    return gains, solvable
+
+
+def _solve_gains(weights: Floats, rows: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """As `frame_gains`, of every set of weights (n, m)."""
     normal = np.einsum("nm,mi,mj->nij", weights, rows, rows, optimize=True)
     solvable = spans(normal)
     normal[~solvable] = np.eye(3)
@@ -150,14 +166,17 @@ that tell the mean no more than where they are, which does no harm to its slope.
 
 _TIMES_USUAL = 4.0
 
+_FEW = 8
+"""Sensors that are put in order by exchanges of neighbours, at most."""
+
 
 def consensus(values: Floats, valid: Flags, rows: Floats, quantity: str) -> Floats:
     """(n, 3) what the valid ones of the axes along `rows` (m, 3), in threes, agree on of `values` (n, m) in SI; NaN
     where they don't span space.
     """
-    mean = solve_frames(values, valid.astype(float), rows)
+    mean = solve_frames(values, _equal_weights(valid), rows)
     apart = np.abs(values - mean @ rows.T)
-    whole: Flags = np.asarray(valid.reshape(len(valid), -1, 3).all(axis=2))
+    whole: Flags = valid[:, 0::3] & valid[:, 1::3] & valid[:, 2::3]
     doubtful: Flags = (apart > TOLERATED_SI[quantity] / 2) & valid
     checked: Flags = np.asarray(whole.sum(axis=1) > 2)  # of two sensors none is more right than the other
     some = np.flatnonzero(doubtful.any(axis=1) & checked)
@@ -168,15 +187,43 @@ def consensus(values: Floats, valid: Flags, rows: Floats, quantity: str) -> Floa
 
 def _limited(values: Floats, valid: Flags, whole: Flags, rows: Floats, tolerated: float) -> Floats:
     """(n, 3) the mean of the readings when the differences of sensors from their median are limited."""
-    back = np.linalg.inv(rows.reshape(-1, 3, 3))
-    triads = np.matmul(values.reshape(len(values), -1, 1, 3), back.transpose(0, 2, 1))[:, :, 0]
-    middle = _medians(np.where(whole[:, :, None], triads, np.nan))
+    back = np.zeros((len(rows), len(rows)))  # all sensors' inverses along the diagonal: one product for all of them
+    for first, inverse in zip(range(0, len(rows), 3), np.linalg.inv(rows.reshape(-1, 3, 3)), strict=True):
+        back[first : first + 3, first : first + 3] = inverse.T
+    triads = (values @ back).reshape(len(values), -1, 3)
+    if whole.all():
+        middle = _middle(triads)
+    else:
+        middle = _medians(np.where(whole[:, :, None], triads, np.nan))
     apart = values - middle @ rows.T
-    usual = _medians(np.where(valid, np.abs(apart), np.nan))
+    usual = _medians(np.abs(apart) if valid.all() else np.where(valid, np.abs(apart), np.nan))
     limit = (tolerated + _TIMES_USUAL * usual)[:, None]
-    most = np.where(valid, np.abs(apart), 0.0).reshape(len(values), -1, 3).max(axis=2)
-    share = np.minimum(1.0, limit / np.maximum(most, 1e-300)).repeat(3, axis=1)
-    return middle + solve_frames(share * apart, valid.astype(float), rows)
+    far = np.where(valid, np.abs(apart), 0.0)
+    most = np.maximum(np.maximum(far[:, 0::3], far[:, 1::3]), far[:, 2::3])
+    share = np.minimum(1.0, limit / np.maximum(most, 1e-300))
+    for axis in range(3):
+        apart[:, axis::3] *= share
+    return middle + solve_frames(apart, _equal_weights(valid), rows)
+
+
+def _equal_weights(valid: Flags) -> Floats:
+    """(n, m) one for each valid axis, zero for others; (1, m) where all are valid."""
+    return valid[:1].astype(float) if len(valid) and valid.all() else valid.astype(float)
+
+
+def _middle(triads: Floats) -> Floats:
+    """(n, 3) medians of whole triads (n, s, 3): few sensors are put in order by exchanges of neighbours, all frames at
+    a time, faster than frame by frame.
+    """
+    columns = [np.ascontiguousarray(triads[:, sensor]) for sensor in range(triads.shape[1])]
+    count = len(columns)
+    if count > _FEW:
+        return _medians(triads)
+    for turn in range(count):  # odd-even transposition sort (N. Haberman, 1972)
+        for low in range(turn % 2, count - 1, 2):
+            one, other = columns[low], columns[low + 1]
+            columns[low], columns[low + 1] = np.minimum(one, other), np.maximum(one, other)
+    return np.asarray((columns[(count - 1) // 2] + columns[count // 2]) / 2)
 
 
 def _medians(values: Floats) -> Floats:

@@ -80,3 +80,23 @@ def test_a_sensor_in_another_range_does_not_move_the_others_in_time(write_run: W
     fastest = 2 * np.pi * 0.5 * 0.3  # g/s: 0.94, of which 1.4 x 4 ms are 5 mg
     error = np.abs(values - truth)[5:-5, sound].max()
     assert error < 0.1 * 1.4 * 0.004 * fastest
+
+
+@pytest.mark.parametrize("sensors", [3, 4, 6, 8, 9, 12])
+@pytest.mark.parametrize("complete", [True, False])
+def test_frame_by_frame_as_it_is_defined(sensors: int, complete: bool) -> None:
+    """Few sensors or many, in blocks in which every reading is there or one is not."""
+    rng = np.random.default_rng(sensors)
+    rows = np.concatenate([pointing(AXES[number % len(AXES)]) for number in range(sensors)])
+    values = rng.normal(0, 3 * LIMIT, (50, 3 * sensors))
+    valid = np.ones(values.shape, bool)
+    valid[-1, 0] = complete
+    wanted = []
+    for frame in values[:-1]:
+        vectors = np.einsum("sij,si->sj", rows.reshape(-1, 3, 3), frame.reshape(-1, 3))  # rows are orthonormal
+        middle = np.median(vectors, axis=0)
+        apart = (frame - rows @ middle).reshape(-1, 3)
+        limit = LIMIT + 4 * np.median(np.abs(apart))
+        drawn_in = apart * np.minimum(1, limit / np.abs(apart).max(axis=1))[:, None]
+        wanted.append(middle + np.linalg.lstsq(rows, drawn_in.reshape(-1), rcond=None)[0])
+    np.testing.assert_allclose(consensus(values, valid, rows, FORCE)[:-1], wanted, rtol=1e-12, atol=1e-12)
