@@ -198,7 +198,10 @@ def _rows(table: Table, channel: int, zero_ns: int, frame: str, meter: Meter) ->
         finite = np.stack([np.isfinite(cell).all(axis=1) for cell in cells], axis=1)
         sequence = np.arange(rows.start, rows.stop) & 0xFFFF_FFFF
         made: list[bytes] = [b""] * len(time_ns)
-        patterns, which = np.unique(finite, axis=0, return_inverse=True)
+        if len(finite) and (finite == finite[0]).all():  # the usual case: to compare rows of flags takes long
+            patterns, which = finite[:1], np.zeros(len(finite), np.intp)
+        else:
+            patterns, which = np.unique(finite, axis=0, return_inverse=True)
         for number, there in enumerate(patterns):
             chosen = np.flatnonzero(which.reshape(-1) == number)
             form = _form(message, columns, there.tolist())

@@ -191,10 +191,7 @@ def _limited(values: Floats, valid: Flags, whole: Flags, rows: Floats, tolerated
     for first, inverse in zip(range(0, len(rows), 3), np.linalg.inv(rows.reshape(-1, 3, 3)), strict=True):
         back[first : first + 3, first : first + 3] = inverse.T
     triads = (values @ back).reshape(len(values), -1, 3)
-    if whole.all():
-        middle = _middle(triads)
-    else:
-        middle = _medians(np.where(whole[:, :, None], triads, np.nan))
+    middle = _middle(triads) if whole.all() else _medians(np.where(whole[:, :, None], triads, np.nan))
     apart = values - middle @ rows.T
     usual = _medians(np.abs(apart) if valid.all() else np.where(valid, np.abs(apart), np.nan))
     limit = (tolerated + _TIMES_USUAL * usual)[:, None]

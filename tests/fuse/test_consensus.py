@@ -97,6 +97,6 @@ def test_frame_by_frame_as_it_is_defined(sensors: int, complete: bool) -> None:
         middle = np.median(vectors, axis=0)
         apart = (frame - rows @ middle).reshape(-1, 3)
         limit = LIMIT + 4 * np.median(np.abs(apart))
-        drawn_in = apart * np.minimum(1, limit / np.abs(apart).max(axis=1))[:, None]
+        drawn_in = apart * np.minimum(1, limit / np.abs(apart).max(axis=1).clip(1e-300))[:, None]
         wanted.append(middle + np.linalg.lstsq(rows, drawn_in.reshape(-1), rcond=None)[0])
     np.testing.assert_allclose(consensus(values, valid, rows, FORCE)[:-1], wanted, rtol=1e-12, atol=1e-12)
