@@ -150,8 +150,8 @@ def in_box_frame(bundle: Bundle, orientations: Floats) -> InBoxFrame:
     """
     axes, p = bundle.coefficients.shape
     stacked = np.concatenate(orientations, axis=1) / len(orientations)  # (3, a): the mean is stacked @ rows
-    left, _, right = np.linalg.svd(stacked @ bundle.coefficients[:, :3])
-    turn = right.T @ left.T
+    left_vectors, _, right = np.linalg.svd(stacked @ bundle.coefficients[:, :3])
+    turn = right.T @ left_vectors.T
     rows = bundle.coefficients[:, :3] @ turn
     rotate = np.eye(p)
     rotate[:3, :3] = turn.T

@@ -107,11 +107,11 @@ def compare_calibrations(calibrations: Mapping[str, Calibration]) -> Calibration
     names, files = tuple(calibrations), list(calibrations.values())
     if len(files) < 2:
         raise CalibrationError("two calibrations at least are wanted to compare")
-    found: dict[str, dict[int, SensorCalibration]] = {}
+    results: dict[str, dict[int, SensorCalibration]] = {}
     for number, file in enumerate(files):
         for name, sensor in file.sensors.items():
-            found.setdefault(name, {})[number] = sensor
-    shared = {name: each for name, each in found.items() if len(each) > 1}
+            results.setdefault(name, {})[number] = sensor
+    shared = {name: each for name, each in results.items() if len(each) > 1}
     if not shared:
         raise CalibrationError(f"{', '.join(names)}: no sensor is in two of them")
     for name, each in shared.items():
@@ -129,10 +129,10 @@ def compare_calibrations(calibrations: Mapping[str, Calibration]) -> Calibration
 
 def _refuse_two(name: str, names: Sequence[str], each: Mapping[int, SensorCalibration]) -> None:
     """CalibrationError for calibrations of two sensors that have one name."""
-    (first, one), *others = each.items()
+    (first, item), *others = each.items()
     for number, other in others:
         for what in ("quantity", "unit", "chip", "range"):
-            mine, its = getattr(one, what), getattr(other, what)
+            mine, its = getattr(item, what), getattr(other, what)
             if None not in (mine, its) and mine != its:
                 raise CalibrationError(
                     f"sensor {name}: {what} {mine} in {names[first]}, {its} in {names[number]}: two sensors of one name"
@@ -258,20 +258,20 @@ def _opposed(
     for chip, names in _designs(shared, list(biases)).items():
         axes = [(name, axis) for name in names for axis in range(3)]
         rows = {(n, a): next(iter(shared[n].values())).directions_box[a] for n, a in axes}
-        for place, one in enumerate(axes):
+        for place, item in enumerate(axes):
             for other in axes[place + 1 :]:
-                if one[0] == other[0] or float(rows[one] @ rows[other]) > _OPPOSITE:
+                if item[0] == other[0] or float(rows[item] @ rows[other]) > _OPPOSITE:
                     continue
-                mine, its = biases[one[0]][:, one[1]], biases[other[0]][:, other[1]]
+                mine, its = biases[item[0]][:, item[1]], biases[other[0]][:, other[1]]
                 freedom = len(mine) - 1
                 size = float(np.sqrt(np.sum(mine**2) * np.sum(its**2)))
                 correlation = float(np.sum(mine * its)) / size if size > 0 else float("nan")
                 yield OpposedChange(
                     chip,
-                    f"{one[0]} {'xyz'[one[1]]}",
+                    f"{item[0]} {'xyz'[item[1]]}",
                     f"{other[0]} {'xyz'[other[1]]}",
-                    "XYZ"[int(np.abs(rows[one]).argmax())],
-                    next(iter(shared[one[0]].values())).unit,
+                    "XYZ"[int(np.abs(rows[item]).argmax())],
+                    next(iter(shared[item[0]].values())).unit,
                     float(np.sqrt((np.sum(mine**2) + np.sum(its**2)) / 2 / freedom)),
                     float(np.sqrt(np.sum(((mine - its) / 2) ** 2) / freedom)),
                     correlation,

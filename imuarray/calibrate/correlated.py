@@ -95,14 +95,16 @@ def regress(sums: Floats, log_determinant: Floats, rows: int) -> Regression:
     inverse = np.linalg.inv(inner)
     coefficients = np.einsum("...ij,...j->...i", inverse, cross)
     freedom = rows - inner.shape[-1]
-    left = sums[..., 0, 0] - np.einsum("...i,...i->...", coefficients, cross)
-    left = np.maximum(left, 1e-12 * np.maximum(sums[..., 0, 0], 1e-300))  # a series of nothing but its regressors
-    variance = left / freedom
+    remaining = sums[..., 0, 0] - np.einsum("...i,...i->...", coefficients, cross)
+    remaining = np.maximum(
+        remaining, 1e-12 * np.maximum(sums[..., 0, 0], 1e-300)
+    )  # a series of nothing but its regressors
+    variance = remaining / freedom
     return Regression(
         coefficients,
         variance[..., None, None] * inverse,
-        -(log_determinant + rows * np.log(left)) / 2,
-        -(log_determinant + np.linalg.slogdet(inner)[1] + freedom * np.log(left)) / 2,
+        -(log_determinant + rows * np.log(remaining)) / 2,
+        -(log_determinant + np.linalg.slogdet(inner)[1] + freedom * np.log(remaining)) / 2,
         variance,
     )
 

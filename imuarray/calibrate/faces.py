@@ -110,15 +110,15 @@ def _leaning(readings: PoseReadings, up_box: Floats, bad: dict[int, str]) -> tup
         for each, share in zip(squares, free, strict=True)
     ]
     off_g = np.sqrt(squares) / free
-    found = worst(chances, off_g, LEANS_G)
-    if found is None:
+    result = worst(chances, off_g, LEANS_G)
+    if result is None:
         return None
-    alike = np.flatnonzero(off_g > 0.9 * off_g[found])
+    similar = np.flatnonzero(off_g > 0.9 * off_g[result])
     promised = np.linalg.norm(force - up_box[used] - np.median(force - up_box[used], axis=0), axis=1)
-    order = alike[np.argsort(promised[alike])[::-1]]
+    order = similar[np.argsort(promised[similar])[::-1]]
     poses = [readings.poses[used[place]] for place in order]
     names = [pose.label for pose in poses]
-    words = f"{1e3 * off_g[found]:.0f} mg off the straight line through the other faces"
+    words = f"{1e3 * off_g[result]:.0f} mg off the straight line through the other faces"
     if len(order) > 1 and promised[order[0]] < 2 * promised[order[1]]:
         either = " or ".join(f"phase {name!r}" for name in sorted(names))
         raise CalibrationError(

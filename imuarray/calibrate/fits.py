@@ -84,9 +84,9 @@ def straight_lines(mean: Floats, variance: Floats, design: Floats) -> tuple[Tria
     solver = np.linalg.pinv(design)
     coefficients = (solver @ mean).T
     residual = mean - design @ coefficients.T
-    left = 1 - np.einsum("kp,pk->k", design, solver)
+    remaining = 1 - np.einsum("kp,pk->k", design, solver)
     freedom = len(design) - int(np.linalg.matrix_rank(design))
-    squares, expected = (residual**2).sum(axis=0), np.maximum(left @ variance, 1e-300)
+    squares, expected = (residual**2).sum(axis=0), np.maximum(remaining @ variance, 1e-300)
     chi_squared = freedom * squares / expected
     excess = np.maximum(squares - expected, 0.0) / max(freedom, 1)
     if freedom < _ENOUGH:

@@ -89,7 +89,7 @@ def noise_lines(stretches: Stretches, clock: Clock, rms_lsb: Floats, false_alarm
         return ()
     whole = _spectrum(stretches, clock, _power_of_two(longest))
     tracks = _tracks(_windows(stretches), clock, false_alarm)
-    found: list[NoiseLine] = []
+    results: list[NoiseLine] = []
     for index, rms in enumerate(rms_lsb):
         steady = [_steady(index, line, rms) for line in find_lines(whole, index, false_alarm).lines]
         wandering = [
@@ -98,8 +98,8 @@ def noise_lines(stretches: Stretches, clock: Clock, rms_lsb: Floats, false_alarm
             if _smears(line, whole.resolution_hz)
         ]
         steady = [line for line in steady if not any(_covers(other, line, whole.resolution_hz) for other in wandering)]
-        found += sorted([*steady, *wandering], key=lambda line: -line.share)[:MOST_LINES]
-    return tuple(found)
+        results += sorted([*steady, *wandering], key=lambda line: -line.share)[:MOST_LINES]
+    return tuple(results)
 
 
 def _power_of_two(rows: float) -> int:
@@ -223,7 +223,7 @@ def scatter_of(stretches: Stretches, false_alarm: float) -> Scatter | None:
     """
     clock = clock_of(stretches)
     products = Autocovariance(lags=1, columns=3, segment_rows=SEGMENT_ROWS)
-    pooled = _Pooled()
+    pooled = _PooledSquares()
     for sensor, rows in stretches:
         for part in readings(sensor, rows, clock.limit_ns):
             pooled.add(part)
@@ -239,7 +239,7 @@ def scatter_of(stretches: Stretches, false_alarm: float) -> Scatter | None:
     return Scatter(rms, pooled.rms_sem_lsb(), _neighbours(products), lines)
 
 
-class _Pooled:
+class _PooledSquares:
     """Sums of squares about the means of segments, over all segments."""
 
     def __init__(self) -> None:
@@ -314,11 +314,11 @@ def calibrate_noise(
     if not sensors:
         raise CalibrationError(f"{first.path}: no inertial sensor in it")
     slopes = {} if known is None else {name: sensor.thermal for name, sensor in known.sensors.items()}
-    found = {}
+    result = {}
     for number, sensor in enumerate(sensors, start=1):
-        found[sensor.name] = _noise(sensor, poses, slopes.get(sensor.name), _FALSE_ALARM / (3 * len(sensors)))
+        result[sensor.name] = _noise(sensor, poses, slopes.get(sensor.name), _FALSE_ALARM / (3 * len(sensors)))
         progress("noise", number, len(sensors))
-    return Calibration(found, tuple(str(log.path) for log in logs))
+    return Calibration(result, tuple(str(log.path) for log in logs))
 
 
 def with_noise_of(log: Log, calibration: Calibration, names: Sequence[str] = ()) -> Calibration:
@@ -346,8 +346,8 @@ def _still_stretches(log: Log) -> list[Pose]:
 
 def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, false_alarm: float) -> SensorCalibration:
     """One sensor's figures; CalibrationError where it has no sound readings."""
-    found = [(pose, *pose.rows_of(sensor)) for pose in poses]
-    stretches = [(here, rows) for _, here, rows in found if rows.stop > rows.start]
+    result = [(pose, *pose.rows_of(sensor)) for pose in poses]
+    stretches = [(here, rows) for _, here, rows in result if rows.stop > rows.start]
     scatter = scatter_of(stretches, false_alarm) if stretches else None
     if scatter is None:
         raise CalibrationError(f"{sensor.where}: no sound readings while the box stood still")
@@ -357,7 +357,7 @@ def _noise(sensor: SensorLog, poses: Sequence[Pose], thermal: Thermal | None, fa
         noise_sem_lsb=scatter.rms_sem_lsb,
         noise_correlation=scatter.correlation,
         noise_lines=scatter.lines,
-        drift=_drift(found, thermal),
+        drift=_drift(result, thermal),
     )
 
 

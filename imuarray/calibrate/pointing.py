@@ -101,22 +101,22 @@ def find_pointing(log: Log, poses: Sequence[Pose]) -> list[Pointing]:
         raise CalibrationError(
             f"{log.path}: poses with one box axis up don't tell how sensors point: hold it three ways"
         )
-    found: dict[str, Pointing] = {}
+    results: dict[str, Pointing] = {}
     for sensor in log.of("specific_force"):
-        found[sensor.name] = _accelerometer(sensor, poses, ups)
-    untold = [each for each in found.values() if each.left > _MOST]
-    if untold and 2 * len(untold) > len(found):
+        results[sensor.name] = _accelerometer(sensor, poses, ups)
+    untold = [each for each in results.values() if each.left > _MOST]
+    if untold and 2 * len(untold) > len(results):
         raise CalibrationError(
             f"{log.path}: no way of mounting {untold[0].sensor} explains what it felt: the poses were not"
             f" {', '.join(_name(up) for up in ups)} up, in this order"
         )
     carried = {sensor.name: _carried(sensor, poses) for sensor in log.of("angular_rate")}
     for sensor in log.of("angular_rate"):
-        found[sensor.name] = _gyroscope(sensor, carried[sensor.name], ups)
-    onward = _onward(carried, found)
+        results[sensor.name] = _gyroscope(sensor, carried[sensor.name], ups)
+    onward = _onward(carried, results)
     for sensor in log.of("magnetic_field"):
-        found[sensor.name] = _magnetometer(sensor, poses, onward)
-    return [found[name] for name in log.sensors if name in found]
+        results[sensor.name] = _magnetometer(sensor, poses, onward)
+    return [results[name] for name in log.sensors if name in results]
 
 
 def _name(up: Floats) -> str:
@@ -135,8 +135,8 @@ def _accelerometer(sensor: SensorLog, poses: Sequence[Pose], ups: Floats) -> Poi
     felt = np.array([_mean(sensor, pose) for pose in poses])
     if not np.isfinite(felt).all():
         return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it read nothing in one of the poses")
-    left = np.sqrt(np.mean((felt - ups @ TURNS.transpose(0, 2, 1)) ** 2 * 3, axis=(1, 2)))
-    return _best(sensor, left)
+    remaining = np.sqrt(np.mean((felt - ups @ TURNS.transpose(0, 2, 1)) ** 2 * 3, axis=(1, 2)))
+    return _best(sensor, remaining)
 
 
 def _carried(sensor: SensorLog, poses: Sequence[Pose]) -> list[Floats | None]:
@@ -176,16 +176,16 @@ def _gyroscope(sensor: SensorLog, carried: Sequence[Floats | None], ups: Floats)
             "no turn from one pose to the next in one log, of less than 30 s",
         )
     missed = [matrix @ (TURNS @ ups[place])[..., None] - (TURNS @ ups[place + 1])[..., None] for place, matrix in known]
-    left = np.sqrt(np.mean([np.sum(each**2, axis=(1, 2)) for each in missed], axis=0))
-    return _best(sensor, left)
+    remaining = np.sqrt(np.mean([np.sum(each**2, axis=(1, 2)) for each in missed], axis=0))
+    return _best(sensor, remaining)
 
 
 def _onward(carried: Mapping[str, Sequence[Floats | None]], found: Mapping[str, Pointing]) -> list[Floats | None]:
     """The turns between poses in the box frame, by the gyroscopes whose axes are told: the one that fits best."""
-    told = sorted((found[name].left, name) for name in carried if found[name].axes)
-    if not told:
+    known = sorted((found[name].left, name) for name in carried if found[name].axes)
+    if not known:
         return []
-    name = told[0][1]
+    name = known[0][1]
     orientation = np.array(orientation_of(found[name].axes))
     return [None if matrix is None else orientation @ matrix @ orientation.T for matrix in carried[name]]
 
@@ -208,13 +208,13 @@ def _magnetometer(sensor: SensorLog, poses: Sequence[Pose], onward: Sequence[Flo
     read = np.concatenate([_mean(sensor, poses[place]) for place, _ in run])
     if not np.isfinite(read).all():
         return Pointing(sensor.name, sensor.chip, "", np.nan, np.nan, "it read nothing in one of the poses")
-    left = []
+    remaining = []
     for turn in TURNS:
         design = np.concatenate([np.hstack([turn @ attitude, np.eye(3)]) for _, attitude in run])
         solution = np.linalg.lstsq(design, read, rcond=None)[0]
         off = read - design @ solution
-        left.append(np.sqrt(np.mean(off**2) * 3) / max(float(np.linalg.norm(solution[:3])), 1e-9))
-    return _best(sensor, np.array(left))
+        remaining.append(np.sqrt(np.mean(off**2) * 3) / max(float(np.linalg.norm(solution[:3])), 1e-9))
+    return _best(sensor, np.array(remaining))
 
 
 def _best(sensor: SensorLog, left: Floats) -> Pointing:

@@ -116,13 +116,13 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[M
     if rows < MIN_RUNS:
         return np.zeros(rows, bool), 1.0
     warm = _unit(temperatures, rows)
-    left = _without(means, warm)
-    left = _rounded(left / np.maximum(left.std(axis=0), 1e-12))
-    if left.shape[1] == 0:
+    remaining = _without(means, warm)
+    remaining = _rounded(remaining / np.maximum(remaining.std(axis=0), 1e-12))
+    if remaining.shape[1] == 0:
         return np.zeros(rows, bool), 1.0
-    share, second = best_split(left[None], warm)
+    share, second = best_split(remaining[None], warm)
     beaten = max(
-        int(np.count_nonzero(drawn >= share[0])) for drawn in _by_chance(rows, left.shape[1], seed, tuple(warm))
+        int(np.count_nonzero(drawn >= share[0])) for drawn in _by_chance(rows, remaining.shape[1], seed, tuple(warm))
     )
     return second[0] ^ second[0, 0], (beaten + 1) / (_DRAWS + 1)
 
@@ -162,8 +162,8 @@ def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Mask]:
     first = np.arange(MIN_STATE_RUNS, rows - MIN_STATE_RUNS + 1)
     whole = first * (rows - first) / rows
     alone = whole - sums[..., -1] ** 2
-    told = alone > _TOLD * whole
-    explained = np.where(told, (sums[..., :-1] ** 2).sum(axis=3) / np.where(told, alone, 1.0), 0.0)
+    known = alone > _TOLD * whole
+    explained = np.where(known, (sums[..., :-1] ** 2).sum(axis=3) / np.where(known, alone, 1.0), 0.0)
     flat = explained.reshape(draws, -1)
     at = flat.argmax(axis=1)
     direction, cut = np.divmod(at, len(first))
@@ -185,8 +185,8 @@ def _without(points: Floats, warm: Floats) -> Floats:
 
 def _rounded(points: Floats) -> Floats:
     """Centred points (r, d) with unit scatter in every direction in which they scatter at all."""
-    left, values, _ = np.linalg.svd(points, full_matrices=False)
-    return np.asarray(left[:, values > 1e-9 * max(float(values.max()), 1e-300)])
+    left_vectors, values, _ = np.linalg.svd(points, full_matrices=False)
+    return np.asarray(left_vectors[:, values > 1e-9 * max(float(values.max()), 1e-300)])
 
 
 @lru_cache(maxsize=64)

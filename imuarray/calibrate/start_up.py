@@ -79,11 +79,11 @@ def _start_up(
     state = int(distances.argmin())
     sensitivity = ranges.get(np.nan if sensor.range is None else sensor.range, np.nan)
     feels = sensor.quantity == "specific_force"
-    ratio, found = explained_range(mean, usual[state], sensitivity, ranges) if feels else (np.nan, None)
+    ratio, result = explained_range(mean, usual[state], sensitivity, ranges) if feels else (np.nan, None)
     distance = float(distances[state])
-    if found is not None:
+    if result is not None:
         return StartUp(
-            state, distance, True, f"{ratio:.2f} times the usual reading: came up at {found:g} {sensor.unit}"
+            state, distance, True, f"{ratio:.2f} times the usual reading: came up at {result:g} {sensor.unit}"
         )
     far = not distance <= limit
     return StartUp(state, distance, far, f"{distance:.1f} spreads from every state" if far else "")
@@ -98,8 +98,8 @@ def came_up(log: Log, calibration: Calibration, ranges: Ranges = _NO_RANGES) -> 
     the calibrating runs, and nothing is said of accelerometers but a wrong range.
     """
     means = _first_means(log, [name for name, sensor in calibration.sensors.items() if sensor.turn_on is not None])
-    found = in_this_pose(state_of(means, calibration, ranges=ranges), calibration)
-    return in_states(found, calibration), found
+    result = in_this_pose(state_of(means, calibration, ranges=ranges), calibration)
+    return in_states(result, calibration), result
 
 
 def in_states(found: Mapping[str, StartUp], calibration: Calibration) -> Calibration:

@@ -80,7 +80,7 @@ class AxesFit:
     lag_interval_s: Floats
 
 
-class _Scaled(NamedTuple):
+class _UnitSeries(NamedTuple):
     """The series with unit spread, times from -1 to 1: what keeps normal equations well conditioned."""
 
     gaps_s: Floats
@@ -102,7 +102,7 @@ def fit_axes(segments: Segments, thermometer: Thermometer, reference_degc: float
     middle_s = float(segments.time_s.mean())
     half_s = span_s / 2
     clock = (segments.time_s - middle_s) / half_s
-    series = _Scaled(gaps_s, clock, half_s, warm, lags_s, _tells_curvature(clock, warm[:, 0]))
+    series = _UnitSeries(gaps_s, clock, half_s, warm, lags_s, _tells_curvature(clock, warm[:, 0]))
     axes = [_Axis(series, column) for column in segments.mean.T]
     # The likely noise depends on the lag, so it is looked for at the lag that white noise makes the likeliest.
     start = int(np.sum([axis.fit((_WHITE,)).likelihood[0] for axis in axes], axis=0).argmax())
@@ -130,7 +130,7 @@ def fit_axes(segments: Segments, thermometer: Thermometer, reference_degc: float
 class _Axis:
     """One axis: its likely noises, and its fits at all lags under all of them."""
 
-    def __init__(self, series: _Scaled, counts: Floats) -> None:
+    def __init__(self, series: _UnitSeries, counts: Floats) -> None:
         self.series = series
         self.mean = float(counts.mean())
         self.scale = float(counts.std()) or 1.0
@@ -198,9 +198,9 @@ def _peak(lags_s: Floats, likelihood: Floats) -> float:
     best = int(likelihood.argmax())
     if best <= 1 or best == len(lags_s) - 1:
         return float(lags_s[best])
-    left, top, right = likelihood[best - 1 : best + 2]
+    before, top, after = likelihood[best - 1 : best + 2]
     step = np.log(lags_s[best + 1] / lags_s[best])
-    return float(lags_s[best] * np.exp(step * (left - right) / (2 * (left - 2 * top + right))))
+    return float(lags_s[best] * np.exp(step * (before - after) / (2 * (before - 2 * top + after))))
 
 
 def _below(lags_s: Floats, lag_s: float) -> float:
@@ -273,14 +273,14 @@ def calibrate_thermal(*logs: Log, segment_s: float = SEGMENT_S) -> ThermalResult
     for log in logs:
         _refuse_moving(log)
     ups = [up_of(log, segment_s) for log in logs]
-    found = {sensor.name: _heatings(sensor, logs, ups, segment_s) for sensor in sensors}
-    fitted = {sensor.name: _combined(sensor, found[sensor.name]) for sensor in sensors}
+    result = {sensor.name: _heatings(sensor, logs, ups, segment_s) for sensor in sensors}
+    fitted = {sensor.name: _combined(sensor, result[sensor.name]) for sensor in sensors}
     for sensor in sensors:
         if (thermal := fitted[sensor.name].thermal) is not None:
             refuse_imprecise(sensor, thermal.slope_sem_lsb_per_degc, MOST_SEM_PER_DEGC, _IMPRECISE)
     return ThermalResult(
         Calibration(fitted, tuple(str(log.path) for log in logs)).stamped(logs),
-        tuple(heating for each in found.values() for heating in each),
+        tuple(heating for each in result.values() for heating in each),
         tuple(opposed_slopes(sensors, fitted)),
     )
 
@@ -317,7 +317,7 @@ def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | Non
     """The sensor in every log, all about the middle of the first one's temperatures: a parabola's slope there is the
     mean one over them, wherever the box spent most of its time.
     """
-    found: list[Heating] = []
+    results: list[Heating] = []
     for log, up in zip(logs, ups, strict=True):
         here = log[sensor.name]
         if (here.range, here.axes, here.sensitivity) != (sensor.range, sensor.axes, sensor.sensitivity):
@@ -325,15 +325,15 @@ def _heatings(sensor: SensorLog, logs: Sequence[Log], ups: Sequence[Floats | Non
         thermometer = thermometer_of(log, here, segment_s)
         if thermometer is None:
             raise CalibrationError(f"{here.where}: no thermometer: no barometer, no reference, and none in the chips")
-        if found and thermometer.kind != found[0].thermometer:
+        if results and thermometer.kind != results[0].thermometer:
             raise CalibrationError(f"{here.where}: another thermometer than in {sensor.where}")
         reference = (
-            found[0].fit.reference_degc
-            if found
+            results[0].fit.reference_degc
+            if results
             else round(float(thermometer.degc.min() + thermometer.degc.max()) / 2, 2)
         )
-        found.append(_heating(here, log, up, thermometer, reference, segment_s))
-    return found
+        results.append(_heating(here, log, up, thermometer, reference, segment_s))
+    return results
 
 
 def _heating(

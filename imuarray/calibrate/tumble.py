@@ -193,8 +193,8 @@ def _by_gravity(
 def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
     """Appendix B. Directions are those that the calibrated accelerometers felt: a table leans, and turns tell more."""
     everything = sorted((*faces.fitted, *faces.checks), key=_place_and_time)
-    found = {sensor.name: fit_faces(sensor, everything) for sensor in accelerometers}
-    known = {name: calibration for name, (calibration, _) in found.items()}
+    result = {sensor.name: fit_faces(sensor, everything) for sensor in accelerometers}
+    known = {name: calibration for name, (calibration, _) in result.items()}
     readings = read_poses(accelerometers, everything)
     forces = np.array(
         [_force_g(known[s.name], mean) for s, mean in zip(accelerometers, readings.mean_lsb, strict=True)]
@@ -211,7 +211,7 @@ def _by_faces(accelerometers: Sequence[SensorLog], faces: Faces) -> _Reference:
         float(np.mean(spread) + np.sum(noise) / len(noise) ** 2) * np.eye(up_box.size),
         known,
         fits,
-        {name: drift for name, (_, drift) in found.items()},
+        {name: drift for name, (_, drift) in result.items()},
         tuple(everything[place].label for place in fitted),
         {s.name: np.linalg.norm(force[fitted], axis=1) - 1 for s, force in zip(accelerometers, forces, strict=True)},
         {sensor.name: faces_apart(sensor, faces.fitted) for sensor in accelerometers},
@@ -269,7 +269,9 @@ def _temperature(log: Log, poses: Sequence[Pose]) -> float | None:
     parts = []
     logs = [log if pose.log is None else pose.log for pose in poses]
     for own in {id(each): each for each in logs}.values():
-        thermometer = next((found for sensor in own.of("specific_force") if (found := _thermometer(own, sensor))), None)
+        thermometer = next(
+            (result for sensor in own.of("specific_force") if (result := _thermometer(own, sensor))), None
+        )
         if thermometer is None:
             return None
         here = [pose.phase for pose, each in zip(poses, logs, strict=True) if each is own]
@@ -278,5 +280,5 @@ def _temperature(log: Log, poses: Sequence[Pose]) -> float | None:
 
 
 def _thermometer(log: Log, sensor: SensorLog) -> Thermometer | None:
-    found = thermometer_of(log, sensor, SEGMENT_S) if len(sensor) else None
-    return None if found is None or found.kind == "relative" else found
+    result = thermometer_of(log, sensor, SEGMENT_S) if len(sensor) else None
+    return None if result is None or result.kind == "relative" else result

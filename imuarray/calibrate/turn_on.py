@@ -202,14 +202,14 @@ def _faults(runs: Runs, ranges: Mapping[float, float]) -> tuple[BootFault, ...]:
     if not read.any():
         raise CalibrationError(f"sensor {runs.sensor}: no sound readings in any run")
     usual = np.median(runs.mean_lsb[read], axis=0)
-    told: list[tuple[float, float | None]] = [(np.nan, None)] * len(read)
+    ranges_of_runs: list[tuple[float, float | None]] = [(np.nan, None)] * len(read)
     if runs.quantity == "specific_force":  # a gyroscope's bias says nothing of its range
-        told = [explained_range(mean, usual, runs.sensitivity, ranges) for mean in runs.mean_lsb]
-    wrong = ~read | np.array([found is not None for _, found in told])
+        ranges_of_runs = [explained_range(mean, usual, runs.sensitivity, ranges) for mean in runs.mean_lsb]
+    wrong = ~read | np.array([span is not None for _, span in ranges_of_runs])
     sound = np.flatnonzero(~wrong)
     floor = np.array([each.mean for each in runs.in_run(sound.tolist())] or [0.0] * 3) ** 0.5
     wrong[sound[runs_apart(runs.mean_lsb[sound], floor)]] = True
-    return tuple(BootFault(runs.numbers[i], told[i][0], told[i][1], runs.unit) for i in np.flatnonzero(wrong))
+    return tuple(BootFault(runs.numbers[i], *ranges_of_runs[i], runs.unit) for i in np.flatnonzero(wrong))
 
 
 def _about(

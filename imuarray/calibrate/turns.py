@@ -192,19 +192,21 @@ def _fit(
         missed = np.concatenate([part.missed for part in parts])
         slopes = np.concatenate([part.slope for part in parts])
         weight = np.linalg.inv(_variance(turns, parts, up_covariance))
-        told = slopes.T @ weight @ slopes
-        own = np.linalg.inv(told + prior)
+        information = slopes.T @ weight @ slopes
+        own = np.linalg.inv(information + prior)
         step = own @ (slopes.T @ weight @ missed + prior @ (nominal - inverse).ravel())
         inverse = inverse + step.reshape(3, 3)
         if np.abs(step).max() < 1e-7 * np.abs(nominal).max():
             break
     chi_squared = float(missed @ weight @ missed)
-    freedom = 2 * len(turns) - float(np.trace(own @ told))  # what the tolerance tells takes nothing of what turns tell
+    freedom = 2 * len(turns) - float(
+        np.trace(own @ information)
+    )  # what the tolerance tells takes nothing of what turns tell
     excess = chi_squared / freedom if beyond_noise(chi_squared, freedom) else 1.0
     chances, off = _each_alone(missed, weight - weight @ slopes @ own @ slopes.T @ weight, chi_squared, freedom)
     response = np.asarray(np.linalg.inv(inverse), float) * SI_PER_UNIT[sensor.unit]
     change = -np.einsum("ia,bj->ijab", response, response).reshape(9, 9) / SI_PER_UNIT[sensor.unit]
-    covariance = change @ np.linalg.inv(told / excess + prior) @ change.T
+    covariance = change @ np.linalg.inv(information / excess + prior) @ change.T
     sem = np.sqrt(np.diag(covariance)).reshape(3, 3)
     untold = "".join("XYZ"[axis] for axis in range(3) if sem[:, axis].max() > _TOLD * sensor.sensitivity)
     residual_deg = float(np.degrees(np.sqrt((missed**2).sum() / len(turns))))
@@ -212,7 +214,7 @@ def _fit(
     return fit, chances, off
 
 
-def _variance(turns: Sequence[_Turn], parts: Sequence[_Missed], up_covariance: Floats) -> Floats:
+def _variance(turns: Sequence[_Turn], parts: Sequence[_GravityMisfit], up_covariance: Floats) -> Floats:
     """(2 t, 2 t) of what turns miss by: the gyroscope's noise, and the directions at both ends, which neighbours
     share.
     """
@@ -237,7 +239,7 @@ def _each_alone(missed: Floats, projected: Floats, chi_squared: float, freedom: 
 
 
 @dataclass(frozen=True)
-class _Missed:
+class _GravityMisfit:
     """How far (2,) the rates carry gravity beside where it was, in radians along two directions `across` (2, 3) it; the
     derivative (2, 9) of where they carry it by the inverse response, row by row; and the turn (3, 3) `onward`.
     """
@@ -248,7 +250,7 @@ class _Missed:
     onward: Floats
 
 
-def _missed(turn: _Turn, inverse: Floats) -> _Missed:
+def _missed(turn: _Turn, inverse: Floats) -> _GravityMisfit:
     """Carry gravity through a turn."""
     from scipy.spatial.transform import Rotation  # its weight is for those who turn anything
 
@@ -261,7 +263,7 @@ def _missed(turn: _Turn, inverse: Floats) -> _Missed:
     middle = steps * (turn.counts[1:] + turn.counts[:-1]) / 2
     turned = np.einsum("nji,nl->ijl", np.concatenate([onward[1:], np.eye(3)[None]]), middle).reshape(3, 9)
     slope = across @ np.cross(carried[None], turned.T).T
-    return _Missed(across @ (turn.after - carried), slope, across, onward[0].T)
+    return _GravityMisfit(across @ (turn.after - carried), slope, across, onward[0].T)
 
 
 def _products(rotations: Floats) -> Floats:

@@ -11,7 +11,7 @@ from imuarray.atomic import write_text
 from imuarray.commands.options import force_option, json_option, prepare_folder, print_json, progress
 
 if TYPE_CHECKING:
-    from imuarray.studies.paper.replica import Observed, Replica
+    from imuarray.studies.paper.replica import ExperimentData, Replica
 
 _NO_FIGURES = "; no figures, they need matplotlib: pip install 'imuarray[report]'"
 _REPLICA_FILES = ("replica.json", "paper.html")
@@ -101,7 +101,7 @@ def _gap(output: Path | None, as_json: bool, force: bool) -> None:
         click.echo(f"{output}: {_GAP_FILE} written", err=True)
 
 
-def _write_replica(folder: Path, found: Replica, observed: Observed) -> None:
+def _write_replica(folder: Path, found: Replica, observed: ExperimentData) -> None:
     """The numbers, and the page with as much as the optional packages allow."""
     import json
 

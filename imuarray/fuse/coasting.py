@@ -84,7 +84,7 @@ def coasting(errors: Errors, still_s: float = STILL_S, coast_s: float = COAST_S)
     if len(errors.time) < 2:
         return Coasting(np.zeros(0), np.zeros(0), np.zeros(0))
     seconds = (errors.time - errors.time[0]) * 1e-9
-    found, begin = [], 0.0
+    result, begin = [], 0.0
     period_s = float(np.median(np.diff(seconds)))
     while begin + still_s + coast_s <= seconds[-1] + 1.5 * period_s:
         first, go, last = np.searchsorted(seconds, np.array([0, still_s, still_s + coast_s]) + begin - period_s / 2)
@@ -97,9 +97,9 @@ def coasting(errors: Errors, still_s: float = STILL_S, coast_s: float = COAST_S)
         tilt, velocity = propagated(window[go - first :], *offsets)
         upwards /= np.linalg.norm(upwards)
         level = velocity - velocity @ upwards * upwards
-        found.append((np.degrees(tilt @ upwards), np.linalg.norm(level), begin + still_s + errors.time[0] * 1e-9))
+        result.append((np.degrees(tilt @ upwards), np.linalg.norm(level), begin + still_s + errors.time[0] * 1e-9))
         begin += still_s + coast_s
-    heading, velocity, begins = np.array(found, float).reshape(-1, 3).T
+    heading, velocity, begins = np.array(result, float).reshape(-1, 3).T
     return Coasting(heading, velocity, begins)
 
 

@@ -90,10 +90,10 @@ def compare(
         if technique not in errors:
             heard(technique)
             errors[technique] = error_frames(log, fuse(log, calibration, technique, only=only, progress=parts.next()))
-        found = errors[technique]
-        scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in found.items()]
-        if len(found) == 2:
-            coasts[technique] = coasting(both(found))
+        result = errors[technique]
+        scores += [_score(technique, quantity, average[quantity], frames) for quantity, frames in result.items()]
+        if len(result) == 2:
+            coasts[technique] = coasting(both(result))
     return Comparison(tuple(scores), coasts)
 
 

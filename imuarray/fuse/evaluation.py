@@ -141,12 +141,12 @@ class QuietNoise:
 
     def scatter(self) -> dict[str, Floats]:
         """Of all frames so far, (3,) by quantity."""
-        found = {}
+        result = {}
         for quantity, parts in self._scatters.items():
             every = np.concatenate([*parts, _scatters(self._rest[quantity][None])])
             if len(every):
-                found[quantity] = np.quantile(every, 0.25, axis=0)
-        return found
+                result[quantity] = np.quantile(every, 0.25, axis=0)
+        return result
 
 
 def _scatters(segments: Floats) -> Floats:
@@ -172,8 +172,8 @@ def errors_of(
     log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()
 ) -> dict[str, tuple[npt.NDArray[np.int64], Floats]]:
     """Time (n,) and fused less true triad (n, 3) by quantity, where both are known. FusionError if nothing is known."""
-    found = error_frames(log, blocks, phases)
-    return {quantity: (frames.time, frames.errors) for quantity, frames in found.items()}
+    result = error_frames(log, blocks, phases)
+    return {quantity: (frames.time, frames.errors) for quantity, frames in result.items()}
 
 
 def error_frames(log: Log, blocks: Iterable[FusedBlock], phases: Iterable[Phase] = ()) -> dict[str, ErrorFrames]:
@@ -185,12 +185,14 @@ def errors_together(
     log: Log, blocks: Iterable[Mapping[str, FusedBlock]], techniques: Sequence[str], phases: Iterable[Phase] = ()
 ) -> dict[str, dict[str, ErrorFrames]]:
     """The same of several results by the name of the technique, each block of which has the same frames."""
-    found: dict[str, dict[str, list[ErrorFrames]]] = {
+    results: dict[str, dict[str, list[ErrorFrames]]] = {
         name: {quantity: [] for quantity in INERTIAL} for name in techniques
     }
     for name, quantity, frames in _error_blocks(log, blocks, phases):
-        found[name][quantity].append(frames)
-    return {name: {quantity: _joined(parts) for quantity, parts in own.items() if parts} for name, own in found.items()}
+        results[name][quantity].append(frames)
+    return {
+        name: {quantity: _joined(parts) for quantity, parts in own.items() if parts} for name, own in results.items()
+    }
 
 
 def _track_of(log: Log) -> Track:
@@ -372,10 +374,10 @@ def _freedom(white: Floats) -> float:
     spectra = np.fft.rfft((white / np.sqrt(np.mean(white**2))).T, size)
     share = 1 - np.arange(1, half + 1) / rows
     squares = -9 / (rows * share)
-    for one, other in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-        lagged = np.fft.irfft(spectra[one].conj() * spectra[other], size) / rows
+    for item, other in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        lagged = np.fft.irfft(spectra[item].conj() * spectra[other], size) / rows
         squares += (lagged[1 : half + 1] / share) ** 2
-        if one != other:  # the other way round
+        if item != other:  # the other way round
             squares += (lagged[: -half - 1 : -1] / share) ** 2
     remembered = share @ squares + rows / 8 * squares[half // 2 :].mean()
     return float(np.clip(18 / (2 / rows * (3 + 2 * max(remembered, 0.0))), 1.0, 3 * rows))

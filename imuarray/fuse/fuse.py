@@ -274,10 +274,10 @@ def _replayed(
     sensors = [sensor for sensor in log.sensors.values() if sensor.name in stream.sensors]
     reached_ns = {sensor.name: -1 for sensor in sensors}
     row = {sensor.name: 0 for sensor in sensors}
-    left = {sensor.name: sensor for sensor in sensors}
+    remaining = {sensor.name: sensor for sensor in sensors}
     total = max(1, sum(len(sensor) for sensor in sensors))
-    while left:
-        sensor = left[min(left, key=lambda name: reached_ns[name])]
+    while remaining:
+        sensor = remaining[min(remaining, key=lambda name: reached_ns[name])]
         part = _read(sensor, slice(row[sensor.name], row[sensor.name] + block), sensor.name in stream.thermometers)
         if len(part.time):
             reached_ns[sensor.name] = int(part.time[-1])
@@ -285,7 +285,7 @@ def _replayed(
             progress(sum(row.values()) / total)
             yield from stream.push(sensor.name, part)
         else:
-            del left[sensor.name]
+            del remaining[sensor.name]
             yield from stream.end(sensor.name)
     yield from stream.finish()
 

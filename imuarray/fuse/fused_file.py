@@ -145,7 +145,7 @@ def _checked(group: h5py.Group, where: str) -> dict[str, NamedColumn]:
     wanted: dict[str, tuple[str, int]] = {"time": ("i", 0)}
     for quantity in INERTIAL:
         wanted |= {quantity: ("f", 3), quantity + COVARIANCE: ("f", len(ENTRIES)), quantity + USED: ("u", -1)}
-    found: dict[str, NamedColumn] = {}
+    results: dict[str, NamedColumn] = {}
     for name, (kind, width) in wanted.items():
         if name not in group:
             continue
@@ -157,8 +157,8 @@ def _checked(group: h5py.Group, where: str) -> dict[str, NamedColumn]:
         tail = (shape[1:] if width < 0 else (width,)) if width else ()
         if len(shape) != (2 if width else 1) or shape[1:] != tail or max(tail, default=0) > MOST_SENSORS:
             raise LogError(f"{place}: its shape is {shape}; wanted is {_wanted(width)}")
-        found[name] = NamedColumn(column, place)
-    return found
+        results[name] = NamedColumn(column, place)
+    return results
 
 
 def rows_of(columns: Mapping[str, NamedColumn]) -> int:
@@ -189,7 +189,7 @@ def texts_of(attributes: Mapping[str, Any], name: str) -> tuple[str, ...]:
     """An attribute that is a list of texts; empty for any other, and where there is none."""
     value = attributes.get(name)
     listed = value.tolist() if isinstance(value, np.ndarray) and value.ndim == 1 else []
-    return tuple(map(_text, listed)) if all(isinstance(one, str | bytes) for one in listed) else ()
+    return tuple(map(_text, listed)) if all(isinstance(item, str | bytes) for item in listed) else ()
 
 
 def _text(value: str | bytes) -> str:

@@ -28,7 +28,7 @@ class FusionNotes:
 
     def as_json(self) -> dict[str, Any]:
         """JSON-ready, in SI."""
-        biases = {quantity: [asdict(bias) for bias in found] for quantity, found in self.biases.items()}
+        biases = {quantity: [asdict(bias) for bias in result] for quantity, result in self.biases.items()}
         return {"biases": biases, "remarks": list(self.remarks)}
 
 

@@ -80,9 +80,9 @@ def _gain(technique: str, quantity: str, box_axis: str, before: Floats, after: F
     count = min(BLOCKS, len(before) // 2)
     if count < FEWEST_BLOCKS:
         raise FusionError(f"technique {technique}: {len(before)} values with a truth, too few to compare")
-    found = ratio_of(block_squares(before, count), block_squares(after, count))
+    result = ratio_of(block_squares(before, count), block_squares(after, count))
     average, error = (float(np.sqrt(np.mean(rows**2))) for rows in (before, after))
-    return Gain(technique, quantity, box_axis, average, error, found.ratio, found.ratio_se)
+    return Gain(technique, quantity, box_axis, average, error, result.ratio, result.ratio_se)
 
 
 @dataclass(frozen=True)

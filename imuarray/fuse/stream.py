@@ -62,12 +62,12 @@ def direct_combinations(
     techniques: Mapping[str, object], units: Mapping[str, Sequence[Unit]]
 ) -> dict[str, DirectCombination]:
     """The short way of every quantity; empty if one of them has none."""
-    found = {
+    result = {
         quantity: DirectCombination(technique, units[quantity])
         for quantity, technique in techniques.items()
         if isinstance(technique, FixedWeighing) and all(_is_plain(unit) for unit in units[quantity])
     }
-    return found if len(found) == len(techniques) else {}
+    return result if len(result) == len(techniques) else {}
 
 
 def _is_plain(unit: Unit) -> bool:
@@ -78,7 +78,7 @@ def _is_plain(unit: Unit) -> bool:
 
 def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | None:
     """The counts (n, 3) of each sensor at the times `grid` (n,), n > 0; None unless all are there and sound."""
-    found = []
+    result = []
     for block in blocks:
         if block is None:
             return None
@@ -86,8 +86,8 @@ def plain_counts(blocks: Sequence[Block | None], grid: Times) -> list[Counts] | 
         rows = slice(first, first + len(grid))
         if not np.array_equal(block.time[rows], grid) or (block.status[rows] & (SATURATED | SUSPECT)).any():
             return None
-        found.append(block.counts[rows])
-    return found
+        result.append(block.counts[rows])
+    return result
 
 
 Out = TypeVar("Out")
@@ -270,11 +270,11 @@ class FusionStream(Generic[Out]):
             time, blocks = self._times[wanted], [self._rows[name].block for name in self._names]
             counts = plain_counts(blocks, time)
             if counts is not None:
-                found = {
+                result = {
                     quantity: self._direct[quantity]([counts[number] for number in group.numbers])
                     for quantity, group in self._groups.items()
                 }
-                yield cast(Out, fused_block(time, found, pipeline.axes))  # what `QuantityPipeline` gives
+                yield cast(Out, fused_block(time, result, pipeline.axes))  # what `QuantityPipeline` gives
                 return
         yield from pipeline(*self._frames(grid, wanted))
 
@@ -308,8 +308,8 @@ class FusionStream(Generic[Out]):
         """What each sensor of a group reads, in SI along its axes, in one g along each box axis; None: not known."""
         known = [self._units[number].known for number in group.numbers]
         return [
-            None if one.g_sensitivity_lsb_per_g is None else one.g_sensitivity_lsb_per_g / one.lsb_per_si[:, None]
-            for one in known
+            None if item.g_sensitivity_lsb_per_g is None else item.g_sensitivity_lsb_per_g / item.lsb_per_si[:, None]
+            for item in known
         ]
 
     def _forget(self, before_ns: int) -> None:

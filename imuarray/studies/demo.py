@@ -1,15 +1,9 @@
-"""The four runs that a person with a box, a table and a hair dryer would record, on the emulated bus.
+"""`imuarray demo`: the whole path on the emulated array, from the bus to a page.
 
-Which technique is compared with the average on which run, and what came of it.
-
-The sections of the demo's page.
-
-`imuarray demo`: the whole path on the emulated array, from the bus to a page.
-
-Four runs are recorded: the six faces of the box, a long rest, a heating, and a shaking that leaves the low range. The
-first calibrates the array; the others show what each technique gains over the simple average of the same sensors. The
-emulated world knows the truth, so every gain is measured. In the end three of the sensors at rest are compared with
-what a simulator that knows nothing but data sheets makes of them.
+It records four runs that a user with a box, a table and a hair dryer would record: the six faces of the box, a long
+rest, a heating, and a shaking that exceeds the low range. The first run calibrates the array; the others show what each
+technique gains over the simple average of the same sensors. The emulated world knows the truth, so every gain is
+measured. Finally, `gap` compares three sensors at rest with a simulator that knows only the data sheets.
 """
 
 from __future__ import annotations
@@ -133,14 +127,16 @@ def compare(logs: Mapping[str, Path], calibration: Calibration) -> list[tuple[Ca
     for case in CASES:
         with open_log(logs[case.run]) as log:
             phases = [phase for phase in log.phases if phase.name in case.phases]
-            found = gains(log, calibration, case.technique, only=case.only, phases=phases, slow=case.slow)
-            rows += [(case, gain) for gain in found]
+            result = gains(log, calibration, case.technique, only=case.only, phases=phases, slow=case.slow)
+            rows += [(case, gain) for gain in result]
     return rows
 
 
 def _best(rows: Rows, case: Case) -> Gain:
     """The axis on which a technique gains most where it should."""
-    of_case = [gain for found, gain in rows if found == case and gain.quantity == case.claim and gain.box_axis != "XYZ"]
+    of_case = [
+        gain for result, gain in rows if result == case and gain.quantity == case.claim and gain.box_axis != "XYZ"
+    ]
     return min(of_case, key=lambda gain: gain.ratio)
 
 

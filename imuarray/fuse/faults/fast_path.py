@@ -162,12 +162,12 @@ def _moments(triad: Floats, along: Floats) -> Floats:
     slopes (k, n, m).
     """
     windows, frames, axes = along.shape
-    found = np.empty((windows, axes, STATES, STATES))
+    result = np.empty((windows, axes, STATES, STATES))
     common = np.concatenate([np.ones((windows, frames, 1)), triad], axis=2)
     turned = common.transpose(0, 2, 1)
-    found[:, :, :4, :4] = (turned @ common)[:, None]
+    result[:, :, :4, :4] = (turned @ common)[:, None]
     crossed = (turned @ along).transpose(0, 2, 1)
-    found[:, :, :4, 4] = crossed
-    found[:, :, 4, :4] = crossed
-    found[:, :, 4, 4] = (along**2).sum(axis=1)
-    return found
+    result[:, :, :4, 4] = crossed
+    result[:, :, 4, :4] = crossed
+    result[:, :, 4, 4] = (along**2).sum(axis=1)
+    return result

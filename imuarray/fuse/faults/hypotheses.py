@@ -93,10 +93,10 @@ def _by_mean(axis: Floats, sensor: Floats, seen: WindowResiduals) -> Suspect:
     """Of the means: the sensor that gains most, or the one axis of it that does nearly all of that."""
     best = int(sensor.argmax())
     members = np.arange(3 * best, 3 * best + 3)
-    one = int(members[axis[members].argmax()])
-    alone = sensor[best] - axis[one] < _MORE_AXES
-    axes = (one,) if alone else tuple(int(index) for index in members if seen.included[index])
-    gain = float(axis[one] if alone else sensor[best])
+    item = int(members[axis[members].argmax()])
+    alone = sensor[best] - axis[item] < _MORE_AXES
+    axes = (item,) if alone else tuple(int(index) for index in members if seen.included[index])
+    gain = float(axis[item] if alone else sensor[best])
     return Suspect(axes, gain, "mean", _rivals(sensor, best, gain))
 
 
@@ -213,9 +213,9 @@ def separate_rivals(
         lambda sensor: _wild(views[sensor].quiet, [views[other].quiet for other in views if other != sensor]),
     )
     for test in tests:
-        found = [sensor for sensor in views if test(sensor)]
-        if len(found) == 1:
-            axes = tuple(range(3 * found[0], 3 * found[0] + 3))
+        result = [sensor for sensor in views if test(sensor)]
+        if len(result) == 1:
+            axes = tuple(range(3 * result[0], 3 * result[0] + 3))
             return replace(suspect, axes=axes, rivals=())
     return None
 

@@ -97,15 +97,15 @@ def reset_to(view: TriadComparison, axis: Axis, ranges: Ranges, unit_si: float) 
     factors = {span: table[span] / table[configured] for span in table if table[span] != table[configured]}
     if not factors:
         return None
-    ratio, alike = view.ratio, _SCALE_ALIKE
+    ratio, tolerance = view.ratio, _SCALE_ALIKE
     if not np.isfinite(ratio):
         quiet = view.quiet < QUIET
         each = np.full(3, np.sqrt(view.quiet)) if quiet else view.noise_ratios
-        ratio, alike = float(np.exp(np.log(np.maximum(each, 1e-9)).mean())), _NOISE_ALIKE
+        ratio, tolerance = float(np.exp(np.log(np.maximum(each, 1e-9)).mean())), _NOISE_ALIKE
         if each.max() > 2.5 * each.min() or 0.5 < ratio < 1.8:
             return None
     best = min(factors, key=lambda span: abs(np.log(factors[span] / max(ratio, 1e-9))))
-    return (best, factors[best]) if abs(ratio / factors[best] - 1) < alike else None
+    return (best, factors[best]) if abs(ratio / factors[best] - 1) < tolerance else None
 
 
 def kind_of(view: TriadComparison, which: Sequence[int], reset: tuple[float, float] | None) -> Kind:
@@ -132,8 +132,8 @@ def _by_scale(view: TriadComparison, chosen: Sequence[int], about: Floats) -> Ki
     if not power.min() > _TOLD**2 * float((view.noise[chosen] ** 2).max()):
         return None
     factor = (own * expected).sum(axis=0) / power
-    left = ((own - factor * expected) ** 2).sum()
-    return Kind("scale", float(factor[np.abs(factor - 1).argmax()])) if left < 0.3 * (about**2).sum() else None
+    remaining = ((own - factor * expected) ** 2).sum()
+    return Kind("scale", float(factor[np.abs(factor - 1).argmax()])) if remaining < 0.3 * (about**2).sum() else None
 
 
 def _scattered(off: Floats, noise: Floats, scatter: float) -> Kind:

@@ -108,11 +108,11 @@ class Normal:
 
     def regressors(self, triad: Floats, slope: Floats, rows: Floats) -> Floats:
         """(m, n, 5) of a window with triads (n, 3) and their slopes (n, 3)."""
-        found = np.empty((len(rows), len(triad), STATES))
-        found[..., 0] = 1.0
-        found[..., 1:4] = triad
-        found[..., 4] = rows @ slope.T
-        return found
+        result = np.empty((len(rows), len(triad), STATES))
+        result[..., 0] = 1.0
+        result[..., 1:4] = triad
+        result[..., 4] = rows @ slope.T
+        return result
 
     def explains(self, regressors: Floats) -> Floats:
         """(n, m) what the states make of a window."""
@@ -187,10 +187,10 @@ class Normal:
             moved = self.variance + rate * (np.minimum(within, 2 * self.variance) - self.variance)
             self.variance = np.where(self.learnt & which & (seen < _Q_WINDOWS), moved, self.variance)
         if self._before is not None:
-            told = counts * (means - self._before) ** 2 / (2 * share * self.variance)
+            spread = counts * (means - self._before) ** 2 / (2 * share * self.variance)
             rate = 1 / np.minimum(seen + 10, _KAPPA_WINDOWS)
-            colour = self.colour + rate * (np.minimum(told, 9 * self.colour) - self.colour)
+            colour = self.colour + rate * (np.minimum(spread, 9 * self.colour) - self.colour)
             colour = np.minimum(np.maximum(colour, 1.0), self._window)
-            self.colour = np.where(which & np.isfinite(told), colour, self.colour)
+            self.colour = np.where(which & np.isfinite(spread), colour, self.colour)
         self._before = means if every else np.where(which, means, np.nan)
         self._seen = seen + which

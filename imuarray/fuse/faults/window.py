@@ -29,21 +29,21 @@ Times = npt.NDArray[np.int64]
 def slope(time: Times, triad: Floats) -> Floats:
     """(n, 3) change per second of triads (n, 3): central differences, one-sided at the ends."""
     seconds = (time - time[0]) * 1e-9
-    found = np.empty_like(triad)
-    found[1:-1] = (triad[2:] - triad[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
-    found[0] = (triad[1] - triad[0]) / (seconds[1] - seconds[0])
-    found[-1] = (triad[-1] - triad[-2]) / (seconds[-1] - seconds[-2])
-    return found
+    result = np.empty_like(triad)
+    result[1:-1] = (triad[2:] - triad[:-2]) / (seconds[2:] - seconds[:-2])[:, None]
+    result[0] = (triad[1] - triad[0]) / (seconds[1] - seconds[0])
+    result[-1] = (triad[-1] - triad[-2]) / (seconds[-1] - seconds[-2])
+    return result
 
 
 def slopes(time: Times, triads: Floats) -> Floats:
     """(k, n, 3) the same of k windows at times (k, n)."""
     seconds = (time - time[:, :1]) * 1e-9
-    found = np.empty_like(triads)
-    found[:, 1:-1] = (triads[:, 2:] - triads[:, :-2]) / (seconds[:, 2:] - seconds[:, :-2])[:, :, None]
-    found[:, 0] = (triads[:, 1] - triads[:, 0]) / (seconds[:, 1] - seconds[:, 0])[:, None]
-    found[:, -1] = (triads[:, -1] - triads[:, -2]) / (seconds[:, -1] - seconds[:, -2])[:, None]
-    return found
+    result = np.empty_like(triads)
+    result[:, 1:-1] = (triads[:, 2:] - triads[:, :-2]) / (seconds[:, 2:] - seconds[:, :-2])[:, :, None]
+    result[:, 0] = (triads[:, 1] - triads[:, 0]) / (seconds[:, 1] - seconds[:, 0])[:, None]
+    result[:, -1] = (triads[:, -1] - triads[:, -2]) / (seconds[:, -1] - seconds[:, -2])[:, None]
+    return result
 
 
 def lever_arms(time: Times, rate_box: Floats, positions_m: Floats, rows: Floats) -> Floats:
@@ -185,14 +185,14 @@ class WindowResiduals:
         """
         centred = np.where(self.residual == 0, 0.0, self.residual - self.means)
         deleted = self.white.deleted
-        found = (centred @ deleted.T) ** 2
+        result = (centred @ deleted.T) ** 2
         noise = np.where(
             self.white.observable, 1 / np.where(self.white.observable, self.white.matrix.diagonal(), 1.0), np.inf
         )
         known = self.regressors - self.regressors.mean(axis=1, keepdims=True)
         lasting = deleted**2 @ normal.doubt_within(known)
         noise = noise + deleted**2 @ normal.jitter(self.regressors)
-        return found.sum(axis=0) / (noise + lasting), lasting / (noise + lasting)
+        return result.sum(axis=0) / (noise + lasting), lasting / (noise + lasting)
 
 
 def window_residuals(

@@ -180,14 +180,14 @@ def error_model(
     covariances: dict[str, Floats] = {}
     responses: dict[str, Floats] = {}
     for sensor in sensors:
-        known, told = calibration.or_nominal(sensor), watched is None or sensor.name in watched
+        known, reported = calibration.or_nominal(sensor), watched is None or sensor.name in watched
         usual = USUAL[sensor.quantity]
         slopes = np.array([STEEP.get((sensor.chip, index), usual.slope_per_degc) for index in range(3)])
         timing_s = _AGE / sensor.rate_hz if sensor.rate_hz > 0 else TIMING_S
-        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - usual.common_share), told)):
+        for index, errors in enumerate(_of_sensor(known, usual, slopes * np.sqrt(1 - usual.common_share), reported)):
             wander = 0.0 if known.drift is not None else usual.drift_share * errors.noise
             slope = 0.0 if known.thermal is not None else float(slopes[index] * np.sqrt(usual.common_share))
-            shared = _of_design(wander, slope, told)
+            shared = _of_design(wander, slope, reported)
             axes[sensor.name, index] = replace(
                 errors,
                 timing_s=timing_s,

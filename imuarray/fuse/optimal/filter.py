@@ -245,9 +245,9 @@ class ArrayFilter:
     def _begun(self, part: Readings, warmer_degc: Floats) -> SegmentView:
         """What is believed as a segment begins."""
         since = int(part.time[0]) if self._since is None else self._since
-        left, added = self.states.transition(max(0, int(part.time[0]) - since) * 1e-9)
-        self._step = (self.belief, left, added)
-        self.belief = predicted(self.belief, left, added)
+        decay, added = self.states.transition(max(0, int(part.time[0]) - since) * 1e-9)
+        self._step = (self.belief, decay, added)
+        self.belief = predicted(self.belief, decay, added)
         self._since, self.warmer_degc = int(part.time[0]), warmer_degc
         self._view = segment_view(self.states, self.geometry, self.belief, warmer_degc)
         self._view.begin(part, self._stimulus, self._dynamics.recent())

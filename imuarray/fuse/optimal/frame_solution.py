@@ -190,10 +190,10 @@ def censored(unknowns: Floats, covariance: Floats, clipped: ClippedReadings) -> 
         place = count + index
         sign, spread = clipped.signs[:, index], np.sqrt(np.maximum(joint[:, place, place], 1e-300))
         distance = sign * (clipped.bounds[:, index] - mean[:, place]) / spread
-        moved, left = truncated(distance)
+        moved, remaining = truncated(distance)
         gain = joint[:, :, place] / spread[:, None]
         mean = mean + gain * (sign * moved)[:, None]
-        joint = joint - gain[:, :, None] * gain[:, None, :] * (1 - left)[:, None, None]
+        joint = joint - gain[:, :, None] * gain[:, None, :] * (1 - remaining)[:, None, None]
     return mean[:, :count], joint[:, :count, :count]
 
 

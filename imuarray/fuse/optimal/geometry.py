@@ -66,10 +66,10 @@ class Geometry:
         readings`` has unit variance but for the slow errors.
         """
         rows = self.rows[valid] / self.noise_of_means[valid, None]
-        left, sizes, _ = np.linalg.svd(rows)
+        remaining, sizes, _ = np.linalg.svd(rows)
         rank = int((sizes > 1e-9 * max(float(sizes.max(initial=0.0)), 1e-300)).sum())
         parity = np.zeros((len(rows) - rank, len(self.noise)))
-        parity[:, valid] = left[:, rank:].T / self.noise_of_means[valid]
+        parity[:, valid] = remaining[:, rank:].T / self.noise_of_means[valid]
         return parity
 
 

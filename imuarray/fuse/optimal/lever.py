@@ -88,11 +88,11 @@ class Lever:
         known = np.asarray(np.isfinite(acceleration).all(axis=1))
         turning = self._centripetal(lasting)
         values = np.where(readings.valid, readings.values - turning, 0.0)
-        told = np.where(known[:, None], acceleration, 0.0) @ self.whitening.T
+        reported = np.where(known[:, None], acceleration, 0.0) @ self.whitening.T
         others = np.concatenate([np.repeat(known[:, None], 3, axis=1), np.ones((len(known), 3), bool)], axis=1)
         return Readings(
             readings.time,
-            np.concatenate([values, told, np.zeros((len(known), 3))], axis=1),
+            np.concatenate([values, reported, np.zeros((len(known), 3))], axis=1),
             np.concatenate([readings.valid, others], axis=1),
             None if readings.bounds is None else Bounds(readings.bounds.ends, readings.bounds.at - turning),
         )

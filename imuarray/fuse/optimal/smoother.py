@@ -111,13 +111,13 @@ class Recorder:
         """One stride, in order of time, of which the first begins with a known belief."""
         belief = Normal(*stride[0][-2:])
         taken: list[tuple[Normal, Innovation]] = []
-        for left, added, _, rows, values, *_ in stride:
-            at = predicted(belief, left, added)
+        for decay, added, _, rows, values, *_ in stride:
+            at = predicted(belief, decay, added)
             belief, innovation = corrected(at, rows, values)
             taken.append((at, innovation))
-        for (at, innovation), (left, _, warmer_degc, *_) in zip(taken[::-1], stride[::-1], strict=True):
+        for (at, innovation), (decay, _, warmer_degc, *_) in zip(taken[::-1], stride[::-1], strict=True):
             adjoint = backwards(adjoint, at, innovation)
             view = segment_view(self._states, self._geometry, smoothed(at, adjoint), warmer_degc, final=True)
             self._views.push([view.offset, view.response, view.errors])
-            adjoint = Adjoint(left * adjoint.vector, adjoint.matrix * np.outer(left, left))
+            adjoint = Adjoint(decay * adjoint.vector, adjoint.matrix * np.outer(decay, decay))
         return adjoint

@@ -111,8 +111,8 @@ class States:
 
     def transition(self, seconds: float) -> tuple[Floats, Floats]:
         """(n,) how much of each state is left after a while, and (n,) the variance that has come instead."""
-        left = np.exp(-seconds / self.time_constants_s)
-        return left, np.diag(self.prior) * (1 - left**2)
+        remaining = np.exp(-seconds / self.time_constants_s)
+        return remaining, np.diag(self.prior) * (1 - remaining**2)
 
 
 class _State(NamedTuple):
@@ -128,19 +128,19 @@ class _State(NamedTuple):
 def states_of(axes: Sequence[Axis], model: ErrorModel, others: int = 0) -> States:
     """The states of `axes`; `others` more rows follow them, which feel none."""
     errors = model.of(axes)
-    found = [state for index in range(len(axes)) for state in _of_axis(axes, errors, model, index)]
-    found += _of_designs(axes, model)
-    rows = {kind: np.zeros((len(axes) + others, len(found))) for kind in ("steady", "thermal", "X", "Y", "Z")}
-    for column, state in enumerate(found):
+    result = [state for index in range(len(axes)) for state in _of_axis(axes, errors, model, index)]
+    result += _of_designs(axes, model)
+    rows = {kind: np.zeros((len(axes) + others, len(result))) for kind in ("steady", "thermal", "X", "Y", "Z")}
+    for column, state in enumerate(result):
         rows[state.kind][list(state.members), column] = 1.0
-    responses = [rows[kind] for kind in "XYZ"] if any(state.kind in "XYZ" for state in found) else []
+    responses = [rows[kind] for kind in "XYZ"] if any(state.kind in "XYZ" for state in result) else []
     return States(
-        names=tuple(state.name for state in found),
-        prior=_prior(found, axes, model),
-        time_constants_s=np.array([state.time_constant_s for state in found]),
+        names=tuple(state.name for state in result),
+        prior=_prior(result, axes, model),
+        time_constants_s=np.array([state.time_constant_s for state in result]),
         steady=rows["steady"],
         thermal=rows["thermal"],
-        response=np.array(responses).reshape(len(responses), len(axes) + others, len(found)),
+        response=np.array(responses).reshape(len(responses), len(axes) + others, len(result)),
     )
 
 
@@ -184,11 +184,11 @@ def _prior(states: Sequence[_State], axes: Sequence[Axis], model: ErrorModel) ->
     """Diagonal, but for biases and responses of one sensor that were calibrated together."""
     prior = np.diag(np.array([state.spread**2 for state in states]))
     place = {state.members[0]: row for row, state in enumerate(states) if state.name.endswith(" bias")}
-    for one, row in place.items():
+    for item, row in place.items():
         for other, column in place.items():
-            covariance = model.bias_covariances.get(axes[one].sensor)
-            if one != other and covariance is not None and axes[one].sensor == axes[other].sensor:
-                prior[row, column] = covariance[axes[one].index, axes[other].index]
+            covariance = model.bias_covariances.get(axes[item].sensor)
+            if item != other and covariance is not None and axes[item].sensor == axes[other].sensor:
+                prior[row, column] = covariance[axes[item].index, axes[other].index]
     turned = [
         (row, axes[state.members[0]], "XYZ".index(state.kind))
         for row, state in enumerate(states)

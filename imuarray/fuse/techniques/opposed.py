@@ -105,8 +105,8 @@ def capabilities(sensors: Sequence[SensorLog], calibration: Calibration) -> list
 
 def _opposing(axes: Sequence[Axis]) -> Iterator[tuple[Axis, Axis]]:
     for first, second in combinations(axes, 2):
-        alike = first.chip == second.chip and first.sensor != second.sensor
-        if alike and np.dot(first.direction_box, second.direction_box) < _OPPOSED:
+        similar = first.chip == second.chip and first.sensor != second.sensor
+        if similar and np.dot(first.direction_box, second.direction_box) < _OPPOSED:
             yield first, second
 
 
@@ -139,12 +139,12 @@ def _bias(first: SensorCalibration, i: int, second: SensorCalibration, j: int) -
 def _reduction(first: float, second: float, sem_first: float, sem_second: float) -> Reduction:
     """By standard errors of zero the interval is the figure itself."""
     tiny = np.finfo(float).tiny
-    left, sem, reduction, p_value, _ = cancelled(first, second, max(sem_first, tiny), max(sem_second, tiny))
+    remaining, sem, reduction, p_value, _ = cancelled(first, second, max(sem_first, tiny), max(sem_second, tiny))
     single = (abs(first) + abs(second)) / 2
-    low, high = abs(left) - _WITHIN * sem, abs(left) + _WITHIN * sem
+    low, high = abs(remaining) - _WITHIN * sem, abs(remaining) + _WITHIN * sem
     return Reduction(
         float(single),
-        float(left),
+        float(remaining),
         float(sem),
         float(reduction),
         float(single / high) if high > 0 else np.inf,

@@ -81,10 +81,10 @@ class PlaneBlend:
 
     def remarks(self, quantity: str) -> list[str]:
         """What axes that weigh less read otherwise than the others; how many do not."""
-        found = self.monitors()
-        apart = [monitor for monitor in found if not abs(monitor.sigmas) < _REMARKABLE_SIGMAS]
+        result = self.monitors()
+        apart = [monitor for monitor in result if not abs(monitor.sigmas) < _REMARKABLE_SIGMAS]
         said = [monitor.sentence(quantity) for monitor in apart]
-        if agreed := len(found) - len(apart):
+        if agreed := len(result) - len(apart):
             more = "more " if apart else ""
             said.append(f"{agreed} {more}axes that stand watch differ by less than {_REMARKABLE_SIGMAS:g} sigma")
         return said
@@ -152,13 +152,13 @@ def _shares(error: dict[bool, float], variance: dict[bool, float]) -> dict[bool,
     more than 1 as long as ``r <= 2 / (k - 1)``.
     """
     best = min(error.values())
-    alike = max(error.values()) <= WORTH_WEIGHING * best
+    similar = max(error.values()) <= WORTH_WEIGHING * best
     quiet = min(variance.values())
     share = {}
     for kind, square in error.items():
         ratio = variance[kind] / quiet
         bound = 2 / (ratio - 1) if ratio > 1 else math.inf
-        share[kind] = min(1.0 if alike else best / square, bound)
+        share[kind] = min(1.0 if similar else best / square, bound)
     return share
 
 

@@ -1,7 +1,7 @@
-"""The arrays of the study and the sensors that are fused together.
+"""The simulated arrays of the study, the sensors that are fused together, and their calibrations.
 
-The calibrations that a study fuses with: what the program's own `calibrate` makes of simulated logs of the same
-units, recorded at other boots than the logs that are fused.
+The calibrations are those that `calibrate` makes from simulated logs of the same units, recorded at other switch-ons
+than the logs that are fused.
 """
 
 from __future__ import annotations

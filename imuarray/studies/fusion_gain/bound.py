@@ -1,5 +1,4 @@
-"""How well any estimator can know what the box feels: the Bayesian Cramer-Rao bound of an array whose errors are known
-in law.
+"""The Bayesian Cramer-Rao bound of an array whose errors have a known distribution, and the estimate that reaches it.
 
 Reading i of axis k is ``d_k . u(t_i) + c_k(t_i) + w_k(t_i)``. About u, anything may happen from frame to frame (a flat
 prior, independent in time); the slow errors c are jointly normal, the noise w is white. All is linear and normal, so
@@ -19,14 +18,10 @@ vector (T m,), conditioned on one stretch after the other by dense linear algebr
 Causal: at each stretch after its own readings (all of them, so that the bound is below what a filter reaches within
 it); smoothed: after all readings.
 
-What a simulation knows of its units, in the two forms that the study needs: the calibration that nobody could
-better, and the law of the errors that it leaves.
-
-Known for good are the response, the bias, its slope with temperature; drawn anew at each boot or all the time, and so
-known in law alone, are turn-on bias, bias instability, common mode and white noise. Effects that the law does not have
-(`OUTSIDE`) are to be left out of a simulation that it is to hold for.
-
-The bound over a log, and the estimate that reaches it: the posterior mean, by dense linear algebra.
+`true_calibration` and `law_of` give what a simulation knows of its units: the constant errors (response, bias and its
+temperature slope) as a calibration, and the distribution of the errors that change at each switch-on or continuously
+(turn-on bias, bias instability, common mode, white noise). The bound holds only for simulations without the effects in
+`OUTSIDE`. `Posterior` computes bound and posterior mean over a log.
 """
 
 from __future__ import annotations
@@ -89,7 +84,7 @@ class ErrorLaw:
 
 
 @dataclass(frozen=True)
-class Seen:
+class StretchReadings:
     """`frames` frames of one stretch in which the same axes `known` (m,) had a reading; `mean_si` (m,), if wanted, the
     mean of what they read.
     """
@@ -104,7 +99,7 @@ class Stretch:
     """Frames about `time_s` in which slow errors are taken as constant, at a temperature."""
 
     time_s: float
-    seen: tuple[Seen, ...]
+    seen: tuple[StretchReadings, ...]
     temperature_degc: float = 25.0
 
 
@@ -175,7 +170,7 @@ def frame_weights(law: ErrorLaw, known: Flags) -> tuple[Floats, Floats]:
     return np.asarray(covariance @ rows.T / law.noise_si), covariance
 
 
-def _condition(covariance: Floats, mean: Floats, here: slice, law: ErrorLaw, seen: Seen) -> None:
+def _condition(covariance: Floats, mean: Floats, here: slice, law: ErrorLaw, seen: StretchReadings) -> None:
     """Take in what the parity space of some frames tells, in place."""
     whitened = law.directions_box[seen.known] / law.noise_si[seen.known, None]
     basis = np.linalg.svd(whitened)[0][:, 3:]
@@ -192,7 +187,7 @@ def _condition(covariance: Floats, mean: Floats, here: slice, law: ErrorLaw, see
     covariance -= gain @ cross.T
 
 
-def _of_motion(law: ErrorLaw, several: Sequence[Seen], slow: Floats) -> Floats:
+def _of_motion(law: ErrorLaw, several: Sequence[StretchReadings], slow: Floats) -> Floats:
     """(3, 3) covariance of u, a mean over the frames, where that of the slow errors is `slow` (m, m)."""
     total = np.zeros((3, 3))
     for seen in several:
@@ -297,8 +292,8 @@ def _thermal_reference(effects: Sequence[Effect]) -> float:
 
 def _triple(effects: Sequence[Effect], kind: type[Effect], name: str) -> Floats:
     """(3,) a parameter of the effects of one kind, their root sum of squares or sum; zero without any."""
-    found = np.array([np.zeros(3), *(getattr(effect, name) for effect in effects if isinstance(effect, kind))])
-    return np.asarray(np.sqrt((found**2).sum(axis=0)) if name == "rms" else found.sum(axis=0))
+    result = np.array([np.zeros(3), *(getattr(effect, name) for effect in effects if isinstance(effect, kind))])
+    return np.asarray(np.sqrt((result**2).sum(axis=0)) if name == "rms" else result.sum(axis=0))
 
 
 STRETCHES = 60
@@ -327,10 +322,10 @@ class Posterior:
     def blocks(self, *, smoothed: bool = False) -> Iterator[FusedBlock]:
         """The posterior mean of each frame with its covariance: what the bound is the bound of."""
         for given in self._frames():
-            found = {quantity: self._estimated(quantity, part, smoothed) for quantity, part in given.items()}
-            triads = {quantity: triad for quantity, (triad, _) in found.items()}
+            result = {quantity: self._estimated(quantity, part, smoothed) for quantity, part in given.items()}
+            triads = {quantity: triad for quantity, (triad, _) in result.items()}
             time = next(iter(given.values())).time
-            yield FusedBlock(time, triads, {quantity: covariance for quantity, (_, covariance) in found.items()})
+            yield FusedBlock(time, triads, {quantity: covariance for quantity, (_, covariance) in result.items()})
 
     def _frames(self) -> Iterator[Mapping[str, Frames]]:
         names = [sensor.name for sensors in self._sensors.values() for sensor in sensors]
@@ -348,7 +343,10 @@ class Posterior:
                     sums[number][pattern.tobytes()] = count + len(rows), total + read
         middle_s = (self._edges[:-1] + self._edges[1:]) / 2e9
         return [
-            Stretch(time_s, tuple(Seen(np.frombuffer(key, bool), n, total / n) for key, (n, total) in seen.items()))
+            Stretch(
+                time_s,
+                tuple(StretchReadings(np.frombuffer(key, bool), n, total / n) for key, (n, total) in seen.items()),
+            )
             for time_s, seen in zip(middle_s.tolist(), sums, strict=True)
         ]
 
@@ -371,8 +369,8 @@ def axes_known(part: Frames) -> Flags:
     if part.clipped is None or not part.clipped.any():
         return part.valid
     triads = (part.clipped != 0).reshape(len(part.clipped), -1, 3)
-    beside = triads.any(axis=2, keepdims=True) & ~triads
-    return np.asarray(part.valid | beside.reshape(part.valid.shape))
+    neighbours = triads.any(axis=2, keepdims=True) & ~triads
+    return np.asarray(part.valid | neighbours.reshape(part.valid.shape))
 
 
 def _patterns(known: Flags, chosen: Flags) -> Iterator[tuple[Flags, npt.NDArray[np.int64]]]:

@@ -1,9 +1,4 @@
-"""The errors of a heated box over time, technique by technique, for a drawing.
-
-Drawings of the study: ratios with intervals, and the errors of a heated box over time.
-
-The study as a page: what each technique gains, where, and how far it is from the bound.
-"""
+"""The page of the study: the gain of each technique, where it gains, and its distance from the bound, with drawings."""
 
 from __future__ import annotations
 
@@ -54,7 +49,7 @@ _NOTHING = 1e-6
 """Of a rate in rad/s: techniques that differ by less are drawn once."""
 
 
-class Heated(NamedTuple):
+class HeatingErrors(NamedTuple):
     """Time (n,) s; by technique the angular rate's ten-second means less the first (n, 3) rad/s; time and temperature
     (k,) of the box in degC.
     """
@@ -64,13 +59,13 @@ class Heated(NamedTuple):
     temperature: tuple[Floats, Floats]
 
 
-def heated(seed: int = 1, seconds: float | None = None) -> Heated:
+def heated(seed: int = 1, seconds: float | None = None) -> HeatingErrors:
     """One heating of the paper's array, fused with a calibration that knows no slopes; techniques that give the same as
     the average are left out.
     """
     about = EXPERIMENTS["heating"]
     motion = MOTIONS[about.motion](Wanted(seconds=seconds or about.seconds))
-    found: dict[str, Floats] = {}
+    results: dict[str, Floats] = {}
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         path = Path(folder) / "heating.h5"
         write_log(simulated(ARRAYS[ARRAY](), motion, seed, 0, FAULTS), path)
@@ -80,14 +75,14 @@ def heated(seed: int = 1, seconds: float | None = None) -> Heated:
             for technique in technique_names():
                 time, errors = errors_of(log, fuse(log, calibration, technique))["angular_rate"]
                 means = ten_second_means(time, errors)
-                if not any(np.allclose(means, other, rtol=0, atol=_NOTHING) for other in found.values()):
-                    found[technique] = means
+                if not any(np.allclose(means, other, rtol=0, atol=_NOTHING) for other in results.values()):
+                    results[technique] = means
             truth = log.truth
             if truth is None or truth.temperature is None:
                 raise LogError(f"{path}: a simulated log without a truth")
             warm = (truth.time[:] * 1e-9, np.asarray(truth.temperature[:], float))
-    time_s: Floats = np.arange(5.0, 10.0 * len(next(iter(found.values()))), 10.0)
-    return Heated(time_s, found, warm)
+    time_s: Floats = np.arange(5.0, 10.0 * len(next(iter(results.values()))), 10.0)
+    return HeatingErrors(time_s, results, warm)
 
 
 _MARKERS = "osD^vPX*"
@@ -104,8 +99,8 @@ def ratios_figure(panels: Mapping[str, Sequence[Row]], of: str) -> Drawing:
         _panel(axes, heading, rows, techniques, of)
     drawn[0].invert_yaxis()
     shown = [marks for axes in drawn for marks in zip(*axes.get_legend_handles_labels(), strict=True)]
-    found = {label: handle for handle, label in shown}
-    named = {technique: found[technique] for technique in techniques if technique in found}
+    result = {label: handle for handle, label in shown}
+    named = {technique: result[technique] for technique in techniques if technique in result}
     figure.legend(named.values(), named, loc="outside upper center", ncols=7, frameon=False, fontsize=9)
     words = {"over_mean": "error over that of the simple average", "over_bound": "error over the causal bound"}
     figure.supxlabel(words[of], fontsize=10)
@@ -157,7 +152,7 @@ def heating_figure(
     return figure
 
 
-def drawings_of(found: Study, warm: Heated | None) -> dict[str, Drawing]:
+def drawings_of(found: Study, warm: HeatingErrors | None) -> dict[str, Drawing]:
     """By file name, as many as there are rows for; MissingExtraError without matplotlib."""
     vectors = [row for row in found.of(measure="rms", box_axis="XYZ", calibration="measured") if changed(row)]
     bounded = found.of(measure="rms", box_axis="XYZ", calibration="true")

@@ -1,8 +1,7 @@
-"""One run of the study: an experiment simulated with one seed, fused by every technique, measured against the truth.
+"""The study: simulated experiments, fused by every technique and compared with the truth, the average and the bound.
 
-All runs of the study and what they tell together: ratios with intervals over the seeds.
-
-The study as a table for people.
+`run` simulates one experiment with one seed and measures every technique; `study` does all runs and summarises them as
+ratios with intervals over the seeds; `render_text` prints the result.
 """
 
 from __future__ import annotations
@@ -94,7 +93,7 @@ _BOOTS_APART = 100
 
 
 @dataclass(frozen=True)
-class Measured:
+class RunErrors:
     """Mean squares of one run: what was fused how, of which quantity ("" for coasting), and by `measure` and box axis
     the mean square in SI (deg, m/s for coasting). `bound`, the same of the bound ("rms" alone); `normalised`, the mean
     error squared by its covariance, and whether that holds.
@@ -112,9 +111,9 @@ class Measured:
     holds: bool | None = None
 
 
-def run(name: str, seed: int, seconds: float | None = None) -> list[Measured]:
+def run(name: str, seed: int, seconds: float | None = None) -> list[RunErrors]:
     """Everything about one experiment with one seed; `seconds` instead of its own length."""
-    rows: list[Measured] = []
+    rows: list[RunErrors] = []
     with TemporaryDirectory(prefix="imuarray_study_") as folder:
         for array_name, make in ARRAYS.items():
             array = make()
@@ -133,7 +132,7 @@ def _of_boot(
     array: ArrayConfig,
     known: Mapping[str, Calibration],
     folder: Path,
-) -> Iterator[Measured]:
+) -> Iterator[RunErrors]:
     """One log of all effects and one of those that the law has."""
     about = EXPERIMENTS[name]
     motion = MOTIONS[about.motion](Wanted(seconds=seconds or about.seconds, drive=about.drive))
@@ -145,7 +144,7 @@ def _of_boot(
         with open_log(folder / file) as log:
             ranges = {sensor.name: RANGES[sensor.chip] for sensor in log.sensors.values()}
             for sensors, names in sets.items():
-                label = partial(Measured, name, sensors=sensors, replicate=replicate)
+                label = partial(RunErrors, name, sensors=sensors, replicate=replicate)
                 if file == "all.h5":
                     wanted = (SLOPES, NO_SLOPES) if name == "heating" else (SLOPES,)
                     for which in wanted:
@@ -155,10 +154,10 @@ def _of_boot(
                     yield from _beside_bound(log, simulation, names, partial(label, calibration=TRUE))
 
 
-Label = Callable[..., Measured]
+Label = Callable[..., RunErrors]
 
 
-def _compared(log: Log, calibration: Calibration, names: tuple[str, ...], label: Label) -> Iterator[Measured]:
+def _compared(log: Log, calibration: Calibration, names: tuple[str, ...], label: Label) -> Iterator[RunErrors]:
     for technique, blocks in _results(log, calibration, names).items():
         yield from _measured(error_frames(log, blocks()), partial(label, technique=technique), {})
 
@@ -174,7 +173,7 @@ def _results(
     return made
 
 
-def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[Measured]:
+def _beside_bound(log: Log, simulation: Simulation, names: tuple[str, ...], label: Label) -> Iterator[RunErrors]:
     """The techniques with the true calibration, and the posterior mean, each beside the bound."""
     headers = {
         quantity: [
@@ -200,7 +199,7 @@ def _is_chosen(header: SensorHeader, quantity: str, names: tuple[str, ...]) -> b
     return header.quantity == quantity and (not names or header.name in names)
 
 
-def _measured(found: Mapping[str, ErrorFrames], label: Label, least: Mapping[str, Floats]) -> Iterator[Measured]:
+def _measured(found: Mapping[str, ErrorFrames], label: Label, least: Mapping[str, Floats]) -> Iterator[RunErrors]:
     for quantity, frames in found.items():
         held = consistency(frames.errors, frames.covariances)
         yield label(
@@ -242,9 +241,6 @@ def _coasting_squares(coast: Coasting) -> dict[tuple[str, str], float]:
 def _by_axis(squares: Floats) -> dict[str, float]:
     """Of each box axis, and their sum: of the length of the error."""
     return dict(zip(BOX_AXES, [*squares.tolist(), float(squares.sum())], strict=True))
-
-
-__all__ = ["AVERAGE", "CAUSAL", "EXPERIMENTS", "SMOOTHED", "Experiment", "Measured", "run"]
 
 
 Progress = Callable[[int, int, str], None]
@@ -319,51 +315,51 @@ def study(
     nothing else. `seconds`: of every log instead of its own length.
     """
     jobs: list[Job] = [(name, seed, seconds) for seed in range(1, seeds + 1) for name in experiments]
-    measured: list[Measured] = []
+    measured: list[RunErrors] = []
     for done, (job, rows) in enumerate(zip(jobs, (executor.map if executor else map)(_ran, jobs), strict=True), 1):
         measured += rows
         progress(done, len(jobs), f"{job[0]}, seed {job[1]}")
     return Study(tuple(rows_of(measured)), tuple(range(1, seeds + 1)), seconds)
 
 
-def _ran(job: Job) -> list[Measured]:
+def _ran(job: Job) -> list[RunErrors]:
     """One job, where a process can find it."""
     return run(*job)
 
 
-def rows_of(measured: Iterable[Measured]) -> list[Row]:
+def rows_of(measured: Iterable[RunErrors]) -> list[Row]:
     """What runs tell together; boots of one seed share their calibration and count as one."""
-    groups: dict[tuple[str, ...], list[Measured]] = defaultdict(list)
-    for one in measured:
-        groups[one.experiment, one.calibration, one.sensors, one.technique, one.quantity].append(one)
+    groups: dict[tuple[str, ...], list[RunErrors]] = defaultdict(list)
+    for item in measured:
+        groups[item.experiment, item.calibration, item.sensors, item.technique, item.quantity].append(item)
     rows = []
     for (experiment, calibration, sensors, technique, quantity), runs in groups.items():
         average = groups[experiment, calibration, sensors, AVERAGE, quantity]
         for measure, axis in runs[0].squares:
             before, after = (
-                _by_seed(several, [one.squares[measure, axis] for one in several]) for several in (average, runs)
+                _by_seed(several, [item.squares[measure, axis] for item in several]) for several in (average, runs)
             )
-            told = measure == "rms"
-            least = _by_seed(runs, [one.bound[axis] for one in runs]) if told and runs[0].bound else None
+            known = measure == "rms"
+            least = _by_seed(runs, [item.bound[axis] for item in runs]) if known and runs[0].bound else None
             rows.append(
                 Row(
                     experiment, calibration, sensors, technique, quantity, measure, axis,
                     value=math.sqrt(after.mean()),
                     over_mean=ratio_of(before, after),
                     over_bound=None if least is None else ratio_of(least, after),
-                    normalised=_mean([one.normalised for one in runs]) if told else None,
-                    consistent=_mean([one.holds for one in runs]) if told else None,
+                    normalised=_mean([item.normalised for item in runs]) if known else None,
+                    consistent=_mean([item.holds for item in runs]) if known else None,
                 )
             )  # fmt: skip
     return rows
 
 
-def _by_seed(runs: Sequence[Measured], squares: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _by_seed(runs: Sequence[RunErrors], squares: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Means of the runs' squares, one a seed."""
-    found: dict[int, list[float]] = defaultdict(list)
-    for one, square in zip(runs, squares, strict=True):
-        found[one.replicate[0]].append(square)
-    return np.array([np.mean(several) for several in found.values()])
+    results: dict[int, list[float]] = defaultdict(list)
+    for item, square in zip(runs, squares, strict=True):
+        results[item.replicate[0]].append(square)
+    return np.array([np.mean(several) for several in results.values()])
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

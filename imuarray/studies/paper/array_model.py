@@ -1,13 +1,15 @@
-"""Means of a Gauss-Markov process over windows: what Table 11's columns show of a slow wander.
+"""The model of the paper's array, fitted to its tables: `configs/models/martin2013.toml` is what this prints.
 
-x is stationary with unit variance and correlation exp(-|t| / time_constant). Windows of T seconds follow on each other;
-with r = time_constant / T and d = exp(-1 / r), integrating the correlation over one window or over two gives
+``python -m imuarray.studies.paper.array_model > configs/models/martin2013.toml``
+
+Wander. Means of a Gauss-Markov process over windows explain Table 11's columns. x is stationary with unit variance and
+correlation exp(-|t| / time_constant). Windows of T seconds follow on each other; with r = time_constant / T and d =
+exp(-1 / r), integrating the correlation over one window or over two gives
 
     var(mean) = 2 r (1 - r (1 - d)),        cov(means k windows apart) = r^2 (1 - d)^2 d^(k - 1),  k >= 1.
 
-The nine sensors of the paper's array as parameters of a simulator, one by one, from Tables 6 to 11.
-
-A reading at rest with the box axis +-K up and at temperature T is, in counts and along a sensor axis,
+Units. The parameters of each of the nine sensors follow from Tables 6 to 11. A reading at rest with the box axis +-K up
+and at temperature T is, in counts and along a sensor axis,
 
     reading = sensitivity (bias + response . force + slope (T - 25 degC)),     force = +-1 g along K.
 
@@ -18,19 +20,14 @@ all the time: an axis along Z carried 1 g, and its slope may as well be that of 
 
 Everything is in g or dps with the data sheets' typical sensitivities, along the sensor's own axes.
 
-What other units of the three designs may be like, as far as nine sensors on one board can tell.
-
-k units with values of mean m and standard deviation s (over units and axes) foretell a further one as m +- s sqrt(1 +
-1/k): it differs from its design's mean by s, and that mean is known to s / sqrt(k) only. The second part is the same
-for all units that anybody draws, so a share 1 / (k + 1) of the variance is common to them (`shared`). What the paper
-calls common to a design (gyroscope drifts positive in eight of nine, ADXL345 z axes noisier and drifting down) stands
-in the means. Parameters that can't be negative are cut off at 0 and as far above the mean.
+Population. Nine sensors on one board also say something about other units of the three designs: k units with values of
+mean m and standard deviation s (over units and axes) foretell a further one as m +- s sqrt(1 + 1/k): it differs from
+its design's mean by s, and that mean is known to s / sqrt(k) only. The second part is the same for all units that
+anybody draws, so a share 1 / (k + 1) of the variance is common to them (`shared`). What the paper calls common to a
+design (gyroscope drifts positive in eight of nine, ADXL345 z axes noisier and drifting down) stands in the means.
+Parameters that can't be negative are cut off at 0 and as far above the mean.
 
 A fault that one unit of several showed (two bias states, a range lost at power-on) is no spread and left out.
-
-The model of the paper's array, fitted to its tables: `configs/models/martin2013.toml` is what this prints.
-
-``python -m imuarray.studies.paper.array_model > configs/models/martin2013.toml``
 """
 
 from __future__ import annotations
@@ -261,14 +258,14 @@ def _noise(name: str, design: str, lsb: float) -> Floats:
 def _in_run(name: str, slope: Floats) -> Floats:
     """Table 11's in-run deviation, less white noise and the drift with temperature, as the wander behind it."""
     scatter = _column(11, name, "cont_std_of_means") ** 2 - _column(11, name, "cont_sem") ** 2
-    left = scatter - (slope * DEGC[11, "cont_std_of_means"]) ** 2
-    return np.asarray(np.sqrt(np.maximum(left, 0) / expected_scatter()))
+    remaining = scatter - (slope * DEGC[11, "cont_std_of_means"]) ** 2
+    return np.asarray(np.sqrt(np.maximum(remaining, 0) / expected_scatter()))
 
 
 def _turn_on(name: str, slope: Floats, in_run: Floats) -> Floats:
     """Table 11's run-to-run deviation, less white noise, temperature and the in-run wander of a run's mean."""
-    left = _run_variance(name) - _column(11, name, "runs_sem") ** 2 - in_run**2 * variance_of_mean(WINDOW_S)
-    return np.asarray(np.sqrt(np.maximum(left - (slope * DEGC[11, "runs_std_of_means"]) ** 2, 0)))
+    remaining = _run_variance(name) - _column(11, name, "runs_sem") ** 2 - in_run**2 * variance_of_mean(WINDOW_S)
+    return np.asarray(np.sqrt(np.maximum(remaining - (slope * DEGC[11, "runs_std_of_means"]) ** 2, 0)))
 
 
 def _run_variance(name: str) -> Floats:
@@ -414,9 +411,9 @@ def _population_line(design: str) -> dict[str, Table]:
 
 
 def _thermometer_population(group: Sequence[Unit]) -> Table:
-    told = np.array([member.thermometer for member in group])
+    reported = np.array([member.thermometer for member in group])
     known = len(group)
-    return {"offset_degc": spread(told[:, 0], known), "rms_degc": spread(told[:, 1], known, positive=True)}
+    return {"offset_degc": spread(reported[:, 0], known), "rms_degc": spread(reported[:, 1], known, positive=True)}
 
 
 def _planes(group: Sequence[Unit], value: Callable[[Unit], Floats], *, positive: bool = False) -> Spread | list[Spread]:

@@ -1,23 +1,11 @@
-"""One thing that the paper says, the numbers that bear on it, and whether it holds.
+"""The paper's conclusions, slips and stated figures, each checked against its own tables.
 
-`holds` is always computed from the tables; the evidence names the numbers and, where judgement enters, the criterion.
-
-The paper's conclusions of sections 5.2.4, 6 and 7, each judged from its tables by a criterion stated in the
-evidence.
-
-Two criteria recur. A sign is common when an exact two-sided sign test gives p < 0.05 (axes taken as independent). A
-figure counts as significantly lower, or halved, when its ratio is at most 0.6: the paper says "half" of a ratio of
-0.56.
-
-Where the paper's words or columns disagree with its own tables, each found by computing.
-
-What the text states (a slope range, a rate) stands here as a constant with its section; everything it is compared
-with is recomputed. `holds` would turn true by itself if the tables agreed after all.
-
-Figures that the paper's text gives and its tables decide, recomputed.
-
-Only what stands there in figures, not "half" or "slightly" (`conclusions` judges those). A figure counts as printed to
-the digits that it has: "around 50" is 50 to one digit.
+A `Statement` is a claim with the evidence and the verdict; the verdict is always computed from the tables.
+`conclusions` checks those of sections 5.2.4, 6 and 7 by criteria that the evidence states. Two criteria recur: a sign
+is common when an exact two-sided sign test gives p < 0.05 (axes taken as independent); a figure is significantly lower,
+or halved, when its ratio is at most 0.6, because the paper says "half" of a ratio of 0.56. `slips` are the places where
+text, formula or column disagree with the tables. `stated` recomputes the figures in the text; a figure has the
+precision of its printed digits: "around 50" is 50 to one digit.
 """
 
 from __future__ import annotations
@@ -334,12 +322,12 @@ def _boot_fault() -> Statement:
 
 
 def _two_states() -> Statement:
-    found = bias_states()
-    apart = max(dist(state.centre, stated) for state, stated in zip(found, _STATED_STATES, strict=True))
-    centres = " and ".join(f"({', '.join(figure(value, 1) for value in state.centre)})" for state in found)
+    result = bias_states()
+    apart = max(dist(state.centre, stated) for state, stated in zip(result, _STATED_STATES, strict=True))
+    centres = " and ".join(f"({', '.join(figure(value, 1) for value in state.centre)})" for state in result)
     return Statement(
         "5.2.4: Gyro3 comes up in one of two sets of biases, (0, 69, 2) and (-13, 75, 0) LSB",
-        f"best two-way split: {centres}, {len(found[0].runs)} and {len(found[1].runs)} runs, "
+        f"best two-way split: {centres}, {len(result[0].runs)} and {len(result[1].runs)} runs, "
         f"{figure(apart, 1)} LSB from "
         "those at most; criterion: within 2 LSB",
         apart <= 2,
@@ -601,7 +589,7 @@ def _section_4_and_5_2() -> Iterator[_Figure]:
     for axes, ends in (("xy", ("261", "264")), ("z", ("255", "255"))):
         sizes = [abs(number_in(row, "scale_lsb_per_g")) for row in channels(3, "ADXL", axes=axes)]
         yield from _ends("Section 5.2.1", f"ADXL345 {axes} scale factor, LSB/g", ends, sizes, "Table 3")
-    (continuous,) = (found.middle for found in readings() if found.log == "cont")
+    (continuous,) = (reading.middle for reading in readings() if reading.log == "cont")
     yield _Figure("Figure 6", "samples in 5 minutes", "1400", _first, [continuous], "Table 11, (std / sem)^2")
 
 
@@ -645,9 +633,9 @@ def _section_6() -> Iterator[_Figure]:
 
 
 def _appendix_a() -> Iterator[_Figure]:
-    for found in readings()[:2]:
-        what, source = f"seconds at 350 Hz, {found.log}", "Table 9, (std / sem)^2 / 350 Hz"
-        yield _Figure("Appendix A.1", what, "1.4E+3", lambda v: v[0] / HIGH_RATE_HZ, [found.middle], source)
+    for reading in readings()[:2]:
+        what, source = f"seconds at 350 Hz, {reading.log}", "Table 9, (std / sem)^2 / 350 Hz"
+        yield _Figure("Appendix A.1", what, "1.4E+3", lambda v: v[0] / HIGH_RATE_HZ, [reading.middle], source)
     for axis, counts, milli_g in _A3_LSB:
         source = f"{counts} LSB at {_LSB_PER_G_AT_16} LSB/g"
         yield _Figure("Appendix A.3", f"BMA180 {axis} noise, mg", milli_g, _milli_g_at_16, [Decimal(counts)], source)

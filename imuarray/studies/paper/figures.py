@@ -1,9 +1,7 @@
-"""Three figures of a `recompute()` result as PNG files; needs matplotlib.
+"""The paper's figures: three of the recomputation as PNG files, its Figures 6 to 19 from the simulated experiments.
 
-Each function takes the result and the path to write. They draw on a bare `Figure`, which needs no display.
-
-The paper's Figures 6 to 19 from the simulated experiments, in its axes and units. Colour is the sensor or the range,
-dashes are the axis.
+The latter have the paper's axes and units; colour is the sensor or the range, dashes are the axis. All need matplotlib
+(MissingExtraError) and no display.
 """
 
 from __future__ import annotations
@@ -82,18 +80,18 @@ def _pair_name(pair: dict[str, Any]) -> str:
 def draw_blending(result: Result, path: Path) -> None:
     """Noise of every accelerometer axis (Table 10) and what weighting two ranges of BMA180 makes of it."""
     figure = new_figure(11, 4.6)
-    left, right = figure.subplots(1, 2)
+    remaining, right = figure.subplots(1, 2)
     rows = [row for row in result["table10"] if row.get("unit") == "mg"]
     out_of_plane = [row["channel"].endswith("z") for row in rows]
-    left.bar(range(len(rows)), [row["noise"] for row in rows], color=[_OTHER if z else _ONE for z in out_of_plane])
-    left.set_xticks(range(len(rows)), [f"{row['channel']}" for row in rows], rotation=90)
-    left.bar(0, 0, color=_ONE, label="x and y, in the plane")
-    left.bar(0, 0, color=_OTHER, label="z, out of the plane")
-    left.legend(frameon=False)
-    left.set_ylabel("standard deviation, mg")
-    left.set_title("noise of each axis (BMA3, BMA4 at 1.5 g, others at 16 g)", fontsize=10)
+    remaining.bar(range(len(rows)), [row["noise"] for row in rows], color=[_OTHER if z else _ONE for z in out_of_plane])
+    remaining.set_xticks(range(len(rows)), [f"{row['channel']}" for row in rows], rotation=90)
+    remaining.bar(0, 0, color=_ONE, label="x and y, in the plane")
+    remaining.bar(0, 0, color=_OTHER, label="z, out of the plane")
+    remaining.legend(frameon=False)
+    remaining.set_ylabel("standard deviation, mg")
+    remaining.set_title("noise of each axis (BMA3, BMA4 at 1.5 g, others at 16 g)", fontsize=10)
     _draw_weights(right, result["blending"])
-    for axes in (left, right):
+    for axes in (remaining, right):
         axes.spines[["top", "right"]].set_visible(False)
     _save(figure, path)
 
@@ -207,12 +205,12 @@ def profile_figure(curves: Curves) -> Figure:
 def temperature_figure(curves: Curves, channel: str, slope: float, intercept: float) -> Figure:
     """Like Figures 8 and 9: readings against temperature, the line through them, and the printed one."""
     figure, (panel,) = _sheet(7.5, 4.2, 1)
-    found = curves.against_temperature[channel]
-    points = panel.plot(found.degc, found.lsb, color=_GREY, linestyle="none", marker=".", markersize=3, alpha=0.35)
+    result = curves.against_temperature[channel]
+    points = panel.plot(result.degc, result.lsb, color=_GREY, linestyle="none", marker=".", markersize=3, alpha=0.35)
     points[0].set_label("readings, one in four seconds")
-    ends = np.array([found.degc.min(), found.degc.max()])
-    ours = f"simulated: {found.slope:+.3f} LSB/°C, {found.intercept:.2f} LSB at 0 °C"
-    panel.plot(ends, found.slope * ends + found.intercept, color=_RED, linewidth=2.2, label=ours)
+    ends = np.array([result.degc.min(), result.degc.max()])
+    ours = f"simulated: {result.slope:+.3f} LSB/°C, {result.intercept:.2f} LSB at 0 °C"
+    panel.plot(ends, result.slope * ends + result.intercept, color=_RED, linewidth=2.2, label=ours)
     theirs = f"Table 8: {slope:+.3f} LSB/°C, {intercept:.2f} LSB at 0 °C"
     panel.plot(ends, slope * ends + intercept, color="black", linewidth=1.4, linestyle="--", label=theirs)
     panel.set_xlabel("temperature (°C)")

@@ -83,14 +83,14 @@ def as_json() -> dict[str, Any]:
     `significance`, `probability`, `closed`, `unknown`, `seed`.
     """
     explained = [finding for finding in findings() if finding.effect]
-    left = [finding for finding in findings() if not finding.effect]
+    remaining = [finding for finding in findings() if not finding.effect]
     return {
-        "verdict": "partly explained" if left else "explained",
+        "verdict": "partly explained" if remaining else "explained",
         "gap": dict.fromkeys(("before", "after", "floor", "closed", "closed_ci95")),
         "where": [place for finding in findings() for place in _places(finding)],
         "causes": [_cause(finding) for finding in explained],
         "unknown": None,
-        "unexplained": [place for finding in left for place in _places(finding)],
+        "unexplained": [place for finding in remaining for place in _places(finding)],
         "next_experiment": NEXT_EXPERIMENT,
         "seed": None,
         "model": {"name": "datasheet"},
@@ -159,8 +159,8 @@ def _paragraph(finding: Finding) -> Iterator[str]:
 
 
 def _sentence(figure: Figure) -> str:
-    beside = {"data sheet": figure.data_sheet, "with the cause": figure.with_cause}
-    others = [f"{name} {value:g}" for name, value in beside.items() if value is not None]
+    neighbours = {"data sheet": figure.data_sheet, "with the cause": figure.with_cause}
+    others = [f"{name} {value:g}" for name, value in neighbours.items() if value is not None]
     where = f"{figure.channel}, " if figure.channel else ""
     unit = f" {figure.unit}" if figure.unit else ""
     return f"{where}{figure.of}: {figure.printed:g}{unit}" + (f" ({', '.join(others)})" if others else "")

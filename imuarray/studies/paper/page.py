@@ -1,10 +1,4 @@
-"""What the paper's page says beside its numbers: titles, what each table is, captions of the figures.
-
-A printed number, its recomputation and its simulated twin side by side, as text for the paper's page.
-
-The sections of the paper's page that compare tables, number by number.
-
-The paper's page: what it prints, what follows from its own numbers, what the simulated array gives, side by side.
+"""The paper's page: printed, recomputed and simulated numbers side by side.
 
 Every table of the paper is a section; figures stand with the table to which they belong.
 """
@@ -305,8 +299,8 @@ def table_sections(
 def _table(lines: Sequence[Line], caption: str = "") -> Table:
     rows = [_row(line) for line in lines]
     shown = [i for i in range(len(HEADING)) if any(row[i] != NOTHING for row in rows)]
-    count, one, two, three, cells, equal, near, _ = counted(lines)
-    caption += f"{count} simulated, within 1, 2, 3 uncertainties: {one}, {two}, {three}. " if count != NOTHING else ""
+    count, item, two, three, cells, equal, near, _ = counted(lines)
+    caption += f"{count} simulated, within 1, 2, 3 uncertainties: {item}, {two}, {three}. " if count != NOTHING else ""
     caption += f"{cells} recomputed: {equal} equal, {near} more within rounding." if cells != NOTHING else ""
     return Table([HEADING[i] for i in shown], [[row[i] for i in shown] for row in rows], caption, (1,))
 
@@ -437,10 +431,10 @@ def write_paper_page(
 def _summary(replica: Replica, result: dict[str, Any]) -> Iterator[str]:
     """In plain words."""
     whole = replica.summary
-    one, two, three = (f"{count} ({100 * count / whole.count:.1f} %)" for count in whole.within)
+    item, two, three = (f"{count} ({100 * count / whole.count:.1f} %)" for count in whole.within)
     yield (
         f"Every number of the paper's Tables 2 to 11 was measured once more on a simulated array with the paper's "
-        f"parameters (seed {replica.seed}): of {whole.count} statistics {one} agree within one uncertainty, {two} "
+        f"parameters (seed {replica.seed}): of {whole.count} statistics {item} agree within one uncertainty, {two} "
         f"within two, {three} within three; normal deviates would give 68.3, 95.4 and 99.7 %."
     )
     axes, thermometers = (_judged(replica.kinds[name]) for name in ("axes", "thermometers"))

@@ -1,10 +1,7 @@
-"""Everything recomputed, as one JSON-ready object.
+"""The whole recomputation as one JSON-ready object, as a text of at most 100 columns, and as files.
 
-The recomputation as a page that a person reads in half a minute, at most 100 columns wide.
-
-Writing the recomputation down: one JSON object, one CSV file per table, and figures where matplotlib is installed.
-
-All names are known before anything is written, so that either every file may be written or none is.
+Files are one JSON object, one CSV file per table and, with matplotlib, figures. All names are checked before anything
+is written, so that either every file is written or none.
 """
 
 from __future__ import annotations
@@ -84,7 +81,7 @@ def recompute() -> dict[str, Any]:
             "blending": variation.bma180_blend().as_json(),
             "planes": variation.planes(),
             "logging_rate": variation.logging_rate(),
-            "readings": [found.as_json() for found in readings()],
+            "readings": [reading.as_json() for reading in readings()],
             "range_over_deviation": variation.range_over_deviation(),
             "slips": [statement.as_json() for statement in slips()],
             "conclusions": [statement.as_json() for statement in conclusions()],
@@ -172,8 +169,8 @@ def _key_lines(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield (
         "standard errors",
         "; ".join(
-            f"{found['table']} {found['log']}: {found['least']} to {found['most']} readings"
-            for found in result["readings"]
+            f"{results['table']} {results['log']}: {results['least']} to {results['most']} readings"
+            for results in result["readings"]
         ),
     )
     for fault in result["boot_fault"]:

@@ -1,4 +1,6 @@
-"""Table 3 from Table 10: bias, scale factor and direction of every accelerometer axis, from six faces of a box.
+"""Systematic errors: Tables 1, 3 and 4 recomputed from Table 10, Tables 2 and 9 in degrees per second, and Appendix B.
+
+Table 3 from Table 10: bias, scale factor and direction of every accelerometer axis, from six faces of a box.
 
 Up and down readings of a face differ by 2 g along that box axis, so half their difference is the response in counts
 per g along it; the three of them are the axis' sensitivity vector in the box frame. Its norm is the scale factor, its

@@ -1,14 +1,13 @@
 """The paper's Tables 1 to 11 as it prints them (`tables/tableNN_*.csv`), read with every digit.
 
-A cell is text until somebody asks for a number; numbers are `decimal.Decimal`, because 0.1 printed is not 0.1 binary
-and the last printed digit is what a recomputation is judged by. Units stand in the column names (`_lsb` are raw
+A cell is text until it is read as a number; numbers are `decimal.Decimal`, because 0.1 printed is not 0.1 binary and a
+recomputation is compared in the last printed digit. Units stand in the column names (`_lsb` are raw
 counts).
 
-A printed number beside its recomputation, and how to judge the two.
-
-Three things are kept apart. `matches`: the recomputed value, rounded to the digits printed, is the printed one.
-`within_input_rounding`: the printed value can be reached when each input moves by at most half a unit of its own last
-printed digit (to first order), which is all that a recomputation from printed tables can ask for. Neither: a slip.
+`Cell` compares a printed number with its recomputation. `matches`: the recomputed value, rounded to the digits printed,
+is the printed one. `within_input_rounding`: the printed value can be reached when each input moves by at most half a
+unit of its own last printed digit (to first order), which is all that a recomputation from printed tables can ask for.
+Neither: a slip.
 
 A recomputed value can fall exactly half-way between two printable ones (six cells of Tables 2 to 9 do). Printed
 inputs can't decide such a tie, and the paper prints some up and some down; both neighbours are right, so a tie

@@ -99,8 +99,8 @@ def _pair(first: Row, second: Row) -> AxisPair | None:
 
 def pairs() -> tuple[AxisPair, ...]:
     """Every pair of Table 8's axes of the same design, range, axis name and box axis."""
-    found = (_pair(first, second) for first, second in combinations(table(8), 2))
-    return tuple(pair for pair in found if pair is not None)
+    result = (_pair(first, second) for first, second in combinations(table(8), 2))
+    return tuple(pair for pair in result if pair is not None)
 
 
 def pair_of(first: str, second: str) -> AxisPair:

@@ -1,4 +1,6 @@
-"""Tables 5 and 11: how far biases wander within a run and from one switch-on to the next.
+"""Variation of biases, noise and logging rate: Tables 5 to 7, and columns of Tables 2, 9, 10 and 11.
+
+Tables 5 and 11: how far biases wander within a run and from one switch-on to the next.
 
 Table 5 averages Table 11's in-run column over groups of axes. Table 11's ratio is run-to-run over in-run; for BMA1
 and Gyro3 its run-to-run columns follow from the single runs of Tables 6 and 7.
@@ -141,7 +143,7 @@ def deviation_bounds(spread: float, count: int) -> tuple[float, float]:
 
 def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
     """(channel, column, printed standard deviation, bound passed) of Table 11 where its range column forbids it."""
-    found = []
+    result = []
     for row in table(11):
         for half in ("runs", "cont"):
             deviation, spread = (number_in(row, f"{half}_{what}_of_means") for what in ("std", "range"))
@@ -149,8 +151,8 @@ def impossible_deviations() -> tuple[tuple[str, str, Decimal, float], ...]:
             smallest, largest = deviation_bounds(float(spread), _RUNS)
             if not smallest - float(slack) <= deviation <= largest + float(slack):
                 bound = largest if deviation > largest else smallest
-                found.append((row["channel"], f"{half}_std_of_means", deviation, bound))
-    return tuple(found)
+                result.append((row["channel"], f"{half}_std_of_means", deviation, bound))
+    return tuple(result)
 
 
 def range_over_deviation() -> dict[str, Any]:
@@ -527,14 +529,14 @@ def table9_rows(range_name: str) -> tuple[Row, ...]:
 
 def readings() -> tuple[Readings, ...]:
     """Of Table 9's two logs (at 350 Hz) and of Table 11's two series (five minutes each)."""
-    found = []
+    result = []
     for name in ("250dps", "2k dps"):
         least, most = _common((row, "") for row in table9_rows(name))
-        found.append(Readings(9, name, len(table9_rows(name)), least, most, None, (least + most) / 2 / HIGH_RATE_HZ))
+        result.append(Readings(9, name, len(table9_rows(name)), least, most, None, (least + most) / 2 / HIGH_RATE_HZ))
     for half in ("runs", "cont"):
         least, most = _common((row, f"{half}_") for row in table(11))
-        found.append(Readings(11, half, len(table(11)), least, most, (least + most) / 2 / SAMPLE_SECONDS, None))
-    return tuple(found)
+        result.append(Readings(11, half, len(table(11)), least, most, (least + most) / 2 / SAMPLE_SECONDS, None))
+    return tuple(result)
 
 
 def _common(rows: Iterable[tuple[Row, str]]) -> tuple[Decimal, Decimal]:
@@ -574,15 +576,15 @@ def _table2() -> Iterable[RecomputedRow]:
 
 
 def _table9() -> Iterable[RecomputedRow]:
-    for found in readings()[:2]:
-        for row in table9_rows(found.log):
-            yield _standard_error(found, row, "sem_lsb", "std_lsb", f"{row['output']} {found.log}")
+    for reading in readings()[:2]:
+        for row in table9_rows(reading.log):
+            yield _standard_error(reading, row, "sem_lsb", "std_lsb", f"{row['output']} {reading.log}")
 
 
 def _table11() -> Iterable[RecomputedRow]:
-    for found in readings()[2:]:
+    for reading in readings()[2:]:
         for row in table(11):
-            yield _standard_error(found, row, f"{found.log}_sem", f"{found.log}_std", row["channel"])
+            yield _standard_error(reading, row, f"{reading.log}_sem", f"{reading.log}_std", row["channel"])
 
 
 def _standard_error(found: Readings, row: Row, column: str, deviation: str, channel: str) -> RecomputedRow:

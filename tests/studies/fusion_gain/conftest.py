@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from imuarray.studies.fusion_gain import Study, arrays, study
-from imuarray.studies.fusion_gain.page import Heated, heated
+from imuarray.studies.fusion_gain.page import HeatingErrors, heated
 
 
 @pytest.fixture(scope="session")
-def short_and_warm() -> tuple[Study, Heated]:
+def short_and_warm() -> tuple[Study, HeatingErrors]:
     """Made with short calibrating logs: enough to see rows and curves, too little to learn from them."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("TUMBLE_S", 56.0), ("HEATING_S", 120.0), ("BOOTS", 3), ("BOOT_S", 12.0)):
@@ -21,12 +21,12 @@ def short_and_warm() -> tuple[Study, Heated]:
 
 
 @pytest.fixture(scope="session")
-def short(short_and_warm: tuple[Study, Heated]) -> Study:
+def short(short_and_warm: tuple[Study, HeatingErrors]) -> Study:
     """Twelve seconds at rest, one seed."""
     return short_and_warm[0]
 
 
 @pytest.fixture(scope="session")
-def warm(short_and_warm: tuple[Study, Heated]) -> Heated:
+def warm(short_and_warm: tuple[Study, HeatingErrors]) -> HeatingErrors:
     """A hundred seconds of heating."""
     return short_and_warm[1]

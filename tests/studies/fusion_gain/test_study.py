@@ -14,14 +14,14 @@ from imuarray.cli import main
 from imuarray.commands import study as command
 from imuarray.fuse import technique_names
 from imuarray.gap.model.workers import processes
-from imuarray.studies.fusion_gain import EXPERIMENTS, Measured, Study, render_text, study
-from imuarray.studies.fusion_gain.page import Heated, drawings_of
+from imuarray.studies.fusion_gain import EXPERIMENTS, RunErrors, Study, render_text, study
+from imuarray.studies.fusion_gain.page import HeatingErrors, drawings_of
 from imuarray.studies.fusion_gain.study import rows_of
 
 
-def measured(technique: str, seed: int, boot: int, square: float, **more: object) -> Measured:
+def measured(technique: str, seed: int, boot: int, square: float, **more: object) -> RunErrors:
     squares = {("rms", "X"): square}
-    return Measured("static", "true", "all", technique, "angular_rate", (seed, boot), squares, **more)  # type: ignore[arg-type]
+    return RunErrors("static", "true", "all", technique, "angular_rate", (seed, boot), squares, **more)  # type: ignore[arg-type]
 
 
 def test_rows_pool_boots_of_a_seed_and_then_seeds() -> None:
@@ -82,7 +82,7 @@ def test_the_command_writes_numbers_figures_and_a_page(
 
 
 @pytest.mark.slow
-def test_a_heated_box_for_a_drawing(short: Study, warm: Heated) -> None:
+def test_a_heated_box_for_a_drawing(short: Study, warm: HeatingErrors) -> None:
     """Ten means of ten seconds, less the first; of the average, and of what differs from it; 24 to 52 degC, of 2200
     frames a peak within 0.1 degC. A gyroscope's 0.02 dps/degC shows: by more than 0.1 dps.
     """

@@ -22,7 +22,7 @@ from imuarray.studies.paper import recompute
 from imuarray.studies.paper import results as paper_files
 from imuarray.studies.paper.figures import accelerometer_figure, gyro_memory_figure, opposed_figure, temperature_figure
 from imuarray.studies.paper.page import NO_FIGURES, Line, line_of, recomputed_text, write_paper_page
-from imuarray.studies.paper.replica import Curves, Observed, Replica, Statistic, compare, curves_of, observe
+from imuarray.studies.paper.replica import Curves, ExperimentData, Replica, Statistic, compare, curves_of, observe
 from imuarray.studies.paper.tables import Cell
 
 
@@ -69,7 +69,7 @@ class Tables(HTMLParser):
 
 
 class Made(NamedTuple):
-    observed: Observed
+    observed: ExperimentData
     replica: Replica
     curves: Curves
     text: str

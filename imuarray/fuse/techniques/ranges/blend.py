@@ -69,8 +69,8 @@ class RangeBlend:
         if self._fading is None:
             return []
         fades = self._fading.fades.repeat(3)
-        found = zip(self.tracker.relative(), fades, strict=True)
-        return [relative.sentence(quantity) for relative, low in found if low]
+        result = zip(self.tracker.relative(), fades, strict=True)
+        return [relative.sentence(quantity) for relative, low in result if low]
 
     def _slope(self, time: npt.NDArray[np.int64], triad: Floats) -> Floats:
         """(n, 3) change per second over the last two frames, so that nothing of the future is needed; zero where that

@@ -141,19 +141,19 @@ def moments(rows: Rows, directions: Floats, blends: Blends) -> Iterator[Moments]
     present = np.asarray((valid & steady[:, :, None]).any(axis=1))
     taken = steady & (valid | ~present[:, None, :]).all(axis=2)
     values = np.where(valid, rows.values.reshape(*shape, axes), 0.0)
-    found = [blends.of(some) for some in present]
-    gain = np.array([np.zeros((3, axes)) if blend is None else blend.gain for blend in found])
-    noise = np.array([np.zeros(axes) if blend is None else blend.along for blend in found])
+    result = [blends.of(some) for some in present]
+    gain = np.array([np.zeros((3, axes)) if blend is None else blend.gain for blend in result])
+    noise = np.array([np.zeros(axes) if blend is None else blend.along for blend in result])
     triads = values @ gain.transpose(0, 2, 1)
     passed_s = np.maximum(time_s[:, 2:] - time_s[:, :-2], 1e-9)
     taken = taken[:, 1:-1] & taken[:, :-2] & taken[:, 2:] & (passed_s <= GAP_S)
     late = -(triads[:, 2:] - triads[:, :-2]) / passed_s[:, :, None] @ directions.T
     along = triads[:, 1:-1] @ directions.T
     moved, products, residual = _sums(along, late, values[:, 1:-1] - along, taken, noise, passed_s.mean(axis=1))
-    for index, blend in enumerate(found):
-        told = np.zeros(axes) if blend is None or taken[index].sum() < _FEWEST else blend.seen * 1.0
+    for index, blend in enumerate(result):
+        known = np.zeros(axes) if blend is None or taken[index].sum() < _FEWEST else blend.seen * 1.0
         end_ns = int(rows.time[(index + 1) * SEGMENT - 1])
-        sums = products[index] * told[:, None, None], residual[index] * told[:, None]
+        sums = products[index] * known[:, None, None], residual[index] * known[:, None]
         yield Moments(end_ns, present[index], moved[index], *sums)
 
 
@@ -165,17 +165,17 @@ def _sums(
 
     A signal that moves too little against its `noise` (k, m) is as good as its mean, a slope as good as none.
     """
-    one = taken[:, :, None].astype(float)
-    count = np.maximum(one.sum(axis=1), 1.0)
-    mean = (along * one).sum(axis=1) / count
-    moving = ((along - mean[:, None]) ** 2 * one).sum(axis=1) > _ENOUGH * count * noise**2
+    item = taken[:, :, None].astype(float)
+    count = np.maximum(item.sum(axis=1), 1.0)
+    mean = (along * item).sum(axis=1) / count
+    moving = ((along - mean[:, None]) ** 2 * item).sum(axis=1) > _ENOUGH * count * noise**2
     along = np.where(moving[:, None], along, mean[:, None])
     jitter = 2 * (noise / passed_s[:, None]) ** 2
-    rising = (late**2 * one).sum(axis=1) > _ENOUGH * count * jitter
+    rising = (late**2 * item).sum(axis=1) > _ENOUGH * count * jitter
     late = np.where(rising[:, None], late, 0.0)
-    columns = (np.broadcast_to(one, along.shape), along * one, late * one)
+    columns = (np.broadcast_to(item, along.shape), along * item, late * item)
     plain = (np.ones_like(along), along, late, residual)
-    sums = np.array([[(left * right).sum(axis=1) for right in plain] for left in columns])
+    sums = np.array([[(remaining * right).sum(axis=1) for right in plain] for remaining in columns])
     return moving, np.moveaxis(sums[:, :3], (0, 1), (2, 3)), np.moveaxis(sums[:, 3], 0, 2)
 
 
@@ -264,8 +264,8 @@ class Tracker:
         """How each axis differs from the blend, as far as is known by now."""
         errors = np.sqrt(np.diagonal(self._covariances, axis1=1, axis2=2))
         return [
-            Relative(axis.label, *(float(figure) for pair in zip(found, error, strict=True) for figure in pair))
-            for axis, found, error in zip(self._axes, self._differences, errors, strict=True)
+            Relative(axis.label, *(float(figure) for pair in zip(result, error, strict=True) for figure in pair))
+            for axis, result, error in zip(self._axes, self._differences, errors, strict=True)
         ]
 
     def follow(self, block: Rows) -> States:
@@ -273,8 +273,8 @@ class Tracker:
         joined = block if self._held is None else self._held.then(block)
         begin, whole = len(joined.time) - len(block.time), len(joined.time) // SEGMENT * SEGMENT
         differences, covariances = [self._differences], [self._covariances]
-        for told in moments(joined.part(slice(whole)), self._rows, self._blends):
-            self._learn(told)
+        for known in moments(joined.part(slice(whole)), self._rows, self._blends):
+            self._learn(known)
             differences.append(self._differences)
             covariances.append(self._covariances)
         self._held = joined.part(slice(whole, None))
@@ -294,13 +294,13 @@ class Tracker:
         less = -share * differences[..., 1:]
         # The covariance of scale and delay; of an axis that can't be seen there is none.
         own = covariances[..., 1:, 1:] + np.where(self._whole.seen, 0.0, 1.0)[:, None, None] * np.eye(2)
-        told = np.linalg.solve(own, less[..., None])[..., 0]
-        bias = (covariances[..., 0, 1:] * told).sum(axis=-1, keepdims=True)
+        known = np.linalg.solve(own, less[..., None])[..., 0]
+        bias = (covariances[..., 0, 1:] * known).sum(axis=-1, keepdims=True)
         left_out = np.concatenate([bias, less], axis=-1)
-        found = differences + left_out
-        found = found - self._whole.level(found, self._rows)
+        result = differences + left_out
+        result = result - self._whole.level(result, self._rows)
         covariances = covariances + left_out[..., :, None] * left_out[..., None, :]
-        return found, covariances / self._share[:, None, None]
+        return result, covariances / self._share[:, None, None]
 
     def _learn(self, told: Moments) -> None:
         """One step of the filters: everything walks, then the segment is taken in."""

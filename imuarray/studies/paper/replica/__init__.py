@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from imuarray.studies.paper.replica.comparison import compare, replicate
 from imuarray.studies.paper.replica.curves import Curves, curves_of
-from imuarray.studies.paper.replica.simulation import Observed, observe
+from imuarray.studies.paper.replica.simulation import ExperimentData, observe
 from imuarray.studies.paper.replica.statistic import Replica, Statistic, Summary, render_text
 
 __all__ = [
     "Curves",
-    "Observed",
+    "ExperimentData",
     "Replica",
     "Statistic",
     "Summary",

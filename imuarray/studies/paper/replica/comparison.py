@@ -1,22 +1,15 @@
-"""The simulated experiments as the paper's tables: the same rows and columns as the CSV files.
+"""The simulated experiments as the paper's tables, and every printed statistic compared with its simulated counterpart.
 
-Tables 3, 4 and 10: the tumbling cube, statistic by statistic.
+Tables 3, 4 and 10: the model has the mean and the half-differences of the six faces of Table 10. The uncertainty of a
+face is the disagreement between opposite faces plus, in the simulation, turn-on bias (common to all faces), in-run
+wander and white noise. The repeated face was not fitted: it has the variance of a face and that of the fit.
 
-The model has the mean and the half-differences of six faces from Table 10. What its faces still differ by is what pairs
-of opposite faces disagree by; the simulated box adds its own turn-on bias (common to all faces), in-run wander and
-white noise. The repeated face was not fitted to: it has a face's whole variance and the fit's.
+Tables 5, 6, 7 and 11: a level on another day than Table 10's has the day-to-day variance twice, of that day and of this
+one. A standard deviation of fifteen means has its own sampling error. It counts once where the model was fitted to the
+printed value, twice where nothing was fitted (the model has 0).
 
-Tables 5, 6, 7 and 11: runs and windows of five minutes, statistic by statistic.
-
-A level on another day than Table 10's is off by what days differ by, twice: that day and this. A deviation of fifteen
-means scatters by itself; where the model was fitted to the printed one that counts on the simulated side only, where
-nothing of it was left to fit (the model has 0) on both.
-
-Tables 2, 8 and 9, the figures and what the text says: statistic by statistic.
-
-What the paper gives as "around" or "about" is taken to be good to a unit of its last digit either way, evenly: a
-deviation of 1 / sqrt(3) of it. Yes and no (codes all even, a line or none) have no spread: a wrong one counts as
-three uncertainties.
+Text and figures: "around" and "about" mean within one unit of the last digit, evenly distributed: a standard deviation
+of 1 / sqrt(3) units. A wrong yes or no (codes all even, a spectral line or none) counts as three uncertainties.
 """
 
 from __future__ import annotations
@@ -36,7 +29,7 @@ from imuarray.simulate.motion.heating import Heating
 from imuarray.studies.paper.array_model import PARTS, TIME_CONSTANT_S, WINDOW_S, unit_of, variance_of_mean
 from imuarray.studies.paper.replica.simulation import (
     BOOTS,
-    Observed,
+    ExperimentData,
     Progress,
     Window,
     array_rate_hz,
@@ -82,7 +75,7 @@ def replicate(seed: int = 1, executor: Executor | None = None, progress: Progres
     return Replica(seed, tuple(compare(observe(seed, executor, progress))))
 
 
-def compare(observed: Observed) -> Iterator[Statistic]:
+def compare(observed: ExperimentData) -> Iterator[Statistic]:
     """Every statistic, table by table."""
     simulated = tabulate(observed)
     yield from compare_gyro_noise(2, simulated[2])
@@ -99,7 +92,7 @@ def compare(observed: Observed) -> Iterator[Statistic]:
     yield from compare_text(observed, simulated[10], simulated[6])
 
 
-def tabulate(observed: Observed) -> dict[int, Table]:
+def tabulate(observed: ExperimentData) -> dict[int, Table]:
     """Tables 2 to 11 as the simulated array gives them."""
     ten, eleven = table10(observed), table11(observed)
     nine = table9(observed)
@@ -117,7 +110,7 @@ def tabulate(observed: Observed) -> dict[int, Table]:
     }
 
 
-def table8(observed: Observed) -> Table:
+def table8(observed: ExperimentData) -> Table:
     """Slopes and intercepts."""
     columns = ("slope_lsb_per_degc", "intercept_lsb")
     return {
@@ -127,20 +120,20 @@ def table8(observed: Observed) -> Table:
     }
 
 
-def table9(observed: Observed) -> Table:
+def table9(observed: ExperimentData) -> Table:
     """Gyro1 alone at both ranges."""
     return {
         f"Gyro1 {axis} {name}": {
-            "mean_lsb": float(found.window.mean[i]),
-            "sem_lsb": float(found.window.std[i] / np.sqrt(found.window.rows)),
-            "std_lsb": float(found.window.std[i]),
+            "mean_lsb": float(result.window.mean[i]),
+            "sem_lsb": float(result.window.std[i] / np.sqrt(result.window.rows)),
+            "std_lsb": float(result.window.std[i]),
         }
-        for name, found in observed.high_rate.items()
+        for name, result in observed.high_rate.items()
         for i, axis in enumerate("xyzt")
     }
 
 
-def table10(observed: Observed) -> Table:
+def table10(observed: ExperimentData) -> Table:
     """Means over the faces; standard error and deviation are means over the six (section 5.2)."""
     return _per_channel(observed.faces, _faces)
 
@@ -151,7 +144,7 @@ def _faces(means: Floats, stds: Floats, rows: Floats) -> Columns:
     return {**faces, "sem_lsb": float((stds[six] / np.sqrt(rows[six])).mean()), "std_lsb": float(stds[six].mean())}
 
 
-def table11(observed: Observed) -> Table:
+def table11(observed: ExperimentData) -> Table:
     """Both halves and their ratio."""
     runs, parts = _per_channel(observed.runs, _half("runs")), _per_channel(observed.parts, _half("cont"))
     return {
@@ -183,13 +176,13 @@ def _per_channel(
     """`columns` of (means, standard deviations, numbers of readings) over the windows, for every axis that there is."""
     return {
         f"{name} {axis}": columns(
-            np.array([window.mean[i] for window in found]),
-            np.array([window.std[i] for window in found]),
-            np.array([float(window.rows) for window in found]),
+            np.array([window.mean[i] for window in result]),
+            np.array([window.std[i] for window in result]),
+            np.array([float(window.rows) for window in result]),
         )
-        for name, found in windows.items()
+        for name, result in windows.items()
         for i, axis in enumerate("xyzt")
-        if not np.isnan(found[0].mean[i])
+        if not np.isnan(result[0].mean[i])
     }
 
 
@@ -268,12 +261,12 @@ def compare_accelerometers(three: Table) -> Iterator[Statistic]:
     for row in table(3):
         channel = row["channel"]
         wander, sem = _wander(channel), printed(10, channel, "sem_lsb")
-        found = three[channel]
-        values = {column: (abs(float(number_in(row, column))), found[column]) for column in ("sem_lsb", _SCALE)}
-        yield _drift("Table 3", channel, float(number_in(row, "drift_lsb")), found["drift_lsb"])
+        result = three[channel]
+        values = {column: (abs(float(number_in(row, column))), result[column]) for column in ("sem_lsb", _SCALE)}
+        yield _drift("Table 3", channel, float(number_in(row, "drift_lsb")), result["drift_lsb"])
         sem_parts = {"between experiments": noise_residual(channel)}
         yield _derived(logarithmic(("Table 3", channel, "sem_lsb"), *values["sem_lsb"], sem_parts), fitted=True)
-        yield _bias("Table 3", channel, float(number_in(row, "bias_lsb")), found["bias_lsb"])
+        yield _bias("Table 3", channel, float(number_in(row, "bias_lsb")), result["bias_lsb"])
         parts = {"in-run": wander / sqrt(2), "sem": sem / sqrt(2), "rounding": 0.005 / sqrt(3)}
         yield _derived(linear(("Table 3", channel, _SCALE), *values[_SCALE], parts), fitted=True)
 
@@ -284,13 +277,13 @@ _SCALE = "scale_lsb_per_g"
 def compare_gyroscopes(four: Table) -> Iterator[Statistic]:
     """Table 4 in LSB; its columns in dps are the same numbers in another unit."""
     for row in table(4):
-        channel, found = row["channel"], four[row["channel"]]
-        yield _bias("Table 4", channel, float(number_in(row, "bias_lsb")), found["bias_lsb"])
+        channel, result = row["channel"], four[row["channel"]]
+        yield _bias("Table 4", channel, float(number_in(row, "bias_lsb")), result["bias_lsb"])
         for column in ("dbias_x_lsb", "dbias_y_lsb", "dbias_z_lsb"):
             parts = {"in-run": _wander(channel) * sqrt(2), "sem": printed(10, channel, "sem_lsb") * sqrt(2)}
-            values = float(number_in(row, column)), found[column]
+            values = float(number_in(row, column)), result[column]
             yield _derived(linear(("Table 4", channel, column), *values, parts), fitted=True)
-        yield _drift("Table 4", channel, float(number_in(row, "drift_lsb")), found["drift_lsb"])
+        yield _drift("Table 4", channel, float(number_in(row, "drift_lsb")), result["drift_lsb"])
 
 
 def _face(channel: str, face: str, simulated: float) -> Statistic:
@@ -300,13 +293,13 @@ def _face(channel: str, face: str, simulated: float) -> Statistic:
     if axis_of(channel) == 3:
         days = thermometer_residual(channel)
         parts = {"day-to-day": days, "face repeatability": face_residual(channel) * sqrt(3)}
-        found = linear(at, published, simulated, parts)
-        return replace(found, group=f"{channel}, Table 10", shared=(days / found.uncertainty) ** 2, fitted=True)
+        result = linear(at, published, simulated, parts)
+        return replace(result, group=f"{channel}, Table 10", shared=(days / result.uncertainty) ** 2, fitted=True)
     turn_on = own(channel, lambda unit: unit.turn_on)
     parts = {"turn-on": turn_on, "in-run": _wander(channel), "sem": printed(10, channel, "sem_lsb")}
-    found = linear(at, published, simulated, parts | {"face repeatability": residual})
-    share = (turn_on / found.uncertainty) ** 2
-    return replace(found, group=f"{channel}, Table 10", shared=share, fitted=not repeated)
+    result = linear(at, published, simulated, parts | {"face repeatability": residual})
+    share = (turn_on / result.uncertainty) ** 2
+    return replace(result, group=f"{channel}, Table 10", shared=share, fitted=not repeated)
 
 
 def _bias(name: str, channel: str, published: float, simulated: float) -> Statistic:
@@ -342,20 +335,20 @@ _RESET_RATIO = 8.0
 def compare_turn_on(simulated: Table) -> Iterator[Statistic]:
     """Table 11."""
     for row in table(11):
-        channel, found = row["channel"], simulated[row["channel"]]
+        channel, result = row["channel"], simulated[row["channel"]]
         spreads = {half: deviation_spread(channel, half) for half in ("runs", "cont")}
         for half, spread in spreads.items():
-            yield _mean(channel, half, found[f"{half}_mean"])
+            yield _mean(channel, half, result[f"{half}_mean"])
             for column in (f"{half}_sem", f"{half}_std"):
-                values = printed(11, channel, column), found[column]
+                values = printed(11, channel, column), result[column]
                 noise = logarithmic(
                     ("Table 11", channel, column), *values, {"between experiments": noise_residual(channel)}
                 )
                 yield replace(noise, derived=column.endswith("sem"), fitted=True)
-            yield _deviation(channel, half, found[f"{half}_std_of_means"], spread)
-            yield _range(channel, half, found[f"{half}_range_of_means"], spread)
+            yield _deviation(channel, half, result[f"{half}_std_of_means"], spread)
+            yield _range(channel, half, result[f"{half}_range_of_means"], spread)
         both = {"runs": spreads["runs"], "windows": spreads["cont"]}
-        ratio = logarithmic(("Table 11", channel, "ratio"), printed(11, channel, "ratio"), found["ratio"], both)
+        ratio = logarithmic(("Table 11", channel, "ratio"), printed(11, channel, "ratio"), result["ratio"], both)
         yield replace(ratio, derived=True, fitted=True)
 
 
@@ -368,10 +361,10 @@ def compare_in_run(simulated: Table) -> Iterator[Statistic]:
         spread = sqrt(sum(error**2 for error in errors)) / sum(sizes)
         column = "std_of_5min_means_lsb"
         at = ("Table 5", row["group"], column)
-        found = logarithmic(
+        result = logarithmic(
             at, float(number_in(row, column)), simulated[row["group"]][column], {"scatter of fifteen": spread}
         )
-        yield replace(found, derived=True, fitted=True)
+        yield replace(result, derived=True, fitted=True)
 
 
 def compare_runs(number: int, name: str, simulated: Table) -> Iterator[Statistic]:
@@ -423,24 +416,24 @@ def _mean(channel: str, half: str, simulated: float) -> Statistic:
     column = f"{half}_mean"
     at, published = ("Table 11", channel, column), printed(11, channel, column)
     if axis_of(channel) == 3:
-        found = linear(at, published, simulated, {"day-to-day": thermometer_residual(channel)})
-        return replace(found, fitted=True, derived=_is_derived(channel, half))
+        result = linear(at, published, simulated, {"day-to-day": thermometer_residual(channel)})
+        return replace(result, fitted=True, derived=_is_derived(channel, half))
     windows = run_windows(channel) if half == "runs" else part_windows(channel)
     own_boot = 0.0 if half == "runs" else own(channel, lambda unit: unit.turn_on)
     factor = (PARTS - 1 + _RESET_RATIO) / PARTS if channel.startswith("BMA1") and half == "runs" else 1.0
     parts, share = level_parts(channel)
     days = {name: part * factor for name, part in parts.items()}
     wander = {"in-run and sem": float(sqrt(windows.sum())) / PARTS, "turn-on": own_boot}
-    found = linear(at, published, simulated, days | wander)
-    common = share * (hypot(*days.values()) / found.uncertainty) ** 2
-    return replace(found, group=f"{channel}, other days", shared=common, derived=_is_derived(channel, half))
+    result = linear(at, published, simulated, days | wander)
+    common = share * (hypot(*days.values()) / result.uncertainty) ** 2
+    return replace(result, group=f"{channel}, other days", shared=common, derived=_is_derived(channel, half))
 
 
 def _deviation(channel: str, half: str, simulated: float, spread: float) -> Statistic:
     column = f"{half}_std_of_means"
     values = printed(11, channel, column), simulated
-    found = logarithmic(("Table 11", channel, column), *values, _scatter(channel, spread))
-    return replace(found, fitted=_is_fitted(channel, half), derived=_is_derived(channel, half))
+    result = logarithmic(("Table 11", channel, column), *values, _scatter(channel, spread))
+    return replace(result, fitted=_is_fitted(channel, half), derived=_is_derived(channel, half))
 
 
 def _scatter(channel: str, spread: float) -> dict[str, float]:
@@ -451,10 +444,10 @@ def _range(channel: str, half: str, simulated: float, spread: float) -> Statisti
     column = f"{half}_range_of_means"
     values = printed(11, channel, column), simulated
     shape = sqrt(2) * RANGE_OVER_DEVIATION
-    found = logarithmic(
+    result = logarithmic(
         ("Table 11", channel, column), *values, _scatter(channel, spread) | {"range over deviation": shape}
     )
-    return replace(found, derived=True)
+    return replace(result, derived=True)
 
 
 def _one_run(at: tuple[str, str, str], published: float, simulated: float, ratio: float) -> Statistic:
@@ -462,8 +455,8 @@ def _one_run(at: tuple[str, str, str], published: float, simulated: float, ratio
     if axis_of(channel) == 3:
         offset = thermometer_residual(channel)
         parts = {"day-to-day": offset, "in-run": printed(11, channel, "cont_std_of_means")}
-        found = linear(at, published, simulated, parts)
-        return replace(found, group=f"{channel}, {at[0]}", shared=(offset / found.uncertainty) ** 2, fitted=True)
+        result = linear(at, published, simulated, parts)
+        return replace(result, group=f"{channel}, {at[0]}", shared=(offset / result.uncertainty) ** 2, fitted=True)
     days = {name: part * ratio for name, part in level_parts(channel)[0].items()}
     twice = sqrt(2) * ratio
     parts = {
@@ -471,8 +464,8 @@ def _one_run(at: tuple[str, str, str], published: float, simulated: float, ratio
         "in-run": twice * own(channel, lambda unit: unit.in_run) * sqrt(variance_of_mean(WINDOW_S)),
         "sem": twice * printed(11, channel, "runs_sem"),
     }
-    found = linear(at, published, simulated, days | parts)
-    return replace(found, group=f"{channel}, other days", shared=(hypot(*days.values()) / found.uncertainty) ** 2)
+    result = linear(at, published, simulated, days | parts)
+    return replace(result, group=f"{channel}, other days", shared=(hypot(*days.values()) / result.uncertainty) ** 2)
 
 
 DPS_AT_250 = 0.00875
@@ -486,7 +479,7 @@ _A3_STDS = {"x": 8.0201, "y": 9.8857, "z": 9.3002}
 """Appendix A.3: LSB of a BMA180 at 16 g, which one isn't said."""
 
 
-class _Heated(NamedTuple):
+class _HeatingSpread(NamedTuple):
     """The heating: mean temperature; deviation of a fitted slope from unit white noise and from a unit in-run wander,
     per degC; that of the mean from a unit wander.
     """
@@ -506,24 +499,24 @@ def compare_slopes(simulated: Table) -> Iterator[Statistic]:
             yield compare(heated, channel, published, simulated[channel][column])
 
 
-def _slope(heated: _Heated, channel: str, published: float, simulated: float) -> Statistic:
+def _slope(heated: _HeatingSpread, channel: str, published: float, simulated: float) -> Statistic:
     parts = _tilts(heated, channel) | {"rounding": 0.001 * _HALF_A_DIGIT}
     return replace(linear(("Table 8", channel, "slope_lsb_per_degc"), published, simulated, parts), fitted=True)
 
 
-def _intercept(heated: _Heated, channel: str, published: float, simulated: float) -> Statistic:
+def _intercept(heated: _HeatingSpread, channel: str, published: float, simulated: float) -> Statistic:
     days, share = level_parts(channel)
     own_boot = {
         "turn-on": own(channel, lambda unit: unit.turn_on),
         "slope": heated.degc * hypot(*_tilts(heated, channel).values()),
         "in-run": own(channel, lambda unit: unit.in_run) * heated.level_of_wander,
     }
-    found = linear(("Table 8", channel, "intercept_lsb"), published, simulated, days | own_boot)
-    common = share * (hypot(*days.values()) / found.uncertainty) ** 2
-    return replace(found, group=f"{channel}, other days", shared=common)
+    result = linear(("Table 8", channel, "intercept_lsb"), published, simulated, days | own_boot)
+    common = share * (hypot(*days.values()) / result.uncertainty) ** 2
+    return replace(result, group=f"{channel}, other days", shared=common)
 
 
-def _tilts(heated: _Heated, channel: str) -> dict[str, float]:
+def _tilts(heated: _HeatingSpread, channel: str) -> dict[str, float]:
     """What the simulated slope is off by; the model has the printed one."""
     return {
         "in-run": heated.of_wander * own(channel, lambda unit: unit.in_run),
@@ -532,7 +525,7 @@ def _tilts(heated: _Heated, channel: str) -> dict[str, float]:
 
 
 @cache
-def _heated() -> _Heated:
+def _heated() -> _HeatingSpread:
     """From the temperature every half minute."""
     motion = Heating()
     seconds = np.arange(0.0, motion.seconds, 30.0)
@@ -542,7 +535,7 @@ def _heated() -> _Heated:
     wander = np.exp(-np.abs(np.subtract.outer(seconds, seconds)) / TIME_CONSTANT_S)
     of_noise = 1 / sqrt(array_rate_hz(10) * motion.seconds) / float(degc.std())
     level = sqrt(variance_of_mean(motion.seconds))
-    return _Heated(float(degc.mean()), of_noise, sqrt(float(weights @ wander @ weights)), level)
+    return _HeatingSpread(float(degc.mean()), of_noise, sqrt(float(weights @ wander @ weights)), level)
 
 
 def compare_gyro_noise(number: int, simulated: Table) -> Iterator[Statistic]:
@@ -551,8 +544,8 @@ def compare_gyro_noise(number: int, simulated: Table) -> Iterator[Statistic]:
     for index, row in enumerate(rows):
         name = "250dps" if index < len(rows) / 2 else "2k dps"
         for column in (column for column in ("mean_lsb", "sem_lsb", "std_lsb") if column in row):
-            found = simulated[f"{row['output']} {name}"][column]
-            statistic = _nine(number, row["output"], name, column, float(number_in(row, column)), found)
+            result = simulated[f"{row['output']} {name}"][column]
+            statistic = _nine(number, row["output"], name, column, float(number_in(row, column)), result)
             yield replace(statistic, derived=statistic.derived or number == 2)
 
 
@@ -561,8 +554,8 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
     if column != "mean_lsb":
         spread = noise_residual(channel) * sqrt(2)  # of a fourth experiment against the mean of three
         other = 0.0 if channel.endswith("t") else _between_filters()
-        found = logarithmic(at, published, simulated, {"between experiments": spread, "filters": other})
-        return replace(found, derived=column == "sem_lsb")
+        result = logarithmic(at, published, simulated, {"between experiments": spread, "filters": other})
+        return replace(result, derived=column == "sem_lsb")
     if channel.endswith("t"):
         return replace(linear(at, published, simulated, {"day-to-day": thermometer_residual(channel)}), fitted=True)
     boot = {
@@ -576,9 +569,9 @@ def _nine(number: int, channel: str, name: str, column: str, published: float, s
         return replace(linear(at, published, simulated, parts), fitted=True)
     days, share = level_parts(channel)
     warmth = {"temperature": slope(channel) * thermometer_residual("Gyro1 t")}
-    found = linear(at, published, simulated, boot | days | warmth)
-    common = share * (hypot(*days.values()) / found.uncertainty) ** 2
-    return replace(found, group=f"{channel}, other days", shared=common)
+    result = linear(at, published, simulated, boot | days | warmth)
+    common = share * (hypot(*days.values()) / result.uncertainty) ** 2
+    return replace(result, group=f"{channel}, other days", shared=common)
 
 
 def _between_filters() -> float:
@@ -592,7 +585,7 @@ def _between_filters() -> float:
     return float(np.std(ratios, ddof=1))
 
 
-def compare_figures(observed: Observed) -> Iterator[Statistic]:
+def compare_figures(observed: ExperimentData) -> Iterator[Statistic]:
     """Figures 13 and 14 (Gyro1 at 250 dps)."""
     counts = observed.high_rate["250dps"].counts
     neighbours = neighbour_correlation(counts)
@@ -608,7 +601,7 @@ def compare_figures(observed: Observed) -> Iterator[Statistic]:
             yield replace(linear(at, 50.0, 0.0 if isnan(hz) else hz, {"around": 10 * _AROUND}), fitted=True)
 
 
-def compare_text(observed: Observed, ten: Table, six: Table) -> Iterator[Statistic]:
+def compare_text(observed: ExperimentData, ten: Table, six: Table) -> Iterator[Statistic]:
     """Appendices A.2 and A.3, and sections 5.2.4's two odd sensors."""
     for name, share in observed.even.items():
         yield _yes_or_no(("Appendix A.2", name, "all codes even"), 1.0, float(share == 1.0))
@@ -632,8 +625,8 @@ def _reset(six: Table) -> Statistic:
     printed_others = np.mean([float(number_in(row, "z_lsb")) for row in table(6) if int(row["run"]) != fault.run])
     scatter = sqrt(2) * own("BMA1 z", lambda unit: np.hypot(unit.turn_on, unit.in_run)) / float(printed_others) * 8
     values = float(fault.reading_lsb) / float(printed_others), six[str(fault.run)]["z_lsb"] / float(others)
-    found = linear(("Table 6", "BMA1 z", f"run {fault.run} over the others"), *values, {"turn-on and in-run": scatter})
-    return replace(found, derived=True, fitted=True)
+    result = linear(("Table 6", "BMA1 z", f"run {fault.run} over the others"), *values, {"turn-on and in-run": scatter})
+    return replace(result, derived=True, fitted=True)
 
 
 def _share(at: tuple[str, str, str], published: float, simulated: float) -> Statistic:

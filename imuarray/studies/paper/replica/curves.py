@@ -12,7 +12,7 @@ from scipy import signal
 from imuarray.simulate.motion.heating import Heating
 from imuarray.studies.paper.array_model import WINDOW_S
 from imuarray.studies.paper.replica.comparison import autocorrelation
-from imuarray.studies.paper.replica.simulation import Observed, Series
+from imuarray.studies.paper.replica.simulation import ExperimentData, Series
 from imuarray.studies.paper.variation import HIGH_RATE_HZ
 
 Floats = npt.NDArray[np.float64]
@@ -65,9 +65,9 @@ class Curves(NamedTuple):
     noise: Mapping[str, Noise]
 
 
-def curves_of(observed: Observed) -> Curves:
+def curves_of(observed: ExperimentData) -> Curves:
     """All figures of one set of experiments."""
-    noise = {name: _noise(found.counts, HIGH_RATE_HZ) for name, found in observed.high_rate.items()}
+    noise = {name: _noise(result.counts, HIGH_RATE_HZ) for name, result in observed.high_rate.items()}
     for name in ("ADXL1", "BMA2"):
         noise[name] = _noise(observed.still[name].counts, rate_hz(observed.still[name]))
     return Curves(
@@ -106,7 +106,7 @@ def profile(step_s: float = _STEP_S) -> Curve:
     return Curve(seconds, degc[:, None])
 
 
-def against_temperature(observed: Observed, channel: str, every_s: float = 4.0) -> Scatter:
+def against_temperature(observed: ExperimentData, channel: str, every_s: float = 4.0) -> Scatter:
     """A channel such as "Gyro2 x" of a sensor of `WARMED` against temperature (Figures 8 and 9)."""
     name, letter = channel.split()
     axis, series, line = "xyz".index(letter), observed.warm[name], observed.heated[name]
@@ -116,7 +116,7 @@ def against_temperature(observed: Observed, channel: str, every_s: float = 4.0) 
     return Scatter(degc, lsb, float(line.slope[axis]), float(line.intercept[axis]))
 
 
-def opposed(observed: Observed, window_s: float = 30.0) -> Curve:
+def opposed(observed: ExperimentData, window_s: float = 30.0) -> Curve:
     """Gyro1 y, Gyro2 y and half of their difference while heated, averaged over half a minute (Figure 10)."""
     means = []
     for name in ("Gyro1", "Gyro2"):

@@ -1,12 +1,10 @@
-"""What a simulated sensor gave over stretches of time, row by row and nothing kept.
+"""The paper's experiments on the simulated array: what every sensor read, window by window; no row is kept.
 
-The paper's experiments on the simulated array: what every sensor gave, window by window.
-
-What the paper prints of the stimulus is put in: Table 10's face temperatures, Table 11's mean temperatures and their
-deviations (as a straight drift within the continuous run; from run to run as BMA1's own thermometer shows it, Table 6),
-the heating's profile, the logging rates that standard deviation over standard error tells. So are the states in which
-Gyro3 and BMA1 came up (Tables 6, 7, 10, 11): each experiment takes the first switch-on not yet taken that came up so,
-and how many of the first `BOOTS` did is a statistic of its own.
+The stimulus is as printed: Table 10's face temperatures, Table 11's mean temperatures and their deviations (a straight
+drift within the continuous run; from run to run as BMA1's own thermometer in Table 6), the profile of the heating, and
+the logging rates that follow from standard deviation over standard error. So are the states in which Gyro3 and BMA1
+started (Tables 6, 7, 10, 11): each experiment takes the first unused switch-on in that state; the number of such
+switch-ons among the first `BOOTS` is a statistic of its own.
 """
 
 from __future__ import annotations
@@ -101,8 +99,8 @@ def windows(sensor: Triad, spans: Spans) -> list[Window]:
     sums = np.zeros((3, len(spans), 4))
     centre: Floats | None = None
     for block in blocks(sensor):
-        told = block.temperature_counts
-        column = np.full(len(block.time), np.nan) if told is None else told
+        known = block.temperature_counts
+        column = np.full(len(block.time), np.nan) if known is None else known
         rows = np.column_stack([block.counts, column]).astype(float)  # int16 squares would overflow
         centre = rows[0] if centre is None else centre
         for index, (start, stop) in enumerate(spans):
@@ -146,7 +144,7 @@ class HighRate(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Observed:
+class ExperimentData:
     """Everything simulated, by sensor: `faces` seven windows in Table 10's order, `parts` and `runs` fifteen,
     `heated` the straight-line fits, `high_rate` by range as Table 9 prints it; `even` the share of even counts; how
     many of `BOOTS` switch-ons BMA1 came up faulty in and Gyro3 in its second state. For figures: every reading of the
@@ -172,7 +170,7 @@ class State(NamedTuple):
     second: bool
 
 
-def observe(seed: int, executor: Executor | None = None, progress: Progress | None = None) -> Observed:
+def observe(seed: int, executor: Executor | None = None, progress: Progress | None = None) -> ExperimentData:
     """All experiments; `progress` is told (done, all, what) after each."""
     states = [state(seed, boot) for boot in range(1, BOOTS + 1)]
     jobs = list(_jobs(seed))
@@ -186,7 +184,7 @@ def observe(seed: int, executor: Executor | None = None, progress: Progress | No
     by_run = {name: [run[name][0] for run in runs] for name in SENSORS}
     high_rate = {"250dps": slow, "2k dps": fast}
     counts = (sum(state.faulty for state in states), sum(state.second for state in states))
-    return Observed(faces, parts, by_run, heated, high_rate, even, *counts, still, warm)
+    return ExperimentData(faces, parts, by_run, heated, high_rate, even, *counts, still, warm)
 
 
 @lru_cache(maxsize=1024)
@@ -194,7 +192,7 @@ def state(seed: int, boot: int) -> State:
     """What a few seconds after switching on show."""
     short = _simulation(seed, boot, Still(seconds=_PEEK_S), 50.0, ("BMA1", "Gyro3"))
     means = {name: sensor.block(0, sensor.rows).counts.mean(axis=0) for name, sensor in short}
-    first, second = (np.array(found.centre) for found in bias_states())
+    first, second = (np.array(bias_state.centre) for bias_state in bias_states())
     towards = second - first
     return State(bool(means["BMA1"][2] > 2000), bool((means["Gyro3"] - (first + second) / 2) @ towards > 0))
 

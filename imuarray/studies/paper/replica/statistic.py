@@ -1,7 +1,4 @@
-"""A printed statistic beside its simulated twin, and what many of them tell together.
-
-A replica as a page of at most 100 columns.
-"""
+"""A printed statistic with its simulated counterpart, summaries of many of them, and the text that is printed."""
 
 from __future__ import annotations
 
@@ -156,8 +153,8 @@ class Replica:
 
 
 def _brief(rows: Sequence[Statistic]) -> dict[str, Any]:
-    found = [abs(row.z) for row in rows]
-    return {"count": len(rows), "within": [sum(size <= limit for size in found) for limit in (1, 2, 3)]}
+    result = [abs(row.z) for row in rows]
+    return {"count": len(rows), "within": [sum(size <= limit for size in result) for limit in (1, 2, 3)]}
 
 
 _LISTED = 3.0
@@ -174,18 +171,18 @@ def _tables(replica: Replica) -> Iterator[str]:
     yield f"  {'':<14}{'statistics':>10}{'within 1':>10}{'2':>7}{'3':>7}   uncertainties"
     for name in replica.tables:
         rows = replica.of(name)
-        found = [sum(abs(row.z) <= limit for row in rows) for limit in (1, 2, 3)]
-        yield f"  {name:<14}{len(rows):>10}{found[0]:>10}{found[1]:>7}{found[2]:>7}"
+        result = [sum(abs(row.z) <= limit for row in rows) for limit in (1, 2, 3)]
+        yield f"  {name:<14}{len(rows):>10}{result[0]:>10}{result[1]:>7}{result[2]:>7}"
 
 
 def _together(replica: Replica) -> Iterator[str]:
     whole = replica.summary
-    one, two, three = (f"{count} ({100 * count / whole.count:.1f} %)" for count in whole.within)
-    yield f"Together: {whole.count} statistics, within 1: {one}, within 2: {two}, within 3: {three}"
+    item, two, three = (f"{count} ({100 * count / whole.count:.1f} %)" for count in whole.within)
+    yield f"Together: {whole.count} statistics, within 1: {item}, within 2: {two}, within 3: {three}"
     yield "Chi-square per degree (statistics that don't follow from others; 95 % of true models)"
     yield _chi_square("all", whole)
-    for name, found in replica.kinds.items():
-        yield _chi_square(name, found)
+    for name, result in replica.kinds.items():
+        yield _chi_square(name, result)
 
 
 def _chi_square(name: str, found: Summary) -> str:

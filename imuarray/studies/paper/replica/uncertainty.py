@@ -78,12 +78,12 @@ def levels(channel: str) -> Floats:
     runs = printed(11, channel, "runs_mean") - other * len(bias_states()[1].runs) / PARTS
     if name == "BMA1" and axis < 3:
         runs = float(np.delete(runs_of(name)[:, axis], [fault.run - 1 for fault in boot_faults()]).mean())
-    found = [
+    result = [
         printed(10, channel, "z_up") - other - k * (FACES_DEGC[0] - REFERENCE_DEGC),
         runs - k * (DEGC[11, "runs_mean"] - REFERENCE_DEGC),
         printed(11, channel, "cont_mean") - k * (DEGC[11, "cont_mean"] - REFERENCE_DEGC),
     ]
-    return np.array(found if axis == 3 else [*found, printed(8, channel, "intercept_lsb") + k * REFERENCE_DEGC])
+    return np.array(result if axis == 3 else [*result, printed(8, channel, "intercept_lsb") + k * REFERENCE_DEGC])
 
 
 @cache
