@@ -66,7 +66,9 @@ class Channel:
         """Yes, no, or None from a chip that is silent or reads neither what it should nor what its twin does."""
         registers, setting = witness.station.driver.registers, witness.setting
         try:
-            found = self._mux.bus.transfer(registers.address, bytes([setting.register.address]), 1)[0] & setting.mask
+            register = setting.register
+            block = self._mux.bus.transfer(registers.address, bytes([register.address]), register.readback_bytes)
+            found = block[0] & setting.mask
         except OSError:
             return None
         if found == setting.value:

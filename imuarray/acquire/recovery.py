@@ -64,7 +64,7 @@ class Recovery:
         self._claim()
         driver.identify()
         if self._look and driver.watched:
-            found = [(setting, driver.registers.peek(setting.register)[0]) for setting in driver.watched]
+            found = [(setting, driver.registers.read_back(setting.register)) for setting in driver.watched]
             if all(byte & setting.mask == setting.value for setting, byte in found):
                 self.intact = True
                 return

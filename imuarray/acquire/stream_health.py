@@ -52,8 +52,8 @@ class Health:
                 place = check.watched.place
                 if place.number in came:
                     values = readings_at(place, came[place.number], rate)
-                    for time_ns, (value,) in zip(values.times_ns.tolist(), values.parts.tolist(), strict=True):
-                        self._judge(rows, check, value, bisect_left(rows.pending.times_ns, time_ns))
+                    for time_ns, part in zip(values.times_ns.tolist(), values.parts.tolist(), strict=True):
+                        self._judge(rows, check, part[0], bisect_left(rows.pending.times_ns, time_ns))
 
     def _judge(self, rows: Rows, check: _Check, value: int, before: int) -> None:
         """One value of one register, and how many rows waited before it was read. Twice wrong is wrong."""
@@ -152,7 +152,7 @@ class Health:
             for check in self._checks[id(rows)]:
                 setting, registers = check.watched.setting, rows.pending.driver.registers
                 try:
-                    found = [registers.peek(setting.register)[0] for _ in range(2)]
+                    found = [registers.read_back(setting.register) for _ in range(2)]
                 except OSError:
                     continue
                 if any(value & setting.mask == setting.value for value in found):

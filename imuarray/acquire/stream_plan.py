@@ -143,7 +143,8 @@ def plan(stations: Sequence[Station], rate_hz: float) -> Plan:
 
 def _read_back(station: Station, setting: Setting) -> Visit:
     address = station.driver.registers.address
-    return Visit((Request(address, bytes([setting.register.address]), 1),))
+    register = setting.register
+    return Visit((Request(address, bytes([register.address]), register.readback_bytes),))
 
 
 def _split(stations: Sequence[Station], rate_hz: float) -> int:

@@ -99,7 +99,7 @@ class Watch:
             return
         registers = check.pending.driver.registers
         try:
-            found = registers.peek(check.setting.register)[0]
+            found = registers.read_back(check.setting.register)
         except OSError:
             return
         if found & check.setting.mask == check.setting.value:

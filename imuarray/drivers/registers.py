@@ -23,6 +23,10 @@ class Registers:
         """`count` bytes from `register` on, in one transaction."""
         return self.bus.transfer(self.address, bytes([register.address]), count)
 
+    def read_back(self, register: Register) -> int:
+        """What the register holds, of a chip that goes on measuring."""
+        return self.peek(register, register.readback_bytes)[0]
+
     def poke(self, register: Register, value: int) -> None:
         """Write a whole register."""
         self.bus.transfer(self.address, bytes([register.address, value]))

@@ -9,7 +9,9 @@ ADDRESSES = (0x1E,)  # fixed: HMC-01
 
 CONFIG_A = Register(0x00, reset=0x10, reserved=0x80)
 CONFIG_B = Register(0x01, reset=0x20, reserved=0x1F)
-MODE = Register(0x02, reset=0x01, reserved=0x7C)
+MODE = Register(
+    0x02, reset=0x01, reserved=0x7C, readback_bytes=7
+)  # with the data behind it: alone it locks them, HMC-34
 DATA_X_MSB = Register(0x03, "r")
 DATA_X_LSB = Register(0x04, "r")
 DATA_Z_MSB = Register(0x05, "r")

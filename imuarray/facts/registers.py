@@ -59,14 +59,15 @@ class Field:
 
 @dataclass(frozen=True)
 class Register:
-    """One byte of a chip's map: where it is, who may write it, what it holds after power-on, which bits are
-    reserved.
+    """One byte of a chip's map: where it is, who may write it, what it holds after power-on, which bits are reserved,
+    and how many bytes are read from there on to look at it without disturbing a chip that measures.
     """
 
     address: int
     access: Access = "rw"
     reset: int = 0x00
     reserved: int = 0x00
+    readback_bytes: int = 1
 
     def __getitem__(self, bits: int | slice) -> Field:
         """``REGISTER[5]`` or ``REGISTER[7:4]``, written as the data sheets write bits: high, low, both included."""

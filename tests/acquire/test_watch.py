@@ -10,6 +10,7 @@ import pytest
 
 from imuarray import load_array, open_bus, open_log
 from imuarray.acquire import record
+from imuarray.array import parse_array
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
 
 CONFIG = Path(__file__).parents[2] / "configs" / "martin2013.toml"
@@ -108,3 +109,24 @@ def test_a_sound_array_has_no_suspect_row_and_every_row_is_written(tmp_path: Pat
         assert summary.frames in (144, 145)  # 48 Hz is no whole number of nanoseconds
         assert not log.events
         assert not any((np.asarray(sensor.status) & SUSPECT).any() for sensor in log.sensors.values())
+
+
+def test_looking_at_the_mode_does_not_hold_back_readings_of_an_hmc5883l(tmp_path: Path) -> None:
+    """Reading its mode alone would lock the data until the next fetch, which then repeats them (HMC-34)."""
+    text = "[array]\nname = 'two'\nmux = {chip = 'pca9544a', address = 0x70}\n" + "".join(
+        f"[[sensor]]\nname = 'M{number}'\nchip = 'hmc5883l'\nchannel = {number}\naddress = 0x1E\nrange = {range_}\n"
+        "rate_hz = 75\naxes = '+X+Y+Z'\n"
+        for number, range_ in ((0, 1.3), (1, 8.1))
+    )
+    path = tmp_path / "two.h5"
+    array = parse_array(text)
+    with open_bus("emulated:", array) as bus:
+        record(array, bus, path, rate_hz=32.0, seconds=60.0)
+    with open_log(path) as log:
+        counts = np.asarray(log["M0"].counts)
+
+    def equal(lag: int) -> float:
+        return float((counts[lag:] == counts[:-lag]).all(axis=1).mean())
+
+    chance = equal(5)
+    assert equal(1) < chance + 4 * np.sqrt(chance * (1 - chance) / len(counts))
