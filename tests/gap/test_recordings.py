@@ -333,3 +333,60 @@ def test_without_accelerometers_the_box_stands_upright(tmp_path: Path) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static")], FOREIGN[1:]))
     assert found.notes[0] == "No accelerometer tells which axis was up: where no phase says so, +Z is assumed."
     np.testing.assert_allclose(found.experiment.motion.felt(np.array([0])).force_box, [[0, 0, 9.80665]])
+
+
+def heated_log(path: Path, sensors: Sequence[SensorHeader], phases: Sequence[Phase], warm_degc: float) -> Path:
+    """At rest for 40 s while the reference rises by so much."""
+    rows = np.arange(2000, dtype=np.int64) * SECOND // 50
+    with LogWriter(path, sensors, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for number, sensor in enumerate(sensors):
+            counts = np.rint(np.random.default_rng(number).normal([0, 0, 2048], 5, (2000, 3))).astype(np.int16)
+            log.append(sensor.name, Block(rows, counts, np.zeros(2000, np.uint16)))
+        degc = np.linspace(25.0, 25.0 + warm_degc, 2000)
+        log.stimulus("reference", Stimulus(rows, np.full((2000, 3), np.nan), np.full((2000, 3), np.nan), degc))
+        for one in phases:
+            log.phase(one)
+    return path
+
+
+@pytest.mark.parametrize(("warm_degc", "kind"), [(1.0, "static"), (10.0, "heating")])
+def test_a_heating_is_one_whatever_its_phase_is_called(tmp_path: Path, warm_degc: float, kind: str) -> None:
+    accelerometer = replace(FOREIGN[0], has_temperature=False)
+    path = heated_log(tmp_path / "log.h5", [accelerometer], [phase(0, 39, "static", "+Z")], warm_degc)
+    assert recorded(path).kind == kind
+
+
+@pytest.mark.parametrize("faces", [["+Z"], ["+Z", "-Z"]])
+def test_a_magnetometer_that_is_heated_on_two_faces_is_left_out(tmp_path: Path, faces: list[str]) -> None:
+    """Its scale follows the temperature, and the bias that this makes is another on each face."""
+    sensors = [replace(FOREIGN[0], has_temperature=False), COMPASS]
+    phases = [phase(20 * at, 20 * at + 19, "heat", up) for at, up in enumerate(faces)]
+    found = recorded(heated_log(tmp_path / "log.h5", sensors, phases, 10.0))
+    assert ("Mag" in found.experiment.plan.sensors) == (len(faces) == 1)
+    note = "Mag is left out: nothing tells the field of a box that is heated on several faces."
+    assert (note in found.notes) == (len(faces) == 2)
+
+
+def test_a_heating_whose_temperature_nobody_knows_is_left_out_beside_others(tmp_path: Path) -> None:
+    sensors = [replace(FOREIGN[0], has_temperature=False)]
+    static = foreign_log(tmp_path / "static.h5", [phase(0, 9, "static", "+Z")], sensors)
+    heating = foreign_log(tmp_path / "heating.h5", [phase(0, 9, "heat", "+Z")], sensors)
+    found = recordings_of([open_log(static), open_log(heating)])
+    assert [recording.name for recording in found] == ["static.h5"]
+    assert found[0].notes[0] == "heating.h5 is left out: nothing tells the temperature while the box is heated."
+    assert [recording.name for recording in recordings_of([open_log(heating)])] == ["heating.h5"]
+
+
+def test_a_box_that_turns_by_its_track_is_not_at_rest_whatever_is_noted(tmp_path: Path) -> None:
+    path = tmp_path / "log.h5"
+    rows = np.arange(1000, dtype=np.int64) * SECOND // 50
+    with LogWriter(path, FOREIGN[1:], source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        counts = np.rint(np.random.default_rng(0).normal(0, 5, (1000, 3))).astype(np.int16)
+        log.append("Gyro", Block(rows, counts, np.zeros(1000, np.uint16)))
+        rate = np.zeros((1000, 3))
+        rate[500:, 2] = np.radians(10.0)
+        force = np.tile([0.0, 0.0, 9.8], (1000, 1))
+        log.stimulus("reference", Stimulus(rows, force, rate, np.full(1000, 20.0)))
+        log.phase(phase(0, 9, "static", "+Z"))
+        log.phase(phase(10, 19, "shaken", "+Z"))
+    assert [one.up for one in recorded(path).phases] == ["+Z", ""]

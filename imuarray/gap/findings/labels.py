@@ -255,4 +255,5 @@ def _relabelled(recording: Recording, found: Sequence[WrongLabel]) -> Recording:
     lies: Motion = Posed(attitudes, of_log, of_log.fields) if attitudes and isinstance(of_log, LikeLog) else motion
     experiment = Experiment(recording.experiment.plan, lies)
     notes = (*recording.notes, *(note_of(one).partition(": ")[2] for one in found))
-    return replace(recording, kind=kind_of(phases, attitudes), phases=phases, experiment=experiment, notes=notes)
+    kind = kind_of(phases, attitudes, heated=recording.kind == "heating")
+    return replace(recording, kind=kind, phases=phases, experiment=experiment, notes=notes)

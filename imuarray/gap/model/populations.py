@@ -43,8 +43,10 @@ biases are 60 to 250 mg and 10 dps.
 TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
 """The same by unit, for chips whose data sheet is not known."""
 
-THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0.02})
-"""Of a bias per degC, by unit, for chips whose data sheet is not known (BMA-115, L3G-71 print as much)."""
+THERMAL_SLOPE_SIGMA: Mapping[str, float] = MappingProxyType({"g": 5e-4, "dps": 0.02, "gauss": 2e-3})
+"""Of a bias per degC, by unit, for chips whose data sheet is not known (BMA-115, L3G-71 print as much); a magnetometer
+that lies still shows its scale's (0.3 % of half a gauss: HMC-57).
+"""
 
 CLOCK_SIGMA = 0.02
 """Relative error of a chip's data clock where no tolerance is printed: RC oscillators keep a few percent."""
@@ -82,6 +84,9 @@ _USUAL_AT: Mapping[str, Mapping[str, Recipe]] = MappingProxyType(
         "dps": {
             "thermal_bias": {"slope_dps_per_degc": Spread(sigma=THERMAL_SLOPE_SIGMA["dps"])},
             "g_sensitivity": {"response_dps_per_g": Spread(sigma=G_SENSITIVITY_SIGMA)},
+        },
+        "gauss": {
+            "thermal_bias": {"slope_gauss_per_degc": Spread(sigma=THERMAL_SLOPE_SIGMA["gauss"])},
         },
     }
 )

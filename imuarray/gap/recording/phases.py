@@ -30,6 +30,9 @@ MOST_TILT_DEG = 5.0
 MOST_RATE_DPS, _TRACK_TIMES = 3.0, 1000
 """A box that turns faster by its track, rms over so many moments of a phase, is not at rest, whatever is noted."""
 
+HEATED_DEGC = 3.0
+"""A room changes less in the minutes in which a box stands still."""
+
 NEEDED_S, NEEDED_ROWS = 3.0, 24
 """So long, and so many rows, a log without phases has to be at rest: a static stretch is found by windows of half a
 second or four rows, of which the first and the last are cut off."""
@@ -154,10 +157,20 @@ def _mean_g(sensor: SensorLog, phase: Phase) -> Floats:
     return np.asarray(sensor.orientation @ sums / (rows * sensor.sensitivity)) if rows else np.full(3, np.nan)
 
 
-def kind_of(phases: Sequence[Phase], attitudes: Sequence[Attitude]) -> str:
+def is_heated(phases: Sequence[Phase], motion: LikeLog) -> bool:
+    """Whether a phase says so, or the temperature changes by `HEATED_DEGC` in one in which the box is at rest."""
+    return any("heat" in phase.name or _change_degc(phase, motion) > HEATED_DEGC for phase in phases)
+
+
+def _change_degc(phase: Phase, motion: LikeLog) -> float:
+    times_ns = np.linspace(phase.start_ns, phase.end_ns, _TRACK_TIMES, endpoint=False).astype(np.int64)
+    return float(np.ptp(motion.felt(times_ns).temperature_degc)) if is_at_rest(phase) else 0.0
+
+
+def kind_of(phases: Sequence[Phase], attitudes: Sequence[Attitude], *, heated: bool) -> str:
     """What was done: heating, turn-on, tumble, motion, static, the first that fits."""
     names = [phase.name for phase in phases]
-    if any("heat" in name for name in names):
+    if heated:
         return "heating"
     if any(name.startswith("run ") for name in names):
         return "turn-on"

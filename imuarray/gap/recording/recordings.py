@@ -8,7 +8,7 @@ says nothing, static poses are found and their attitudes estimated from the acce
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,11 +16,12 @@ import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.gap.recording.field import fields_of
-from imuarray.gap.recording.phases import attitudes_of, is_at_rest, kind_of, phases_of, temperature_notes
+from imuarray.gap.recording.phases import attitudes_of, is_at_rest, is_heated, kind_of, phases_of, temperature_notes
+from imuarray.gap.recording.recorder_gaps import RecorderGaps, recorder_gaps
 from imuarray.gap.recording.row_timing import RowTiming, even_rows, notes_of, row_timing
 from imuarray.gap.recording.source import Source, recorded_source
 from imuarray.log import Log, SensorLog
-from imuarray.log.format import Phase, SensorHeader
+from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.converters import thermometer_of
 from imuarray.simulate.motion.felt import Motion
@@ -47,7 +48,7 @@ class Experiment(NamedTuple):
 class Recording:
     """A recorded log, named as its file; `kind` is what was done (static, tumble, heating, turn-on, motion), `phases`
     the stretches that are compared, `experiment` what a simulation of it needs, rows that were lost included, `notes`
-    what was assumed or left out.
+    what was assumed or left out; `gap_ends_ns` by sensor the times of the first rows behind gaps of the recorder.
 
     The log stays open.
     """
@@ -58,6 +59,7 @@ class Recording:
     phases: tuple[Phase, ...]
     experiment: Experiment
     notes: tuple[str, ...] = ()
+    gap_ends_ns: Mapping[str, Times] = field(default_factory=dict)
 
     @property
     def has_reference_temperature(self) -> bool:
@@ -73,19 +75,23 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     chosen, left_out = _chosen(log, only)
     motion = LikeLog(log)
     phases, skipped = phases_of(log, motion)
-    chosen, unknown = _without_unknown_field(log, chosen, phases)
+    heated = is_heated(phases, motion)
+    chosen, unknown = _without_unknown_field(log, chosen, phases, heated=heated)
     plan = plan_like(log, chosen)
     timings = {name: row_timing(log[name]) for name in plan.sensors}
-    lines = _timelines(log, timings)
+    gaps = _timelines(log, timings)
     is_compared = motion.temperature_source != "chip"
-    sensors = {name: (_with_known(header, is_compared), lines[name]) for name, (header, _) in plan.sensors.items()}
+    sensors = {name: (_with_known(header, is_compared), gaps.lines[name]) for name, (header, _) in plan.sensors.items()}
     attitudes, assumed = attitudes_of(log, phases, motion)
     notes = (*left_out, *unknown, *skipped, *assumed, *temperature_notes(motion), *notes_of(timings.items()))
+    notes = (*notes, *([gaps.note] if gaps.note else []))
     fields = fields_of([log[name] for name in chosen], phases)
     motion = replace(motion, fields=fields)
     posed = Posed(attitudes, motion, fields) if any(attitude.estimated for attitude in attitudes) else motion
     experiment = Experiment(replace(plan, sensors=sensors), posed)
-    return Recording(log.path.name, log, kind_of(phases, attitudes), phases, experiment, notes)
+    return Recording(
+        log.path.name, log, kind_of(phases, attitudes, heated=heated), phases, experiment, notes, gaps.ends_ns
+    )
 
 
 def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Recording, ...]:
@@ -157,29 +163,40 @@ def temperature_of(motion: Motion) -> Temperature:
 
 def sources_of(recording: Recording) -> dict[str, Source]:
     """Its sensors' rows, as a simulation of it has them: without the counts of thermometers whose scale is unknown, or
-    that are all that tells the temperature; those that came in bursts at the times at which they were read.
+    that are all that tells the temperature; without the flag of lost rows behind gaps of the recorder; those that came
+    in bursts at the times at which they were read.
     """
     sources: dict[str, Source] = {}
     for name, (header, line) in recording.experiment.plan.sensors.items():
         source = recorded_source(recording.log[name], line)
+        gap_ends_ns = recording.gap_ends_ns.get(name, np.zeros(0, np.int64))
         strange = source.header.has_temperature and not header.has_temperature
-        sources[name] = _NoThermometer(source) if strange else source
+        sources[name] = (
+            _Comparable(source, header.has_temperature, gap_ends_ns) if strange or len(gap_ends_ns) else source
+        )
     return sources
 
 
-class _NoThermometer:
-    """A source without the counts of a thermometer that can't be compared."""
+class _Comparable:
+    """A source without what can't be compared: the counts of its thermometer, unless it `has_temperature`, and the
+    flags of the rows at `gap_ends_ns` (k,).
+    """
 
-    def __init__(self, source: Source) -> None:
-        self.header = replace(source.header, has_temperature=False)
+    def __init__(self, source: Source, has_temperature: bool, gap_ends_ns: Times) -> None:
+        self.header = replace(source.header, has_temperature=source.header.has_temperature and has_temperature)
         self.known: dict[Hashable, Any] = {}
         self._source = source
+        self._gap_ends_ns = gap_ends_ns
 
     def rows(self, start_ns: int, end_ns: int) -> int:
         return self._source.rows(start_ns, end_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
-        return (block._replace(temperature_counts=None) for block in self._source.blocks(start_ns, end_ns))
+        for block in self._source.blocks(start_ns, end_ns):
+            temperature = block.temperature_counts if self.header.has_temperature else None
+            is_behind = np.isin(block.time, self._gap_ends_ns)
+            status = block.status & ~np.where(is_behind, np.uint16(LOST_BEFORE), np.uint16(0))
+            yield block._replace(temperature_counts=temperature, status=status)
 
 
 def _chosen(log: Log, only: Collection[str]) -> tuple[list[str], list[str]]:
@@ -195,28 +212,32 @@ def _chosen(log: Log, only: Collection[str]) -> tuple[list[str], list[str]]:
     return chosen, notes
 
 
-def _without_unknown_field(log: Log, names: Sequence[str], phases: Sequence[Phase]) -> tuple[list[str], list[str]]:
+def _without_unknown_field(
+    log: Log, names: Sequence[str], phases: Sequence[Phase], *, heated: bool
+) -> tuple[list[str], list[str]]:
     """Those of the sensors for which it is known what they feel, and notes on others: no log tells the magnetic field
-    while the box moves. LogError if none is left.
+    while the box moves, or in a box that is heated on several faces, since the scale of a magnetometer follows the
+    temperature (HMC-57). LogError if none is left.
     """
-    if all(map(is_at_rest, phases)):
+    moves = not all(map(is_at_rest, phases))
+    if not moves and not (heated and len(phases) > 1):
         return list(names), []
+    when = "while the box moves" if moves else "of a box that is heated on several faces"
     others = [name for name in names if log[name].quantity != "magnetic_field"]
     if not others:
-        raise LogError(
-            f"{log.path}: nothing tells the magnetic field while the box moves, and no other sensor is there"
-        )
+        raise LogError(f"{log.path}: nothing tells the magnetic field {when}, and no other sensor is there")
     magnetometers = [name for name in names if name not in others]
-    return others, [f"{name} is left out: nothing tells the field while the box moves." for name in magnetometers]
+    return others, [f"{name} is left out: nothing tells the field {when}." for name in magnetometers]
 
 
-def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> dict[str, Timeline]:
-    """When each sensor is read."""
+def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
+    """When each sensor is read, and when none is."""
     steady: dict[str, Timeline] = {
         name: filled(log[name]) for name, timing in timings.items() if timing.kind != "bursts"
     }
     even = {name: even_rows(log[name]) for name in timings if name not in steady}
-    return {**(awaited(steady, log.sensors) if steady else {}), **even}
+    gaps = recorder_gaps(log, steady)
+    return replace(gaps, lines={**(awaited(gaps.lines, log.sensors) if steady else {}), **even})
 
 
 def _of_one_array(logs: Sequence[Log]) -> None:

@@ -1,0 +1,138 @@
+"""Gaps in a log that the recorder made: no sensor was read then, so no simulation of the log reads one either.
+
+A row that one sensor lacks while the others were read is lost, and something that the simulator may lack. Where nobody
+was there to read any of them nothing is known of the sensors, and nothing differs: the timing of the recorder is a
+nuisance, told in a note. Two things tell it: every other sensor that was due is missing as well, or an event of the
+logger says that frames were missed.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import pdtrc
+
+from imuarray.log import Log, SensorLog
+from imuarray.log.format import Event
+from imuarray.log.pace import MISSED
+from imuarray.simulate.timeline import Filled, Timeline
+
+Integers = npt.NDArray[np.int64]
+
+MISSING = 1.5
+"""Times its usual interval, between the rows of another sensor around the middle of a gap, from which on it is missing
+there, too."""
+
+DUE = 0.6
+"""Share of a gap: a sensor whose usual interval is longer need not have been read in it."""
+
+CHANCE = 0.01
+"""Probability with which sensors that lose rows one by one have as many gaps in common."""
+
+_SPAN = re.compile(r"missed in ([\d.]+) s")
+"""What an event says that tells all delays of a while together."""
+
+
+class _Gap(NamedTuple):
+    """Between two rows of a sensor, in ns of the log."""
+
+    begin_ns: int
+    end_ns: int
+
+    @property
+    def length_ns(self) -> int:
+        return self.end_ns - self.begin_ns
+
+
+@dataclass(frozen=True)
+class RecorderGaps:
+    """The timelines of sensors without the rows that were due while the recorder read nothing (`lines`); by sensor the
+    times (k,) in ns of the first rows behind these gaps; and a `note` on them, "" where there are none.
+    """
+
+    lines: Mapping[str, Timeline]
+    ends_ns: Mapping[str, Integers]
+    note: str = ""
+
+
+def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
+    """Those between the rows of recorded sensors with these timelines."""
+    usual_ns = {name: _usual_ns(sensor) for name, sensor in log.sensors.items()}
+    delays = [_delay(event) for event in log.events if event.kind == "late" and not event.sensor]
+    kept, ends_ns = dict(lines), {}
+    most: list[_Gap] = []
+    for name, line in lines.items():
+        if not isinstance(line, Filled):
+            continue
+        others = [(log[other], interval_ns) for other, interval_ns in usual_ns.items() if other != name]
+        gaps = [_Gap(begin_ns, end_ns) for begin_ns, end_ns, _ in line.holes()]
+        is_late = np.array([_is_late(gap, usual_ns[name], delays) for gap in gaps])
+        is_common = np.array([_is_common(gap, others) for gap in gaps])
+        common_ns = float(np.mean([gap.length_ns for gap in gaps]))
+        losses = [_lost_share(*other, common_ns) for other in others if other[1] > 0]
+        if is_common.any() and pdtrc(is_common.sum() - 1, len(gaps) * math.prod(losses)) > CHANCE:
+            is_common[:] = False
+        is_own = ~(is_late | is_common)
+        of_recorder = [gap for gap, own in zip(gaps, is_own.tolist(), strict=True) if not own]
+        if not of_recorder:
+            continue
+        lost = replace(line, before=line.before[is_own], missing=line.missing[is_own])
+        kept[name] = lost if is_own.any() else line.recorded
+        ends_ns[name] = np.array([gap.end_ns for gap in of_recorder])
+        most = max(most, of_recorder, key=len)
+    return RecorderGaps(kept, ends_ns, _sentence(most))
+
+
+def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
+    """Whether the logger says that it was late then."""
+    return any(delay.begin_ns <= gap.end_ns + usual_ns and delay.end_ns > gap.begin_ns for delay in delays)
+
+
+def _is_common(gap: _Gap, others: Sequence[tuple[SensorLog, float]]) -> bool:
+    """Whether all others that were due in the gap are missing there; with none, nothing tells."""
+    due = [(sensor, interval_ns) for sensor, interval_ns in others if 0 < interval_ns <= DUE * gap.length_ns]
+    return bool(due) and all(_is_missing(sensor, interval_ns, gap) for sensor, interval_ns in due)
+
+
+def _is_missing(sensor: SensorLog, usual_ns: float, gap: _Gap) -> bool:
+    """Whether its rows around the middle of the gap are further apart than usual."""
+    middle_ns = (gap.begin_ns + gap.end_ns) // 2
+    row = sensor.between(middle_ns, middle_ns).start
+    if not 0 < row < len(sensor):
+        return False
+    before_ns, after_ns = (int(time) for time in sensor.time[row - 1 : row + 1])
+    return after_ns - before_ns >= max(MISSING * usual_ns, gap.length_ns / 2)
+
+
+def _lost_share(sensor: SensorLog, usual_ns: float, gap_ns: float) -> float:
+    """Of the time of a log, that in which a sensor lacks rows, but for one gap of this length."""
+    span_ns = int(sensor.time[-1]) - int(sensor.time[0])
+    return max(1 - ((len(sensor) - 1) * usual_ns + gap_ns) / span_ns, 0.0)
+
+
+def _usual_ns(sensor: SensorLog) -> float:
+    """The median of its first intervals, 0 without two rows."""
+    return float(np.median(np.diff(np.asarray(sensor.time[: 1 << 14], np.int64)))) if len(sensor) > 1 else 0.0
+
+
+def _delay(event: Event) -> _Gap:
+    """When the logger was late, as an event tells it: up to then, or in a while that ends then."""
+    span = _SPAN.search(event.message) if MISSED.match(event.message) else None
+    return _Gap(event.time_ns - round(float(span[1]) * 1e9) if span else event.time_ns, event.time_ns)
+
+
+def _sentence(gaps: Sequence[_Gap]) -> str:
+    if not gaps:
+        return ""
+    lengths_s = np.array([gap.length_ns for gap in gaps]) * 1e-9
+    times = "once" if len(gaps) == 1 else f"{len(gaps)} times"
+    return (
+        f"the recorder read no sensor for {np.median(lengths_s):.2g} s, {times} ({lengths_s.sum():.3g} s in all); "
+        "these rows are missing, not different"
+    )

@@ -1,0 +1,90 @@
+"""Rows that no sensor has are missing from a log, and nothing that differs from a simulation of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imuarray.gap.inference.comparison import prepared
+from imuarray.gap.recording.recordings import Recording, recording_of
+from imuarray.log import Block, LogWriter, open_log
+from imuarray.log.format import LOST_BEFORE, Event, Phase, SensorHeader
+
+RATE_HZ = 50
+SECOND = 10**9
+ROWS = 20 * RATE_HZ
+SENSORS = (
+    SensorHeader("Acc", "mpu9150", "specific_force", "g", 16.0, 2048.0),
+    SensorHeader("Gyro", "mpu9150", "angular_rate", "dps", 2000.0, 16.4),
+)
+
+
+def logged(path: Path, lost: Mapping[str, slice], message: str = "", late_s: float = 0.0) -> Recording:
+    """At rest for 20 s; each sensor lacks the rows `lost`; the logger says that it was late."""
+    rng = np.random.default_rng(1)
+    with LogWriter(path, SENSORS, source="imported", epoch="2024-01-01T00:00:00Z") as log:
+        for number, sensor in enumerate(SENSORS):
+            level = (0, 0, 2048) if number == 0 else (0, 0, 0)
+            time = np.arange(ROWS, dtype=np.int64) * SECOND // RATE_HZ + number * 300_000
+            counts = np.rint(rng.normal(level, 5, (ROWS, 3))).astype(np.int16)
+            status = np.zeros(ROWS, np.uint16)
+            held = np.ones(ROWS, bool)
+            if sensor.name in lost:
+                held[lost[sensor.name]] = False
+                status[lost[sensor.name].stop] = LOST_BEFORE
+            log.append(sensor.name, Block(time[held], counts[held], status[held]))
+        log.phase(Phase(0, 20 * SECOND - 1, "static", "+Z"))
+        if message:
+            log.event(Event(round(late_s * SECOND), "", "late", message))
+    return recording_of(open_log(path))
+
+
+def due(recording: Recording) -> dict[str, int]:
+    return {name: line.rows for name, (_, line) in recording.experiment.plan.sensors.items()}
+
+
+@pytest.mark.parametrize("rows", [slice(300, 301), slice(300, 340)])
+def test_rows_that_all_sensors_lack_are_not_due(tmp_path: Path, rows: slice) -> None:
+    recording = logged(tmp_path / "log.h5", {"Acc": rows, "Gyro": rows})
+    left = ROWS - (rows.stop - rows.start)
+    assert due(recording) == {"Acc": left, "Gyro": left}
+    assert any(note.startswith("the recorder read no sensor for") for note in recording.notes)
+
+
+@pytest.mark.parametrize("rows", [slice(300, 301), slice(300, 340)])
+def test_rows_that_one_sensor_lacks_were_lost(tmp_path: Path, rows: slice) -> None:
+    recording = logged(tmp_path / "log.h5", {"Acc": rows})
+    assert due(recording) == {"Acc": ROWS, "Gyro": ROWS}
+    assert not any("recorder" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("message", "late_s", "is_of_recorder"),
+    [
+        ("40 frames missed: the one before ended too late", 6.8, True),
+        ("in all 80 frames missed in 4.5 s", 10.0, True),
+        ("40 frames missed: the one before ended too late", 9.0, False),
+        ("in all 80 frames missed in 2.5 s", 10.0, False),
+    ],
+)
+def test_the_logger_says_when_it_was_late(tmp_path: Path, message: str, late_s: float, is_of_recorder: bool) -> None:
+    """From 6.0 to 6.8 s; of a single sensor nothing else tells whose rows they are."""
+    recording = logged(tmp_path / "log.h5", {"Acc": slice(300, 340)}, message, late_s)
+    assert due(recording)["Acc"] == (ROWS - 40 if is_of_recorder else ROWS)
+
+
+def test_a_gap_of_the_recorder_leaves_no_trace_in_the_statistics(tmp_path: Path) -> None:
+    rows = slice(300, 340)
+    bench, campaign = prepared([logged(tmp_path / "log.h5", {"Acc": rows, "Gyro": rows})], None, 0)
+    shown = bench.measured(campaign, bench.base.fitted)
+    simulated = bench.measured(bench.simulated(bench.models(), 0), bench.base.fitted)
+    timing = {
+        (key.sensor, key.probe): place for place, key in enumerate(bench.keys) if key.domain in ("timing", "status")
+    }
+    for sensor in ("Acc", "Gyro"):
+        for probe in ("interval", "longest_interval", "gaps", "lost"):
+            place = timing[sensor, probe]
+            assert shown.values[place] == pytest.approx(simulated.values[place], abs=1e-9)
