@@ -21,7 +21,7 @@ from imuarray.log.writer import Stimulus
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects import EFFECTS
 from imuarray.simulate.effects.channel_swap import ChannelSwap
-from imuarray.simulate.effects.size_effect import SizeEffect
+from imuarray.simulate.effects.size_effect import SizeEffect, with_position
 from imuarray.simulate.model import Model
 from imuarray.simulate.sensor import SimulatedBarometer, SimulatedSensor
 from imuarray.simulate.signal import Codes, Motion
@@ -161,10 +161,8 @@ def effects_of(
         if header.quantity == "pressure":
             continue
         effects = model.effects(header, units, population=population, without=frozenset(without))
-        position_mm = place_of(header, effects, plan).position_mm
-        placed = any(position_mm) and "size_effect" not in {effect.name for effect in effects}
-        if placed and "size_effect" not in without:
-            effects = (SizeEffect(position_mm), *effects)
+        if SizeEffect.name not in without:
+            effects = with_position(effects, place_of(header, effects, plan).position_mm)
         found[name] = in_physical_order(effects)
     return found
 

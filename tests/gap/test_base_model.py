@@ -286,3 +286,14 @@ def fitted_to_rows(noise: npt.NDArray[np.float64], data_rate_hz: float, bandwidt
     whole = Phase(0, 100 * 10**9, "static", "+Z")
     log = summarise_log("static", {"G": OneBlock(gyro, rows)}, [whole], lambda time_ns: np.full(len(time_ns), 25.0))
     return fit(Campaign((log,)), [Still()]).fitted["G"]
+
+
+def test_where_a_sensor_sits_is_known_of_its_header() -> None:
+    """An accelerometer is simulated there, a gyroscope feels the same everywhere; a model's word counts for more."""
+    base = fitted_to("static")
+    headers = {name: replace(header, position_mm=(10.0, 0.0, -5.0)) for name, header in base.headers.items()}
+    drawn = replace(base, headers=headers).drawn(0)
+    places = {
+        name: [one.position_mm for one in effects if one.name == "size_effect"] for name, effects in drawn.items()
+    }  # type: ignore[attr-defined]
+    assert places == {"A1": [(10.0, 0.0, -5.0)], "A2": [(10.0, 0.0, -5.0)], "G1": [], "G2": []}

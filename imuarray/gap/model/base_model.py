@@ -43,7 +43,7 @@ from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bandwidth import Bandwidth, correlation
 from imuarray.simulate.effects.own_clock import OwnClock
-from imuarray.simulate.effects.size_effect import SizeEffect
+from imuarray.simulate.effects.size_effect import with_position
 from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.model import Model, noise_bandwidth_hz
 from imuarray.simulate.motion.felt import Motion
@@ -119,9 +119,8 @@ class Base:
         effects = tuple(_unfitted((self.model or self._usual).effects(header, units), is_slope_known))
         if not any(isinstance(effect, OwnClock) for effect in effects):
             effects = (_IN_STEP, *effects)
-        is_placed = header.quantity == "specific_force" and any(header.position_mm)
-        if is_placed and not any(isinstance(effect, SizeEffect) for effect in effects):
-            effects = (SizeEffect(header.position_mm), *effects)
+        if header.quantity == "specific_force":
+            effects = with_position(effects, header.position_mm)
         clock_error = self.fitted[header.name].clock_error
         if math.isfinite(clock_error):
             clock = OwnClock(clock_error, math.nan, 1.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from imuarray.log.format import LOST_BEFORE, Phase, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.simulate.converters import thermometer_of
 from imuarray.simulate.motion.felt import Motion
-from imuarray.simulate.motion.like import LikeLog
+from imuarray.simulate.motion.like import LikeLog, TemperatureSource
 from imuarray.simulate.motion.posed import Posed
 from imuarray.simulate.simulation import Plan, plan_like
 from imuarray.simulate.timeline import Timeline, filled
@@ -61,10 +62,15 @@ class Recording:
     notes: tuple[str, ...] = ()
     gap_ends_ns: Mapping[str, Times] = field(default_factory=dict)
 
+    @cached_property
+    def temperature_source(self) -> TemperatureSource:
+        """What tells the temperature."""
+        return LikeLog(self.log).temperature_source
+
     @property
     def has_reference_temperature(self) -> bool:
         """Whether something beside the chips' own thermometers tells the temperature."""
-        return LikeLog(self.log).temperature_source not in ("chip", "nothing")
+        return self.temperature_source not in ("chip", "nothing")
 
 
 def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
@@ -124,16 +130,16 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
 
 def _without_unknown_heat(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     """Those in which the temperature is known, or doesn't change for all that is noted; all, if there are no others."""
-    unknown = [one for one in recordings if one.kind == "heating" and _temperature_source(one) == "nothing"]
-    known = [one for one in recordings if one not in unknown]
-    if not unknown or not known:
+    known: list[Recording] = []
+    notes: list[str] = []
+    for recording in recordings:
+        if recording.kind == "heating" and recording.temperature_source == "nothing":
+            notes.append(f"{recording.name} is left out: nothing tells the temperature while the box is heated.")
+        else:
+            known.append(recording)
+    if not notes or not known:
         return tuple(recordings)
-    notes = tuple(f"{one.name} is left out: nothing tells the temperature while the box is heated." for one in unknown)
     return (replace(known[0], notes=(*notes, *known[0].notes)), *known[1:])
-
-
-def _temperature_source(recording: Recording) -> str:
-    return LikeLog(recording.log).temperature_source
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:

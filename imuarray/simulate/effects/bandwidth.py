@@ -8,6 +8,7 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
+from scipy.integrate import simpson
 from scipy.linalg import solve_toeplitz
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
@@ -104,16 +105,8 @@ def _band_limited(decay: float, poles: float, band: float) -> float:
     radians = decay * math.sqrt(poles)  # at the cutoff
     steps = 2 * math.ceil(_STEPS * (1 + band * (1 + radians)))
     over_cutoff = np.linspace(0.0, band, steps + 1)
-    power = _simpson(steps) / (1 + over_cutoff ** (2 * poles))
-    return float(power @ np.cos(radians * over_cutoff) / power.sum())
-
-
-def _simpson(steps: int) -> Floats:
-    """(n + 1,) weights 1, 4, 2, 4, ... 4, 1 of Simpson's rule for an even number n of steps."""
-    weight = np.full(steps + 1, 2.0)
-    weight[1::2] = 4.0
-    weight[[0, -1]] = 1.0
-    return weight
+    power = 1 / (1 + over_cutoff ** (2 * poles))
+    return float(simpson(power * np.cos(radians * over_cutoff), x=over_cutoff) / simpson(power, x=over_cutoff))
 
 
 @lru_cache(maxsize=256)

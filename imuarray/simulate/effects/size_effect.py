@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -30,3 +31,10 @@ class SizeEffect(Effect):
         place = np.array(self.position_mm) * 1e-3
         added = np.cross(acceleration, place) + np.cross(rate, np.cross(rate, place))
         return replace(felt, force_box=felt.force_box + added) if added.any() else felt
+
+
+def with_position(effects: Sequence[Effect], position_mm: Triple) -> tuple[Effect, ...]:
+    """The effects of a sensor that sits there, unless one of them says already where it sits."""
+    if not any(position_mm) or any(isinstance(effect, SizeEffect) for effect in effects):
+        return tuple(effects)
+    return (SizeEffect(position_mm), *effects)

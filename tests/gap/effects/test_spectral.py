@@ -10,7 +10,7 @@ import pytest
 from imuarray.gap.inference.effects.bandwidth import BANDWIDTH
 from imuarray.gap.inference.effects.lines import highest_lines
 from imuarray.gap.inference.effects.quietness import rarity_behind
-from imuarray.gap.inference.effects.tone import TONE, in_phase
+from imuarray.gap.inference.effects.tone import TONE, assign_signs
 from imuarray.gap.inference.effects.white_noise import WHITE_NOISE
 from imuarray.gap.model.rest import FittedParameters
 from imuarray.simulate.effects.bandwidth import Bandwidth
@@ -157,9 +157,9 @@ def test_a_line_in_antiphase_has_the_sign_of_the_correlations(
     between_axes: tuple[float, float, float], expected: tuple[float, float, float]
 ) -> None:
     """A sine of amplitudes a and b on two axes has the sign of a b in their covariance, a b / 2."""
-    assert in_phase((1.0, 2.0, 3.0), np.array(between_axes)) == expected
+    assert assign_signs((1.0, 2.0, 3.0), np.array(between_axes)) == expected
 
 
 def test_an_axis_without_the_line_says_nothing_of_its_sign() -> None:
-    x, y, z = in_phase((1.0, 0.0, 3.0), np.array([-0.9, -0.9, 0.1]))
+    x, y, z = assign_signs((1.0, 0.0, 3.0), np.array([-0.9, -0.9, 0.1]))
     assert (y, x * z) == (0.0, 3.0)

@@ -117,7 +117,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
         bin_hz = rate.rows_per_s / spectrum.segment_rows
         places = [shown_hz(effect.frequency_hz, rate.rows_per_s) / bin_hz for effect in known]
         for line in highest_lines(spectrum, _LINES, places):
-            amplitude = in_phase(_amplitude(evidence, line.power, line.height), evidence.typical(_BETWEEN_AXES))
+            amplitude = _amplitude(evidence, line.power, line.height)
             for hertz in _true_hz(line.bin * bin_hz, bin_hz, rate, rates):
                 yield Hypothesis((Tone(amplitude, hertz),), ("amplitude",))
     if not any(effect.drift_hz_per_h for effect in known):
@@ -149,7 +149,7 @@ def _drifting(evidence: Evidence, known_hz: list[float]) -> Iterator[Hypothesis]
     spread_hz = float(np.std(firsts, ddof=1)) if len(firsts) > 1 else _BETWEEN * moved_hz
     power, height = (np.median([getattr(one, name) for one in seen], axis=0) for name in ("power", "height"))
     first_hz = max(float(np.mean(firsts)), 0.0)
-    amplitude = in_phase(_amplitude(evidence, power, height), evidence.typical(_BETWEEN_AXES))
+    amplitude = _amplitude(evidence, power, height)
     tone = Tone(amplitude, first_hz, frequency_spread_hz=spread_hz, drift_hz_per_h=3600 * slope)
     yield Hypothesis((tone,), ("amplitude",))
 
@@ -165,13 +165,13 @@ def _sightings(evidence: Evidence, known_hz: list[float]) -> Iterator[_Sighting]
             yield _Sighting(one.log, time_s, line.bin * bin_hz, bin_hz, line.power, line.height)
 
 
-def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> tuple[float, float, float]:
+def _amplitude(evidence: Evidence, power: Floats, height: Floats) -> Triple:
     """In the sensor's unit, of the axes on which the line is clear."""
     x, y, z = (np.sqrt(2 * np.where(height > _CLEAR, power, 0.0)) / evidence.header.sensitivity).tolist()
-    return x, y, z
+    return assign_signs((x, y, z), evidence.typical(_BETWEEN_AXES))
 
 
-def in_phase(amplitude: Triple, between_axes: Floats) -> Triple:
+def assign_signs(amplitude: Triple, between_axes: Floats) -> Triple:
     """`amplitude` with the signs that agree best with `between_axes` (3,), by how much each axis correlates more with
     the next one than the model has it: a line that reaches two axes in antiphase makes that negative.
     """
