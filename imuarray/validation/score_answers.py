@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from math import isfinite, nan
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from imuarray.errors import ConfigError
@@ -20,6 +21,16 @@ LIKELY = 0.5
 NO_GAP, NOTHING_NAMED = "no gap", "nothing named"
 Said = Mapping[str, Any]
 """A cause, as the JSON of a diagnosis has it."""
+
+
+OF_A_WORLD: Mapping[tuple[str, str], frozenset[str]] = MappingProxyType(
+    {
+        ("labels", "some wrong"): frozenset({"face_error"}),
+        ("vibration", "fridge"): frozenset({"tone", "common_mode"}),
+        ("vibration", "fan"): frozenset({"tone", "common_mode"}),
+    }
+)
+"""By stratum of a random world: what a diagnosis may rightly say of it, whatever else is at work."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +79,21 @@ class Answer:
         """Most probable first, without those that are said of the control as well."""
         told = self.outcome.diagnosis.get("causes") or ()
         return tuple(cause for cause in told if not any(_is_same(cause, other) for other in self.known))
+
+    @property
+    def is_false_alarm(self) -> bool:
+        """Whether a gap is told that the world of a control does not explain: where its faces are noted wrongly, or a
+        machine shakes its room, these are right to be told, and everything beside them is not.
+        """
+        if not self.is_detected or self.verdict != "explained":
+            return self.is_detected
+        effects = {str(cause["effect"]) for cause in self.causes}
+        return not effects or not effects <= self.of_the_world
+
+    @property
+    def of_the_world(self) -> frozenset[str]:
+        """Effects that a world has by itself."""
+        return frozenset().union(*(OF_A_WORLD.get(item, ()) for item in self.case.strata.items()))
 
     @property
     def named(self) -> tuple[Said, ...]:

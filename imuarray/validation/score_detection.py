@@ -108,13 +108,13 @@ def _false_alarms(controls: Sequence[Answer], full: str) -> Iterator[Row]:
     about = "nothing is wrong, a gap is told all the same (nominally 5 %)"
     if full == EVERY and controls:
         parts = ("experiment", "chip", "stratum")
-        cells = [cell for group in parts for cell in cells_of(group, controls, _is_detected, NO_BAR)]
-        yield row_of("false alarms", _detected(controls), FALSE_ALARMS, about, cells)
+        cells = [cell for group in parts for cell in cells_of(group, controls, _is_false_alarm, NO_BAR)]
+        yield row_of("false alarms", _alarmed(controls), FALSE_ALARMS, about, cells)
         return
     for plan, own in grouped("plan", controls).items():
-        yield row_of(f"false alarms, plan {plan}", _detected(own), FALSE_ALARMS, about)
+        yield row_of(f"false alarms, plan {plan}", _alarmed(own), FALSE_ALARMS, about)
     if not controls:
-        yield row_of("false alarms", _detected(controls), FALSE_ALARMS, about)
+        yield row_of("false alarms", _alarmed(controls), FALSE_ALARMS, about)
 
 
 def _untold(answers: Sequence[Answer]) -> Row:
@@ -133,6 +133,14 @@ def _told(answers: Sequence[Answer]) -> Estimate:
 
 def _detected(answers: Sequence[Answer]) -> Estimate:
     return rate(sum(map(_is_detected, answers)), len(answers))
+
+
+def _alarmed(answers: Sequence[Answer]) -> Estimate:
+    return rate(sum(map(_is_false_alarm, answers)), len(answers))
+
+
+def _is_false_alarm(answer: Answer) -> bool:
+    return answer.is_false_alarm
 
 
 def _is_detected(answer: Answer) -> bool:

@@ -83,4 +83,4 @@ def _is_detected(answer: Answer) -> bool:
 
 
 def _is_silent(answer: Answer) -> bool:
-    return not answer.is_detected
+    return not answer.is_false_alarm

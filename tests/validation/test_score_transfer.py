@@ -104,3 +104,19 @@ def test_an_old_case_is_read() -> None:
         "resembles": [],
     }
     assert Case.of_table(table).world == ""
+
+
+def test_what_a_world_has_by_itself_is_no_false_alarm(tmp_path: Path) -> None:
+    """Two faces that are noted wrongly are right to be told, alone and explained; a room that shakes likewise."""
+    made = Made(tmp_path)
+    labels, shaken = {"labels": "some wrong"}, {"vibration": "fan"}
+    for strata, diagnosis in (
+        (labels, said(cause("face_error"))),
+        (shaken, said(cause("common_mode"), cause("tone"))),
+        (labels, said(cause("face_error"), cause("scale"))),
+        (shaken, said(cause("face_error"))),
+        (labels, NO_GAP),
+    ):
+        made.both("none", diagnosis, plan="static", world="emulator", chips=CHIPS, strata=strata)
+    row = score_folder(made.folder).row("false alarms")
+    assert (row.value, row.cases) == (pytest.approx(2 / 5), 5)

@@ -36,8 +36,10 @@ REFERENCE_DEGC = 25.0
 _LEAST_ROWS = 4
 """Segments of fewer rows say nothing of a variance."""
 
-_LEAST_DEGC = 1.0
-"""A smaller span of temperatures, all on one face in one log, says nothing of a slope."""
+_LEAST_DEGC = 3.0
+"""A smaller span of temperatures, all on one face in one log, says nothing of a slope: over minutes a bias wanders by
+as much as it follows a degree.
+"""
 
 _ADDED, _LARGEST = 0.3, 64.0
 """Share of a variance that has to be left if something was added to it; largest change of one that was scaled."""
