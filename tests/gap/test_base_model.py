@@ -297,3 +297,12 @@ def test_where_a_sensor_sits_is_known_of_its_header() -> None:
         name: [one.position_mm for one in effects if one.name == "size_effect"] for name, effects in drawn.items()
     }  # type: ignore[attr-defined]
     assert places == {"A1": [(10.0, 0.0, -5.0)], "A2": [(10.0, 0.0, -5.0)], "G1": [], "G2": []}
+
+
+def test_rows_of_a_queue_are_readings_whatever_the_clock_does() -> None:
+    """Nobody polls them, so that none is older than its stamp; those of other sensors may be, in odd replicates."""
+    base = replace(fitted_to("static"), queued=frozenset({"G1"}))
+    polled = {
+        name: [one.polled for one in effects if isinstance(one, OwnClock)] for name, effects in base.drawn(1).items()
+    }
+    assert (polled["G1"], polled["G2"]) == ([0.0], [1.0])

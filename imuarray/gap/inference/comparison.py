@@ -41,6 +41,9 @@ would find at p = 0.05 is given up by less than one in two hundred.
 """
 
 
+QUEUED = 1.2
+"""Times the rate of the frames: a sensor with more rows than that is not read once a frame."""
+
 _PART_ROWS = 128
 """Of a phase within a stretch: fewer have no spectrum."""
 
@@ -82,9 +85,20 @@ def prepared(
         return replace(bench_of(campaign, split, experiments, base), is_refitted=False), campaign
     train = split.train(campaign)
     base = fit(train.campaign, [experiments[at].motion for at in train.logs], model=model, seed=seed)
+    base = replace(base, queued=_queued_in(recordings))
     campaign = _of_fitted(campaign, base)
     bench = bench_of(campaign, split, experiments, base)
     return (bench if model is None else settled(bench)), campaign
+
+
+def _queued_in(recordings: Sequence[Recording]) -> frozenset[str]:
+    """Sensors with more rows than frames: a queue of theirs is drained."""
+    return frozenset(
+        name
+        for recording in recordings
+        for name, (_, line) in recording.experiment.plan.sensors.items()
+        if 0 < QUEUED * recording.experiment.plan.frame_rate_hz < line.rows_per_s
+    )
 
 
 def _summarised(recordings: Sequence[Recording], split: Split) -> Campaign:
@@ -104,6 +118,7 @@ def _base_of(recordings: Sequence[Recording], model: Model | None, seed: int) ->
     split = split_of([one.kind for one in recordings], [one.phases for one in recordings])
     campaign, experiments = _summarised(recordings, split), [one.experiment for one in recordings]
     base = fit(campaign, [experiment.motion for experiment in experiments], model=model, seed=seed)
+    base = replace(base, queued=_queued_in(recordings))
     if model is None:
         return base
     return settled(bench_of(campaign, split, experiments, base)).base

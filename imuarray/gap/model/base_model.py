@@ -87,13 +87,14 @@ _FITTED = frozenset({"white_noise", "bias", "thermal_bias"})
 class Base:
     """The fitted sensors by name; `model` has the rest of their effects (None: the usual ones are all), of which
     populations are drawn; `seed` keys the draws. A model that says nothing of a sensor's clock leaves it its own phase
-    at each boot.
+    at each boot. The rows of those that are `queued` are the chip's own readings, whatever its clock does.
     """
 
     headers: Mapping[str, SensorHeader]
     fitted: Mapping[str, FittedParameters]
     model: Model | None = None
     seed: int = 0
+    queued: frozenset[str] = frozenset()
 
     def effects(self, replicate: int) -> dict[str, tuple[Effect, ...]]:
         """The effects of every sensor; `replicate` 0, 1, ... numbers the units that are drawn."""
@@ -125,6 +126,8 @@ class Base:
         if math.isfinite(clock_error):
             clock = OwnClock(clock_error, math.nan, 1.0)
             effects = tuple(clock if isinstance(effect, OwnClock) else effect for effect in effects)
+        if header.name in self.queued:
+            return tuple(effect for effect in effects if replicate % 2 or not is_usual(effect, header))
         if replicate % 2 == 0:
             return tuple(effect for effect in effects if not is_usual(effect, header))
         deviate = float(units.of_unit(header.name, OwnClock.name, "rate_error").standard_normal())
