@@ -37,11 +37,8 @@ Table 4).
 TURN_ON_SHARE = 0.01
 """Largest usual scatter of a bias from one power-on to the next, as a share of the bias that the data sheet allows.
 None prints it: the paper's parts scatter by up to 0.65 mg and 0.036 dps (the left half of its Table 11), the allowed
-biases are 60 to 250 mg and 10 dps.
+biases are 60 to 250 mg and, at 250 dps, 10 dps.
 """
-
-TURN_ON_SHARE_OF_RANGE = 0.004
-"""The same of the bias that is allowed at the range which is set: 0.3 dps at 2000 dps."""
 
 TURN_ON_RMS: Mapping[str, float] = MappingProxyType({"g": 6e-4, "dps": 0.04})
 """The same by unit, for chips whose data sheet is not known."""
@@ -156,15 +153,10 @@ def is_usual(effect: Effect, header: SensorHeader) -> bool:
 
 def turn_on_rms(header: SensorHeader) -> float:
     """Largest usual scatter of a bias from one power-on to the next, in the sensor's unit; 0 where nothing is known.
-
-    That of the element is the same at all ranges: the smallest bias that any of them allows tells it. What the
-    electronics behind it add grows with the range, as the bias that it allows does.
+    The bias that a data sheet allows depends on the range (L3G-70), and so does this.
     """
-    ranges = TRIADS[header.chip].sensitivity if header.chip in TRIADS else (header.range,)
-    allowed = [min(offset_tolerance(replace(header, range=range_))) for range_ in (*ranges, header.range)]
-    if not math.isfinite(min(allowed)):
-        return TURN_ON_RMS.get(header.unit, 0.0)
-    return max(TURN_ON_SHARE * min(allowed), TURN_ON_SHARE_OF_RANGE * allowed[-1])
+    allowed = min(offset_tolerance(header))
+    return TURN_ON_SHARE * allowed if math.isfinite(allowed) else TURN_ON_RMS.get(header.unit, 0.0)
 
 
 def clock_tolerance(header: SensorHeader) -> float:
