@@ -10,11 +10,10 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
+
+from imuarray.arrays import Floats, Integers
 
 Words = Mapping[str, int]
-Integers = npt.NDArray[np.int64]
-Doubles = npt.NDArray[np.float64]
 
 EXAMPLE_WORDS: Words = MappingProxyType(
     {
@@ -37,14 +36,14 @@ _SIXTEENTHS = 160
 """B5 is the temperature in sixteenths of 0.1 degC (BMP-60)."""
 
 
-def compensate(ut: Integers, up: Integers, words: Words, oversampling: int) -> tuple[Doubles, Doubles]:
+def compensate(ut: Integers, up: Integers, words: Words, oversampling: int) -> tuple[Floats, Floats]:
     """Temperature (n,) in degC and pressure (n,) in Pa from the uncompensated readings (BMP-60 ... BMP-63)."""
     b5 = _b5(ut, words)
     return (b5 + 8 >> 4) / 10.0, _pressure(up, b5, words, oversampling).astype(np.float64)
 
 
 def uncompensated(
-    temperature_degc: Doubles, pressure_pa: Doubles, words: Words, oversampling: int
+    temperature_degc: Floats, pressure_pa: Floats, words: Words, oversampling: int
 ) -> tuple[Integers, Integers]:
     """The raw words UT (n,) and UP (n,) whose compensation comes first to these temperatures and pressures, by
     bisection: both rise with their word.
@@ -85,7 +84,7 @@ def _pressure(up: Integers, b5: Integers, words: Words, oversampling: int) -> In
     return np.asarray(p + ((x1 + (-7357 * p >> 16) + 3791) >> 4))
 
 
-def _first_reaching(rising: Callable[[Integers], Integers], wanted: Doubles, low: int, high: int) -> Integers:
+def _first_reaching(rising: Callable[[Integers], Integers], wanted: Floats, low: int, high: int) -> Integers:
     """For each of `wanted` (n,) the lowest word in low ... high at which `rising` has reached it (high if none)."""
     bottom, top = np.full(len(wanted), low, np.int64), np.full(len(wanted), high, np.int64)
     while (bottom < top).any():

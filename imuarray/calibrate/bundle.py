@@ -15,9 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from imuarray.arrays import Floats
 
 _ITERATIONS = 30
 _CONVERGED = 1e-9

@@ -15,14 +15,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtrc, fdtrc, stdtr
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.calibrate.turn_on import holm
 from imuarray.errors import CalibrationError
-
-Floats = npt.NDArray[np.float64]
 
 CHANGED = 0.05
 """Probability, all figures allowed for, below which one changed."""

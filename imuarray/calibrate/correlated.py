@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy.linalg.lapack import dpttrf, dpttrs
 from scipy.special import fdtrc
 
-Floats = npt.NDArray[np.float64]
+from imuarray.arrays import Floats
 
 _CELLS = 6
 _ENOUGH = 8.0

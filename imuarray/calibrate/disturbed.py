@@ -8,12 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import fdtrc
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.pose_readings import Pose, PoseReadings
-
-Floats = npt.NDArray[np.float64]
 
 MOVED_G = 0.005
 """A box whose gravity changes by more from one half of a pose to the other was moved: 0.3 degrees. Warming up changes

@@ -18,12 +18,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.segments import Segments
 from imuarray.calibrate.stability import Drift
-
-Floats = npt.NDArray[np.float64]
 
 MOST_SEGMENTS = 512
 LEAST_SEGMENTS = 16

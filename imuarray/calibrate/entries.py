@@ -11,11 +11,10 @@ from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.errors import CalibrationError
 
-Floats = npt.NDArray[np.float64]
 Table = Mapping[str, object]
 Reader = Callable[[object, str], object]
 T = TypeVar("T")

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, left_out_of, moved_within, worst
 from imuarray.calibrate.fits import TriadFit, straight_lines
 from imuarray.calibrate.labels import axes_text, check_labels
@@ -26,8 +26,6 @@ from imuarray.calibrate.model import SensorCalibration, nominal
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
-
-Floats = npt.NDArray[np.float64]
 
 _WANTED = "z_up, x_up, y_up, x_down, y_down, z_down are wanted"
 

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtrc
 
+from imuarray.arrays import Floats
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
 from imuarray.units import READABLE
-
-Floats = npt.NDArray[np.float64]
 
 MORE_THAN_NOISE = 0.01
 """Residuals that noise alone makes so large less often than this are no noise: a bias wandered or the box did not

@@ -12,15 +12,13 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.disturbed import chance_of_misfit
 from imuarray.calibrate.fits import DRIFTS, TriadFit, straight_lines
 from imuarray.calibrate.model import SensorCalibration, nominal
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.log import SensorLog
-
-Floats = npt.NDArray[np.float64]
 
 _MOST_DRIFT = 2
 

@@ -20,10 +20,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.bundle import Bundle, in_box_frame, solve
 from imuarray.calibrate.disturbed import LeftOut, another_go, chance_of_misfit, left_out_of, moved_within, worst
 from imuarray.calibrate.faces import accelerometer_of
@@ -32,8 +32,6 @@ from imuarray.calibrate.model import SensorCalibration
 from imuarray.calibrate.pose_readings import Pose, PoseReadings, read_poses
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
-
-Floats = npt.NDArray[np.float64]
 
 _TRIANGLE = np.triu_indices(3)
 

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
 from imuarray.calibrate.pose_readings import PoseReadings
 from imuarray.errors import CalibrationError
 from imuarray.log import SensorLog
 
-Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 _UPS = np.array([up_vector(up) for up in UP_AXES])

@@ -26,6 +26,7 @@ import numpy.typing as npt
 import tomli_w
 
 from imuarray import __version__
+from imuarray.arrays import Floats
 from imuarray.atomic import write_text
 from imuarray.calibrate.entries import to_table
 from imuarray.calibrate.stability import Drift, NoiseLine, Provenance, Thermal, TurnOn
@@ -34,8 +35,6 @@ from imuarray.log import Log, SensorLog
 from imuarray.log.format import SensorHeader
 from imuarray.spelling import guess
 from imuarray.units import SI_PER_UNIT
-
-Floats = npt.NDArray[np.float64]
 
 Described = SensorLog | SensorHeader
 """A sensor as a log describes it: one that was recorded, or that is to be."""

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.pose_readings import find_poses, windows_of
 from imuarray.characterise.stretch import Stretch, choose_stretch
 from imuarray.errors import CalibrationError
@@ -31,8 +31,6 @@ def longest_rest(log: Log, phase: str | None = None) -> Stretch | None:
     chosen_by = "the longest at rest, as the sensors show: no phase says so"
     return longest and Stretch(longest.start_ns, longest.end_ns, longest.name, "", chosen_by)
 
-
-Floats = npt.NDArray[np.float64]
 
 STILL: Mapping[str, float] = MappingProxyType({"specific_force": 0.1, "angular_rate": 5.0})
 """By quantity, in its unit: seconds in which readings scatter by more, or whose mean is so far from that of the second

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.drift import LEAST_SEGMENTS, MOST_SEGMENTS, fit_drift
 from imuarray.calibrate.model import Calibration, SensorCalibration, nominal
 from imuarray.calibrate.motion import refuse_motion
@@ -41,8 +41,6 @@ from imuarray.characterise.spectrum import SEGMENT, Spectrum, Welch
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL
-
-Floats = npt.NDArray[np.float64]
 
 MOST_LINES = 8
 """Lines of an axis that are kept, the strongest."""

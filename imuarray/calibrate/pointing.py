@@ -18,16 +18,14 @@ from functools import reduce
 from itertools import pairwise, permutations, product
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, orientation_of, up_vector
 from imuarray.calibrate.labels import axes_text
 from imuarray.calibrate.pose_readings import Pose, find_poses, named_faces
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL, SI_PER_UNIT
-
-Floats = npt.NDArray[np.float64]
 
 HELD = ("+Z", "+X", "+Y")
 """The poses that a person is asked for, if nothing else is said: three that are no mirror image of another three."""

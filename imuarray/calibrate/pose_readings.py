@@ -22,14 +22,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, face_up, up_vector
 from imuarray.characterise.noise import LEFT_OUT
 from imuarray.characterise.stretch import GAP, broken_rows
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
-
-Floats = npt.NDArray[np.float64]
 
 WINDOW_S = 0.5
 MIN_POSE_S = 1.5

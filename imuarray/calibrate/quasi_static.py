@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.disturbed import LeftOut, left_out_of
 from imuarray.calibrate.gravity import GravityFit, fit_weighted
 from imuarray.calibrate.pose_readings import Pose, PoseReadings
@@ -23,8 +24,6 @@ from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import SATURATED, SUSPECT, Phase
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.float64]
 
 STRETCH_S = 0.5
 """Long beside a reading, short beside a turn: at 60 degrees a second a parabola errs by a ten-thousandth in it."""

@@ -20,17 +20,14 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.axes import up_vector
 from imuarray.calibrate.correlated import MeanVariance, mean_of_series
 from imuarray.calibrate.segments import Segments, segment_means, thermometer_of
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Phase
-
-Floats = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 MIN_STATE_RUNS = 3
 """A state was seen in so many runs at least; fewer that lie apart are runs that came up wrong."""
@@ -90,7 +87,7 @@ def explained_range(
     return ratio, nearest
 
 
-def runs_apart(means: Floats, floor: Floats) -> Mask:
+def runs_apart(means: Floats, floor: Floats) -> Booleans:
     """Which of the runs (r, 3) have no company: the distance to the second nearest other run is more than 8 spreads.
 
     The spread of an axis is the first quartile of the differences of all pairs (Rousseeuw and Croux, J. Am. Stat.
@@ -105,7 +102,7 @@ def runs_apart(means: Floats, floor: Floats) -> Mask:
     return np.asarray(distance[:, MIN_STATE_RUNS - 1] > _APART)
 
 
-def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[Mask, float]:
+def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[Booleans, float]:
     """The likeliest split of runs (r, 3), True for those that are not in the first run's group, and the probability of
     as good a one by chance.
 
@@ -127,7 +124,7 @@ def two_states(means: Floats, temperatures: Floats | None, seed: int) -> tuple[M
     return second[0] ^ second[0, 0], (beaten + 1) / (_DRAWS + 1)
 
 
-def best_split(rounded: Floats, warm: Floats) -> tuple[Floats, Mask]:
+def best_split(rounded: Floats, warm: Floats) -> tuple[Floats, Booleans]:
     """For each set of points (b, r, d) with unit scatter about lines in `warm` (r,), a unit vector about zero or zero,
     the split into two groups of at least three that explains most of it: the share explained (b,) and the members
     (b, r) of one group.
@@ -144,7 +141,7 @@ def best_split(rounded: Floats, warm: Floats) -> tuple[Floats, Mask]:
     return best, members
 
 
-def _towards(lifted: Floats, members: Mask) -> Floats:
+def _towards(lifted: Floats, members: Booleans) -> Floats:
     """The direction (b, d + 1) that tells the groups apart: from one centre to the other, across the common slope."""
     sums = np.einsum("br,brd->bd", members, lifted)
     count, rows = members.sum(axis=1), members.shape[1]
@@ -153,7 +150,7 @@ def _towards(lifted: Floats, members: Mask) -> Floats:
     return np.concatenate([sums[:, :-1], slope[:, None]], axis=1)
 
 
-def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Mask]:
+def _cut(lifted: Floats, directions: Floats) -> tuple[Floats, Booleans]:
     """The best cut (b,) along any of the directions (b, k, d + 1), and the members (b, r) of its first group."""
     draws, rows, _ = lifted.shape
     order = np.argsort(np.einsum("brd,bkd->bkr", lifted, directions), axis=2)

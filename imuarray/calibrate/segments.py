@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.model import Described
 from imuarray.errors import CalibrationError, LogError
 from imuarray.log import Log, SensorLog
 from imuarray.log.column import NamedColumn
 from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
-
-Floats = npt.NDArray[np.float64]
 
 _MOST_SEGMENTS = 20_000
 _FULL = 0.5

@@ -11,9 +11,8 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.entries import Reader, number, numbers, several, tables, text, whole
-
-Floats = npt.NDArray[np.float64]
 
 BIAS = "bias"
 BIAS_OR_SCALE = "bias or scale"

@@ -10,14 +10,13 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.calibrate.pose_readings import Pose, find_poses
 from imuarray.calibrate.runs import Ranges, explained_range
 from imuarray.calibrate.stability import TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
-
-Floats = npt.NDArray[np.float64]
 
 _SECONDS = 10.0
 _STILL = ("static", "room", "run ")

@@ -22,9 +22,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr, ndtri, stdtrit
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
 from imuarray.calibrate.correlated import Noise, Regression, likely_noises, products, regress, weights
 from imuarray.calibrate.fits import refuse_imprecise
@@ -36,8 +36,6 @@ from imuarray.calibrate.stability import BIAS, BIAS_OR_SCALE, Thermal
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL
-
-Floats = npt.NDArray[np.float64]
 
 _LAGS = 16
 _WHITE = Noise(1.0, 1.0)

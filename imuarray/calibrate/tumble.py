@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, face_up
 from imuarray.calibrate.disturbed import LeftOut
 from imuarray.calibrate.faces import Faces, face_fit, faces_apart, fit_faces, sound_faces, tell_all
@@ -24,9 +24,6 @@ from imuarray.calibrate.turns import TurnFit, fit_turns
 from imuarray.errors import CalibrationError
 from imuarray.log import Log, SensorLog
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.float64]
-
 
 PATH = "path"
 """The method where the box never rested (`quasi_static.py`)."""

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import fdtrc
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.fits import refuse_imprecise
 from imuarray.calibrate.model import Calibration, nominal
 from imuarray.calibrate.motion import motion_in, refuse_other_poses
@@ -34,8 +35,6 @@ from imuarray.calibrate.stability import BiasState, TurnOn
 from imuarray.errors import CalibrationError
 from imuarray.log import Log
 from imuarray.units import INERTIAL
-
-Floats = npt.NDArray[np.float64]
 
 NO_RANGES: Ranges = MappingProxyType({})
 _NONE: Mapping[float, float] = MappingProxyType({})

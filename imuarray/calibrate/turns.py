@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.disturbed import LeftOut, chance_of_misfit, worst
 from imuarray.calibrate.fits import beyond_noise
 from imuarray.calibrate.model import SensorCalibration
@@ -28,8 +28,6 @@ from imuarray.calibrate.pose_readings import Pose, read_pose
 from imuarray.log import SensorLog
 from imuarray.log.format import SATURATED, SUSPECT
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.float64]
 
 FEWEST_TURNS = 6
 """Twelve equations for nine unknowns."""

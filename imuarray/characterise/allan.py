@@ -17,9 +17,10 @@ from typing import Any, get_args
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.characterise.allan_curve import CONFIDENCE, IDENTIFY, AllanCurve, Moments, make_curve, octaves
 from imuarray.characterise.allan_stream import AllanStream, Estimator
-from imuarray.characterise.second_differences import Phase, running_sum, sums_of_squares
+from imuarray.characterise.second_differences import running_sum, sums_of_squares
 
 __all__ = ["CONFIDENCE", "AllanCurve", "AllanStream", "Estimator", "allan_deviation", "octaves"]
 
@@ -76,7 +77,7 @@ def _moments(values: npt.NDArray[Any], factors: Sequence[int]) -> Moments:
     return Moments(sums_of_squares(phase, factors), [_averages(phase, m) for m in factors])
 
 
-def _averages(phase: Phase, m: int) -> npt.NDArray[np.float64]:
+def _averages(phase: Floats, m: int) -> npt.NDArray[np.float64]:
     """Averages over m values, side by side; the middle ones if there are very many."""
     count = (len(phase) - 1) // m
     first = max(0, (count - IDENTIFY) // 2)

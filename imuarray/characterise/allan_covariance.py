@@ -19,9 +19,8 @@ from math import log, pi
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from imuarray.arrays import Floats
 
 Term = Literal["quantisation", "white", "flicker", "random walk", "ramp"]
 """What an Allan variance may be a sum of, with its slope: -2, -1, 0, 1, 2 (IEEE Std 952, annex C)."""

@@ -24,7 +24,8 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.characterise.allan_covariance import TERMS, Floats, Term
+from imuarray.arrays import Floats
+from imuarray.characterise.allan_covariance import TERMS, Term
 from imuarray.characterise.allan_curve import CONFIDENCE, AllanCurve
 from imuarray.characterise.allan_least_squares import Observed, Solution, interval_of, needed, solve
 

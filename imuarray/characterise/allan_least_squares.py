@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imuarray.characterise.allan_covariance import TERMS, Floats, covariance, variances
+from imuarray.arrays import Floats
+from imuarray.characterise.allan_covariance import TERMS, covariance, variances
 
 _NEEDED = 5.41
 """By how much the misfit must grow without a term. One that is not there does so with a chance of 1 %: with 1/2 it is

@@ -14,8 +14,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.characterise.allan_curve import CONFIDENCE, IDENTIFY, AllanCurve, Moments, make_curve, stride_of
-from imuarray.characterise.second_differences import Phase, Values, add_up, sums_of_squares
+from imuarray.characterise.second_differences import Values, add_up, sums_of_squares
 
 Estimator = Literal["overlapping", "decimated"]
 """Whether second differences start at every row, or at least eight times in an averaging time."""
@@ -130,7 +131,7 @@ class _Link:
     def __init__(self, ratio: int, level: _Level) -> None:
         self.ratio, self.level, self.skip = ratio, level, 0
 
-    def hand_on(self, phase: Phase) -> None:
+    def hand_on(self, phase: Floats) -> None:
         self.level.add(phase[self.skip :: self.ratio])
         self.skip = (self.skip - len(phase)) % self.ratio
 
@@ -144,9 +145,9 @@ class _Level:
         self._kept = 2 * max(distances, default=0)
         self._phase = np.empty(max(rows, self._kept) + self._kept)
         self._filled = self._done = 0
-        self._first: list[Phase] = []
+        self._first: list[Floats] = []
 
-    def free(self) -> Phase:
+    def free(self) -> Floats:
         """Where the next values go; at least one."""
         return self._phase[self._filled :]
 
@@ -156,7 +157,7 @@ class _Level:
         if self._filled == len(self._phase):
             self.work()
 
-    def add(self, phase: Phase) -> None:
+    def add(self, phase: Floats) -> None:
         """The next values (n,)."""
         while len(phase):
             free = self.free()

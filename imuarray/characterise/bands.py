@@ -14,17 +14,14 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from imuarray.arrays import Floats, Indices
 from imuarray.characterise.lines import FALSE_ALARM, Line
 from imuarray.characterise.spectrum import Spectrum
 
-Vector = npt.NDArray[np.float64]
-Bins = npt.NDArray[np.intp]
-
 WIDTHS = (4, 8, 16, 32, 64, 128)
-"""Bins of a box; the narrowest is the main lobe of the Hann window."""
+"""Indices of a box; the narrowest is the main lobe of the Hann window."""
 
 RISES = 1.35
 """By so much a box stands above both its sides at least: ripples of filters and of floors are no lines."""
@@ -34,20 +31,20 @@ SLACK = 1.08
 
 _FIRST = 3
 _LOWEST = 2
-"""Bins 0 and 1 have lost power with the mean of their segment."""
+"""Indices 0 and 1 have lost power with the mean of their segment."""
 
 _LEAST_SIDE = 4
 _SIDE = 2
 """A side is so many boxes wide, and begins half a box away: a line that is as wide as its box has skirts."""
 
 _SHARED = 1.94
-"""Bins that are as sure as one alone: Hann-windowed neighbours correlate by 4/9 and 1/36 in power."""
+"""Indices that are as sure as one alone: Hann-windowed neighbours correlate by 4/9 and 1/36 in power."""
 
 _MEDIAN = 0.64
 """A median is as sure as the mean of so many of its values."""
 
 _CLEARED = 3
-"""Bins on either side of a narrow line that hold its power."""
+"""Indices on either side of a narrow line that hold its power."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,7 @@ class Band:
 
 @dataclass(frozen=True)
 class _Box:
-    """Bins [first, stop), the density of the floor about them, and the chance of noise so high in all boxes."""
+    """Indices [first, stop), the density of the floor about them, and the chance of noise so high in all boxes."""
 
     first: int
     stop: int
@@ -97,7 +94,7 @@ def find_bands(
     return tuple(sorted(found, key=lambda band: -band.amplitude))
 
 
-def _level(density: Vector, at: int) -> None:
+def _level(density: Floats, at: int) -> None:
     """Put what lies beside a narrow line in its place."""
     first, stop = max(at - _CLEARED, 0), min(at + _CLEARED + 1, len(density))
     beside = np.concatenate([density[max(first - 2 * _CLEARED, 2) : first], density[stop : stop + 2 * _CLEARED]])
@@ -105,7 +102,7 @@ def _level(density: Vector, at: int) -> None:
         density[first:stop] = np.median(beside)
 
 
-def _boxes(density: Vector, freedom: float, false_alarm: float) -> list[_Box]:
+def _boxes(density: Floats, freedom: float, false_alarm: float) -> list[_Box]:
     """Boxes that stand above their sides further than noise does, of all widths."""
     from scipy.stats import f  # its weight is for those who ask
 
@@ -126,7 +123,7 @@ def _boxes(density: Vector, freedom: float, false_alarm: float) -> list[_Box]:
     return found
 
 
-def _floors(density: Vector, starts: Bins, width: int) -> tuple[Vector, Bins]:
+def _floors(density: Floats, starts: Indices, width: int) -> tuple[Floats, Indices]:
     """The higher of the medians of the sides of each box (b,), inf where there is no room for one, and how many bins
     the shorter side has.
     """
@@ -144,7 +141,7 @@ def _floors(density: Vector, starts: Bins, width: int) -> tuple[Vector, Bins]:
     return floor, bins
 
 
-def _band(spectrum: Spectrum, density: Vector, box: _Box) -> Band:
+def _band(spectrum: Spectrum, density: Floats, box: _Box) -> Band:
     """The line in a box: its power above the floor, there and as far beside it as it rises."""
     width = box.stop - box.first
     bins = np.arange(max(box.first - width // 2, 1), min(box.stop + width // 2, len(density)))

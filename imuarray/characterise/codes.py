@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import betainc, ndtr
 
-Codes = npt.NDArray[np.int64]
+from imuarray.arrays import Integers
 
 RARE = 1e-3
 """The rarest codes, up to this share of the readings, don't count for the usual step: a glitch may give any code."""
@@ -30,8 +30,8 @@ LISTED = 8
 class Histogram:
     """The `codes` (c,) that occurred, ascending, and how often: `counts` (c,)."""
 
-    codes: Codes
-    counts: Codes
+    codes: Integers
+    counts: Integers
 
     def merge(self, other: Histogram) -> Histogram:
         """The histogram of both together."""
@@ -76,7 +76,7 @@ def histograms(values: npt.NDArray[np.int64]) -> list[Histogram]:
 
 @dataclass(frozen=True)
 class MissingCodes:
-    """Codes `first` to `last` on the usual grid never came, though the ones before and after did.
+    """Integers `first` to `last` on the usual grid never came, though the ones before and after did.
 
     `p_value`: the chance of that anywhere in the histogram, at most, if the density has one top: then each of the m
     codes is at least as likely as the rarer of the two neighbours, and if that came n times, the chance that none of
@@ -170,14 +170,14 @@ def usual_step(seen: Histogram) -> int:
     return _step(_frequent(seen, int(seen.counts.sum())))
 
 
-def _frequent(seen: Histogram, readings: int) -> Codes:
+def _frequent(seen: Histogram, readings: int) -> Integers:
     """The codes without the rarest ones, ascending."""
     order = np.argsort(seen.counts, kind="stable")
     rare = int(np.searchsorted(np.cumsum(seen.counts[order]), RARE * readings, side="right"))
     return np.sort(seen.codes[order[rare:]])
 
 
-def _step(codes: Codes) -> int:
+def _step(codes: Integers) -> int:
     """Greatest common divisor of the distances of codes (c,), 0 of a single one."""
     return int(np.gcd.reduce(np.diff(codes))) if len(codes) > 1 else 0
 
@@ -195,8 +195,8 @@ def _missing(seen: Histogram, step: int) -> tuple[tuple[MissingCodes, ...], int]
     return tuple(gaps), int(absent.sum())
 
 
-def _on_grid(seen: Histogram, step: int) -> tuple[Codes, Codes]:
-    """Codes and counts on the grid of the most frequent code."""
+def _on_grid(seen: Histogram, step: int) -> tuple[Integers, Integers]:
+    """Integers and counts on the grid of the most frequent code."""
     if step == 0:
         return seen.codes[:0], seen.counts[:0]
     on = (seen.codes - seen.codes[np.argmax(seen.counts)]) % step == 0

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtrc
 
-Vector = npt.NDArray[np.float64]
+from imuarray.arrays import Floats
+
 Values = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 
 LAGS = 32
@@ -35,10 +36,10 @@ class Autocorrelation:
     """
 
     lag: npt.NDArray[np.int64]
-    correlation: Vector
-    error: Vector
-    portmanteau: Vector
-    p_value: Vector
+    correlation: Floats
+    error: Floats
+    portmanteau: Floats
+    p_value: Floats
     rows: int
     left_over: int
     segments: int
@@ -97,7 +98,7 @@ class Autocovariance:
         counts = (self._rows, self._seen - self._rows, self._segments)
         return Autocorrelation(lag, correlation, error, statistic, p_value, *counts)
 
-    def correlation(self) -> Vector:
+    def correlation(self) -> Floats:
         """(l, k) the correlation alone, as `result` has it; ends the run."""
         self.end_run()
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -111,7 +112,7 @@ class Autocovariance:
         self._add(self._line[:, np.newaxis, : self._filled].copy())
         self._filled = 0
 
-    def _add(self, lines: Vector) -> None:
+    def _add(self, lines: Floats) -> None:
         """Whole segments (k, s, n): products of what is left of each column without its mean, segment after segment."""
         lines -= lines.mean(axis=2, keepdims=True)
         _, segments, rows = lines.shape

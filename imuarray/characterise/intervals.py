@@ -17,12 +17,9 @@ from math import nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Times
 from imuarray.characterise.stretch import GAP
-
-Vector = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
 
 PLACES = 5
 """So many of the longest gaps are named."""
@@ -152,11 +149,11 @@ class IntervalTally:
         self._changes += self._binned(changes[np.isfinite(changes)])
         self._before = line[-3:]
 
-    def _add(self, which: int, products: Vector) -> None:
+    def _add(self, which: int, products: Floats) -> None:
         known = products[np.isfinite(products)]
         self._products[which] += len(known), known.sum()
 
-    def _binned(self, lengths_ns: Times | Vector) -> Times:
+    def _binned(self, lengths_ns: Times | Floats) -> Times:
         return np.bincount(np.minimum(lengths_ns // self._bin_ns, _BINS).astype(np.int64), minlength=_BINS + 1)
 
     def _alternation(self, variance: float) -> float:
@@ -169,7 +166,7 @@ class IntervalTally:
         return float(square) if square > max(_SURE * error, self._bin_ns**2 / 12) else 0.0
 
 
-def _quantile(values: Vector, counts: Times, share: float) -> float:
+def _quantile(values: Floats, counts: Times, share: float) -> float:
     """The least of `values` (b,), ascending, that come `counts` (b,) times, with `share` of all up to it."""
     total = np.cumsum(counts)
     return float(values[np.searchsorted(total, share * total[-1])])

@@ -20,10 +20,9 @@ from math import inf, log, sqrt
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.characterise.noise_floor import NoiseFloor, noise_floor
 from imuarray.characterise.spectrum import NOISE_BANDWIDTH, Spectrum
-
-Vector = npt.NDArray[np.float64]
 
 FALSE_ALARM = 0.01
 """Chance that a spectrum of noise alone shows a line."""
@@ -77,9 +76,9 @@ class LineSearch:
     """
 
     lines: tuple[Line, ...]
-    frequency_hz: Vector
-    floor: Vector
-    level: Vector
+    frequency_hz: Floats
+    floor: Floats
+    level: Floats
     false_alarm: float
 
 
@@ -111,12 +110,12 @@ def aliases(apparent_hz: float, rate_hz: float, highest_hz: float) -> tuple[floa
     return tuple(sorted(frequency_hz for frequency_hz in found if 0 <= frequency_hz <= highest_hz))
 
 
-def _mirrored(density: Vector) -> Vector:
+def _mirrored(density: Floats) -> Floats:
     """The density (m + 1,) and one bin beyond half the rate; the bin at half the rate twice, as it has no twin."""
     return np.concatenate([density[:-1], 2 * density[-1:], density[-2:-1]])
 
 
-def _peaks(power: Vector, bins: npt.NDArray[np.intp], level: Vector) -> list[int]:
+def _peaks(power: Floats, bins: npt.NDArray[np.intp], level: Floats) -> list[int]:
     """Which of the `bins` (b,) are peaks above the level (b,), strongest first, none that a stronger one leaks to."""
     here = power[bins]
     limit = np.concatenate([level[:-1], 2 * level[-1:]])
@@ -130,7 +129,7 @@ def _peaks(power: Vector, bins: npt.NDArray[np.intp], level: Vector) -> list[int
     return peaks
 
 
-def _is_narrow(power: Vector, floor: NoiseFloor, at: int, false_alarm: float) -> bool:
+def _is_narrow(power: Floats, floor: NoiseFloor, at: int, false_alarm: float) -> bool:
     """Whether peak number `at` stands out from the four bins beside it.
 
     Of noise with the square root of a bin's chance: so weak a condition costs few lines, and doubts nearly no peak
@@ -144,19 +143,19 @@ def _is_narrow(power: Vector, floor: NoiseFloor, at: int, false_alarm: float) ->
     return bool(power[floor.bins[at]] > beside * fdtri(freedom, len(_BESIDE) * freedom, 1 - chance))
 
 
-def _tilt(power: Vector, bin_: int) -> float:
+def _tilt(power: Floats, bin_: int) -> float:
     """Slope of the log of the noise at a line, per bin, from the medians of eight bins on either side."""
     below, above = (float(np.median(_reflected(power, bin_ + side * _ASIDE))) for side in (-1, 1))
     return log(above / below) / (2 * float(_ASIDE.mean()))
 
 
-def _reflected(power: Vector, bins: npt.NDArray[np.intp]) -> Vector:
+def _reflected(power: Floats, bins: npt.NDArray[np.intp]) -> Floats:
     """The power (b,) at `bins`, mirrored at half the rate."""
     last = len(power) - 2
     return np.asarray(power[last - np.abs(last - bins)])
 
 
-def _leakage(away: npt.NDArray[np.intp]) -> Vector:
+def _leakage(away: npt.NDArray[np.intp]) -> Floats:
     """The most (b,) that a line shows so many bins from its peak, as a share of that; no limit next to it."""
     distance = np.maximum(away, _APART) - 0.5
     share = (np.pi * distance * (distance**2 - 1)) ** -2.0 / _lobe(0.5)
@@ -168,7 +167,7 @@ def _lobe(offset: float) -> float:
     return float(np.sinc(offset) / (1 - offset**2)) ** 2
 
 
-def _line(spectrum: Spectrum, floor: NoiseFloor, power: Vector, at: int, false_alarm: float) -> Line:
+def _line(spectrum: Spectrum, floor: NoiseFloor, power: Floats, at: int, false_alarm: float) -> Line:
     """The line whose strongest bin is number `at` of those looked at."""
     bin_, is_last = int(floor.bins[at]), int(floor.bins[at]) == len(spectrum.density) - 1
     noise = float(floor.density[at]) * (2 if is_last else 1)
@@ -195,7 +194,7 @@ def _three_bins(offset: float) -> float:
     return 3 * (2 + offset**2) * (4 + offset**2) / (4 - offset**2) ** 2 * _lobe(offset)
 
 
-def _beside_line(offset: float, spectrum: Spectrum) -> Vector:
+def _beside_line(offset: float, spectrum: Spectrum) -> Floats:
     """Covariance (3, 3) of the three bins' powers from the product of line and noise, for unit power and unit noise.
 
     With the line's phase taken out, the noise of bin a in one segment is the sum of w(t) e^(-2 pi i (a - d) t) times

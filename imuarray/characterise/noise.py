@@ -18,10 +18,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.log import SensorLog
 from imuarray.log.format import FLAGS, SATURATED, STALE, SUSPECT
-
-Vector = npt.NDArray[np.float64]
 
 LEFT_OUT = STALE | SATURATED | SUSPECT
 """Rows with one of these flags don't count as readings."""
@@ -46,19 +45,19 @@ class NoiseStatistics:
     rows: int
     used: int
     flags: Mapping[str, int]
-    mean: Vector
-    std: Vector
-    sem: Vector
-    lag1: Vector
-    even_share: Vector
+    mean: Floats
+    std: Floats
+    sem: Floats
+    lag1: Floats
+    even_share: Floats
 
 
 class _Moments(NamedTuple):
     """Number of rows, their mean (k,) and the sum of squares about it (k,)."""
 
     number: int
-    mean: Vector
-    squares: Vector
+    mean: Floats
+    squares: Floats
 
     def merge(self, other: _Moments) -> _Moments:
         """The moments of both together."""
@@ -75,14 +74,14 @@ class _Pairs(NamedTuple):
     """Neighbouring rows about a fixed origin: how many, sum of both rows' values and sum of their products (k,)."""
 
     number: int
-    both: Vector
-    product: Vector
+    both: Floats
+    product: Floats
 
     def merge(self, other: _Pairs) -> _Pairs:
         """The sums of both together."""
         return _Pairs(self.number + other.number, self.both + other.both, self.product + other.product)
 
-    def covariance(self, offset: Vector) -> Vector:
+    def covariance(self, offset: Floats) -> Floats:
         """Mean product about a mean that lies `offset` from the origin."""
         return (self.product - offset * self.both) / self.number + offset**2
 
@@ -92,8 +91,8 @@ def noise_statistics(sensor: SensorLog, rows: slice) -> NoiseStatistics:
     zeros = np.zeros(int(sensor.counts.shape[1]))
     total, pairs, even = _Moments(0, zeros, zeros), _Pairs(0, zeros, zeros), zeros
     flags = dict.fromkeys(FLAGS, 0)
-    means: list[Vector] = []
-    origin: Vector | None = None
+    means: list[Floats] = []
+    origin: Floats | None = None
     for batch in _batches(rows):
         in_batch = _Moments(0, zeros, zeros)
         for kept in _used_rows(sensor, batch, flags):
@@ -132,7 +131,7 @@ def _moments(rows: npt.NDArray[np.int64]) -> _Moments:
     return _Moments(len(rows), mean, ((rows - mean) ** 2).sum(axis=0))
 
 
-def _pairs(rows: Vector) -> _Pairs:
+def _pairs(rows: Floats) -> _Pairs:
     """Sums over every row and the next (the pair across two blocks is not looked at)."""
     first, second = rows[:-1], rows[1:]
     return _Pairs(len(first), (first + second).sum(axis=0), (first * second).sum(axis=0))
@@ -145,9 +144,9 @@ class _Sums(NamedTuple):
     flags: Mapping[str, int]
     total: _Moments
     pairs: _Pairs
-    even: Vector
-    means: list[Vector]
-    offset: Vector
+    even: Floats
+    means: list[Floats]
+    offset: Floats
 
 
 def _finish(sums: _Sums) -> NoiseStatistics:

@@ -16,28 +16,25 @@ from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import chdtri, fdtrc, fdtri, gammaincinv, gammaln
 
+from imuarray.arrays import Floats, Indices
 from imuarray.characterise.spectrum import Spectrum
-
-Vector = npt.NDArray[np.float64]
-Bins = npt.NDArray[np.intp]
 
 FIRST_BIN = 24
 """Lines of fewer cycles in a segment aren't looked for: there the floor can't be told from drift or a corner."""
 
 _GUARD = 2
-"""Bins on either side that share a line's power: the main lobe of the Hann window is four bins wide."""
+"""Indices on either side that share a line's power: the main lobe of the Hann window is four bins wide."""
 
 _LOWEST = 2
-"""Bins 0 and 1 have lost power with the mean of their segment."""
+"""Indices 0 and 1 have lost power with the mean of their segment."""
 
 _SIDE = 32
-"""Bins on either side that the floor is read off, at most; no more than a sixteenth of all."""
+"""Indices on either side that the floor is read off, at most; no more than a sixteenth of all."""
 
 _LEAST = 8
-"""Bins on either side, at least: a line takes three or four of them, which must not be half.
+"""Indices on either side, at least: a line takes three or four of them, which must not be half.
 
 So the floor can be read off from bin 12 on, and its remainder, which needs that on both sides, from twice that on."""
 
@@ -58,18 +55,18 @@ class NoiseFloor:
     above it, fewer than `Spectrum.freedom` says if the bins scatter more than that, as of noise that comes and goes.
     """
 
-    bins: Bins
-    density: Vector
-    freedom: Vector
-    spectrum_freedom: Vector
+    bins: Indices
+    density: Floats
+    freedom: Floats
+    spectrum_freedom: Floats
 
-    def level(self, probability: float) -> Vector:
+    def level(self, probability: float) -> Floats:
         """Density (b,) that noise exceeds with `probability` in a bin: ratio of two gamma laws, Fisher's F."""
         pairs, which = np.unique([self.spectrum_freedom, self.freedom], axis=1, return_inverse=True)
         # Few pairs differ, and each takes long. The places have a shape of their own in NumPy 2.0.0.
         return np.asarray(self.density * fdtri(*pairs, 1 - probability)[which.reshape(-1)])
 
-    def exceedance(self, density: Vector) -> Vector:
+    def exceedance(self, density: Floats) -> Floats:
         """Probability (b,) that noise exceeds `density` (b,) in a bin."""
         return np.asarray(fdtrc(self.spectrum_freedom, self.freedom, density / self.density))
 
@@ -97,12 +94,12 @@ def noise_floor(spectrum: Spectrum, column: int = 0) -> NoiseFloor:
     return NoiseFloor(bins, density, floor_freedom, freedom)
 
 
-def _sides(bins: Bins, last: int) -> Bins:
+def _sides(bins: Indices, last: int) -> Indices:
     """How many bins on either side of each of `bins` (b,) the floor is read off (b,)."""
     return np.clip((_SHARE * bins).astype(np.intp), _LEAST, min(_SIDE, max(_LEAST, last // 16)))
 
 
-def _joined_medians(height: Vector, bins: Bins, last: int) -> Vector:
+def _joined_medians(height: Floats, bins: Indices, last: int) -> Floats:
     """At each bin the medians of the bins below and of those above, joined over log frequency (b,)."""
     joined = np.empty(len(bins))
     for side, which, below, above, share in _neighbourhoods(bins.tobytes(), len(height), last):
@@ -116,11 +113,11 @@ class _Neighbourhoods(NamedTuple):
     the first neighbour below and above (w,), and how far between their means over log frequency the bin is (w,).
     """
 
-    side: Bins
-    which: Bins
-    below: Bins
-    above: Bins
-    share: Vector
+    side: Indices
+    which: Indices
+    below: Indices
+    above: Indices
+    share: Floats
 
 
 @lru_cache(maxsize=16)
@@ -131,7 +128,7 @@ def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods
     places = np.frombuffer(bins, np.intp)
     logs = np.log(np.arange(1, length + 1))  # of every bin number from 1 on
     sides = _sides(places, last)
-    means: dict[int, Vector] = {
+    means: dict[int, Floats] = {
         side: np.lib.stride_tricks.sliding_window_view(logs, side).mean(axis=1) for side in np.unique(sides).tolist()
     }
     found = []
@@ -148,7 +145,7 @@ def _neighbourhoods(bins: bytes, length: int, last: int) -> list[_Neighbourhoods
     return found
 
 
-def _median(height: Vector, first: Bins, side: Bins) -> Vector:
+def _median(height: Floats, first: Indices, side: Indices) -> Floats:
     """Medians (b,) of `side` (b,) finite heights each from `first` (b,) on: to sort them takes a sixth of what
     `numpy.median` does.
     """
@@ -163,7 +160,7 @@ def _median(height: Vector, first: Bins, side: Bins) -> Vector:
     return np.asarray(np.where(side % 2, high, (low + high) / 2))
 
 
-def _smoothed(height: Vector, bins: Bins, last: int) -> Vector:
+def _smoothed(height: Floats, bins: Indices, last: int) -> Floats:
     """Means (b,) of the neighbours of each of all `bins` up to the last, half as far as the floor looks (b,)."""
     half = np.minimum(_sides(bins, last) // 2, bins - bins[0])
     sums = np.concatenate([[0.0], np.cumsum(np.concatenate([height, height[-2 : -2 - _SIDE : -1]]))])
@@ -171,7 +168,7 @@ def _smoothed(height: Vector, bins: Bins, last: int) -> Vector:
     return np.asarray((sums[at + half + 1] - sums[at - half]) / (2 * half + 1))
 
 
-def _variance(freedom: float, bins: Bins, last: int) -> Vector:
+def _variance(freedom: float, bins: Indices, last: int) -> Floats:
     """Variance (b,) of the log of the floor: that of a gamma law's log at its median, 1 / (4 density^2), over the
     number of bins that it is as sure as; mirrored bins bring nothing new.
     """
@@ -199,7 +196,7 @@ def _share_of_one(side: int) -> float:
     return 2 * sum(shared) - shared[0] - 2 * float(weights[len(weights) // 2])
 
 
-def _thinned(rest: Vector, freedom: float, floor_freedom: float) -> float:
+def _thinned(rest: Floats, freedom: float, floor_freedom: float) -> float:
     """How much fewer degrees of freedom the scatter of the log ratios (b,) shows; 1 if within three standard errors."""
     expected = float(np.diff(np.log(fdtri(freedom, floor_freedom, _EXTREMES)))[0])
     spread = float(np.diff(np.quantile(rest, _EXTREMES))[0])

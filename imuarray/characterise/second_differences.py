@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
+
 Values = npt.NDArray[Any]
-Phase = npt.NDArray[np.float64]
 
 EXACT = 1 << 53
 """Whole numbers below this are exact in float64."""
@@ -26,7 +27,7 @@ _DOT = 8192
 """Products at once: up to 10,000 OpenBLAS adds them up without waking other threads."""
 
 
-def running_sum(values: Values) -> Phase:
+def running_sum(values: Values) -> Floats:
     """0 and the running sum (n + 1,) of the distance of `values` (n,) from a reference; ValueError if not finite.
 
     A reference changes no second difference; it is whole, and the sum exact, where the values are whole numbers that
@@ -40,7 +41,7 @@ def running_sum(values: Values) -> Phase:
     return phase
 
 
-def add_up(values: Values, reference: Any, total: float, out: Phase) -> None:
+def add_up(values: Values, reference: Any, total: float, out: Floats) -> None:
     """The running sum of the distance of `values` (b,) from `reference` beyond `total`, into `out` (b,); ValueError."""
     with np.errstate(invalid="ignore", over="ignore"):
         if values.dtype.itemsize == 8 and isinstance(reference, np.integer) and _near(values, reference):
@@ -66,7 +67,7 @@ def _fits(values: Values) -> bool:
     return span * len(values) < EXACT
 
 
-def sums_of_squares(phase: Phase, distances: Sequence[int], first: int = 0) -> list[float]:
+def sums_of_squares(phase: Floats, distances: Sequence[int], first: int = 0) -> list[float]:
     """Per distance m the sum of (x[e] - 2 x[e-m] + x[e-2m])^2 over the ends e from `first` on, as far as x reaches."""
     totals = [0.0] * len(distances)
     work = np.empty((2, min(2 * _BLOCK, len(phase))))
@@ -78,7 +79,7 @@ def sums_of_squares(phase: Phase, distances: Sequence[int], first: int = 0) -> l
     return totals
 
 
-def _second_differences(phase: Phase, m: int, start: int, stop: int, work: Phase) -> Phase:
+def _second_differences(phase: Floats, m: int, start: int, stop: int, work: Floats) -> Floats:
     """Those that end from `start` to `stop`; at a short distance each first difference serves twice."""
     count = stop - start
     block, middle = work[0, :count], phase[start - m : stop - m]
@@ -91,6 +92,6 @@ def _second_differences(phase: Phase, m: int, start: int, stop: int, work: Phase
     return np.add(block, phase[start - 2 * m : stop - 2 * m], out=block)
 
 
-def _square(block: Phase) -> float:
+def _square(block: Floats) -> float:
     parts = (block[at : at + _DOT] for at in range(0, len(block), _DOT))
     return sum(float(np.dot(part, part)) for part in parts)

@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-Vector = npt.NDArray[np.float64]
+from imuarray.arrays import Floats
+
 Values = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 Precision = Literal["single", "double"]
 
@@ -48,9 +49,9 @@ class Spectrum:
     `segment_rows` their length; `rows` seen in all, `left_over` of them in no segment: ends of runs and short runs.
     """
 
-    frequency_hz: Vector
-    density: Vector
-    freedom: Vector
+    frequency_hz: Floats
+    density: Floats
+    freedom: Floats
     rate_hz: float
     segment_rows: int
     segments: int
@@ -63,7 +64,7 @@ class Spectrum:
         """Distance of neighbouring bins."""
         return self.rate_hz / self.segment_rows
 
-    def interval(self, confidence: float = 0.95) -> tuple[Vector, Vector]:
+    def interval(self, confidence: float = 0.95) -> tuple[Floats, Floats]:
         """Ends (m, k) of the interval that holds the true density with `confidence`: freedom * estimate / truth is
         chi-squared.
         """
@@ -163,7 +164,7 @@ class Welch:
         self._segments += segments
         self._run_segments += segments
 
-    def _periodograms(self, segments: int) -> Vector:
+    def _periodograms(self, segments: int) -> Floats:
         """Sums (k, m) over the segments of the squared magnitudes of their transforms."""
         hop, windowed = self._segment_rows // 2, self._windowed[:, :segments]
         halves = self._line[:, : (segments + 1) * hop].reshape(len(self._line), -1, hop)
@@ -180,13 +181,13 @@ class Welch:
 
 
 @lru_cache(maxsize=16)
-def _hann(rows: int) -> Vector:
+def _hann(rows: int) -> Floats:
     """The periodic one; kept, since phases of the same length have the same."""
     return np.asarray(0.5 - 0.5 * np.cos(2 * np.pi * np.arange(rows) / rows))
 
 
 @lru_cache(maxsize=16)
-def _sides(bins: int) -> Vector:
+def _sides(bins: int) -> Floats:
     """2, but 1 at 0 and at half the rate: these have no twin, and are real: one square instead of two."""
     return np.array([1.0, *[2.0] * (bins - 2), 1.0])
 

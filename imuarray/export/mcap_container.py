@@ -18,7 +18,7 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-Times = npt.NDArray[np.int64]
+from imuarray.arrays import Times
 
 _MAGIC = b"\x89MCAP0\r\n"
 _COMPRESSION = "zstd"

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray import __version__
+from imuarray.arrays import Times
 from imuarray.atomic import whole_file
 from imuarray.errors import ExportError, MissingExtraError
 from imuarray.export import mcap_schemas as schemas
@@ -39,7 +40,6 @@ _HARMLESS = frozenset({"imported", "simulated", "back", "recovered"})
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_NS = 2**63
 
-Times = npt.NDArray[np.int64]
 Texts = npt.NDArray[np.uint8]
 
 _STAND_IN_NS = 1234567890_987654321

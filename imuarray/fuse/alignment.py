@@ -30,9 +30,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_banded
 
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.calibrate import SensorCalibration
 from imuarray.errors import FusionError
-from imuarray.fuse.frames import Flags, Floats, Frames, Times
+from imuarray.fuse.frames import Frames
 from imuarray.fuse.least_squares import consensus
 from imuarray.log import Block
 from imuarray.log.format import SATURATED, STALE, SUSPECT
@@ -328,8 +329,8 @@ class _Part(NamedTuple):
 
     values: Floats
     clipped: npt.NDArray[np.int8]
-    valid: Flags
-    stale: Flags
+    valid: Booleans
+    stale: Booleans
     late_s: Floats
 
 
@@ -393,7 +394,7 @@ def _clipped(unit: Unit, counts: Floats, status: npt.NDArray[np.uint16]) -> npt.
     return np.where(at_end, np.sign(counts), 0).astype(np.int8)
 
 
-def _motion(grid: Times, mean: Floats, valid: Flags, late_s: Floats, period_ns: float, directions: Floats) -> Floats:
+def _motion(grid: Times, mean: Floats, valid: Booleans, late_s: Floats, period_ns: float, directions: Floats) -> Floats:
     """(n, m) what the motion, the array's `mean` (n, 3), did along each axis between the grid and the reading; zero
     where too little is valid to tell.
     """

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.model import Described
 from imuarray.units import SI_PER_UNIT
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

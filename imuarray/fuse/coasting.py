@@ -20,15 +20,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Times
 from imuarray.units import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-Floats = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
 
 STILL_S, COAST_S = 10.0, 60.0
 

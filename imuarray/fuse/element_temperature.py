@@ -16,13 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
 from imuarray.calibrate.segments import Thermometer, degc_of, has_zero, thermometer_of
 from imuarray.calibrate.stability import BIAS, Thermal
 from imuarray.calibrate.thermal import SEGMENT_S
 from imuarray.fuse.alignment import ElementTemperature
-from imuarray.fuse.frames import Floats, Times
 from imuarray.fuse.optimal.error_model import STEEP, USUAL
 from imuarray.log import Block, Log, SensorLog
 from imuarray.log.rotate import runs_of

@@ -23,14 +23,13 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.errors import FusionError
 from imuarray.fuse.alignment import between_gaps
 from imuarray.fuse.frames import FusedBlock, matrices
 from imuarray.log import Log, Track, first_at
 from imuarray.log.format import Phase
 from imuarray.units import INERTIAL
-
-Floats = npt.NDArray[np.float64]
 
 SEGMENT = 256
 """Frames of one segment of `quiet_noise`."""

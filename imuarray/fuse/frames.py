@@ -10,11 +10,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.axes import Axis
-
-Floats = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 
 _Kind = TypeVar("_Kind", bound=np.generic)
 
@@ -34,9 +31,9 @@ class Frames:
 
     time: Times
     values: Floats
-    valid: Flags
+    valid: Booleans
     clipped: npt.NDArray[np.int8] | None = None
-    stale: Flags | None = None
+    stale: Booleans | None = None
 
     def part(self, rows: slice) -> Frames:
         """Some of the frames."""
@@ -59,7 +56,7 @@ class Frames:
 def _flags(
     columns: Sequence[npt.NDArray[_Kind] | None], parts: Sequence[Frames], kind: type[_Kind]
 ) -> npt.NDArray[_Kind] | None:
-    """Flags of all parts, 0 in those that have none; None if no part has any."""
+    """Booleans of all parts, 0 in those that have none; None if no part has any."""
     if all(column is None for column in columns):
         return None
     pairs = zip(columns, parts, strict=True)
@@ -76,7 +73,7 @@ class Estimate:
 
     triad_box: Floats
     covariance_box: Floats
-    used: Flags
+    used: Booleans
 
 
 @dataclass(frozen=True)
@@ -130,7 +127,7 @@ def matrices(covariance_entries: Floats) -> Floats:
     return np.asarray(covariance_entries[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]])
 
 
-def axis_bits(used: Flags, axes: Sequence[Axis]) -> npt.NDArray[np.uint8]:
+def axis_bits(used: Booleans, axes: Sequence[Axis]) -> npt.NDArray[np.uint8]:
     """(n, s) from (n, m): for every sensor of `axes`, in order, the sum of 1 x, 2 y, 4 z over its axes in use."""
     sensors = list(dict.fromkeys(axis.sensor for axis in axes))
     table = np.zeros((len(axes), len(sensors)), np.uint8)

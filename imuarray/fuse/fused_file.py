@@ -31,10 +31,11 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray import __version__
+from imuarray.arrays import Floats
 from imuarray.atomic import whole_file
 from imuarray.errors import LogError, OutputError, OutputExistsError
 from imuarray.fuse.faults import FaultEvent
-from imuarray.fuse.frames import ENTRIES, Floats, FusedBlock
+from imuarray.fuse.frames import ENTRIES, FusedBlock
 from imuarray.log.column import NamedColumn
 from imuarray.log.format import FUSED
 from imuarray.log.guard import DAMAGE, MAX_TEXT_BYTES, open_file, read_texts

@@ -10,14 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
 from imuarray.errors import FusionError
 from imuarray.fuse.evaluation import errors_of
 from imuarray.fuse.fuse import fuse
 from imuarray.log import Log
 from imuarray.log.format import Phase
-
-Floats = npt.NDArray[np.float64]
 
 BLOCKS = 20
 """Stretches of a log that are left out in turn for the uncertainty of a ratio (jackknife, Tukey 1958)."""

@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Estimate, Flags, Floats, entries
+from imuarray.fuse.frames import Estimate, entries
 from imuarray.units import STANDARD_GRAVITY
 
 BLOCK_BYTES = 1 << 18
@@ -170,22 +171,22 @@ _FEW = 8
 """Sensors that are put in order by exchanges of neighbours, at most."""
 
 
-def consensus(values: Floats, valid: Flags, rows: Floats, quantity: str) -> Floats:
+def consensus(values: Floats, valid: Booleans, rows: Floats, quantity: str) -> Floats:
     """(n, 3) what the valid ones of the axes along `rows` (m, 3), in threes, agree on of `values` (n, m) in SI; NaN
     where they don't span space.
     """
     mean = solve_frames(values, _equal_weights(valid), rows)
     apart = np.abs(values - mean @ rows.T)
-    whole: Flags = valid[:, 0::3] & valid[:, 1::3] & valid[:, 2::3]
-    doubtful: Flags = (apart > TOLERATED_SI[quantity] / 2) & valid
-    checked: Flags = np.asarray(whole.sum(axis=1) > 2)  # of two sensors none is more right than the other
+    whole: Booleans = valid[:, 0::3] & valid[:, 1::3] & valid[:, 2::3]
+    doubtful: Booleans = (apart > TOLERATED_SI[quantity] / 2) & valid
+    checked: Booleans = np.asarray(whole.sum(axis=1) > 2)  # of two sensors none is more right than the other
     some = np.flatnonzero(doubtful.any(axis=1) & checked)
     if len(some):
         mean[some] = _limited(values[some], valid[some], whole[some], rows, TOLERATED_SI[quantity])
     return mean
 
 
-def _limited(values: Floats, valid: Flags, whole: Flags, rows: Floats, tolerated: float) -> Floats:
+def _limited(values: Floats, valid: Booleans, whole: Booleans, rows: Floats, tolerated: float) -> Floats:
     """(n, 3) the mean of the readings when the differences of sensors from their median are limited."""
     back = np.zeros((len(rows), len(rows)))  # all sensors' inverses along the diagonal: one product for all of them
     for first, inverse in zip(range(0, len(rows), 3), np.linalg.inv(rows.reshape(-1, 3, 3)), strict=True):
@@ -203,7 +204,7 @@ def _limited(values: Floats, valid: Flags, whole: Flags, rows: Floats, tolerated
     return middle + solve_frames(apart, _equal_weights(valid), rows)
 
 
-def _equal_weights(valid: Flags) -> Floats:
+def _equal_weights(valid: Booleans) -> Floats:
     """(n, m) one for each valid axis, zero for others; (1, m) where all are valid."""
     return valid[:1].astype(float) if len(valid) and valid.all() else valid.astype(float)
 

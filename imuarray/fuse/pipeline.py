@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Protocol, TypeVar, runtime_checkable
 
+from imuarray.arrays import Floats, Times
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, axis_bits
+from imuarray.fuse.frames import Estimate, Frames, FusedBlock, axis_bits
 from imuarray.fuse.fusion_notes import FusionNotes, RemarkSource
 from imuarray.fuse.techniques import TECHNIQUES, Technique
 from imuarray.spelling import guess

@@ -18,12 +18,13 @@ from typing import Any, Generic, Protocol, TypeVar, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats, Times
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.model import Described
 from imuarray.fuse.alignment import FIRST_ROWS, FOREVER_NS, MARGIN, Grid, Rows, Unit, align, choose
 from imuarray.fuse.axes import axes_of, directions
 from imuarray.fuse.element_temperature import TemperatureSources
-from imuarray.fuse.frames import Estimate, Floats, Frames, Times
+from imuarray.fuse.frames import Estimate, Frames
 from imuarray.fuse.least_squares import ConstantGain, consensus
 from imuarray.fuse.pipeline import ByQuantity, Pipeline, fused_block
 from imuarray.log import Block

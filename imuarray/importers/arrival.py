@@ -10,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Times
 from imuarray.gap.recording.row_timing import EvenRows, even_rows, row_timing
 from imuarray.log import LogWriter
 from imuarray.log.format import ARRIVAL
 from imuarray.log.layout import Columns
-
-Times = npt.NDArray[np.int64]
 
 
 def count_out(log: LogWriter, sensor: str) -> list[str]:

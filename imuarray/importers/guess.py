@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.errors import ImuArrayError, SourceError
 from imuarray.importers import open_source, unpacked
 from imuarray.importers.mapping import parse_map
@@ -29,8 +30,6 @@ from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from imuarray.printable import counted, printable
 from imuarray.units import STANDARD_GRAVITY, UNITS_OF
-
-Values = npt.NDArray[np.float64]
 
 LOOKED_AT_ROWS = 20_000
 """Rows that tell what columns are like."""
@@ -200,7 +199,7 @@ sensor = [{ name = "A", chip = "a", quantity = "angular_rate", columns = [0, 1, 
 """A map of nothing, to open what is no text with."""
 
 
-def _finite(values: npt.NDArray[np.number] | None) -> Values:
+def _finite(values: npt.NDArray[np.number] | None) -> Floats:
     return np.zeros(0) if values is None else np.asarray(values, np.float64)
 
 
@@ -265,7 +264,7 @@ def _is_number(cell: str, layout: _Layout) -> bool:
     return True
 
 
-def _columns(rows: Sequence[Sequence[str]], layout: _Layout) -> list[Values]:
+def _columns(rows: Sequence[Sequence[str]], layout: _Layout) -> list[Floats]:
     """The numbers of each column, nan for what is none."""
     width = min(len(row) for row in rows)
     columns = []
@@ -294,7 +293,7 @@ def _unit_in(name: str) -> str:
     return _SPELLINGS.get(text.lower(), text)
 
 
-def _without_padding(columns: Sequence[Values]) -> list[Values]:
+def _without_padding(columns: Sequence[Floats]) -> list[Floats]:
     """Without the rows of zeros that a program has reserved at the end and not filled."""
     if not columns or len({len(column) for column in columns}) > 1 or not len(columns[0]):
         return list(columns)
@@ -303,7 +302,7 @@ def _without_padding(columns: Sequence[Values]) -> list[Values]:
 
 
 def _propose(
-    layout: _Layout, names: list[str], columns: Sequence[Values], dates: set[int], stem: str = ""
+    layout: _Layout, names: list[str], columns: Sequence[Floats], dates: set[int], stem: str = ""
 ) -> _Proposal:
     """A map of a table whose columns have names, or none."""
     proposal = _Proposal(layout)
@@ -332,7 +331,7 @@ def _propose(
     return proposal
 
 
-def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Values]) -> None:
+def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Floats]) -> None:
     """Rows of a kind: time, and three columns behind it."""
     quantity = next((what for what, words in _QUANTITIES if words.search(kind)), "specific_force")
     labels: list[str | int] = list(range(len(columns)))
@@ -343,7 +342,7 @@ def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Values]) -> 
     proposal.items.append(item)
 
 
-def _time_index(names: Sequence[str], columns: Sequence[Values], dates: set[int]) -> int | None:
+def _time_index(names: Sequence[str], columns: Sequence[Floats], dates: set[int]) -> int | None:
     """The column of time: called so, and increasing (a counter may begin anew)."""
     if dates:
         return min(dates)
@@ -352,7 +351,7 @@ def _time_index(names: Sequence[str], columns: Sequence[Values], dates: set[int]
     return next(iter([*called, *increasing]), None)
 
 
-def _increases(values: Values) -> bool:
+def _increases(values: Floats) -> bool:
     steps = np.diff(values)
     return len(steps) > 1 and bool(np.isfinite(steps).all()) and float(np.mean(steps < 0)) < 1e-2 and steps.max() > 0
 
@@ -360,7 +359,7 @@ def _increases(values: Values) -> bool:
 def _time_lines(
     names: Sequence[str],
     labels: Sequence[str | int],
-    columns: Sequence[Values],
+    columns: Sequence[Floats],
     index: int,
     dates: set[int],
     proposal: _Proposal,
@@ -399,7 +398,7 @@ def _time_lines(
 
 
 def _triads(
-    names: Sequence[str], columns: Sequence[Values], taken: set[int], stem_of_file: str
+    names: Sequence[str], columns: Sequence[Floats], taken: set[int], stem_of_file: str
 ) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Quantity and columns of each triad."""
     if not names:
@@ -428,7 +427,7 @@ def _triads(
                 yield quantity, indices
 
 
-def _nameless(columns: Sequence[Values], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
+def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Threes in order; a force keeps its length while its axes turn, so the first is taken for one."""
     order = ("specific_force", "angular_rate", "magnetic_field")
     for quantity, start in zip(order, range(0, len(free) - 2, 3), strict=False):
@@ -439,7 +438,7 @@ def _sensor(
     quantity: str,
     names: Sequence[str],
     labels: Sequence[str | int],
-    columns: Sequence[Values],
+    columns: Sequence[Floats],
     indices: tuple[int, int, int],
     force_unit: str,
     proposal: _Proposal,
@@ -504,7 +503,7 @@ def _measured(quantity: str, length: float, force_unit: str) -> tuple[str, list[
     return unit, [f'unit = "{unit}"   # ? by its size: {length:.4g}']
 
 
-def _propose_thermometer(proposal: _Proposal, name: str, values: Values) -> None:
+def _propose_thermometer(proposal: _Proposal, name: str, values: Floats) -> None:
     """A column of temperatures: degrees, or counts of which nobody knows what they mean."""
     known = values[np.isfinite(values)]
     if len(known) == 0:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Integers
 from imuarray.errors import SourceError
 from imuarray.importers import NO_WALL_TIME, Summary, open_source
 from imuarray.importers.clipped import flag_clipped
@@ -45,8 +46,6 @@ _POSITIONS_MM = (
     (9.45, -9.45, -1.0),
 )
 _AXES = ("+X+Y+Z", "-Y-X-Z")
-
-Integers = npt.NDArray[np.int64]
 
 
 def sensors() -> list[SensorHeader]:

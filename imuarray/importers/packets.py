@@ -14,6 +14,8 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Integers
+
 HEAD = 0xAA
 PAYLOAD = 100
 """Bytes between the length and the checksum: time stamp and eight sensors."""
@@ -35,8 +37,6 @@ BLOCK_BYTES = 1 << 18
 
 _ACKNOWLEDGE = 0xA0
 
-Positions = npt.NDArray[np.int64]
-
 
 class Piece(NamedTuple):
     """Packets (n,) in stream order. `skipped` (n + 1,): bytes before each packet, and after the last, that belong to no
@@ -44,8 +44,8 @@ class Piece(NamedTuple):
     """
 
     packets: npt.NDArray[Any]
-    skipped: Positions
-    broken: Positions
+    skipped: Integers
+    broken: Integers
 
 
 def read_packets(file: BinaryIO, block_bytes: int = BLOCK_BYTES) -> Iterator[Piece]:
@@ -96,7 +96,7 @@ class _Cutter:
         return Piece(_packets_at(data, good), skipped, broken)
 
 
-def _find(data: npt.NDArray[np.uint8]) -> tuple[Positions, Positions]:
+def _find(data: npt.NDArray[np.uint8]) -> tuple[Integers, Integers]:
     """Where sound packets begin in `data`, and where something framed as one begins whose checksum is wrong."""
     count = max(0, len(data) - SIZE + 1)
     framed = np.flatnonzero((data[:count] == HEAD) & (data[3 : 3 + count] == PAYLOAD))
@@ -107,7 +107,7 @@ def _find(data: npt.NDArray[np.uint8]) -> tuple[Positions, Positions]:
     return _apart(framed[sound]), framed[~sound]
 
 
-def _apart(starts: Positions) -> Positions:
+def _apart(starts: Integers) -> Integers:
     """`starts` without those that lie within the packet of an earlier one."""
     if (np.diff(starts) >= SIZE).all():
         return starts
@@ -118,7 +118,7 @@ def _apart(starts: Positions) -> Positions:
     return np.array(kept, np.int64)
 
 
-def _clear_of(good: Positions, bad: Positions) -> Positions:
+def _clear_of(good: Integers, bad: Integers) -> Integers:
     """`bad` without those that share a byte with a packet of `good`."""
     if len(good) == 0:
         return bad
@@ -129,7 +129,7 @@ def _clear_of(good: Positions, bad: Positions) -> Positions:
     return bad[clear]
 
 
-def _packets_at(data: npt.NDArray[np.uint8], starts: Positions) -> npt.NDArray[Any]:
+def _packets_at(data: npt.NDArray[np.uint8], starts: Integers) -> npt.NDArray[Any]:
     """The packets (n,) that begin at `starts`."""
     if len(starts) == 0:
         return np.empty(0, PACKET)

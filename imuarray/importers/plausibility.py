@@ -24,8 +24,6 @@ from imuarray.gap.recording.row_timing import RowTiming, row_timing
 from imuarray.log import Log, SensorLog
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
-Floats = npt.NDArray[np.float64]
-
 WINDOW_S = 0.5
 """Means of so long windows tell rest and turns: gravity changes little in it, noise averages out."""
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.importers.cells import INT16
-
-Values = npt.NDArray[np.float64]
 
 RANGES = {
     "specific_force": (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 100.0, 200.0, 400.0),
@@ -49,7 +47,7 @@ _DIVISORS = (1, 2, 3)
 """The nearest two values may lie so many steps apart."""
 
 
-def grid_step(values: Values) -> float | None:
+def grid_step(values: Floats) -> float | None:
     """The step of a grid through zero on which the values (n,) lie; None if they lie on none."""
     distinct = np.unique(values[np.isfinite(values)])
     if len(distinct) < _FEWEST_VALUES:
@@ -63,7 +61,7 @@ def grid_step(values: Values) -> float | None:
     return None
 
 
-def _refined(distinct: Values, step: float) -> float:
+def _refined(distinct: Floats, step: float) -> float:
     """A step that fits near zero, fitted to values further and further away."""
     base = float(distinct[np.abs(distinct).argmin()])
     away = distinct - base
@@ -90,7 +88,7 @@ class Resolution:
 
 
 def resolution_of(
-    quantity: str, sample: Values, largest: float, range_: float | None, sensitivity: float | None
+    quantity: str, sample: Floats, largest: float, range_: float | None, sensitivity: float | None
 ) -> Resolution:
     """Of values in the log's unit, of which `sample` (n,) are some and `largest` is the largest; `range_` and
     `sensitivity` where they are known.

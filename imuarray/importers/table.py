@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Times
 from imuarray.errors import ConfigError, SourceError
 from imuarray.importers import NO_WALL_TIME, Summary, importer
 from imuarray.importers.arrival import count_out
@@ -39,9 +40,6 @@ from imuarray.log.format import ARRIVAL, SATURATED, Event, Phase, SensorHeader, 
 from imuarray.log.sensor_log import first_at
 from imuarray.printable import counted
 from imuarray.units import SI_PER_UNIT, UNITS_OF
-
-Times = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 VANISHED = 0.3
 """A column whose neighbouring values differ by less than so many counts (rms) has lost its noise in rounding."""
@@ -206,7 +204,7 @@ def _thermometer_header(item: OwnThermometer) -> SensorHeader:
     )
 
 
-def _blank(cells: Sequence[Column]) -> Mask:
+def _blank(cells: Sequence[Column]) -> Booleans:
     """(n,) rows in which a sensor read nothing: all its cells are blank."""
     blank = cells[0].blank()
     for cell in cells[1:]:
@@ -375,7 +373,7 @@ class _Stream:
                 yield text
 
 
-def _zeros(cell: Column) -> Mask:
+def _zeros(cell: Column) -> Booleans:
     """(n,) cells that are zero."""
     if cell.values is not None:
         return np.asarray(cell.values == 0, bool)

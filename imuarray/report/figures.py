@@ -5,28 +5,27 @@ tell apart.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Reals
 from imuarray.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.floating[Any]]
 
 PALETTE = ("#7f7f7f", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 """Grey for single sensors, then Okabe and Ito's colours."""
 
 
 def drift_figure(
-    time_s: Floats,
-    single: Mapping[str, Floats],
-    fused: Mapping[str, Floats],
+    time_s: Reals,
+    single: Mapping[str, Reals],
+    fused: Mapping[str, Reals],
     unit: str,
-    temperature: tuple[Floats, Floats] | None,
+    temperature: tuple[Reals, Reals] | None,
 ) -> Figure:
     """Slow errors (n,) of single sensors and of fused results over time, with the temperature (time, degC) below
     them.
@@ -54,7 +53,7 @@ def drift_figure(
 
 
 def motion_figure(
-    felt: tuple[Floats, Floats], times_s: Mapping[str, Floats], errors_mg: Mapping[str, Floats], end_of_range_g: float
+    felt: tuple[Reals, Reals], times_s: Mapping[str, Reals], errors_mg: Mapping[str, Reals], end_of_range_g: float
 ) -> Figure:
     """A motion (time, g) that leaves the low range, and below it the errors (n,) of several results at their times."""
     figure = new_figure(8.0, 5.6)
@@ -91,7 +90,7 @@ def ratio_figure(labels: Sequence[str], ratios: Sequence[float], errors: Sequenc
     return figure
 
 
-def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: Floats) -> Figure:
+def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: Reals) -> Figure:
     """Residuals (sensors, poses) in mg: a row of dots for each sensor, a column for each pose."""
     figure = new_figure(8.0, 1.6 + 0.35 * len(sensors))
     axes = figure.subplots()
@@ -108,7 +107,7 @@ def residual_figure(sensors: Sequence[str], poses: Sequence[str], residual_mg: F
     return figure
 
 
-def course_figure(time_s: Floats, triad: Floats, label: str) -> Figure:
+def course_figure(time_s: Reals, triad: Reals, label: str) -> Figure:
     """A triad (n, 3) over time, a panel for each box axis."""
     figure = new_figure(8.0, 4.6)
     panels = figure.subplots(3, 1, sharex=True)

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.fuse import FusedBlock, FusedHead, quiet_noise, read_fused, read_fused_events
 from imuarray.report.figures import course_figure
 from imuarray.report.page import Figure, Section, Table
 from imuarray.units import READABLE_SI
-
-Floats = npt.NDArray[np.float64]
 
 _POINTS = 2000
 """Means that are drawn of a course, however long."""

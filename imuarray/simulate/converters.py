@@ -12,8 +12,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import SensorHeader
-from imuarray.simulate.signal import Analog, Codes, Counts, Floats, Integers
+from imuarray.simulate.signal import Analog, Codes, Counts
 
 EVEN_ONLY_FROM_HZ = 1600.0
 """The ADXL345's data rate from which on its lowest bit is always 0 in full resolution (ADX-47)."""
@@ -44,7 +45,7 @@ class Thermometer:
     lsb_per_degc: float
     bits: int = 8
 
-    def counts(self, temperature_degc: Floats) -> Counts:
+    def counts(self, temperature_degc: Reals) -> Counts:
         """The codes (n,) at these temperatures."""
         if temperature_degc.strides == (0,):  # it never changes: one row stands for all
             return np.broadcast_to(self.counts(temperature_degc[:1].copy()), temperature_degc.shape)
@@ -125,7 +126,7 @@ def latest_reading(instant_ns: Integers, rate_hz: float, phase: float = 0.0) -> 
     return np.asarray(np.rint(latest, out=latest), np.int64)
 
 
-def _reading(instant_ns: Integers, rate_hz: float, phase: float) -> Floats:
+def _reading(instant_ns: Integers, rate_hz: float, phase: float) -> Reals:
     """The number of the latest reading; one that is due at once still counts."""
     periods = instant_ns * (rate_hz * 1e-9)
     periods += max(_ON_TIME, _ROUNDED_S * rate_hz) + phase

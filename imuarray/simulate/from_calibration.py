@@ -13,9 +13,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.errors import CalibrationError
 from imuarray.log.format import SensorHeader
@@ -34,8 +34,6 @@ from imuarray.simulate.model import TRIADS, Model, Part, noise_bandwidth_hz
 from imuarray.simulate.parameters import to_table
 from imuarray.simulate.population import Recipe, figure_of
 from imuarray.simulate.streams import Streams
-
-Floats = npt.NDArray[np.float64]
 
 _THERMAL = ("thermal_scale", "thermal_bias")
 

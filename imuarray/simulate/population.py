@@ -13,18 +13,15 @@ from dataclasses import Field
 from functools import cache
 from typing import Annotated, Any, TypeAlias
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic import Field as Limits
 from scipy.special import ndtr, ndtri
 
+from imuarray.arrays import Floats
 from imuarray.errors import ConfigError
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.streams import Streams
 from imuarray.toml_files import complaints
-
-Floats = npt.NDArray[np.float64]
 
 HUGE = 1e12
 """No figure of a sensor is larger, in any unit."""

@@ -19,10 +19,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from imuarray.simulate.signal import Floats, Place, Triple
+from imuarray.arrays import Floats, Reals
+from imuarray.simulate.signal import Place, Triple
 from imuarray.simulate.streams import Stream
-
-Doubles = npt.NDArray[np.float64]
 
 KNOTS = 4096
 """Knots per chunk of a process: enough that drawing them is most of the work, few enough to draw beyond a stretch."""
@@ -55,11 +54,11 @@ class SlowProcess:
         self._knots = lru_cache(maxsize=2)(self._drawn)
         self._piece = lru_cache(maxsize=3)(self._interpolated)
 
-    def rows(self, first: int, stop: int, dtype: npt.DTypeLike = np.float64) -> Floats:
+    def rows(self, first: int, stop: int, dtype: npt.DTypeLike = np.float64) -> Reals:
         """(stop - first, 3) values for these rows."""
         return self.added_to(np.broadcast_to(np.zeros((), dtype), (stop - first, 3)), first)
 
-    def added_to(self, values: Floats, first: int) -> Floats:
+    def added_to(self, values: Reals, first: int) -> Reals:
         """`values` (n, 3) of the rows from `first` on plus the process, as a new array."""
         length = self._piece_knots * self.spacing
         total, stop = np.empty(values.shape, values.dtype), first + len(values)
@@ -69,7 +68,7 @@ class SlowProcess:
             np.add(values[begin - first : end - first], rows, out=total[begin - first : end - first])
         return total
 
-    def _interpolated(self, piece: int, dtype: str) -> Floats:
+    def _interpolated(self, piece: int, dtype: str) -> Reals:
         """The rows of one piece.
 
         A matrix product: two knots of three axes to the rows from the one to just before the other. Pieces have one
@@ -79,18 +78,18 @@ class SlowProcess:
         begin = piece * self._piece_knots
         knots = (self._between(begin, begin + self._piece_knots + 1) * self._scale).astype(dtype)
         pairs = np.concatenate([knots[:-1], knots[1:]], axis=1)
-        rows: Floats = (pairs @ _weights(self.spacing, dtype)).reshape(-1, 3)
+        rows: Reals = (pairs @ _weights(self.spacing, dtype)).reshape(-1, 3)
         rows.flags.writeable = False
         return rows
 
-    def _between(self, begin: int, end: int) -> Doubles:
+    def _between(self, begin: int, end: int) -> Floats:
         parts = []
         for chunk in range(begin // KNOTS, (end - 1) // KNOTS + 1):
             start = chunk * KNOTS
             parts.append(self._knots(chunk)[max(begin - start, 0) : end - start])
         return np.concatenate(parts)
 
-    def _drawn(self, chunk: int) -> Doubles:
+    def _drawn(self, chunk: int) -> Floats:
         """(KNOTS, 3) knots of one chunk: free inside, corrected towards the end that is drawn for it."""
         start, end = self._edges(chunk)
         phi = math.exp(-self._decay)
@@ -100,7 +99,7 @@ class SlowProcess:
         inside = free + _bridge(self._decay)[:, None] * (end - free[-1])
         return np.concatenate([start[None], inside[:-1]])
 
-    def _edges(self, chunk: int) -> tuple[Doubles, Doubles]:
+    def _edges(self, chunk: int) -> tuple[Floats, Floats]:
         """What a chunk begins and ends with. The steps of all chunks before it count, as far back as they are felt."""
         felt = math.ceil(_FORGOTTEN / (KNOTS * self._decay)) if self._decay else chunk
         earliest = max(0, chunk - felt)
@@ -113,20 +112,20 @@ class SlowProcess:
 
 
 @lru_cache(maxsize=64)
-def _weights(spacing: int, dtype: str) -> Floats:
+def _weights(spacing: int, dtype: str) -> Reals:
     """(6, 3 spacing): how much of each of two knots is in each axis of each row between them."""
     share = np.arange(spacing) / spacing
     return np.concatenate([np.kron(1 - share, np.eye(3)), np.kron(share, np.eye(3))]).astype(dtype)
 
 
-def _growth(steps: npt.ArrayLike, decay: float) -> Doubles:
+def _growth(steps: npt.ArrayLike, decay: float) -> Floats:
     """Variance after so many steps from a known start, in variances of one step."""
     count = np.asarray(steps, float)
     return np.asarray(np.expm1(-2 * decay * count) / math.expm1(-2 * decay)) if decay else count
 
 
 @lru_cache(maxsize=64)
-def _bridge(decay: float) -> Doubles:
+def _bridge(decay: float) -> Floats:
     """(KNOTS,) cov(x[k], x[K]) / var(x[K]) of a free path from a known start, k = 1 ... K = KNOTS: how much of a
     correction of its end each knot takes part in.
     """

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imuarray.arrays import Integers
 from imuarray.log.format import Event, Phase
 from imuarray.log.writer import Block, LogWriter
-from imuarray.simulate.signal import Integers
 from imuarray.simulate.simulation import Simulation
 from imuarray.simulate.streams import CHUNK
 

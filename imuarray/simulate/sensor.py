@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Integers, Reals
 from imuarray.axes import Matrix
 from imuarray.barometer import EXAMPLE_WORDS, compensate, uncompensated
 from imuarray.log.format import LOST_BEFORE, SATURATED, STALE, SensorHeader
@@ -23,7 +24,7 @@ from imuarray.log.writer import Block
 from imuarray.simulate.converters import code_span, converted, held, latest_reading, thermometer_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.own_clock import AT_ITS_RATE
-from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Floats, Instants, Integers, Motion, Place, per_row
+from imuarray.simulate.signal import Analog, Codes, Felt, Instants, Motion, Place, per_row
 from imuarray.simulate.streams import CHUNK, Streams
 from imuarray.simulate.timeline import Timeline
 from imuarray.simulate.waits import Awaited
@@ -46,7 +47,7 @@ class Chunk(NamedTuple):
     """Finished rows: stamps, which of them arrive, codes, counts as a log holds them, flags."""
 
     stamp_ns: Integers
-    kept: Bools
+    kept: Booleans
     codes: Codes
     counts: npt.NDArray[np.int16]
     status: npt.NDArray[np.uint16]
@@ -200,7 +201,7 @@ class SimulatedSensor:
     def _sensed(self, first: int, instants: Instants, felt: Felt) -> Analog:
         """The true quantity along the sensor's axes, nothing else yet."""
         header, dtype = self.header, self._place.dtype
-        vector_box: Floats = getattr(felt, _COLUMN[header.quantity])
+        vector_box: Reals = getattr(felt, _COLUMN[header.quantity])
         unit = 1.0 if header.quantity == "magnetic_field" else 1 / SI_PER_UNIT[header.unit]  # a field comes in gauss
         value = _along(vector_box, self._orientation * unit, dtype)
         return Analog(
@@ -227,7 +228,7 @@ class SimulatedSensor:
         is_asked_twice = self._is_late and analog.rate_hz > (1 + AT_ITS_RATE) * rows_per_s
         return held(codes, analog.rate_hz, phase) if is_asked_twice or 0 < analog.rate_hz < rows_per_s else codes
 
-    def _status(self, counts: npt.NDArray[np.int16], fresh: Bools) -> npt.NDArray[np.uint16]:
+    def _status(self, counts: npt.NDArray[np.int16], fresh: Booleans) -> npt.NDArray[np.uint16]:
         """Flags as the logger would set them: stale, saturated."""
         span = self._span
         if self.header.chip in _NO_READY_BIT:
@@ -273,7 +274,7 @@ class SimulatedBarometer:
         return np.zeros(0, np.int64)
 
 
-def _along(vector_box: Floats, orientation: Floats, dtype: npt.DTypeLike) -> Floats:
+def _along(vector_box: Reals, orientation: Reals, dtype: npt.DTypeLike) -> Reals:
     """(n, 3) `vector_box` along the sensor's axes; one row is enough where it never changes."""
     if vector_box.strides[0] == 0:
         x, y, z = (vector_box[0] @ orientation).tolist()

@@ -16,14 +16,12 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Integers, Reals
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.streams import CHUNK, Stream, Streams
 
-Floats = npt.NDArray[np.floating[Any]]
-Integers = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.int32]
-Bools = npt.NDArray[np.bool_]
 Flags = npt.NDArray[np.uint16]
 Triple = tuple[float, float, float]
 Kept = TypeVar("Kept")
@@ -41,7 +39,7 @@ class Instants:
     first: int
     stamp_ns: Integers
     instant_ns: Integers
-    kept: Bools
+    kept: Booleans
     rate_hz: float
     phase: float = 0.0
 
@@ -58,15 +56,15 @@ class Analog:
 
     first: int
     instant_ns: Integers
-    value: Floats
-    noise: Floats
-    force_g: Floats
-    temperature_degc: Floats
-    sensitivity: float | Floats
-    lowest: int | Floats
-    highest: int | Floats
+    value: Reals
+    noise: Reals
+    force_g: Reals
+    temperature_degc: Reals
+    sensitivity: float | Reals
+    lowest: int | Reals
+    highest: int | Reals
     step: int | Integers
-    thermometer_degc: Floats
+    thermometer_degc: Reals
     rate_hz: float
 
     @property
@@ -85,7 +83,7 @@ class Codes:
     instant_ns: Integers
     counts: Counts
     temperature_counts: Counts | None
-    fresh: Bools
+    fresh: Booleans
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ class Place:
     reaching: Callable[[str, int], Codes]
     stamps: Callable[[int, int], Integers]
     dtype: npt.DTypeLike = np.float64
-    waits: Callable[[int, int], tuple[Integers, Bools]] | None = None
+    waits: Callable[[int, int], tuple[Integers, Booleans]] | None = None
     copy: int = 1
     """Which of several effects of one kind this is for: each has streams of its own."""
     _kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
@@ -159,13 +157,13 @@ class Place:
 
 
 @lru_cache(maxsize=64)
-def _tiled(values: Triple, count: int, dtype: str) -> Floats:
-    tiled: Floats = np.tile(np.asarray(values, dtype), (count, 1))
+def _tiled(values: Triple, count: int, dtype: str) -> Reals:
+    tiled: Reals = np.tile(np.asarray(values, dtype), (count, 1))
     tiled.flags.writeable = False
     return tiled
 
 
-def per_row(values: Triple, like: Floats) -> Floats:
+def per_row(values: Triple, like: Reals) -> Reals:
     """`values` in every row of an array shaped and typed as `like` (n, 3); read-only.
 
     Ten times faster to multiply and add than a broadcast over an inner axis of three.

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.floating[Any]]
+from imuarray.arrays import Reals
 
 CHUNK = 1 << 14
 """Rows per chunk: two float64 triads of it fit a second-level cache."""
@@ -42,11 +42,11 @@ class Stream:
         self._width = width
         self._dtype: Any = np.dtype(dtype).type
 
-    def normal(self, start: int, stop: int) -> Floats:
+    def normal(self, start: int, stop: int) -> Reals:
         """(stop - start, width) independent normal numbers; read-only."""
         return self._rows(self._normal_chunk, start, stop)
 
-    def uniform(self, start: int, stop: int) -> Floats:
+    def uniform(self, start: int, stop: int) -> Reals:
         """(stop - start, width) independent numbers in [0, 1); read-only. Take `normal` or `uniform` of one stream,
         not both.
         """
@@ -57,15 +57,15 @@ class Stream:
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence((*self._entropy, chunk))))
 
     @cached_property
-    def _normal_chunk(self) -> Callable[[int, int], Floats]:
+    def _normal_chunk(self) -> Callable[[int, int], Reals]:
         return lru_cache(maxsize=_KEPT)(self._draw_normal)
 
     @cached_property
-    def _uniform_chunk(self) -> Callable[[int, int], Floats]:
+    def _uniform_chunk(self) -> Callable[[int, int], Reals]:
         return lru_cache(maxsize=_KEPT)(self._draw_uniform)
 
-    def _draw_normal(self, chunk: int, count: int) -> Floats:
-        rows: Floats = self.generator(chunk).standard_normal((count, self._width), dtype=self._dtype)
+    def _draw_normal(self, chunk: int, count: int) -> Reals:
+        rows: Reals = self.generator(chunk).standard_normal((count, self._width), dtype=self._dtype)
         if self._scale is not None:
             wide = math.gcd(count, 128)  # as few long rows: four times faster than many of three
             longer = rows.reshape(-1, wide * self._width)
@@ -73,18 +73,18 @@ class Stream:
         rows.flags.writeable = False
         return rows
 
-    def _draw_uniform(self, chunk: int, count: int) -> Floats:
-        rows: Floats = self.generator(chunk).random((count, self._width), dtype=self._dtype)
+    def _draw_uniform(self, chunk: int, count: int) -> Reals:
+        rows: Reals = self.generator(chunk).random((count, self._width), dtype=self._dtype)
         rows.flags.writeable = False
         return rows
 
-    def _rows(self, chunk_of: Callable[[int, int], Floats], start: int, stop: int) -> Floats:
+    def _rows(self, chunk_of: Callable[[int, int], Reals], start: int, stop: int) -> Reals:
         size = self._chunk_rows
         first, last = start // size, max(stop - 1, start) // size
         reached = max(stop - last * size, _LEAST)
         count = min(size, 1 << (reached - 1).bit_length())  # more are drawn only when they are asked for
         if first == last:
-            rows: Floats = chunk_of(first, count)[start - first * size : stop - first * size]
+            rows: Reals = chunk_of(first, count)[start - first * size : stop - first * size]
             return rows
         parts = [*(chunk_of(chunk, size) for chunk in range(first, last)), chunk_of(last, count)]
         parts[0], parts[-1] = parts[0][start - first * size :], parts[-1][: stop - last * size]

@@ -14,14 +14,11 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.log import SensorLog
 from imuarray.log.format import LOST_BEFORE
-from imuarray.simulate.signal import Bools, Integers
 from imuarray.simulate.timeline import Filled, Timeline
-
-Floats = npt.NDArray[np.float64]
 
 _TIGHT_NS = 500_000
 """By how much intervals between two readings of a frame spread, apart from waits; what a wait shortens is idle time."""
@@ -64,7 +61,7 @@ class Awaited:
         """Those of its own timeline."""
         return self.own.stamps(start, stop)
 
-    def waits(self, start: int, stop: int) -> tuple[Integers, Bools]:
+    def waits(self, start: int, stop: int) -> tuple[Integers, Booleans]:
         """Of rows start ... stop - 1: (n,) half of what the host waited before each, in ns; (n,) which it missed."""
         halves, missed = np.zeros(stop - start, np.int64), np.zeros(stop - start, bool)
         first, last = np.searchsorted(self.waited, (start, stop))
@@ -111,8 +108,8 @@ class _Rows(NamedTuple):
     time_ns: Integers
     which: Integers
     number: Integers
-    is_after_loss: Bools
-    inner: Bools
+    is_after_loss: Booleans
+    inner: Booleans
 
 
 class _Pairs(NamedTuple):

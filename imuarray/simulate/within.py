@@ -8,8 +8,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from imuarray.arrays import Booleans, Integers
 from imuarray.simulate.effect import FOREVER_S, Effect
-from imuarray.simulate.signal import Analog, Bools, Codes, Felt, Flags, Instants, Integers, Place
+from imuarray.simulate.signal import Analog, Codes, Felt, Flags, Instants, Place
 
 Stage = TypeVar("Stage", Instants, Felt, Analog, Codes)
 
@@ -62,7 +63,7 @@ class _Within(Effect):
         inside = self._inside(at.stamps(codes.first, codes.first + len(codes.counts)))
         return _mixed(codes, self.effect.codes(codes, at), inside) if inside.any() else codes
 
-    def _inside(self, stamp_ns: Integers) -> Bools:
+    def _inside(self, stamp_ns: Integers) -> Booleans:
         """(n,) of rows with these stamps, ascending."""
         inside = np.zeros(len(stamp_ns), bool)
         for begin_ns, end_ns in self.stretches_ns:
@@ -71,7 +72,7 @@ class _Within(Effect):
         return inside
 
 
-def _mixed(before: Stage, after: Stage, inside: Bools) -> Stage:
+def _mixed(before: Stage, after: Stage, inside: Booleans) -> Stage:
     """Rows of `after` that lie `inside`, the others of `before`."""
     changes: dict[str, Any] = {}
     for item in fields(before):

@@ -19,15 +19,13 @@ from typing import NamedTuple
 
 import click
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import OptimizeResult, minimize
 
+from imuarray.arrays import Floats
 from imuarray.gap.findings.verdict import RATES, Rates, calibrated_probability
 from imuarray.validation.rates import brier, calibration_error, calibration_error_by_chance, rate
 from imuarray.validation.score_answers import Answer, number, read_run
 from imuarray.validation.score_rows import FULL, grouped
-
-Floats = npt.NDArray[np.float64]
 
 _SOLE = 0.9
 """Share from which on a cause has no rival."""

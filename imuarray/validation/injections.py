@@ -23,14 +23,11 @@ from zlib import crc32
 import click
 import h5py
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Integers
 from imuarray.log import Log, open_log
 from imuarray.validation.case_folder import write_truth
 from imuarray.validation.severity import sized
-
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 LIMITS = 5.0
 """Detection limits of what is put in, unless another size is asked for."""
@@ -45,7 +42,7 @@ class Injection:
     search for the limit begins, in counts if not said; 0: it is there or not.
     """
 
-    act: Callable[[Floats, Ints, Floats, int, float, np.random.Generator], tuple[Any, Ints, Floats]]
+    act: Callable[[Floats, Integers, Floats, int, float, np.random.Generator], tuple[Any, Integers, Floats]]
     names: tuple[str, ...]
     first: float
     unit: str = "counts"
@@ -54,8 +51,8 @@ class Injection:
 
 
 def _wander(
-    at_s: Floats, time: Ints, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Ints, Floats]:
+    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
+) -> tuple[Any, Integers, Floats]:
     """A first-order Gauss-Markov process of `size` counts rms."""
     kept = np.exp(-np.diff(at_s, prepend=at_s[0]) / WANDER_S)
     steps = random.standard_normal(len(at_s)) * np.sqrt(1 - kept**2)
@@ -67,8 +64,8 @@ def _wander(
 
 
 def _line(
-    at_s: Floats, time: Ints, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Ints, Floats]:
+    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
+) -> tuple[Any, Integers, Floats]:
     """A sine of `size` counts between a tenth and nine tenths of half the rate."""
     half_hz = 0.5 / float(np.median(np.diff(at_s)))
     hz, phase = random.uniform(0.1, 0.9) * half_hz, random.uniform(0, 2 * np.pi)
@@ -76,31 +73,31 @@ def _line(
 
 
 def _drop(
-    at_s: Floats, time: Ints, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Ints, Floats]:
+    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
+) -> tuple[Any, Integers, Floats]:
     """So large a share of the rows never came."""
     kept = random.random(len(at_s)) >= size
     return kept, time[kept], counts[kept]
 
 
 def _even(
-    at_s: Floats, time: Ints, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Ints, Floats]:
+    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
+) -> tuple[Any, Integers, Floats]:
     """Codes in steps that are twice those of before."""
     step = 2 * max(1, int(np.gcd.reduce(np.abs(counts - counts[0]).astype(int), axis=None)))
     return slice(None), time, np.round(counts / step) * step
 
 
 def _clock(
-    at_s: Floats, time: Ints, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Ints, Floats]:
+    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
+) -> tuple[Any, Integers, Floats]:
     """A clock that is fast by so large a share."""
     return slice(None), time[0] + np.round((time - time[0]) * (1 + size)).astype(np.int64), counts
 
 
 def _swap(
-    at_s: Floats, time: Ints, counts: Floats, axis: int, size: float, random: np.random.Generator
-) -> tuple[Any, Ints, Floats]:
+    at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
+) -> tuple[Any, Integers, Floats]:
     """An axis with the next one, one of them with its sign turned."""
     other, swapped = (axis + 1) % 3, counts.copy()
     swapped[:, axis], swapped[:, other] = counts[:, other], -counts[:, axis]

@@ -10,11 +10,10 @@ from math import floor, inf, nan, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
+from imuarray.arrays import Booleans, Floats
+
 Numbers = Sequence[float] | Floats
 
 CONFIDENCE = 0.95
@@ -89,7 +88,7 @@ def bootstrapped(statistic: Callable[..., float], *samples: Numbers, seed: int) 
 
 
 def of_groups(
-    statistic: Callable[[Floats, Bools], float], groups: Sequence[tuple[Numbers, Any]], seed: int
+    statistic: Callable[[Floats, Booleans], float], groups: Sequence[tuple[Numbers, Any]], seed: int
 ) -> Estimate:
     """`statistic` of probabilities (n,) and whether they came true (n,), which come in groups, one of a case: groups
     are drawn anew, as what belongs to one case is not independent. `cases` counts the probabilities.

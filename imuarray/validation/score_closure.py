@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.validation.rates import (
     Bin,
     Estimate,
-    Floats,
     bootstrapped,
     brier,
     calibration_error,

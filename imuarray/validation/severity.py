@@ -20,13 +20,10 @@ from itertools import pairwise
 from math import inf, nan, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.log import Log, SensorLog
 from imuarray.units import SI_PER_UNIT
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 LIMIT = 4.0
 """Of the matched statistic: chance alone is beyond it once in 30000 (normal distribution, one side). Effects of the
@@ -161,20 +158,20 @@ def _windows(counts: Floats) -> Floats:
     return np.asarray(level - slope * ramp)
 
 
-def _quiet(counts: Floats) -> Bools:
+def _quiet(counts: Floats) -> Booleans:
     """(m,) the windows in which nothing but noise goes on: those that are about as still as the stillest half."""
     spread = _windows(counts).std(axis=1).max(axis=1) if len(counts) >= _WINDOW else np.zeros(0)
     return np.asarray(spread <= _QUIET * np.quantile(spread, 0.25) + 1e-9) if len(spread) else np.zeros(0, bool)
 
 
-def _density(counts: Floats, quiet: Bools) -> Floats:
+def _density(counts: Floats, quiet: Booleans) -> Floats:
     """(3,) variance of a row that the mean of many scatters with; at least that of rounding."""
     spectra = _spectra(counts, quiet)
     low = spectra[:, 2:8].mean(axis=(0, 1)) if len(spectra) else counts.var(axis=0) if len(counts) else np.ones(3)
     return np.maximum(low, 1 / 12)
 
 
-def _spectra(counts: Floats, quiet: Bools) -> Floats:
+def _spectra(counts: Floats, quiet: Booleans) -> Floats:
     """(m, k, 3) periodograms of the quiet windows; white noise of variance 1 has 1."""
     windows = _windows(counts)[: len(quiet)]
     windows = windows[quiet[: len(windows)]]
@@ -182,7 +179,7 @@ def _spectra(counts: Floats, quiet: Bools) -> Floats:
     return np.asarray(np.abs(np.fft.rfft(windows * taper, axis=1)) ** 2 / float((taper**2).sum()))
 
 
-def _drawn_anew(plain: Floats, changed: Floats, quiet: Bools) -> float:
+def _drawn_anew(plain: Floats, changed: Floats, quiet: Booleans) -> float:
     """Share of the noise that is another with the effect, 0 to 1."""
     if len(plain) < 8:
         return 0.0

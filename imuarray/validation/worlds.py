@@ -22,11 +22,9 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.chips import CHIPS
 
-Floats = npt.NDArray[np.float64]
 Table = dict[str, Any]
 
 MOST_ROWS = 30_000

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import binom
 
 from imuarray.array import parse_array
+from imuarray.arrays import Integers
 from imuarray.gap.findings.diagnosis import Cause
 from imuarray.gap.findings.origins import lines_of, notes_of, with_origins
 from imuarray.gap.model.base_model import headers_in
@@ -26,7 +27,7 @@ from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.simulate.motion.faces import resting
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.heating import Heating
 from imuarray.simulate.motion.still import Still
 from tests.gap.made import RATE_HZ, header, phases_of, temperature_of

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.characterise.plots.frame import (
     COLOURS,
     FALSE_ALARM,
     Table,
-    Vector,
     axes_of,
     floats,
     how_to_read,
@@ -129,7 +129,7 @@ def _is_far(end: Table, codes: Table, level: float) -> bool:
     return bool(codes["readings"] * erfc(away / sqrt(2)) / 2 <= level)
 
 
-def bars(seen: Table, step: int) -> tuple[Vector, Vector]:
+def bars(seen: Table, step: int) -> tuple[Floats, Floats]:
     """Heights (b,) and edges (b + 1,), in codes, of bars side by side for codes that come in steps of `step`.
 
     A height is the share of the readings per possible code, 0 between codes. A bar is 1 wide, or several steps so that
@@ -170,7 +170,7 @@ def _draw(panel: Axes, axis: Table, level: float) -> None:
         _write_marks(panel, codes["mean"], marks(axis, level))
 
 
-def _draw_gaussian(panel: Axes, codes: Table, step: int, x: Vector) -> None:
+def _draw_gaussian(panel: Axes, codes: Table, step: int, x: Floats) -> None:
     """The share per possible code of Gaussian noise."""
     share = np.exp(-0.5 * ((x - codes["mean"]) / codes["std"]) ** 2) / (codes["std"] * sqrt(2 * pi))
     panel.plot(x, share * step, color="black", linewidth=0.8)

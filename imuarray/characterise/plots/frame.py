@@ -8,8 +8,8 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Table = Mapping[str, Any]
-Vector = npt.NDArray[np.float64]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette (Color Universal Design, 2008) without its yellow, which white paper swallows."""
@@ -159,12 +158,12 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def floats(values: Sequence[float | None]) -> Vector:
+def floats(values: Sequence[float | None]) -> Floats:
     """Numbers of a result; nan for None."""
     return np.array(values, np.float64)
 
 
-def plot(panel: Axes, x: Vector, y: Vector, curve: Curve, **style: Any) -> None:
+def plot(panel: Axes, x: Floats, y: Floats, curve: Curve, **style: Any) -> None:
     """The line of one axis in its colour and dashes."""
     line = panel.plot(x, y, color=curve.colour, **style)[0]
     if curve.dashes:

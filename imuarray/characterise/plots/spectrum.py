@@ -11,18 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.characterise.plots.frame import (
-    Curve,
-    Kind,
-    Table,
-    Vector,
-    floats,
-    legend,
-    logarithmic,
-    panel_figure,
-    plain,
-    plot,
-)
+from imuarray.arrays import Floats
+from imuarray.characterise.plots.frame import Curve, Kind, Table, floats, legend, logarithmic, panel_figure, plain, plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,12 +64,12 @@ def spectrum_figure(result: Table) -> Figure:
 class Bands(NamedTuple):
     """Mean frequency and density (b,) of so many `bins` (b,) each."""
 
-    frequency_hz: Vector
-    density: Vector
-    bins: Vector
+    frequency_hz: Floats
+    density: Floats
+    bins: Floats
 
 
-def bands(frequency_hz: Vector, density: Vector, taken: npt.NDArray[np.bool_]) -> Bands:
+def bands(frequency_hz: Floats, density: Floats, taken: npt.NDArray[np.bool_]) -> Bands:
     """Means over a sixth of an octave of the bins (m,) that are `taken` (m,); a band may be a single bin.
 
     `frequency_hz` is that of bin 0, 1, 2 ... of a spectrum; bands are the same for all spectra of one resolution.
@@ -91,7 +81,7 @@ def bands(frequency_hz: Vector, density: Vector, taken: npt.NDArray[np.bool_]) -
     return Bands(mean_hz, mean, bins.astype(float))
 
 
-def interval(found: Bands, freedom: float) -> tuple[Vector, Vector]:
+def interval(found: Bands, freedom: float) -> tuple[Floats, Floats]:
     """Ends (b,) of the 95 % interval of the band's density, of bins with `freedom` degrees of freedom each.
 
     Powers of neighbouring bins correlate by 4/9 and of the next by 1/36: those of a Hann window's transform squared.

@@ -10,16 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans
 from imuarray.fuse.faults.events import FaultEvent, State
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, energy_limit
 from imuarray.fuse.faults.kinds import Kind
 from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.window import WindowResiduals
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 AGREES_S = 3.0
 """For so long a sensor that was left out has to agree with the others before it is used again; twice as long after
@@ -49,7 +46,7 @@ class Exclusion:
     first: Kind | None = None
     kind: Kind | None = None
 
-    def hears(self, agrees: Flags) -> bool:
+    def hears(self, agrees: Booleans) -> bool:
         """Counts one more window in which its axes agreed, or not; whether they may come back."""
         self.agreed = self.agreed + 1 if agrees[list(self.axes)].all() else 0
         return self.named and self.agreed >= self.needs
@@ -60,7 +57,7 @@ def needs(offences: int, window_s: float) -> int:
     return max(1, round(min(AGREES_S * 2.0 ** (offences - 1), _LONGEST_S) / window_s))
 
 
-def agreeing(seen: WindowResiduals, normal: Normal, present: Flags) -> Flags:
+def agreeing(seen: WindowResiduals, normal: Normal, present: Booleans) -> Booleans:
     """(m,) the axes whose readings, included or not, are what the included ones and the normal model say."""
     mean = seen.means**2 < AGREES * seen.spread
     centred = np.where(seen.residual == 0, 0.0, seen.residual - seen.means)

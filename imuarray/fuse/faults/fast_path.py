@@ -15,16 +15,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.exclusions import AGREES
 from imuarray.fuse.faults.hypotheses import AXIS_GAIN, least_energy_limit
 from imuarray.fuse.faults.normal import STATES, Normal
 from imuarray.fuse.faults.window import Parity, slopes
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
-Times = npt.NDArray[np.int64]
 
 _UNEVEN = 1e-6
 """Least determinant of a normal matrix over the cube of its trace that goes without saying: `spans` asks for 1e-9."""
@@ -42,7 +38,7 @@ class WindowStatistics(NamedTuple):
     moments: Floats
     products: Floats
     usual: Floats
-    sound: Flags
+    sound: Booleans
 
 
 class WindowSeries:
@@ -51,7 +47,9 @@ class WindowSeries:
     `time` (k, n) ns, `values` (k, n, m) in SI; `out` (m,) are left out, `white` is the parity space of the others.
     """
 
-    def __init__(self, time: Times, values: Floats, out: Flags, white: Parity, rows: Floats, variance: Floats) -> None:
+    def __init__(
+        self, time: Times, values: Floats, out: Booleans, white: Parity, rows: Floats, variance: Floats
+    ) -> None:
         self._rows, self._white, self._frames = rows, white, time.shape[1]
         self.out, self.included, self._all = out, ~out, not out.any()
         self._blind = (np.eye(len(rows)) - rows @ white.gain).T.copy()  # takes out what the triad explains
@@ -112,7 +110,7 @@ class WindowSeries:
             aged = np.where(self.included[:, None, None], aged, normal.covariance)
         return WindowStatistics(residual, means, aged, moments, with_residual, usual, sound)
 
-    def _sound(self, doubt: Floats, means: Floats, waiting: Sequence[Sequence[int]]) -> Flags | None:
+    def _sound(self, doubt: Floats, means: Floats, waiting: Sequence[Sequence[int]]) -> Booleans | None:
         """(m,) the axes that nothing speaks against; None where something may speak for a fault, or for somebody who
         is waiting.
         """

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.events import UNIT
 from imuarray.fuse.faults.exclusions import Exclusion, FaultReport, agreeing, needs
@@ -23,8 +23,6 @@ from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_
 from imuarray.fuse.least_squares import spans
 from imuarray.fuse.techniques.technique import noise_of
 from imuarray.units import SI_PER_UNIT
-
-Flags = npt.NDArray[np.bool_]
 
 SILENT_S = 1.0
 
@@ -49,7 +47,7 @@ class Silence:
         self._absent[:] = 0
         self._heard += 1
 
-    def __call__(self, present: Flags, time_ns: int, report: FaultReport) -> None:
+    def __call__(self, present: Booleans, time_ns: int, report: FaultReport) -> None:
         """Takes the axes (m,) that have enough readings in the next window."""
         there = present.reshape(-1, 3).any(axis=1)
         self._absent = np.where(there, 0, self._absent + 1)
@@ -61,8 +59,6 @@ class Silence:
             report.back(sensor, time_ns)
             self._reported[sensor] = False
 
-
-Floats = npt.NDArray[np.float64]
 
 _KNOWN_WINDOWS = 20
 """So many windows tell what is normal for a sensor."""
@@ -86,15 +82,15 @@ class Stillness:
         self._quiet, self._stale = _Runs(sensors), _Runs(sensors)
 
     @property
-    def standing(self) -> Flags:
+    def standing(self) -> Booleans:
         """(s,) the sensors that show no change in the last window."""
         return np.asarray((self._quiet.length > 0) | (self._stale.length > 0))
 
-    def __call__(self, window: Window, normal: Normal) -> Flags:
+    def __call__(self, window: Window, normal: Normal) -> Booleans:
         """(s,) the sensors that stood still in this window and in the one before."""
         share = (window.changes / normal.change).reshape(-1, 3).mean(axis=1)
-        whole: Flags = np.asarray(window.valid.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
-        stale: Flags = np.zeros(len(share), bool)
+        whole: Booleans = np.asarray(window.valid.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
+        stale: Booleans = np.zeros(len(share), bool)
         if window.stale is not None:
             stale = np.asarray(window.stale.reshape(len(window.valid), -1, 3).all(axis=(0, 2)))
         return self._quiet(whole & (share < QUIET), whole) | self._stale(whole & stale, whole)
@@ -127,7 +123,7 @@ class _Runs:
         """A window that shows it of no sensor, after one that did not either."""
         self._windows += 1
 
-    def __call__(self, shows: Flags, judged: Flags) -> Flags:
+    def __call__(self, shows: Booleans, judged: Booleans) -> Booleans:
         """(s,) the sensors for which this window and the one before show it, though that is unusual."""
         usual = self._by_itself > _RARE * self._windows
         ended = ~shows & judged
@@ -137,8 +133,6 @@ class _Runs:
         self._windows += judged & ~shows
         return np.asarray(~usual & (self._windows >= _KNOWN_WINDOWS) & (self.length == 2))
 
-
-Times = npt.NDArray[np.int64]
 
 _MOST = 4
 """Faults that are looked for in one window."""
@@ -179,7 +173,7 @@ class FaultIsolation:
         self._count = 0
 
     @property
-    def out(self) -> Flags:
+    def out(self) -> Booleans:
         """(m,) the axes that are left out."""
         mask = np.zeros(len(self._axes), bool)
         for exclusion in self._out:
@@ -199,7 +193,7 @@ class FaultIsolation:
         return WindowSeries(time, values, out, white, self._rows, self._normal.variance)
 
     def undisturbed(
-        self, stretch: WindowSeries, index: int, window: Callable[[], Window], masks: Sequence[Flags]
+        self, stretch: WindowSeries, index: int, window: Callable[[], Window], masks: Sequence[Booleans]
     ) -> bool:
         """Judges the next window, number `index` of `stretch`, by the short way; False, with nothing done, where that
         does not lead to the end.
@@ -230,7 +224,7 @@ class FaultIsolation:
             masks[-1][list(exclusion.axes)] = True
         return True
 
-    def __call__(self, window: Window, masks: Sequence[Flags]) -> None:
+    def __call__(self, window: Window, masks: Sequence[Booleans]) -> None:
         """Judges the next window; `masks` (m,) of it (the last one) and of the one before get True where an axis is to
         be left out.
         """
@@ -245,7 +239,7 @@ class FaultIsolation:
         self._decide(window, masks, before)
 
     def _decide(
-        self, window: Window, masks: Sequence[Flags], before: Flags, departed: tuple[Suspect, float] | None = None
+        self, window: Window, masks: Sequence[Booleans], before: Booleans, departed: tuple[Suspect, float] | None = None
     ) -> None:
         """Who is left out besides those `before`, and who comes back; `departed` is who has walked off, where that was
         asked already.
@@ -273,7 +267,7 @@ class FaultIsolation:
 
     def _search(
         self, window: Window, time_ns: int, departed: tuple[Suspect, float] | None = None
-    ) -> tuple[WindowResiduals | None, Flags]:
+    ) -> tuple[WindowResiduals | None, Booleans]:
         """Leaves out one suspect after the other until what is left agrees; the window as that sees it (None: too
         little is left), and the axes (m,) of sensors of whom one is faulty, but none knows which.
         """
@@ -308,7 +302,7 @@ class FaultIsolation:
             self.report.blind(self._out[-1].sensor, int(window.time[0]))
         return seen
 
-    def _seen_by(self, included: Flags, window: Window) -> WindowResiduals | None:
+    def _seen_by(self, included: Booleans, window: Window) -> WindowResiduals | None:
         """The window as the axes `included` see it."""
         return window_residuals(window, self._normal, self._rows, window.present & included, self._spaces)
 
@@ -360,7 +354,7 @@ class FaultIsolation:
                 exclusion.axes = _members(exclusion.sensor)
         self.report.isolated(exclusion, exclusion.kind)
 
-    def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: Window, drifted: float) -> Flags:
+    def _doubt(self, suspect: Suspect, seen: WindowResiduals, window: Window, drifted: float) -> Booleans:
         """Counts the windows in which a fault shows that is nobody's, and says so when it lasts."""
         sensor = suspect.axes[0] // 3
         among = sorted({sensor, *suspect.rivals})
@@ -377,7 +371,7 @@ class FaultIsolation:
         doubted.reshape(-1, 3)[among] = True
         return doubted
 
-    def _learn(self, seen: WindowResiduals, window: Window, doubted: Flags) -> None:
+    def _learn(self, seen: WindowResiduals, window: Window, doubted: Booleans) -> None:
         """What the sound axes read is normal."""
         gains = seen.slow.axis_gains(seen.means)
         sound = seen.included & ~doubted & ~self.out & (gains < AXIS_GAIN / 2)
@@ -387,7 +381,7 @@ class FaultIsolation:
         share = seen.white.matrix.diagonal() * self._normal.variance
         self._normal.learn_noise(seen.residual, seen.means, share, seen.counts, whole)
 
-    def _readmit(self, seen: WindowResiduals, present: Flags, time_ns: int) -> None:
+    def _readmit(self, seen: WindowResiduals, present: Booleans, time_ns: int) -> None:
         """Takes back those that have agreed for long enough."""
         agrees = agreeing(seen, self._normal, present) & ~np.repeat(self._still.standing, 3)
         for exclusion in list(self._out):

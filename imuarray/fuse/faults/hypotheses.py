@@ -21,14 +21,12 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.fuse.faults.kinds import QUIET, TriadComparison, compare_triad
 from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.window import Spaces, Window, WindowResiduals, window_residuals
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.float64]
 
 AXIS_GAIN = 50.0
 """Gain (7 standard deviations) from which the mean of an axis is off: 2e-12 per test for normal noise. The reserve is
@@ -118,8 +116,6 @@ def _rivals(gains: Floats, best: int, gain: float) -> tuple[int, ...]:
     return tuple(int(sensor) for sensor in np.flatnonzero(near))
 
 
-Flags = npt.NDArray[np.bool_]
-
 DRIFT_SI: Mapping[str, float] = MappingProxyType(
     {"specific_force": 0.1 * STANDARD_GRAVITY, "angular_rate": np.radians(3.0)}
 )
@@ -142,7 +138,7 @@ class Baseline:
         self._state: Floats | None = None
         self._covariance: Floats | None = None
 
-    def departed(self, included: Flags, usual: Floats, normal: Normal) -> tuple[Suspect | None, float]:
+    def departed(self, included: Booleans, usual: Floats, normal: Normal) -> tuple[Suspect | None, float]:
         """Of the axes `included` (m,), whose mean regressors are `usual` (m, 5): the one that has walked off farthest,
         beyond what drift allows, and how far in SI; None if none has.
 
@@ -172,7 +168,7 @@ class Baseline:
         if self._state is not None and self._covariance is not None:
             normal.state[axis], normal.covariance[axis] = self._state[axis], self._covariance[axis]
 
-    def _settle(self, included: Flags, normal: Normal) -> None:
+    def _settle(self, included: Booleans, normal: Normal) -> None:
         """Notes the state of each axis when it has been in use for long enough."""
         self._seen += included
         if self._state is None or self._covariance is None:

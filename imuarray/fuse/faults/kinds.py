@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.window import Window, WindowResiduals
-
-Floats = npt.NDArray[np.float64]
 
 Ranges = Mapping[str, Mapping[float, float]]
 """By name of a chip: counts per unit at each measuring range, as `imuarray.chips.CHIPS` has them."""

@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Generic, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis, directions
 from imuarray.fuse.faults.events import FaultEvent
@@ -24,12 +24,10 @@ from imuarray.fuse.faults.fast_path import WindowSeries
 from imuarray.fuse.faults.fault_isolation import FaultIsolation
 from imuarray.fuse.faults.kinds import Ranges
 from imuarray.fuse.faults.window import Window, lever_arms
-from imuarray.fuse.frames import Floats, Frames
+from imuarray.fuse.frames import Frames
 from imuarray.fuse.fusion_notes import FusionNotes, notes_of
 from imuarray.fuse.least_squares import consensus
 from imuarray.fuse.pipeline import Pipeline
-
-Flags = npt.NDArray[np.bool_]
 
 WINDOW_S = 0.1
 """Length of a decision window; two of them are the delay of a live result."""
@@ -50,7 +48,7 @@ class ExclusionMasks:
         self._window, self._windows = window, 0
         self._begins, self._masks = [0], [np.zeros(axes, bool)]
 
-    def add(self, masks: Sequence[Flags]) -> None:
+    def add(self, masks: Sequence[Booleans]) -> None:
         """Those (m,) of the next windows."""
         for mask in masks:
             if (mask != self._masks[-1]).any():
@@ -91,7 +89,7 @@ class FaultMonitor:
         self._spread_out = quantity == "specific_force" and bool(np.ptp(self._positions_m, axis=0).any())
         self._held: Frames | None = None
         self._rates = np.empty((0, 3))
-        self._masks: list[Flags] = []
+        self._masks: list[Booleans] = []
         self.left_out = ExclusionMasks(self.window, len(axes))
 
     @property
@@ -173,14 +171,14 @@ class FaultMonitor:
         return Frames(done.time, done.values, done.valid & ~out, done.clipped, done.stale)
 
 
-def _sound(frames: Frames, first: int, windows: int, length: int) -> Flags:
+def _sound(frames: Frames, first: int, windows: int, length: int) -> Booleans:
     """(k,) the windows of `length` frames, from the row `first` on, in which every reading is there and no triad is
     stale all the time.
     """
     rows = slice(first, first + windows * length)
-    sound: Flags = np.asarray(frames.valid[rows].reshape(windows, -1).all(axis=1))
+    sound: Booleans = np.asarray(frames.valid[rows].reshape(windows, -1).all(axis=1))
     if frames.stale is not None and frames.stale[rows].any():
-        stale: Flags = np.asarray(frames.stale[rows].reshape(windows, length, -1, 3).all(axis=(1, 3)))
+        stale: Booleans = np.asarray(frames.stale[rows].reshape(windows, length, -1, 3).all(axis=(1, 3)))
         sound = np.asarray(sound & ~stale.any(axis=1))
     return sound
 

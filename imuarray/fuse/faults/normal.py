@@ -12,12 +12,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 STATES = 5
 """Bias, three errors of response, delay."""
@@ -135,7 +132,7 @@ class Normal:
         """(m,) the mean variance that it gives within a window; `centred` (m, n, 5) regressors less their mean."""
         return np.asarray(((centred @ self.covariance) * centred).sum(axis=(1, 2)) / centred.shape[1])
 
-    def age(self, which: Flags) -> None:
+    def age(self, which: Booleans) -> None:
         """One window goes by: biases wander, what was learnt of responses fades. Axes that are left out don't age: what
         they come back with has to be what they left with.
         """
@@ -148,7 +145,7 @@ class Normal:
         older[:, 0, 0] += self._wander * self.variance
         return older
 
-    def learn(self, regressors: Floats, residual: Floats, which: Flags) -> None:
+    def learn(self, regressors: Floats, residual: Floats, which: Booleans) -> None:
         """Updates the states of the axes `which` by the residuals (n, m) of a window; invalid ones are 0 and have no
         regressors.
         """
@@ -157,7 +154,7 @@ class Normal:
         turned = rows.transpose(0, 2, 1)
         self.learn_sums(turned @ rows, (turned @ residual.T[axes, :, None])[..., 0], which)
 
-    def learn_sums(self, moments: Floats, products: Floats, which: Flags) -> None:
+    def learn_sums(self, moments: Floats, products: Floats, which: Booleans) -> None:
         """The same by the sums over a window, of the p axes `which`: products of the regressors with each other (p, 5,
         5) and with the residuals (p, 5).
         """
@@ -171,7 +168,7 @@ class Normal:
         self.covariance[axes] = covariance
         self.state[axes] += (covariance @ (products * weight)[:, :, None])[..., 0]
 
-    def learn_noise(self, own: Floats, means: Floats, share: Floats, counts: Floats, which: Flags) -> None:
+    def learn_noise(self, own: Floats, means: Floats, share: Floats, counts: Floats, which: Booleans) -> None:
         """Updates colour, change and, where it is to be learnt, noise, from residuals (n, m) of a window and their
         means (m,); `share` (m,) of its own variance is left in an axis' residual, `counts` (m,) readings are in it.
         """

@@ -17,13 +17,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.least_squares import solve_frames, spans
-
-Floats = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
 
 
 def slope(time: Times, triad: Floats) -> Floats:
@@ -57,9 +54,6 @@ def lever_arms(time: Times, rate_box: Floats, positions_m: Floats, rows: Floats)
     return np.asarray((felt * rows).sum(axis=2))
 
 
-Flags = npt.NDArray[np.bool_]
-
-
 @dataclass(frozen=True)
 class Parity:
     """One choice of weights: `gain` (3, m) gives the triad, `matrix` (m, m) is A, `spread` (3, 3) the triad's
@@ -69,7 +63,7 @@ class Parity:
     gain: Floats
     matrix: Floats
     spread: Floats
-    observable: Flags
+    observable: Booleans
 
     @cached_property
     def deleted(self) -> Floats:
@@ -130,11 +124,11 @@ class Window:
 
     time: Times
     values: Floats
-    valid: Flags
-    stale: Flags | None
+    valid: Booleans
+    stale: Booleans | None
 
     @cached_property
-    def present(self) -> Flags:
+    def present(self) -> Booleans:
         """(m,) the axes that have enough readings to be judged: two."""
         return np.asarray(self.valid.sum(axis=0) >= 2)
 
@@ -157,7 +151,7 @@ class WindowResiduals:
     `slow` that of the means. `regressors` (m, n, 5) are those of the normal model, 0 for invalid readings.
     """
 
-    included: Flags
+    included: Booleans
     triad: Floats
     residual: Floats
     means: Floats
@@ -196,7 +190,7 @@ class WindowResiduals:
 
 
 def window_residuals(
-    window: Window, normal: Normal, rows: Floats, included: Flags, spaces: Spaces
+    window: Window, normal: Normal, rows: Floats, included: Booleans, spaces: Spaces
 ) -> WindowResiduals | None:
     """The window as the axes `included` see it; None where these don't tell all of a triad."""
     weights = np.where(included, 1 / normal.variance, 0.0)
@@ -223,7 +217,7 @@ def window_residuals(
     return WindowResiduals(included, triad, residual, means, counts, doubt, white, slow, regressors, rows)
 
 
-def _solve(values: Floats, valid: Flags, space: Parity, weights: Floats, rows: Floats) -> tuple[Floats, Flags]:
+def _solve(values: Floats, valid: Booleans, space: Parity, weights: Floats, rows: Floats) -> tuple[Floats, Booleans]:
     """The triads (n, 3) that the valid readings of the weighted axes tell, and whether they do (n,); where they don't,
     that of the frame before.
     """

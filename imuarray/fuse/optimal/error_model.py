@@ -22,8 +22,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.model import Described
 from imuarray.calibrate.stability import BIAS, TurnOn
@@ -31,8 +31,6 @@ from imuarray.calibrate.turns import TOLERANCE
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis, response_shares
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.fuse.frames import Flags, Floats, Times
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.optimal.frame_solution import SegmentView, Solution, segment_view, solve
 from imuarray.fuse.optimal.geometry import Geometry, Readings, held, patterns
 from imuarray.fuse.optimal.states import Normal, States, corrected, predicted
@@ -139,7 +139,7 @@ class Evidence:
             both = np.asarray(np.linalg.qr(both, mode="r"))
         return both[:, :-1], both[:, -1]
 
-    def _fair(self, valid: Flags, triad: Floats, used: Flags) -> Flags:
+    def _fair(self, valid: Booleans, triad: Floats, used: Booleans) -> Booleans:
         """The readings to learn from: of frames that have a triad, and of axes that are not near their ends."""
         solved = np.asarray(used.any(axis=1))
         if not solved.all():

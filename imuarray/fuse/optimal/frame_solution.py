@@ -18,10 +18,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import erfcx
 
-from imuarray.fuse.frames import Flags, Floats
+from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.fuse.optimal.geometry import Bounds, Geometry, Readings, patterns
 from imuarray.fuse.optimal.states import Normal, States
 
@@ -84,7 +83,7 @@ class SegmentView:
         own = np.einsum("jkrr->jkr", self.errors).reshape(-1, len(self.rows))
         return np.asarray(np.maximum(_pairs(terms) @ own, 0.0))
 
-    def gains(self, valid: Flags, terms: Floats) -> Floats:
+    def gains(self, valid: Booleans, terms: Floats) -> Floats:
         """(n, k, p) best gains of the p rows in use."""
         rows, noise = self.rows[valid], self._variance[valid]
         if self.final:
@@ -93,19 +92,19 @@ class SegmentView:
             weighed = np.asarray(np.linalg.solve(self.slow(terms)[:, valid][:, :, valid] + np.diag(noise), rows))
         return np.asarray(np.linalg.solve(rows.T @ weighed, np.swapaxes(weighed, -1, -2)))
 
-    def spreads(self, valid: Flags, gains: Floats, terms: Floats) -> Floats:
+    def spreads(self, valid: Booleans, gains: Floats, terms: Floats) -> Floats:
         """(n, k, k) covariances of what `gains` (n, k, p) make of the rows in use."""
         errors = self.slow(terms)[:, valid][:, :, valid] + np.diag(self.geometry.noise[valid] ** 2)
         return np.asarray(gains @ errors @ np.swapaxes(gains, -1, -2))
 
-    def usual(self, valid: Flags) -> NominalGain | None:
+    def usual(self, valid: Booleans) -> NominalGain | None:
         """The gain at the usual stimulus; None where the rows in use don't span space."""
         key = valid.tobytes()
         if key not in self._usual:
             self._usual[key] = self._nominal_gain(valid) if self.geometry.spans(valid) else None
         return self._usual[key]
 
-    def _nominal_gain(self, valid: Flags) -> NominalGain:
+    def _nominal_gain(self, valid: Booleans) -> NominalGain:
         gain = np.zeros(self.rows.shape[::-1])
         (gain[:, valid],) = self.gains(valid, self.terms(self.stimulus[None]))
         noise = (gain * self.geometry.noise**2) @ gain.T
@@ -210,8 +209,6 @@ def _joint(covariance: Floats, clipped: ClippedReadings) -> Floats:
 _CERTAIN = 5.0
 """Standard deviations beyond its bound at which a clipped axis says nothing new: it moves the mean by 1.5e-6 of one."""
 
-Places = npt.NDArray[np.intp]
-
 
 @dataclass(frozen=True)
 class Solution:
@@ -219,7 +216,7 @@ class Solution:
 
     unknowns: Floats
     covariance: Floats
-    used: Flags
+    used: Booleans
 
     @classmethod
     def empty(cls, frames: int, geometry: Geometry) -> Solution:
@@ -257,7 +254,7 @@ def solve(view: SegmentView, readings: Readings, into: Solution, frames: slice) 
 
 
 def _solve_odd(
-    view: SegmentView, readings: Readings, valid: Flags, frames: Places, into: Solution, clipped: Flags | None
+    view: SegmentView, readings: Readings, valid: Booleans, frames: Indices, into: Solution, clipped: Booleans | None
 ) -> None:
     """Frames with a gain of their own, and with the bounds of those axes that are `clipped` (n, m)."""
     terms = view.terms(into.unknowns[frames, :3])
@@ -274,10 +271,10 @@ def _solve_odd(
             into.unknowns[at], into.covariance[at] = censored(into.unknowns[at], into.covariance[at], beyond)
 
 
-def _telling(view: SegmentView, bounds: Bounds, which: Places | slice, into: Solution) -> Flags:
+def _telling(view: SegmentView, bounds: Bounds, which: Indices | slice, into: Solution) -> Booleans:
     """(n, m) the clipped axes of these frames whose bounds say anything: not those that are expected far beyond."""
     ends = bounds.ends[which]
-    telling: Flags = np.asarray(ends != 0)
+    telling: Booleans = np.asarray(ends != 0)
     frames = np.flatnonzero(telling.any(axis=1))
     if len(frames):
         solved, spread = into.unknowns[which][frames], into.covariance[which][frames]
@@ -290,7 +287,7 @@ def _telling(view: SegmentView, bounds: Bounds, which: Places | slice, into: Sol
 
 
 def _clipped_readings(
-    view: SegmentView, bounds: Bounds, valid: Flags, axes: Places, terms: Floats, gains: Floats
+    view: SegmentView, bounds: Bounds, valid: Booleans, axes: Indices, terms: Floats, gains: Floats
 ) -> ClippedReadings:
     """What the clipped `axes` say in the frames of `bounds`, whose gains and terms these are."""
     slow = view.slow(terms)

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Flags, Floats, Frames, Times
+from imuarray.fuse.frames import Frames
 from imuarray.fuse.least_squares import spans
 from imuarray.fuse.optimal.error_model import ErrorModel
 
@@ -51,7 +52,7 @@ class Geometry:
         """(r,) up to which stimulus along the axis its readings are a fair choice."""
         return self.end - _NEAR * self.noise
 
-    def spans(self, valid: Flags) -> bool:
+    def spans(self, valid: Booleans) -> bool:
         """Whether these of the axes, (r,), span space."""
         key = valid[: self.axes].tobytes()
         if key not in self._spanning:
@@ -61,7 +62,7 @@ class Geometry:
             self._spanning[key] = bool(spans(rows.T @ rows))
         return self._spanning[key]
 
-    def parity(self, valid: Flags) -> Floats:
+    def parity(self, valid: Booleans) -> Floats:
         """(p, r) what the rows in use say of their own errors whatever the unknowns are, whitened for means: ``parity @
         readings`` has unit variance but for the slow errors.
         """
@@ -101,7 +102,7 @@ class Readings(NamedTuple):
 
     time: Times
     values: Floats
-    valid: Flags
+    valid: Booleans
     bounds: Bounds | None = None
 
     def part(self, frames: slice) -> Readings:
@@ -110,7 +111,7 @@ class Readings(NamedTuple):
         return Readings(self.time[frames], self.values[frames], self.valid[frames], bounds)
 
 
-def patterns(flags: Flags) -> list[tuple[Flags, npt.NDArray[np.intp] | slice]]:
+def patterns(flags: Booleans) -> list[tuple[Booleans, npt.NDArray[np.intp] | slice]]:
     """The different rows of `flags` (n, r), each with the frames that have it."""
     if len(flags) == 0:
         return []
@@ -153,7 +154,7 @@ def _any_beyond(values: Floats, limits: Floats) -> bool:
     return len(values) > 0 and not bool(((values.max(axis=0) <= limits) & (values.min(axis=0) >= -limits)).all())
 
 
-def _without_stale(valid: Flags, stale: Flags, geometry: Geometry) -> Flags:
+def _without_stale(valid: Booleans, stale: Booleans, geometry: Geometry) -> Booleans:
     fresh = valid & ~stale
     for pattern, which in patterns(fresh):
         if not geometry.spans(pattern):

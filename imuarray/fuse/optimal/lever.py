@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imuarray.arrays import Floats, Times
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Floats, Times
 from imuarray.fuse.optimal.geometry import Bounds, Geometry, Readings, held
 
 FASTEST = 300.0

@@ -22,9 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imuarray.arrays import Floats, Times
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Estimate, Floats, Frames, FusedBlock, Times, entries
+from imuarray.fuse.frames import Estimate, Frames, FusedBlock, entries
 from imuarray.fuse.fusion_notes import FusionNotes, LearnedBias
 from imuarray.fuse.optimal.error_model import ErrorModel
 from imuarray.fuse.optimal.filter import ArrayFilter, Dynamics, Segments

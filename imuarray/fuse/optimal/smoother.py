@@ -16,7 +16,7 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from imuarray.fuse.frames import Floats
+from imuarray.arrays import Floats
 from imuarray.fuse.optimal.filter import Step
 from imuarray.fuse.optimal.frame_solution import SegmentView, segment_view
 from imuarray.fuse.optimal.geometry import Geometry

@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.fuse.axes import Axis
 from imuarray.fuse.optimal.error_model import AxisErrors, DesignErrors, ErrorModel
-
-Floats = npt.NDArray[np.float64]
 
 
 class Normal(NamedTuple):

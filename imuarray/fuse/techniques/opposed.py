@@ -33,6 +33,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.opposed import cancelled
 from imuarray.calibrate.stability import BIAS
@@ -152,8 +153,6 @@ def _reduction(first: float, second: float, sem_first: float, sem_second: float)
         float(p_value),
     )
 
-
-Floats = npt.NDArray[np.float64]
 
 SMOOTHING_S = 10.0
 """Time constant of the low-pass."""

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Estimate, Floats, Frames
+from imuarray.fuse.frames import Estimate, Frames
 from imuarray.fuse.least_squares import SlowErrors, solve_frames, weighted
 from imuarray.fuse.techniques.technique import WORTH_WEIGHING, Technique, known_noise_of
 from imuarray.units import READABLE_SI

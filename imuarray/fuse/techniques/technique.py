@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.errors import FusionError
 from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Estimate, Floats, Frames
+from imuarray.fuse.frames import Estimate, Frames
 from imuarray.fuse.least_squares import SlowErrors, weighted, whole_gain
 
 Technique = Callable[[Frames], Estimate]

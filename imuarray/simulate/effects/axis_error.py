@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from imuarray.arrays import Reals
 from imuarray.simulate.effect import Effect
-from imuarray.simulate.signal import Analog, Floats, Place, per_row
+from imuarray.simulate.signal import Analog, Place, per_row
 
 _NOMINAL = "+X+Y+Z"
 _AXES = re.compile(r"([+-])([XYZ])" * 3)
@@ -41,7 +42,7 @@ class AxisError(Effect):
             return analog
         return replace(analog, value=self._exchanged(analog.value), force_g=self._exchanged(analog.force_g))
 
-    def _exchanged(self, vectors: Floats) -> Floats:
+    def _exchanged(self, vectors: Reals) -> Reals:
         x, y, z = (1.0 if sign == "+" else -1.0 for sign in self.axes[::2])
         taken = np.take(vectors, ["XYZ".index(axis) for axis in self.axes[1::2]], axis=1)
         return taken * per_row((x, y, z), taken)

@@ -12,8 +12,9 @@ from scipy.integrate import simpson
 from scipy.linalg import solve_toeplitz
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
+from imuarray.arrays import Reals
 from imuarray.simulate.effect import Effect, require, scalar
-from imuarray.simulate.signal import Analog, Floats, Place
+from imuarray.simulate.signal import Analog, Place
 
 _FINE = 1e-3  # time constants per row below which correlations of rows differ too little to be told apart
 _FORGOTTEN = 12 * math.log(10.0)  # time constants after which 1e-12 is left of the past
@@ -72,7 +73,7 @@ class Bandwidth(Effect):
         noise, _ = lfilter(over, under, white, axis=0, zi=first)
         return replace(analog, value=self._passed(analog.value, decay), noise=np.asarray(noise, analog.noise.dtype))
 
-    def _passed(self, value: Floats, decay: float) -> Floats:
+    def _passed(self, value: Reals, decay: float) -> Reals:
         """The signal (n, 3) after the filter, exactly so for straight lines between rows."""
         if not self.share:
             return value
@@ -117,7 +118,7 @@ def _memory(decay: float, poles: float, band: float) -> int:
 
 
 @lru_cache(maxsize=256)
-def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[Floats, Floats]:
+def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[Reals, Reals]:
     """(over, under) that make noise behind the filter, row by row, of white noise of the same rms: its poles are those
     of the filter; with two there is a zero as well, which the first three correlations tell. Behind a digital filter
     it is predicted from the rows before.
@@ -144,7 +145,7 @@ def _noise_filter(decay: float, poles: float, band: float = math.inf) -> tuple[F
 
 
 @lru_cache(maxsize=256)
-def _signal_filter(decay: float, poles: float) -> tuple[Floats, Floats]:
+def _signal_filter(decay: float, poles: float) -> tuple[Reals, Reals]:
     """(over, under) of the filter itself, for a signal that is straight between rows."""
     over, under = ([decay], [1.0, decay]) if poles == 1 else ([2 * decay**2], [1.0, 2 * decay, 2 * decay**2])
     discrete, under, _ = cont2discrete((over, under), 1.0, method="foh")

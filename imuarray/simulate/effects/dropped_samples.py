@@ -7,9 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from imuarray.arrays import Booleans, Integers
 from imuarray.simulate.effect import Effect, require, scalar
 from imuarray.simulate.parameters import alongside, listed
-from imuarray.simulate.signal import Bools, Instants, Integers, Place
+from imuarray.simulate.signal import Instants, Place
 from imuarray.simulate.streams import Stream
 
 _REACH = 64
@@ -58,7 +59,7 @@ class DroppedSamples(Effect):
         lost = self._lost(instants.first, instants.first + len(instants.kept), stream)
         return replace(instants, kept=instants.kept & ~lost)
 
-    def _missing(self, stamp_ns: Integers, run: int) -> Bools:
+    def _missing(self, stamp_ns: Integers, run: int) -> Booleans:
         """(n,) of rows with these stamps."""
         missing = np.zeros(len(stamp_ns), bool)
         for number, moment_s, length_s in zip(self.runs, self.moments_s, self.lengths_s, strict=True):
@@ -67,7 +68,7 @@ class DroppedSamples(Effect):
                 missing[due:over] = True
         return missing
 
-    def _lost(self, first: int, stop: int, stream: Stream) -> Bools:
+    def _lost(self, first: int, stop: int, stream: Stream) -> Booleans:
         """(stop - first,); row 0 is lost with the long-run probability."""
         stay = 1 - 1 / self.burst_rows
         begin = self.probability / (1 - self.probability) / self.burst_rows

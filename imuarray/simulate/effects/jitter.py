@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from imuarray.arrays import Reals
 from imuarray.simulate.effect import Effect, require, scalar
-from imuarray.simulate.signal import Floats, Instants, Place
+from imuarray.simulate.signal import Instants, Place
 
 _FREE = 0.9
 
@@ -51,7 +52,7 @@ class Jitter(Effect):
         off = self._drawn(instants.first, instants.first + len(instants.stamp_ns), at)
         return replace(instants, instant_ns=instants.instant_ns + np.rint(off * (self.rms_s * 1e9)).astype(np.int64))
 
-    def _drawn(self, first: int, stop: int, at: Place) -> Floats:
+    def _drawn(self, first: int, stop: int, at: Place) -> Reals:
         """(n,) by how many `rms_s` each row is off."""
         if self.share == 1:
             return np.asarray(at.stream(self.name, width=1).normal(first, stop)[:, 0], float)

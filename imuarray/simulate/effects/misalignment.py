@@ -7,9 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from imuarray.arrays import Reals
 from imuarray.simulate.effect import Effect, require
 from imuarray.simulate.parameters import numbers, several
-from imuarray.simulate.signal import Analog, Floats, Place
+from imuarray.simulate.signal import Analog, Place
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Misalignment(Effect):
             require("angles_deg", angle, -80.0, 80.0)
 
     @property
-    def directions(self) -> Floats:
+    def directions(self) -> Reals:
         """(3, 3), row i the unit vector along axis i in the sensor's nominal axes."""
         leaning = np.eye(3)
         leaning[~np.eye(3, dtype=bool)] = np.tan(np.radians(self.angles_deg))

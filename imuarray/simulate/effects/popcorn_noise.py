@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Integers
 from imuarray.simulate.effect import Effect, per_axis, require, scalar
-from imuarray.simulate.signal import Analog, Integers, Place, Triple, per_row
+from imuarray.simulate.signal import Analog, Place, Triple, per_row
 from imuarray.simulate.streams import CHUNK
-
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class PopcornNoise(Effect):
         level = (high - self.high_share).astype(analog.value.dtype)
         return replace(analog, value=analog.value + level * per_row(self.amplitude, level))
 
-    def _high(self, first: int, stop: int, at: Place) -> Bools:
+    def _high(self, first: int, stop: int, at: Place) -> Booleans:
         """(stop - first, 3): whether an axis is at its upper level."""
         begin, end = first // CHUNK, -(-stop // CHUNK)
         draws_per_s = self.switches_per_s / (2 * self.high_share * (1 - self.high_share))
@@ -65,13 +63,15 @@ class PopcornNoise(Effect):
         return np.concatenate(parts)[first - begin * CHUNK : stop - begin * CHUNK]
 
 
-def _behind(level: Bools, draws: Integers, last: Bools) -> Bools:
+def _behind(level: Booleans, draws: Integers, last: Booleans) -> Booleans:
     """(3,) the level behind chunks (c, 3): what the last of them with a draw drew, or what it was before."""
     known, levels = np.vstack([np.ones((1, 3), bool), draws > 0]), np.vstack([level, last])
     return np.asarray(levels[len(known) - 1 - known[::-1].argmax(axis=0), np.arange(3)])
 
 
-def _levels(places: np.random.Generator, draws: Integers, high_share: float, begin: Bools, last: Bools) -> Bools:
+def _levels(
+    places: np.random.Generator, draws: Integers, high_share: float, begin: Booleans, last: Booleans
+) -> Booleans:
     """(CHUNK, 3) the level of each row, all rows being as likely to have a draw, of which each axis has so many."""
     columns = []
     for axis, count in enumerate(draws.tolist()):

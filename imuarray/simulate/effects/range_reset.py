@@ -10,12 +10,13 @@ from typing import ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Reals
 from imuarray.chips import CHIPS
 from imuarray.log.format import RECONFIGURED, SUSPECT, SensorHeader
 from imuarray.simulate.converters import code_span
 from imuarray.simulate.effect import Effect, per_axis, require, scalar
 from imuarray.simulate.parameters import alongside, listed
-from imuarray.simulate.signal import Analog, Bools, Codes, Flags, Floats, Instants, Place, Triple, per_row
+from imuarray.simulate.signal import Analog, Codes, Flags, Instants, Place, Triple, per_row
 
 Number = TypeVar("Number", int, float)
 
@@ -125,7 +126,7 @@ class RangeReset(Effect):
             if run == at.streams.boot:
                 yield (moment_s - doubt_s) * 1e9, moment_s * 1e9, (moment_s + length_s) * 1e9
 
-    def _known(self, first: int, stop: int, at: Place) -> Bools:
+    def _known(self, first: int, stop: int, at: Place) -> Booleans:
         """(stop - first,) which of these rows lie in known stretches."""
         since = np.zeros(stop - first, bool)
         for due, over in at.rows_in(first, stop, ((due_ns, over_ns) for _, due_ns, over_ns in self._stretches(at))):
@@ -142,7 +143,7 @@ def _sensitivity(sensor: SensorHeader, range_: float) -> float:
     return allowed[range_]
 
 
-def _from(since: Bools, new: Number, old: Number | Floats, dtype: npt.DTypeLike) -> Number | Floats:
+def _from(since: Booleans, new: Number, old: Number | Reals, dtype: npt.DTypeLike) -> Number | Reals:
     """`new` in the rows where `since`, `old` before them; a number if all rows have the same."""
     if since.all():
         return new

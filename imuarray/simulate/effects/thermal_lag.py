@@ -9,8 +9,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.signal import lfilter
 
+from imuarray.arrays import Integers, Reals
 from imuarray.simulate.effect import Effect, require, scalar
-from imuarray.simulate.signal import Felt, Floats, Integers, Motion, Place
+from imuarray.simulate.signal import Felt, Motion, Place
 
 _STEPS = 50
 """Steps of the recursion per time constant."""
@@ -57,7 +58,7 @@ class ThermalLag(Effect):
         first = max(0, earliest_ns // step_ns)
         return np.arange(first, max(first, -(-int(time_ns.max()) // step_ns)) + 1) * step_ns
 
-    def _lagged(self, nodes_ns: Integers, motion: Motion) -> Floats:
+    def _lagged(self, nodes_ns: Integers, motion: Motion) -> Reals:
         """The element's temperature at the nodes, from equilibrium at the first one."""
         box = motion.felt(nodes_ns).temperature_degc
         ratio = self._step_ns() * 1e-9 / self.time_constant_s

@@ -6,17 +6,14 @@ Frames: ``level`` has z up, ``box`` is the box; an attitude is the rotation R wi
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from imuarray.arrays import Integers, Reals
 from imuarray.axes import up_vector
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.felt import Felt
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.floating[Any]]
 
 GRAVITY_LEVEL = np.array([0.0, 0.0, STANDARD_GRAVITY])
 """m/s2; what a box at rest feels: the table pushes it up."""
@@ -34,7 +31,7 @@ UPRIGHT = np.eye(3)
 """The attitude of a box on its -Z face."""
 
 
-def shortest_turn(up_before: str, up_after: str) -> Floats:
+def shortest_turn(up_before: str, up_after: str) -> Reals:
     """(3,) rotation vector (rad, box frame) of the shortest turn that brings `up_after` up; half a turn goes about X,
     or about Y where X is upright. ValueError unless both are box axes ("+X").
     """
@@ -46,26 +43,26 @@ def shortest_turn(up_before: str, up_after: str) -> Floats:
     return np.array(aside) * (0.0 if up_before == up_after else math.pi)
 
 
-def turned(attitude: Floats, turn: Floats) -> Floats:
+def turned(attitude: Reals, turn: Reals) -> Reals:
     """The attitude (3, 3) after a turn by quarters (rotation vector in the box frame), without rounding errors."""
-    quarters: Floats = attitude @ np.rint(Rotation.from_rotvec(turn).as_matrix()) + 0.0
+    quarters: Reals = attitude @ np.rint(Rotation.from_rotvec(turn).as_matrix()) + 0.0
     return quarters
 
 
-def tilted(attitude: Floats, tilt_deg: tuple[float, float]) -> Floats:
+def tilted(attitude: Reals, tilt_deg: tuple[float, float]) -> Reals:
     """The attitude (3, 3) on a table that is turned by these small angles about the level x and y axes."""
     if not np.isfinite(tilt_deg).all() or len(tilt_deg) != 2:
         raise ValueError(f"tilt_deg: {tilt_deg}; two angles are wanted, about the level x and y axes")
-    leaning: Floats = Rotation.from_rotvec([*tilt_deg, 0.0], degrees=True).as_matrix() @ attitude
+    leaning: Reals = Rotation.from_rotvec([*tilt_deg, 0.0], degrees=True).as_matrix() @ attitude
     return leaning
 
 
-def standing_on(up: str, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Floats:
+def standing_on(up: str, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> Reals:
     """The attitude (3, 3) of a box whose axis `up` ("+X") points up, turned there from upright the shortest way."""
     return tilted(turned(UPRIGHT, shortest_turn("+Z", up)), tilt_deg)
 
 
-def resting(time_ns: Integers, attitude: Floats, temperature_degc: float | Floats) -> Felt:
+def resting(time_ns: Integers, attitude: Reals, temperature_degc: float | Reals) -> Felt:
     """What a box feels that rests in this attitude (3, 3); `temperature_degc` is a number or (n,)."""
     count = len(time_ns)
     nothing = np.broadcast_to(np.zeros(3), (count, 3))

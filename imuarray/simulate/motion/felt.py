@@ -7,15 +7,10 @@ epoch, vectors are in the box frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
-
-Floats = npt.NDArray[np.floating[Any]]
-Integers = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -28,12 +23,12 @@ class Felt:
     """
 
     time_ns: Integers
-    force_box: Floats
-    rate_box: Floats
-    angular_acceleration_box: Floats
-    field_box: Floats
-    temperature_degc: Floats
-    pressure_pa: Floats
+    force_box: Reals
+    rate_box: Reals
+    angular_acceleration_box: Reals
+    field_box: Reals
+    temperature_degc: Reals
+    pressure_pa: Reals
 
 
 class Motion(Protocol):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.simulate.motion.felt import Floats, Integers
+from imuarray.arrays import Integers, Reals
 from imuarray.simulate.motion.timeline import FOREVER_NS
 
 
@@ -18,7 +18,7 @@ class PhaseField(NamedTuple):
     field_box: tuple[float, float, float]
 
 
-def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Floats:
+def field_at(fields: Sequence[PhaseField], time_ns: Integers) -> Reals:
     """(n, 3) gauss at times (n,); one row, broadcast (read-only), where it is the same for all. Before the first of the
     `fields`, at least one, it is the first.
     """

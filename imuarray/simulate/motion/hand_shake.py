@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import UPRIGHT, resting
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.kinematics import RotationVector, felt_by
 from imuarray.simulate.motion.timeline import BetweenRests, finite, positive, smooth_step
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.floating[Any]]
 
 RAMP_S = 1.0
 SHARES = (0.6, 0.4)
@@ -33,11 +30,11 @@ TURN_HZ = ((0.8, 1.6), (2.0, 5.0))
 class _Sines:
     """x = envelope(t) sum of amplitude sin(2 pi hertz t + phase), for three axes; all (3, 2)."""
 
-    hertz: Floats
-    phase: Floats
-    amplitude: Floats
+    hertz: Reals
+    phase: Reals
+    amplitude: Reals
 
-    def at(self, seconds: Floats, envelope: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats, Floats]:
+    def at(self, seconds: Reals, envelope: tuple[Reals, Reals, Reals]) -> tuple[Reals, Reals, Reals]:
         """(3, n) value, first and second derivative."""
         free, slope, bend = np.zeros((3, 3, len(seconds)))
         for axis, sine in np.ndindex(self.hertz.shape):
@@ -102,7 +99,7 @@ class HandShake:
         attitude = RotationVector(*self._turn_sines.at(seconds, envelope))
         return felt_by(time_ns, attitude, acceleration, place[2], self.temperature_degc)
 
-    def position(self, time_ns: Integers) -> Floats:
+    def position(self, time_ns: Integers) -> Reals:
         """(n, 3) of the box's origin in the level frame, in m."""
         seconds = self._span.moved_s(time_ns)
         return self._place_sines.at(seconds, self._envelope(seconds))[0].T
@@ -120,7 +117,7 @@ class HandShake:
     def _ramp_s(self) -> float:
         return min(RAMP_S, self.motion_s / 2)
 
-    def _envelope(self, seconds: Floats) -> tuple[Floats, Floats, Floats]:
+    def _envelope(self, seconds: Reals) -> tuple[Reals, Reals, Reals]:
         """(n,) how much of the motion there is, and its first two derivatives."""
         left_s = self.motion_s - seconds
         swell, slope, bend, _ = smooth_step(np.minimum(seconds, left_s) / self._ramp_s)

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import Floats, resting, standing_on
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.faces import resting, standing_on
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.timeline import FOREVER_NS, consecutive, finite, nanoseconds, positive
 
 HEATING_MIN = 2.0
@@ -76,7 +77,7 @@ class Heating:
         return consecutive(*((part.name, length, self.up) for part, length in zip(self._profile, lengths, strict=True)))
 
     @cached_property
-    def _attitude(self) -> Floats:
+    def _attitude(self) -> Reals:
         return standing_on(self.up, (0.0, 0.0))
 
     @cached_property
@@ -94,7 +95,7 @@ class Heating:
         return np.array([nanoseconds(self.scale * 60 * passed) for passed in minutes.tolist()])
 
     @cached_property
-    def _columns(self) -> Floats:
+    def _columns(self) -> Reals:
         """(3, 5) degC that each stretch tends to, distance from there when it begins, decay per ns."""
         towards = np.array([stretch.towards_degc for stretch in self._profile])
         begins = np.array([stretch.begins_degc for stretch in self._profile])

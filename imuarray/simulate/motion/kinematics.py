@@ -9,16 +9,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Integers, Reals
 from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, PA_PER_M
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.felt import Felt
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.floating[Any]]
 
 _SMALL = 0.2
 """rad2; below it series are used: what their seven terms leave out is less than the last bit."""
@@ -27,15 +25,15 @@ _SMALL = 0.2
 class Attitude(Protocol):
     """The attitude at n instants, and how it changes."""
 
-    def seen(self, vector_level: Floats) -> Floats:
+    def seen(self, vector_level: Reals) -> Reals:
         """(3, n) a vector (3, n) or (3, 1) of the level frame, in the box frame."""
 
-    def rates(self) -> tuple[Floats, Floats]:
+    def rates(self) -> tuple[Reals, Reals]:
         """(3, n) angular rate in rad/s and (3, n) angular acceleration in rad/s2, in the box frame."""
 
 
 def felt_by(
-    time_ns: Integers, attitude: Attitude, acceleration_level: Floats, height_m: Floats, temperature_degc: float
+    time_ns: Integers, attitude: Attitude, acceleration_level: Reals, height_m: Reals, temperature_degc: float
 ) -> Felt:
     """What a box feels that moves so: `acceleration_level` (3, n) of its origin in m/s2, its height (n,)."""
     rate, angular_acceleration = attitude.rates()
@@ -51,7 +49,7 @@ def felt_by(
     )
 
 
-def cross(a: Floats, b: Floats) -> Floats:
+def cross(a: Reals, b: Reals) -> Reals:
     """(3, n) vector products."""
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -68,18 +66,18 @@ class RotationVector:
     what is across phi, so the rate is never more than |phi'|.
     """
 
-    phi: Floats
-    speed: Floats
-    gain: Floats
+    phi: Reals
+    speed: Reals
+    gain: Reals
 
-    def seen(self, vector_level: Floats) -> Floats:
+    def seen(self, vector_level: Reals) -> Reals:
         """See `Attitude`; Rodrigues' formula."""
         sinc, versine = self._coefficients[:2]
         once = cross(self.phi, vector_level)
-        seen: Floats = vector_level - sinc * once + versine * cross(self.phi, once)
+        seen: Reals = vector_level - sinc * once + versine * cross(self.phi, once)
         return seen
 
-    def rates(self) -> tuple[Floats, Floats]:
+    def rates(self) -> tuple[Reals, Reals]:
         """See `Attitude`; the derivative of the rate, term by term."""
         phi, speed, gain = self.phi, self.speed, self.gain
         _, versine, rest, versine_slope, rest_slope = self._coefficients
@@ -91,7 +89,7 @@ class RotationVector:
         return rate, acceleration + growth * (rest_slope * twice - versine_slope * once)
 
     @cached_property
-    def _coefficients(self) -> tuple[Floats, ...]:
+    def _coefficients(self) -> tuple[Reals, ...]:
         """(n,) sinc, versine, rest; the derivatives of the last two in theta, divided by theta."""
         square = np.sum(self.phi * self.phi, axis=0)
         small = square < _SMALL
@@ -105,7 +103,7 @@ class RotationVector:
         return tuple(np.where(small, np.polyval(a, near), b) for a, b in zip(_SERIES, closed, strict=True))
 
 
-def _series(offset: int) -> Floats:
+def _series(offset: int) -> Reals:
     """sum of (-x)^k / (2 k + offset)!, highest power first: sinc, versine, rest of x = theta^2 for offset 1, 2, 3."""
     return np.array([(-1.0) ** k / math.factorial(2 * k + offset) for k in range(8)])[::-1]
 
@@ -121,11 +119,11 @@ class EulerAngles:
     yaw' cos(pitch) cos(roll) - pitch' sin(roll)), whatever way the level frame's z points.
     """
 
-    roll: Floats
-    pitch: Floats
-    yaw: Floats
+    roll: Reals
+    pitch: Reals
+    yaw: Reals
 
-    def seen(self, vector_level: Floats) -> Floats:
+    def seen(self, vector_level: Reals) -> Reals:
         """See `Attitude`; one plane turn after the other."""
         roll_sine, roll_cosine, pitch_sine, pitch_cosine = self._sines
         x, y, z = vector_level
@@ -134,7 +132,7 @@ class EulerAngles:
         x, z = x * pitch_cosine - z * pitch_sine, z * pitch_cosine + x * pitch_sine
         return np.array([x, y * roll_cosine + z * roll_sine, z * roll_cosine - y * roll_sine])
 
-    def rates(self) -> tuple[Floats, Floats]:
+    def rates(self) -> tuple[Reals, Reals]:
         """See `Attitude`; the derivative of the rate, term by term."""
         roll_sine, roll_cosine, pitch_sine, pitch_cosine = self._sines
         _, roll, roll_gain = self.roll
@@ -150,6 +148,6 @@ class EulerAngles:
         return np.array([roll - yaw * pitch_sine, y, z]), np.array([gain_x, gain_y, gain_z])
 
     @cached_property
-    def _sines(self) -> tuple[Floats, Floats, Floats, Floats]:
+    def _sines(self) -> tuple[Reals, Reals, Reals, Reals]:
         roll, pitch = self.roll[0], self.pitch[0]
         return np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Integers, Reals
 from imuarray.axes import UP_AXES
 from imuarray.calibrate.segments import chip_thermometer
 from imuarray.errors import LogError
@@ -18,12 +19,10 @@ from imuarray.log.format import Phase
 from imuarray.log.reader import Log
 from imuarray.log.tracks import Track
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting, standing_on
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
 from imuarray.simulate.motion.recorded import Recorded
 from imuarray.simulate.motion.timeline import FOREVER_NS
-
-Floats = npt.NDArray[np.floating[Any]]
 
 ROOM_DEGC = 25.0
 
@@ -159,12 +158,12 @@ class LikeLog:
         return np.array([phase.start_ns for phase in self._faces])
 
     @cached_property
-    def _attitudes(self) -> Floats:
+    def _attitudes(self) -> Reals:
         """(k, 3, 3) of each named face."""
         return np.array([standing_on(phase.up) for phase in self._faces])
 
     @cached_property
-    def _gravity(self) -> Floats:
+    def _gravity(self) -> Reals:
         """(k, 3) of each named face."""
         return np.asarray(GRAVITY_LEVEL @ self._attitudes)
 

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, Floats, resting
-from imuarray.simulate.motion.felt import Felt, Integers, Motion
+from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting
+from imuarray.simulate.motion.felt import Felt, Motion
 from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
 from imuarray.simulate.motion.timeline import FOREVER_NS
 from imuarray.simulate.motion.world import Steady
@@ -92,7 +93,7 @@ class Posed:
         return np.array([(before.end_ns + after.start_ns) // 2 for before, after in pairs], np.int64)
 
     @cached_property
-    def _rotations(self) -> Floats:
+    def _rotations(self) -> Reals:
         """(k, 3, 3) from the box to the level frame."""
         return upright_from([attitude.up_box for attitude in self.attitudes])
 
@@ -101,7 +102,7 @@ _LEAST_SINE = float(np.finfo(float).tiny)
 """Of smaller numbers too few digits are left for a direction."""
 
 
-def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Floats:
+def upright_from(up_box: Sequence[tuple[float, float, float]]) -> Reals:
     """(k, 3, 3) the attitudes in which these directions of the box are up, reached by the shortest turn from upright
     (half a turn goes about X).
     """

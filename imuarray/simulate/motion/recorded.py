@@ -6,16 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Integers, Reals
 from imuarray.errors import LogError
 from imuarray.log.column import NamedColumn
-from imuarray.simulate.motion.felt import Integers
-
-Floats = npt.NDArray[np.floating[Any]]
 
 BLOCK = 16384
 """Rows per block; a whole number of the log's chunks."""
@@ -40,10 +38,10 @@ class _Block(NamedTuple):
     """
 
     time_ns: Integers
-    start: Floats
+    start: Reals
     moves: Integers
-    length_s: Floats
-    curve: Floats
+    length_s: Reals
+    curve: Reals
 
     @property
     def bytes(self) -> int:
@@ -87,7 +85,7 @@ class Recorded:
     columns: tuple[NamedColumn | npt.NDArray[np.float64], ...]
     where: str
 
-    def at(self, time_ns: Integers) -> tuple[Floats, Floats]:
+    def at(self, time_ns: Integers) -> tuple[Reals, Reals]:
         """(n, c) values, all columns side by side, and (n, c) their derivatives per s, in any order of times.
 
         Before the first row that row, after the last the last, both with derivative 0. Where nothing changes between
@@ -100,13 +98,13 @@ class Recorded:
         values, slopes = np.split(self._joined(within, _values_and_slopes, 2), 2)
         return np.ascontiguousarray(values.T), np.ascontiguousarray(np.where(time_ns == within, slopes, 0.0).T)
 
-    def values_at(self, time_ns: Integers) -> Floats:
+    def values_at(self, time_ns: Integers) -> Reals:
         """(n, c) the values alone."""
         within = np.clip(time_ns, self.first_ns, self.last_ns)
         constant = self._constant(within)
         return np.ascontiguousarray(self._joined(within, _values, 1).T) if constant is None else constant
 
-    def _constant(self, within: Integers) -> Floats | None:
+    def _constant(self, within: Integers) -> Reals | None:
         """(n, c) one row, broadcast, if it stands for all between the first and the last of the times."""
         if len(within) == 0:
             return None
@@ -122,7 +120,7 @@ class Recorded:
         value = block.start[:, end] + 0.0
         return np.broadcast_to(value, (len(within), len(value)))
 
-    def _joined(self, within: Integers, worked_out: Callable[[_Block, Integers], Floats], of_each: int) -> Floats:
+    def _joined(self, within: Integers, worked_out: Callable[[_Block, Integers], Reals], of_each: int) -> Reals:
         """(c * of_each, n) what each block makes of the times in it."""
         if (within[1:] >= within[:-1]).all():
             return self._in_order(within, worked_out, of_each)
@@ -131,7 +129,7 @@ class Recorded:
         found[:, order] = self._in_order(within[order], worked_out, of_each)
         return found
 
-    def _in_order(self, within: Integers, worked_out: Callable[[_Block, Integers], Floats], of_each: int) -> Floats:
+    def _in_order(self, within: Integers, worked_out: Callable[[_Block, Integers], Reals], of_each: int) -> Reals:
         """The same of times that ascend."""
         first, last = self._numbers(within[[0, -1]]).tolist() if len(within) else (0, 0)
         if first == last:
@@ -195,7 +193,7 @@ class Recorded:
         slopes = _slopes(time_ns, values)
         return _between(time_ns[own], values[own], slopes[own])
 
-    def _rows(self, rows: slice) -> tuple[Integers, Floats]:
+    def _rows(self, rows: slice) -> tuple[Integers, Reals]:
         try:
             columns = [np.asarray(column[rows], float) for column in self.columns]
             return np.asarray(self.time[rows], np.int64), np.concatenate(
@@ -205,7 +203,7 @@ class Recorded:
             raise LogError(f"{self.where}: {' '.join(str(error).split())}") from None
 
 
-def _slopes(time_ns: Integers, rows: Floats) -> Floats:
+def _slopes(time_ns: Integers, rows: Reals) -> Reals:
     """(k, c) per s by the three-point formula; exactly 0 between rows that are equal, which it rounds to nearly 0."""
     if len(rows) == 1:
         return np.zeros_like(rows)
@@ -216,7 +214,7 @@ def _slopes(time_ns: Integers, rows: Floats) -> Floats:
     return np.where(still[:-1] & still[1:], 0.0, slopes)
 
 
-def _between(time_ns: Integers, rows: Floats, slopes: Floats) -> _Block:
+def _between(time_ns: Integers, rows: Reals, slopes: Reals) -> _Block:
     """The cubic pieces (Hermite) between rows (k, c) with these slopes per s."""
     if len(rows) == 1:
         return _Block(time_ns, rows.T.copy(), np.zeros(2, np.int64), np.zeros(0), np.zeros((3, rows.shape[1], 0)))
@@ -233,10 +231,10 @@ def _between(time_ns: Integers, rows: Floats, slopes: Floats) -> _Block:
     return _Block(time_ns, np.ascontiguousarray(start), moves, length_s[moving], curve)
 
 
-def _values(block: _Block, time_ns: Integers) -> Floats:
+def _values(block: _Block, time_ns: Integers) -> Reals:
     """(c, n) at times within the block."""
     row = block.row_before(time_ns)
-    start: Floats = block.start.take(row, axis=1)
+    start: Reals = block.start.take(row, axis=1)
     moving = _moving(block, row)
     if len(moving) == len(row) and len(row):
         x, _, (begin, square, cube) = _pieces(block, time_ns, row)
@@ -247,7 +245,7 @@ def _values(block: _Block, time_ns: Integers) -> Floats:
     return start
 
 
-def _values_and_slopes(block: _Block, time_ns: Integers) -> Floats:
+def _values_and_slopes(block: _Block, time_ns: Integers) -> Reals:
     """(2 c, n) values, and their derivatives per s below."""
     row = block.row_before(time_ns)
     moving = _moving(block, row)
@@ -266,7 +264,7 @@ def _moving(block: _Block, row: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
     return np.flatnonzero(block.moves.take(row + 1) > block.moves.take(row))
 
 
-def _pieces(block: _Block, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Floats, Floats, Floats]:
+def _pieces(block: _Block, time_ns: Integers, row: npt.NDArray[np.intp]) -> tuple[Reals, Reals, Reals]:
     """(n,) where in their pieces, none of which is constant, the times lie, 0 to 1; (n,) the lengths of these in s;
     (3, c, n) p1, p2, p3.
     """

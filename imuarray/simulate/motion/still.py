@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import Floats, resting, standing_on
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.faces import resting, standing_on
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.timeline import FOREVER_NS, consecutive, finite, nanoseconds, positive
 
 
@@ -40,7 +41,7 @@ class Still:
         return consecutive((self.name, nanoseconds(self.seconds), self.up))
 
     @cached_property
-    def attitude(self) -> Floats:
+    def attitude(self) -> Reals:
         """(3, 3) from the box to the level frame."""
         return standing_on(self.up, self.tilt_deg)
 

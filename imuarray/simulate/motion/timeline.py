@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
-
-Floats = npt.NDArray[np.floating[Any]]
-Integers = npt.NDArray[np.int64]
 
 FOREVER_NS = 1 << 62
 """Later than anything; 146 years."""
@@ -63,7 +59,7 @@ class BetweenRests:
         still_ns, motion_ns = nanoseconds(self.still_s), nanoseconds(self.motion_s)
         return consecutive(("static", still_ns, "+Z"), ("motion", motion_ns, ""), ("static", still_ns, "+Z"))
 
-    def moved_s(self, time_ns: Integers) -> Floats:
+    def moved_s(self, time_ns: Integers) -> Reals:
         """(n,) for how long it has been moving: 0 at rest before, `motion_s` at rest after."""
         _, moving, _ = self.phases
         return (np.clip(time_ns, moving.start_ns, moving.end_ns) - moving.start_ns) * 1e-9
@@ -76,7 +72,7 @@ class BetweenRests:
         return FOREVER_NS if at_ns >= moving.end_ns else at_ns
 
 
-def smooth_step(share: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def smooth_step(share: Reals) -> tuple[Reals, Reals, Reals, Reals]:
     """0 up to share 0, 1 from share 1 on, x^4 (35 - 84 x + 70 x^2 - 20 x^3) in between; and its three derivatives.
 
     The polynomial of least degree whose first three derivatives vanish at both ends: accelerations and what turns them
@@ -89,8 +85,8 @@ def smooth_step(share: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     return x**4 * (35 + x * (-84 + x * (70 - 20 * x))), slope, bend, 840 * u * (1 - 5 * u)
 
 
-def smooth_step_area(share: Floats) -> Floats:
+def smooth_step_area(share: Reals) -> Reals:
     """The integral of `smooth_step` from 0 to `share`."""
     x = np.clip(share, 0.0, 1.0)
-    area: Floats = x**5 * (7 + x * (-14 + x * (10 - 2.5 * x))) + np.maximum(share - 1, 0.0)
+    area: Reals = x**5 * (7 + x * (-14 + x * (10 - 2.5 * x))) + np.maximum(share - 1, 0.0)
     return area

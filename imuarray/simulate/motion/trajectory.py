@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from imuarray.arrays import Floats, Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import AIR_PRESSURE_PA, FIELD_LEVEL, GRAVITY_LEVEL, PA_PER_M
-from imuarray.simulate.motion.felt import Felt, Integers
-
-Floats = npt.NDArray[np.floating[Any]]
-Doubles = npt.NDArray[np.float64]
+from imuarray.simulate.motion.felt import Felt
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +20,7 @@ class _Rows:
     """Rows at `time_ns` (n,), the first at 0, and `temperature_degc` (n,); one phase, motion."""
 
     time_ns: Integers
-    temperature_degc: Doubles
+    temperature_degc: Floats
 
     @property
     def phases(self) -> tuple[Phase, ...]:
@@ -37,14 +33,14 @@ class _Rows:
         return int(self.time_ns[-1]) * 1e-9
 
     @property
-    def _row_s(self) -> Floats:
+    def _row_s(self) -> Reals:
         return self.time_ns * 1e-9
 
-    def _within_s(self, time_ns: Integers) -> Floats:
+    def _within_s(self, time_ns: Integers) -> Reals:
         """(n,) the times, before the first row that of the first, after the last that of the last."""
         return np.clip(time_ns, 0, self.time_ns[-1]) * 1e-9
 
-    def _temperature_degc(self, seconds: Floats) -> Floats:
+    def _temperature_degc(self, seconds: Reals) -> Reals:
         return np.interp(seconds, self._row_s, self.temperature_degc)
 
 
@@ -56,7 +52,7 @@ class Trajectory(_Rows):
     Less than half a turn may lie between one row and the next. Temperature is linear between rows.
     """
 
-    place_m: Doubles
+    place_m: Floats
     attitudes: Rotation
 
     def felt(self, time_ns: Integers) -> Felt:
@@ -76,7 +72,7 @@ class Trajectory(_Rows):
             AIR_PRESSURE_PA - PA_PER_M * self._place(seconds)[:, 2],
         )
 
-    def position(self, time_ns: Integers) -> Floats:
+    def position(self, time_ns: Integers) -> Reals:
         """(n, 3) of the box's origin in the level frame, in m."""
         return np.asarray(self._place(self._within_s(time_ns)))
 
@@ -100,8 +96,8 @@ class FeltRows(_Rows):
     Nothing is known of attitude and height: field and pressure are those of a box that stands upright.
     """
 
-    force_box: Doubles
-    rate_box: Doubles
+    force_box: Floats
+    rate_box: Floats
 
     def felt(self, time_ns: Integers) -> Felt:
         """The rows themselves; the angular acceleration is the derivative of the rate."""

@@ -21,16 +21,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from imuarray.arrays import Floats
 from imuarray.errors import SourceError
 from imuarray.importers.cells import Column, Table, nanoseconds
 from imuarray.importers.mapping import FileTable
 from imuarray.simulate.motion.trajectory import FeltRows, Trajectory
 from imuarray.units import SI_PER_UNIT
-
-Doubles = npt.NDArray[np.float64]
 
 TIME = "time_s"
 PLACE = ("x_m", "y_m", "z_m")
@@ -60,7 +58,7 @@ class _Cells(NamedTuple):
     def column(self, name: str) -> Column:
         return Column(self.source, name, self.lines, self.text[name])
 
-    def numbers(self, *names: str) -> Doubles:
+    def numbers(self, *names: str) -> Floats:
         """(n, number of names); SourceError for a cell that is no number."""
         return np.array([[_number(self.column(name), row) for name in names] for row in range(len(self.lines))])
 

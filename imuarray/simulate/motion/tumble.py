@@ -11,18 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
-from imuarray.simulate.motion.faces import (
-    FIELD_LEVEL,
-    GRAVITY_LEVEL,
-    UPRIGHT,
-    Floats,
-    resting,
-    shortest_turn,
-    tilted,
-    turned,
-)
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, UPRIGHT, resting, shortest_turn, tilted, turned
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.timeline import FOREVER_NS, finite, nanoseconds, positive
 
 ORDER = (
@@ -44,9 +36,9 @@ class _Turned(NamedTuple):
     and that axis times the vector.
     """
 
-    start: Floats
-    across: Floats
-    aside: Floats
+    start: Reals
+    across: Reals
+    aside: Reals
 
 
 @dataclass(frozen=True)
@@ -83,15 +75,15 @@ class Tumble:
         return tuple(Phase(at, at + self._face_ns, name, up) for at, (name, up) in zip(starts, ORDER, strict=True))
 
     @cached_property
-    def attitudes(self) -> Floats:
+    def attitudes(self) -> Reals:
         """(7, 3, 3) from the box to the level frame, on each face."""
-        square: list[Floats] = [UPRIGHT]
+        square: list[Reals] = [UPRIGHT]
         for before, after in pairwise(up for _, up in ORDER):
             square.append(turned(square[-1], shortest_turn(before, after)))
         return np.array([tilted(attitude, tilt) for attitude, tilt in zip(square, self.tilts_deg, strict=True)])
 
     @cached_property
-    def turns(self) -> Floats:
+    def turns(self) -> Reals:
         """(7, 3) rotation vectors in the box frame from each face to the next; zeros after the last."""
         pairs = [before.T @ after for before, after in pairwise(self.attitudes)]
         return np.concatenate([Rotation.from_matrix(pairs).as_rotvec(), np.zeros((1, 3))])
@@ -136,7 +128,7 @@ class Tumble:
     def _turn_s(self) -> float:
         return (self._period_ns - self._face_ns) * 1e-9
 
-    def _progress(self, time_ns: Integers) -> tuple[Integers, Floats]:
+    def _progress(self, time_ns: Integers) -> tuple[Integers, Reals]:
         """(n,) number of the face that is or was up, (n,) share of the time of the turn away from it."""
         since_ns = np.clip(time_ns, 0, LAST * self._period_ns)
         index = since_ns // self._period_ns
@@ -151,7 +143,7 @@ class Tumble:
         return int(index[0]) if index[0] == index[1] and not share.any() else None
 
     @cached_property
-    def _angles(self) -> Floats:
+    def _angles(self) -> Reals:
         return np.asarray(np.linalg.norm(self.turns, axis=1))
 
     @cached_property
@@ -162,14 +154,14 @@ class Tumble:
     def _field(self) -> _Turned:
         return self._as_turned(FIELD_LEVEL)
 
-    def _as_turned(self, vector_level: Floats) -> _Turned:
+    def _as_turned(self, vector_level: Reals) -> _Turned:
         axes = self.turns / np.where(self._angles == 0, 1.0, self._angles)[:, None]
         start = vector_level @ self.attitudes
         along = axes * np.sum(axes * start, axis=1)[:, None]
         return _Turned(start, start - along, np.cross(axes, start))
 
 
-def _seen(vector: _Turned, index: Integers, sine: Floats, less: Floats) -> Floats:
+def _seen(vector: _Turned, index: Integers, sine: Reals, less: Reals) -> Reals:
     """(n, 3) the vector from a box that has turned by an angle: its sine and cosine - 1, both (n, 1) (Rodrigues)."""
-    seen: Floats = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]
+    seen: Reals = vector.start[index] + less * vector.across[index] - sine * vector.aside[index]
     return seen

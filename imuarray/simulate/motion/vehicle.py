@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from imuarray.arrays import Integers, Reals
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.faces import UPRIGHT, resting
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.kinematics import EulerAngles, felt_by
 from imuarray.simulate.motion.timeline import (
     BetweenRests,
@@ -22,8 +22,6 @@ from imuarray.simulate.motion.timeline import (
     smooth_step,
     smooth_step_area,
 )
-
-Floats = npt.NDArray[np.floating[Any]]
 
 GOING_SHARE = 0.2
 BRAKING_SHARE = 0.15
@@ -48,8 +46,8 @@ LEVERS_M = (1.0, 0.75, 1.3)
 class _Drive(NamedTuple):
     """Speed in m/s with three derivatives, yaw in rad with three derivatives; each (n,)."""
 
-    speed: tuple[Floats, Floats, Floats, Floats]
-    yaw: tuple[Floats, Floats, Floats, Floats]
+    speed: tuple[Reals, Reals, Reals, Reals]
+    yaw: tuple[Reals, Reals, Reals, Reals]
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ class Vehicle:
         acceleration = np.array([gain * cosine - inwards * sine, gain * sine + inwards * cosine, heave[2]])
         return felt_by(time_ns, angles, acceleration, heave[0], self.temperature_degc)
 
-    def velocity(self, time_ns: Integers) -> Floats:
+    def velocity(self, time_ns: Integers) -> Reals:
         """(n, 3) of the box's origin in the level frame, in m/s."""
         seconds = self._span.moved_s(time_ns)
         drive = self._drive(seconds)
@@ -120,7 +118,7 @@ class Vehicle:
         """Until when it shows what it shows at `at_ns`."""
         return self._span.unchanged_until_ns(at_ns)
 
-    def _drive(self, seconds: Floats) -> _Drive:
+    def _drive(self, seconds: Reals) -> _Drive:
         """What the driver does."""
         going_s, braking_s = GOING_SHARE * self.drive_s, BRAKING_SHARE * self.drive_s
         going = _derivatives(smooth_step(seconds / going_s), going_s)
@@ -136,7 +134,7 @@ class Vehicle:
             yaw += way * yaw_rate * np.array([length_s * smooth_step_area(share), step, slope, bend])
         return _Drive((v, v1, v2, v3), (yaw[0], yaw[1], yaw[2], yaw[3]))
 
-    def _body(self, seconds: Floats, drive: _Drive) -> tuple[Floats, EulerAngles]:
+    def _body(self, seconds: Reals, drive: _Drive) -> tuple[Reals, EulerAngles]:
         """(3, n) heave in m with two derivatives; the attitude."""
         v, v1, v2, v3 = drive.speed
         yaw, w, w1, w2 = drive.yaw
@@ -145,7 +143,7 @@ class Vehicle:
         heave, roll, pitch = self._road(seconds, v / self.speed_mps, v1 / self.speed_mps, v2 / self.speed_mps)
         return heave, EulerAngles(roll + out, pitch - back, np.array([yaw, w, w1]))
 
-    def _road(self, seconds: Floats, pace: Floats, pace1: Floats, pace2: Floats) -> Floats:
+    def _road(self, seconds: Reals, pace: Reals, pace1: Reals, pace2: Reals) -> Reals:
         """(3, 3, n): heave in m, roll and pitch in rad, each with two derivatives; in proportion to `pace` (n,)."""
         hertz, sines, cosines = self._sines
         free, slope, bend = np.zeros((3, 3, len(seconds)))
@@ -160,7 +158,7 @@ class Vehicle:
         return np.stack([pace * free, pace1 * free + pace * slope, pace2 * free + 2 * pace1 * slope + pace * bend], 1)
 
     @cached_property
-    def _sines(self) -> tuple[Floats, Floats, Floats]:
+    def _sines(self) -> tuple[Reals, Reals, Reals]:
         """(8,) frequencies, (3, 8) amplitudes of the sines and of the cosines: heave in m, roll and pitch in rad."""
         generator = np.random.default_rng([self.seed, 3])
         low, high = ROAD_HZ[:-1], ROAD_HZ[1:]
@@ -170,7 +168,7 @@ class Vehicle:
         return hertz, peak * np.cos(phase), peak * np.sin(phase)
 
 
-def _derivatives(steps: tuple[Floats, Floats, Floats, Floats], length_s: float) -> tuple[Floats, ...]:
+def _derivatives(steps: tuple[Reals, Reals, Reals, Reals], length_s: float) -> tuple[Reals, ...]:
     """A step and its derivatives in time, from those in its share."""
     return tuple(step / length_s**order for order, step in enumerate(steps))
 

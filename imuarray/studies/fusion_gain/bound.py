@@ -33,6 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.calibrate import Calibration, SensorCalibration
 from imuarray.calibrate.stability import BIAS, Drift, Thermal, TurnOn
 from imuarray.errors import FusionError
@@ -53,9 +54,6 @@ from imuarray.simulate.effects.thermal_bias import ThermalBias
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from imuarray.simulate.effects.white_noise import WhiteNoise
 from imuarray.units import INERTIAL, SI_PER_UNIT
-
-Floats = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class StretchReadings:
     mean of what they read.
     """
 
-    known: Flags
+    known: Booleans
     frames: int
     mean_si: Floats | None = None
 
@@ -158,7 +156,7 @@ def slow_covariance(law: ErrorLaw, stretches: Sequence[Stretch]) -> Floats:
     return total
 
 
-def frame_weights(law: ErrorLaw, known: Flags) -> tuple[Floats, Floats]:
+def frame_weights(law: ErrorLaw, known: Booleans) -> tuple[Floats, Floats]:
     """The weights G (3, m) of one frame alone, zero for axes without a reading, and its covariance (3, 3); FusionError
     if the axes don't span space.
     """
@@ -364,7 +362,7 @@ class Posterior:
         return triad, entries(spread)[stretch]
 
 
-def axes_known(part: Frames) -> Flags:
+def axes_known(part: Frames) -> Booleans:
     """(n, m) axes that had a reading: valid, or off the ends of the range though another axis of the triad was not."""
     if part.clipped is None or not part.clipped.any():
         return part.valid
@@ -373,7 +371,7 @@ def axes_known(part: Frames) -> Flags:
     return np.asarray(part.valid | neighbours.reshape(part.valid.shape))
 
 
-def _patterns(known: Flags, chosen: Flags) -> Iterator[tuple[Flags, npt.NDArray[np.int64]]]:
+def _patterns(known: Booleans, chosen: Booleans) -> Iterator[tuple[Booleans, npt.NDArray[np.int64]]]:
     """Each pattern of known axes among the chosen frames, and the frames (their numbers) that have it."""
     rows = np.flatnonzero(chosen)
     for pattern, which in patterns(known[rows]):

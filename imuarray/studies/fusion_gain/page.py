@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.calibrate.start_up import came_up
 from imuarray.errors import LogError
 from imuarray.fuse import errors_of, fuse, technique_names
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
     from imuarray.fuse import Ratio
-
-Floats = npt.NDArray[np.float64]
 
 
 _NOTHING = 1e-6

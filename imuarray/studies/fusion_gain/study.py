@@ -18,9 +18,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.array import ArrayConfig
+from imuarray.arrays import Floats
 from imuarray.calibrate import Calibration
 from imuarray.calibrate.start_up import came_up
 from imuarray.fuse import OPTIMAL, Coasting, ErrorFrames, FusedBlock, coasting, error_frames, fuse, technique_names
@@ -46,8 +46,6 @@ from imuarray.studies.fusion_gain.arrays import (
 )
 from imuarray.studies.fusion_gain.bound import OUTSIDE, ErrorLaw, Posterior, law_of, true_calibration
 from imuarray.units import INERTIAL, READABLE_SI
-
-Floats = npt.NDArray[np.float64]
 
 CAUSAL, SMOOTHED = "bound, causal", "bound, smoothed"
 """The posterior mean beside the techniques: it reaches the bound on the very readings that they are given."""

@@ -41,8 +41,8 @@ from math import atan2, degrees, exp, floor, sqrt
 from textwrap import wrap
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import orientation_of
 from imuarray.studies.paper.systematic import READINGS, as_text, believed_axes
 from imuarray.studies.paper.tables import (
@@ -90,8 +90,6 @@ def expected_scatter(window_s: float = WINDOW_S, time_constant_s: float = TIME_C
     pairs = sum((parts - k) * covariance_of_means(k, window_s, time_constant_s) for k in range(1, parts))
     return variance_of_mean(window_s, time_constant_s) - 2 * pairs / (parts * (parts - 1))
 
-
-Floats = npt.NDArray[np.float64]
 
 REFERENCE_DEGC = 25.0
 CHIP = {"ADXL": "adxl345", "BMA": "bma180", "Gyro": "l3g4200d"}

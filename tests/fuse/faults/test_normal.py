@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from imuarray.fuse.faults.normal import Floats, Normal
+from imuarray.arrays import Floats
+from imuarray.fuse.faults.normal import Normal
 from imuarray.fuse.faults.window import Spaces, Window, window_residuals
 
 ROWS = np.tile(np.eye(3), (3, 1))

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.fuse.faults.window import Floats, Parity, parity
+from imuarray.arrays import Floats
+from imuarray.fuse.faults.window import Parity, parity
 
 
 def drawn(seed: int, sensors: int) -> tuple[Floats, Floats, Floats]:

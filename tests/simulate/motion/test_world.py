@@ -12,9 +12,10 @@ from firmware_emulator.array import open_array
 from firmware_emulator.world import Stimulus as EmulatedStimulus
 from imuarray.acquire import record
 from imuarray.array import parse_array
+from imuarray.arrays import Integers
 from imuarray.log import Log
 from imuarray.simulate.motion import HandShake, Heating, Still, Tumble
-from imuarray.simulate.motion.felt import Felt, Integers
+from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.world import Stimulus, World
 

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Estimate, Flags, Floats, Frames, entries
+from imuarray.fuse.frames import Estimate, Frames, entries
 from imuarray.fuse.least_squares import SlowErrors, frame_gains, solve_frames, weighted
 from imuarray.fuse.techniques.ranges.fading import Fading, has_low_range
 from imuarray.fuse.techniques.ranges.relative import GAP_S, Rows, States, Tracker
@@ -85,7 +86,7 @@ class RangeBlend:
         return np.asarray(np.nan_to_num(slope[len(times) - len(time) :]))
 
     def _uncertainty(
-        self, states: States, weights: Floats, valid: Flags, share: Floats, triad: Floats, slope: Floats
+        self, states: States, weights: Floats, valid: Booleans, share: Floats, triad: Floats, slope: Floats
     ) -> Floats:
         """(n, 6) covariance of what the corrections may be wrong, where they don't cancel: by how far the gains are
         from those of the whole blend.

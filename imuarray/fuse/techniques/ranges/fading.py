@@ -14,8 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.axes import Axis
-from imuarray.fuse.frames import Flags, Floats, Frames, Times
+from imuarray.fuse.frames import Frames
 
 TAPER = (0.75, 0.95)
 """Share of the measuring range at which a low-range sensor begins to be trusted less, and at which it is not used at
@@ -96,7 +97,7 @@ class Fading:
         share = np.where(self.fades, np.where(at_end, 0.0, inside), 1.0)
         return np.asarray(share.repeat(3, axis=1))
 
-    def _settled(self, frames: Frames, at_end: Flags) -> Floats:
+    def _settled(self, frames: Frames, at_end: Booleans) -> Floats:
         """(n, s) from 0 while a sensor is settling to 1."""
         before = np.concatenate([self._was_at_end[None], at_end[:-1]])
         times = np.concatenate([frames.time[:1] if self._last_ns is None else self._last_ns, frames.time])

@@ -27,8 +27,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Times
 from imuarray.fuse.axes import Axis, directions
-from imuarray.fuse.frames import Flags, Floats, Times
 from imuarray.fuse.least_squares import whole_gain
 from imuarray.fuse.techniques.ranges.fading import UNKNOWN_BANDWIDTH_HZ
 from imuarray.units import READABLE_SI
@@ -45,7 +45,7 @@ class Blend(NamedTuple):
     variance: Floats
     share: Floats
     apart: Floats
-    seen: Flags
+    seen: Booleans
 
     def level(self, differences: Floats, rows: Floats) -> Floats:
         """(..., m, 3) What of the differences (..., m, 3: bias, scale, delay) of the axes is the blend's own, along
@@ -98,8 +98,8 @@ class Rows(NamedTuple):
 
     time: Times
     values: Floats
-    valid: Flags
-    steady: Flags
+    valid: Booleans
+    steady: Booleans
 
     def then(self, other: Rows) -> Rows:
         """These rows and then the others."""
@@ -122,8 +122,8 @@ class Moments(NamedTuple):
     """
 
     end_ns: int
-    present: Flags
-    moved: Flags
+    present: Booleans
+    moved: Booleans
     products: Floats
     residual: Floats
 
@@ -158,8 +158,8 @@ def moments(rows: Rows, directions: Floats, blends: Blends) -> Iterator[Moments]
 
 
 def _sums(
-    along: Floats, late: Floats, residual: Floats, taken: Flags, noise: Floats, passed_s: Floats
-) -> tuple[Flags, Floats, Floats]:
+    along: Floats, late: Floats, residual: Floats, taken: Booleans, noise: Floats, passed_s: Floats
+) -> tuple[Booleans, Floats, Floats]:
     """Which axes moved (k, m); sums over the frames `taken` (k, n) of each segment: products of 1, signal and effect of
     a delay (k, m, 3, 3), and of these with the residual (k, m, 3).
 
@@ -320,7 +320,7 @@ class Tracker:
         self._differences = self._differences + np.einsum("mij,mj->mi", gain, residual * weight)
 
 
-def _taken_in(covariances: Floats, information: Floats, moved: Flags) -> tuple[Floats, Floats]:
+def _taken_in(covariances: Floats, information: Floats, moved: Booleans) -> tuple[Floats, Floats]:
     """Gains (m, 3, 3) and the covariances (m, 3, 3) after them.
 
     Where an axis has not `moved` (m,) only the bias is told, though scale and delay are as uncertain as they are

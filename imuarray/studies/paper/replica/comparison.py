@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
+from imuarray.arrays import Floats
 from imuarray.simulate.motion.heating import Heating
 from imuarray.studies.paper.array_model import PARTS, TIME_CONSTANT_S, WINDOW_S, unit_of, variance_of_mean
 from imuarray.studies.paper.replica.simulation import (
@@ -58,7 +59,6 @@ from imuarray.studies.paper.systematic import READINGS
 from imuarray.studies.paper.tables import number_in, table
 from imuarray.studies.paper.variation import FACE_SECONDS, HIGH_RATE_HZ, bias_states, boot_faults, group_members
 
-Floats = npt.NDArray[np.float64]
 Columns = Mapping[str, float]
 Table = Mapping[str, Columns]
 """Rows by channel ("Gyro1 y"), for Table 2 and 9 with the range ("Gyro1 y 250dps"), for Tables 6 and 7 by run."""

@@ -9,13 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
+from imuarray.arrays import Floats
 from imuarray.simulate.motion.heating import Heating
 from imuarray.studies.paper.array_model import WINDOW_S
 from imuarray.studies.paper.replica.comparison import autocorrelation
 from imuarray.studies.paper.replica.simulation import ExperimentData, Series
 from imuarray.studies.paper.variation import HIGH_RATE_HZ
-
-Floats = npt.NDArray[np.float64]
 
 SEGMENT = 2048
 """Rows of which a spectrum is made, averaged over all of them."""

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.array import ArrayConfig, load_array
+from imuarray.arrays import Floats
 from imuarray.log.writer import Block
 from imuarray.shipped import configs
 from imuarray.simulate.model import Model, load_model
@@ -32,7 +33,6 @@ from imuarray.studies.paper.array_model import PARTS, WINDOW_S, high_rate_degc
 from imuarray.studies.paper.tables import DEGC, FACES_DEGC, number_in, table
 from imuarray.studies.paper.variation import HIGH_RATE_HZ, bias_states, boot_faults, logging_rate
 
-Floats = npt.NDArray[np.float64]
 Spans = Sequence[tuple[int, int]]
 
 _BLOCK = 1 << 16

@@ -11,8 +11,8 @@ from functools import cache
 from math import log, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.studies.paper.array_model import (
     PARTS,
     REFERENCE_DEGC,
@@ -27,8 +27,6 @@ from imuarray.studies.paper.array_model import (
 from imuarray.studies.paper.systematic import READINGS
 from imuarray.studies.paper.tables import DEGC, FACES_DEGC, design_of, number_in, row_of, table
 from imuarray.studies.paper.variation import bias_states, boot_faults
-
-Floats = npt.NDArray[np.float64]
 
 RANGE_OVER_DEVIATION = 0.102
 """Standard deviation of ln(range / standard deviation) of 15 normal numbers."""

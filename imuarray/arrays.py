@@ -1,0 +1,18 @@
+"""Array types by what their elements are. Docstrings give the shapes, units and frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Reals = npt.NDArray[np.floating[Any]]
+"""Values in single or double precision."""
+Integers = npt.NDArray[np.int64]
+Times = npt.NDArray[np.int64]
+"""Nanoseconds since the epoch of a log."""
+Indices = npt.NDArray[np.intp]
+"""Places in another array."""
+Booleans = npt.NDArray[np.bool_]
