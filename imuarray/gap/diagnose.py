@@ -11,9 +11,9 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 import imuarray
+from imuarray.arrays import Floats
 from imuarray.errors import ConfigError
 from imuarray.gap.findings.causes import causes_of, judged_of
 from imuarray.gap.findings.closure import deviating, deviating_in_either, floor_of, gap_of
@@ -66,7 +66,6 @@ from imuarray.log import Log, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.model import Model, load_model
 
-Floats = npt.NDArray[np.float64]
 LogLike = str | PathLike[str] | Log
 """A path, or an open log."""
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.array import parse_array
+from imuarray.arrays import Floats
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Campaign, summarise_log
 from imuarray.log import LogWriter
@@ -16,8 +16,6 @@ from imuarray.simulate import Simulation, plan_of
 from imuarray.simulate.motion.posed import Attitude, Posed
 from imuarray.simulate.motion.still import Still
 from tests.gap.made import ARRAY, BASE, RATE_HZ, SECOND, Effects, temperature_of
-
-Floats = npt.NDArray[np.float64]
 
 POSE_S, TURN_S = 5, 1
 

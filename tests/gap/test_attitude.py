@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.comparison import compared_with_base
 from imuarray.gap.model.base_model import fit, residual
 from imuarray.gap.model.bench import bench_of
@@ -19,7 +20,7 @@ from imuarray.gap.statistics.catalogue import statistics
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.scale import Scale
 from imuarray.simulate.motion.posed import Posed
-from tests.gap.hand_posed import Floats, campaign_in, directions, posed, simulated
+from tests.gap.hand_posed import campaign_in, directions, posed, simulated
 from tests.gap.made import BASE, temperature_of
 from tests.gap.test_bench import Run, prepared
 

@@ -12,15 +12,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.gap.findings.diagnosis import Gap, Interval
 from imuarray.gap.inference.assessment import Assessment
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 LARGEST = 100.0
 DEVIATES, BY_ITSELF = 3.5, 5.0
@@ -50,7 +47,7 @@ class DeviatingStatistics:
     """
 
     keys: tuple[Key, ...]
-    places: npt.NDArray[np.intp]
+    places: Indices
     weights: Floats
     before: Floats
     after: Floats
@@ -68,7 +65,7 @@ class DeviatingStatistics:
             return ClosureEstimate(*roots, None, None)
         return ClosureEstimate(*roots, min(1.0, 1 - after / before), self._interval(seed))
 
-    def of(self, chosen: Bools) -> DeviatingStatistics:
+    def of(self, chosen: Booleans) -> DeviatingStatistics:
         """Some of them, each domain with the same weight again."""
         keys = tuple(key for key, taken in zip(self.keys, chosen, strict=True) if taken)
         return DeviatingStatistics(keys, self.places[chosen], _weights(keys), self.before[chosen], self.after[chosen])
@@ -98,7 +95,7 @@ class DeviatingStatistics:
         return low, high
 
 
-def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Bools) -> DeviatingStatistics:
+def deviating(pairs: Pairs, before: Floats, after: Floats, silent: Booleans) -> DeviatingStatistics:
     """What deviates on the training part, from scores (n,) of all statistics.
 
     A statistic that only the held-out part has, or that the fit makes zero on the training part (`silent` (n,)), is
@@ -142,7 +139,7 @@ def floor_of(counted: DeviatingStatistics, before: Assessment, replicates: Float
     return float(np.sqrt(np.median(squares @ counted.weights / counted.weights.sum())))
 
 
-def _of(keys: tuple[Key, ...], places: npt.NDArray[np.intp], before: Floats, after: Floats) -> DeviatingStatistics:
+def _of(keys: tuple[Key, ...], places: Indices, before: Floats, after: Floats) -> DeviatingStatistics:
     return DeviatingStatistics(
         keys, places, _weights(keys), np.nan_to_num(before[places]), np.nan_to_num(after[places])
     )

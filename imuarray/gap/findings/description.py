@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.findings.deviations import StatisticReport
 from imuarray.gap.findings.diagnosis import Cause, Where
 from imuarray.gap.inference.assessment import MORE, Assessment
@@ -26,8 +26,6 @@ from imuarray.gap.statistics.synthetic_likelihood import FORM
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.tone import Tone
 from imuarray.units import READABLE
-
-Floats = npt.NDArray[np.float64]
 
 MOST = 6
 """So many axes are described."""

@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Map, Size, Where
 from imuarray.gap.inference.assessment import Assessment
 from imuarray.gap.model.bench import Bench
@@ -26,8 +26,6 @@ from imuarray.gap.statistics.pairs import Pairs
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.summary import Grid
 from imuarray.log.format import SensorHeader
-
-Floats = npt.NDArray[np.float64]
 
 COASTING_S = 60.0
 SHARE = 0.05

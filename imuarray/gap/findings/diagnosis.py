@@ -8,14 +8,13 @@ from math import isfinite, nan
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.model.use import Use
 
 if TYPE_CHECKING:
     from imuarray.simulate.model import Model
 
-Floats = npt.NDArray[np.float64]
 
 Verdict = Literal["no gap", "explained", "partly explained", "unexplained"]
 Size = Literal["material", "harmless", "can't tell"]

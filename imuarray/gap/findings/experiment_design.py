@@ -13,8 +13,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Cause, Unobservable, Where
 from imuarray.gap.inference.effects.candidate import Kind
 from imuarray.gap.inference.forward_selection import Evaluation, Round
@@ -36,8 +36,6 @@ from imuarray.simulate.motion.tumble import Tumble
 from imuarray.simulate.record import phases_within
 from imuarray.simulate.simulation import Plan, Simulation
 from imuarray.simulate.timeline import Polled
-
-Floats = npt.NDArray[np.float64]
 
 LEAST = 3.0
 """Nats from which on an experiment tells two causes apart: 20 to 1."""

@@ -14,9 +14,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
 from imuarray.gap.findings.diagnosis import Cause, Interval
 from imuarray.gap.inference.effects.axis_error import exchanges
@@ -28,8 +28,6 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Posed
-
-Floats = npt.NDArray[np.float64]
 
 ALONG = 0.9
 """Cosine between what is felt and a face from which on the box lies on that face, 26 degrees from it: the cosine with

@@ -10,8 +10,8 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.findings.deviations import TWO_SIDED_95, needed, record_words
 from imuarray.gap.findings.diagnosis import Cause, Unobservable
 from imuarray.gap.inference.effects.candidate import Candidate, Kind
@@ -23,7 +23,6 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import THERMOMETERS
 
-Floats = npt.NDArray[np.float64]
 Need = Literal["faces", "warmth", "runs", "turns", "warm_faces", "warm_turns"]
 Needs = tuple[tuple[Need, ...], ...]
 """One of several sets, all of it."""

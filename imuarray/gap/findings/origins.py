@@ -8,13 +8,11 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Cause
 from imuarray.gap.statistics.environment import ALIKE, OF_WANDER, Pace, SharedSignal
 from imuarray.log.format import SensorHeader
-
-Floats = npt.NDArray[np.float64]
 
 SAME_HZ = 0.01
 """Lines whose frequencies differ by no larger share are one."""

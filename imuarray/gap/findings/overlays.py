@@ -13,8 +13,8 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.characterise.codes import Histogram
 from imuarray.gap.findings.diagnosis import Overlay, Where
 from imuarray.gap.model.bench import Bench
@@ -24,7 +24,6 @@ from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.summary import Summary
 from imuarray.units import READABLE
 
-Floats = npt.NDArray[np.float64]
 Kind = Literal["spectrum", "allan", "temperature", "codes"]
 
 REPLICATES = 12

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.localisation import p_value
 from imuarray.gap.statistics.pairs import Pairs, scorer_of, scores_by_others
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likeness_of
-
-Floats = npt.NDArray[np.float64]
 
 MORE = 1.25
 """What is left has to be so much beyond chance to be something else: no effect has exactly the form of the real one."""

@@ -10,8 +10,8 @@ from itertools import chain
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.inference.earlier import Earlier
 from imuarray.gap.inference.localisation import Localisation, located
@@ -31,8 +31,6 @@ from imuarray.log.format import Phase
 from imuarray.simulate.model import Model
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.like import LikeLog
-
-Floats = npt.NDArray[np.float64]
 
 ENOUGH: Mapping[int, float] = MappingProxyType({40: 0.25, 64: 0.15})
 """After so many replicates of the base model no more are simulated, though more are asked for, if the p-value is

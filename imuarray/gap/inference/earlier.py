@@ -27,8 +27,8 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Indices
 from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import TOGETHER, ReplicateRequest
 from imuarray.gap.model.workers import Run
@@ -36,9 +36,6 @@ from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.recordings import Recording
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.log.format import Phase
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.intp]
 
 _Place = tuple[str, ...]
 
@@ -58,7 +55,7 @@ class Earlier:
     bench: Bench
     values: Floats = field(repr=False)
     middle: Floats = field(repr=False)
-    counterparts: tuple[Integers, ...] = field(repr=False)
+    counterparts: tuple[Indices, ...] = field(repr=False)
     run: Run
 
     def without_discrepancy(self, real: StatisticValues) -> StatisticValues:
@@ -145,7 +142,7 @@ def _replicated(bench: Bench, asked: Sequence[ReplicateRequest]) -> list[Floats]
     return [one.values for one in bench.replicates(asked)]
 
 
-def _counterparts(bench: Bench, earlier: Bench) -> list[Integers]:
+def _counterparts(bench: Bench, earlier: Bench) -> list[Indices]:
     """Of each of the bench's keys, the places of what is of the same kind among the earlier ones'."""
     found: dict[_Place, list[int]] = {}
     for at, names in enumerate(_names(earlier)):

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.when import ALWAYS, Span, When
 from imuarray.gap.model.base_model import Base, FittedParameters, residual
 from imuarray.gap.model.bench import Bench
@@ -28,8 +28,6 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.gap.statistics.synthetic_likelihood import STRANGE
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

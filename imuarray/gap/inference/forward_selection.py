@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects import Candidate, Hypothesis
 from imuarray.gap.inference.evidence import Evidence, views
 from imuarray.gap.inference.parameters import distinct, factors_of
@@ -28,8 +28,6 @@ from imuarray.gap.model.replication import TOGETHER
 from imuarray.gap.model.workers import Run
 from imuarray.gap.statistics.synthetic_likelihood import independent_share
 from imuarray.simulate.effects.tone import Tone
-
-Floats = npt.NDArray[np.float64]
 
 REFINED, CONFIRMED = 4, 3
 """So many trials of a unit are refined, and confirmed, in a round."""

@@ -12,12 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.log.format import SensorHeader
-
-Floats = npt.NDArray[np.float64]
 
 LEVEL = 0.05
 """Share of campaigns without a gap in which one is found."""

@@ -8,12 +8,10 @@ from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.simulate.effect import Effect
-
-Floats = npt.NDArray[np.float64]
 
 _SAME_FREE, _SAME = 0.2, 0.01
 """Share by which a number that is refined, and one that is not, may differ in two trials that are the same."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.inference.parameters import Factor, active_axes, factors_of, moved, without
 from imuarray.gap.inference.unit_state import LOOKS, NUMBERS, Came, UnitState, compared, counts_of, gains_of, touched_by
@@ -22,8 +22,6 @@ from imuarray.gap.model.bench import Bench, StatisticValues
 from imuarray.gap.model.replication import Models
 from imuarray.gap.statistics.catalogue import AXES
 from imuarray.gap.statistics.synthetic_likelihood import FREEDOM, SyntheticLikelihood
-
-Floats = npt.NDArray[np.float64]
 
 STEPS = 2
 _NUDGE = 0.25
@@ -311,14 +309,14 @@ def _pruned(bench: Bench, standing: UnitState, found: _Simulated) -> _Simulated:
     return after if after is not None and after.tried.gain > found.tried.gain - _AXIS_GAIN * len(idle) else found
 
 
-def _most_of(gains: Floats, told: npt.NDArray[np.bool_], own: npt.NDArray[np.bool_]) -> float:
+def _most_of(gains: Floats, told: Booleans, own: Booleans) -> float:
     """Nats of an axis by all of its own statistics, or by those that tell of the effect, if that is more: a hundred
     levels that all lie a little aside for one reason cost as many times what one costs.
     """
     return max(float(gains[own].sum()), float(gains[own & told].sum()))
 
 
-def _of_axis(bench: Bench, standing: UnitState, axis: int) -> npt.NDArray[np.bool_]:
+def _of_axis(bench: Bench, standing: UnitState, axis: int) -> Booleans:
     """Which of the unit's statistics are of one axis."""
     columns = bench.own(standing.unit)
     return np.array([bench.keys[at].axis == AXES[axis] for at in columns], bool)

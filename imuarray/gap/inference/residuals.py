@@ -12,13 +12,10 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.synthetic_likelihood import FORM, SyntheticLikelihood
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.intp]
 
 LEAST = 12
 """Fewer statistics are judged one by one: levels of runs, and what a log says once, come twice on each axis."""
@@ -37,7 +34,7 @@ class GroupResidual(NamedTuple):
     sensor: str
     axis: str
     probe: str
-    places: Integers
+    places: Indices
     score: float
     furthest: float
 
@@ -73,7 +70,7 @@ def overall(
     return [told[at] for at in order.tolist()]
 
 
-def _groups(keys: Sequence[Key], says: npt.NDArray[np.bool_]) -> Iterator[tuple[str, str, str, Integers]]:
+def _groups(keys: Sequence[Key], says: Booleans) -> Iterator[tuple[str, str, str, Indices]]:
     places: dict[tuple[str, str, str], list[int]] = {}
     for at in np.flatnonzero(says).tolist():
         if keys[at].domain == "cross_sensor":

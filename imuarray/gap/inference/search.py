@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.gap.inference.assessment import MORE
 from imuarray.gap.inference.comparison import Comparison
@@ -30,8 +29,6 @@ from imuarray.gap.statistics.pairs import scorer_of
 from imuarray.gap.statistics.split import Side
 from imuarray.gap.statistics.synthetic_likelihood import independent_share, likeness_of
 from imuarray.log.format import SensorHeader
-
-Floats = npt.NDArray[np.float64]
 
 ROUNDS = 6
 """More causes than this of one unit are not told apart."""

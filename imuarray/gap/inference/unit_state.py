@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.gap.inference.effects import Hypothesis
 from imuarray.gap.model.base_model import FittedParameters
 from imuarray.gap.model.replication import Models, SensorModel
@@ -20,8 +20,6 @@ from imuarray.gap.statistics.synthetic_likelihood import (
 )
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
-
-Floats = npt.NDArray[np.float64]
 
 Unit = tuple[str, ...]
 """Names of sensors that are looked at together."""
@@ -58,8 +56,8 @@ class UnitState:
     wanted: Mapping[str, FittedParameters]
     independent: float
     company: Models = field(default_factory=dict)
-    probes: npt.NDArray[np.intp] | None = field(default=None, repr=False)
-    alike: npt.NDArray[np.intp] | None = field(default=None, repr=False)
+    probes: Indices | None = field(default=None, repr=False)
+    alike: Indices | None = field(default=None, repr=False)
     misfit: float = 0.0
     apart: Floats | None = field(default=None, repr=False)
 
@@ -188,7 +186,7 @@ def gains_of(standing: UnitState, likeness: SyntheticLikelihood, moved: Floats) 
     return standing.weight * (likeness.log_density(standing.real, moved) - before)
 
 
-def touched_by(before: SyntheticLikelihood, likeness: SyntheticLikelihood, moved: Floats) -> npt.NDArray[np.bool_]:
+def touched_by(before: SyntheticLikelihood, likeness: SyntheticLikelihood, moved: Floats) -> Booleans:
     """(n,) which statistics a change moved, or made wider or narrower, beyond chance."""
     with np.errstate(divide="ignore", invalid="ignore"):
         widened = np.abs(np.log(likeness.scale / before.scale)) > _WIDER
@@ -207,7 +205,7 @@ def counts_of(standing: UnitState, likeness: SyntheticLikelihood, moved: Floats)
     return max(share / standing.independent, 1.0)
 
 
-def _kept(moved: Floats, probes: npt.NDArray[np.intp]) -> Floats:
+def _kept(moved: Floats, probes: Indices) -> Floats:
     """(n,) how much of what each statistic moved by (r, n), in standard deviations, the change did.
 
     Where a change makes noise fall otherwise, pairs differ by chance alone; what that adds to the mean of r of them is
@@ -224,7 +222,7 @@ def _kept(moved: Floats, probes: npt.NDArray[np.intp]) -> Floats:
     return kept
 
 
-def _spread_ratio(values: Floats, without: Floats, scale: Floats, alike: npt.NDArray[np.intp] | None = None) -> Floats:
+def _spread_ratio(values: Floats, without: Floats, scale: Floats, alike: Indices | None = None) -> Floats:
     """(n,) by how much a change widens or narrows the scatter, from replicates with and without it.
 
     Where a pair agrees closely even a few replicates tell; the log of the ratio is shrunk by how uncertain it is, as
@@ -245,7 +243,7 @@ def _spread_ratio(values: Floats, without: Floats, scale: Floats, alike: npt.NDA
     return ratio
 
 
-def _added(moved: Floats, alike: npt.NDArray[np.intp] | None) -> Floats:
+def _added(moved: Floats, alike: Indices | None) -> Floats:
     """(n,) variance of what few replicates moved by (r, n), in standard deviations; 0 of a single one.
 
     Two that happen to agree are no proof that a third would: each variance is taken together with the mean one of

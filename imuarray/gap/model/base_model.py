@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.model.gravity import Forces, estimated_forces, forces_left
 from imuarray.gap.model.populations import (
     CLOCK_SIGMA,
@@ -51,7 +51,6 @@ from imuarray.simulate.streams import Streams
 
 __all__ = ["Base", "FittedParameters", "fit", "headers_in", "replicate_seed", "residual"]
 
-Floats = npt.NDArray[np.float64]
 
 _IN_STEP = OwnClock(phase_deg=math.nan)
 """Of a chip of whose clock the model says nothing."""
@@ -243,7 +242,7 @@ def _at_rest(campaign: Campaign, motions: Sequence[Motion], forces: Forces, sens
                 )
 
 
-def _left(phase: PhaseSummary, motion: Motion, force_box: npt.NDArray[np.float64] | None, base: Base) -> PhaseSummary:
+def _left(phase: PhaseSummary, motion: Motion, force_box: Floats | None, base: Base) -> PhaseSummary:
     sensors = {}
     for name, summary in phase.sensors.items():
         predicted = base.fitted[name].predicted(summary, felt(summary, motion, force_box))

@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats, Indices
 from imuarray.gap.model.base_model import Base, FittedParameters, fit, replicated_statistics, residual
 from imuarray.gap.model.downstream import Uses, uses_of
 from imuarray.gap.model.replication import Models, ReplicateRequest, Stage
@@ -26,9 +27,6 @@ from imuarray.gap.statistics.probes.probe import ArrayProbe
 from imuarray.gap.statistics.split import Split
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.posed import Posed
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -56,24 +54,24 @@ class Bench(Stage):
     is_refitted: bool = field(default=True, kw_only=True)
 
     @cached_property
-    def held_out(self) -> Bools:
+    def held_out(self) -> Booleans:
         """(n,) which keys are of the held-out part."""
         return np.arange(len(self.keys)) >= self.of_train
 
-    def columns(self, sensors: Collection[str], *, cross: bool) -> npt.NDArray[np.intp]:
+    def columns(self, sensors: Collection[str], *, cross: bool) -> Indices:
         """The places of these sensors' keys; `cross`: with what they have in common with others at rest."""
         places = self._places(frozenset(sensors))
         return places if cross else places[~self._is_cross[places]]
 
-    def own(self, unit: Collection[str]) -> npt.NDArray[np.intp]:
+    def own(self, unit: Collection[str]) -> Indices:
         """The places of what a unit shows: of one sensor without what it shares with others, of several with it."""
         return self.columns(unit, cross=len(unit) > 1)
 
-    def among(self, unit: Collection[str], sensors: Collection[str]) -> Bools:
+    def among(self, unit: Collection[str], sensors: Collection[str]) -> Booleans:
         """Which of the statistics of these sensors, as a replicate has them, are what a unit of them shows (`own`)."""
         return np.isin(self.columns(sensors, cross=True), self.own(unit))
 
-    def pairs(self, places: npt.NDArray[np.intp] | None = None) -> Pairs:
+    def pairs(self, places: Indices | None = None) -> Pairs:
         """All statistics, or those at some places, of both parts in pairs."""
         chosen = np.arange(len(self.keys)) if places is None else places
         keys = [self.keys[at] for at in chosen.tolist()]
@@ -91,14 +89,14 @@ class Bench(Stage):
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
         return [key.log if key.log < 0 else parts[out][key.log] for key, out in sides]
 
-    def of_keys(self, chosen: Bools) -> Bench:
+    def of_keys(self, chosen: Booleans) -> Bench:
         """The bench of some of the statistics, (n,)."""
         keys = tuple(key for key, wanted in zip(self.keys, chosen.tolist(), strict=True) if wanted)
         of_train = int(np.count_nonzero(chosen[: self.of_train]))
         return replace(self, keys=keys, of_train=of_train, resolutions=self.resolutions[chosen])
 
     @cached_property
-    def logs(self) -> npt.NDArray[np.intp]:
+    def logs(self) -> Indices:
         """(n,) the number of each key's log in the campaign; -1 of several logs."""
         numbers = [[at for at, own in enumerate(self.split.phases(out)) if own] for out in (False, True)]
         sides = zip(self.keys, self.held_out.tolist(), strict=True)
@@ -121,7 +119,7 @@ class Bench(Stage):
         return np.array([f"{key.probe} {key.axis} {kind}" for key, kind in pairs])
 
     @cached_property
-    def is_of_motion(self) -> Bools:
+    def is_of_motion(self) -> Booleans:
         """(n,) which keys tell how a sensor moves beside the others."""
         probes = [PROBES[key.probe] for key in self.keys]
         return np.array([isinstance(probe, CrossProbe) and probe.in_motion for probe in probes], bool)
@@ -135,16 +133,16 @@ class Bench(Stage):
         return train, held_out
 
     @cached_property
-    def _is_cross(self) -> Bools:
+    def _is_cross(self) -> Booleans:
         """Which keys tell, at rest, what sensors share; in motion all are simulated, since all feel it."""
         return np.array([_is_shared(PROBES[key.probe]) for key in self.keys], bool)
 
     @cached_property
-    def _of_sensor(self) -> Mapping[str, npt.NDArray[np.intp]]:
+    def _of_sensor(self) -> Mapping[str, Indices]:
         names = np.array([key.sensor for key in self.keys])
         return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
 
-    def _places(self, sensors: frozenset[str]) -> npt.NDArray[np.intp]:
+    def _places(self, sensors: frozenset[str]) -> Indices:
         """Of all keys of these sensors, ascending."""
         return np.sort(np.concatenate([np.zeros(0, np.intp), *(self._of_sensor[name] for name in sorted(sensors))]))
 

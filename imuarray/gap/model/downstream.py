@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES
 from imuarray.gap.model.base_model import headers_in
 from imuarray.gap.model.use import Figure, Use
@@ -23,7 +23,6 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import Phase
 from imuarray.units import INERTIAL, READABLE_SI, SI_PER_UNIT
 
-Floats = npt.NDArray[np.float64]
 Uses = Mapping[tuple[str, str], tuple[float, str]]
 """Value and unit of each figure, by its name and sensor ("" for the array)."""
 

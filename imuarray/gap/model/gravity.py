@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
 from imuarray.gap.recording.attitude import array_mean, directions, ups_of
 from imuarray.gap.statistics.campaign import Campaign
@@ -17,8 +17,6 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.posed import Posed
 from imuarray.units import STANDARD_GRAVITY
-
-Floats = npt.NDArray[np.float64]
 
 _INSTANTS = 64
 """Of a phase whose force is known: a reference has noise."""

@@ -14,8 +14,8 @@ from functools import cache
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.log.format import SensorHeader
 from imuarray.shipped import configs
 from imuarray.simulate.effect import Effect
@@ -25,8 +25,6 @@ from imuarray.simulate.model import TRIADS, Model, Part, load_model, noise_bandw
 from imuarray.simulate.population import Figure, Recipe, Spread
 from imuarray.simulate.signal import Triple
 from imuarray.simulate.streams import Streams
-
-Floats = npt.NDArray[np.float64]
 
 SCALE_SIGMA, ANGLE_SIGMA_DEG, G_SENSITIVITY_SIGMA = 0.01, 0.7, 0.01
 """Population of sensors in an array. Of angles data sheets say how a die lies in its package (half a degree, BMA-119),

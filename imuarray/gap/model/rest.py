@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Integers
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.converters import code_span
@@ -27,7 +27,6 @@ from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.signal import Triple
 from imuarray.units import SI_PER_UNIT, STANDARD_GRAVITY
 
-Floats = npt.NDArray[np.float64]
 Matrix = tuple[Triple, Triple, Triple]
 
 REFERENCE_DEGC = 25.0
@@ -164,7 +163,7 @@ class Rest:
     """
 
     group: tuple[int, str]
-    rows: npt.NDArray[np.int64]
+    rows: Integers
     degc: Floats
     apart: Floats
     variance: Floats

@@ -11,9 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from imuarray.arrays import Floats
 
 GROSS_G = 0.25
 """An accelerometer that reads so much otherwise than the median of all, in any pose, has no say in the mean: a wrong

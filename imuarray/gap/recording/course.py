@@ -12,14 +12,11 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import median_filter
 
+from imuarray.arrays import Booleans, Floats, Integers
 from imuarray.gap.recording.source import Source
 from imuarray.log.format import Phase
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 Stretches = tuple[tuple[float, float], ...]
 """From when until when, in seconds since the log's epoch."""
@@ -76,7 +73,7 @@ class _Windows(NamedTuple):
 class _Found(NamedTuple):
     """Which windows (w,), and by how many nats."""
 
-    inside: Bools
+    inside: Booleans
     nats: float
 
 
@@ -119,7 +116,7 @@ def _of_phase(source: Source, phase: Phase, rows: int) -> _Windows | None:
     return _Windows(time[:, 0], np.append(time[1:, 0], phase.end_ns * 1e-9), *_told(time, counts))
 
 
-def _told(time_s: Floats, counts: npt.NDArray[np.int64]) -> tuple[Floats, Floats]:
+def _told(time_s: Floats, counts: Integers) -> tuple[Floats, Floats]:
     """(w, f) of windows of equally many rows, and (f,) the least scatter that means anything."""
     rows = counts.shape[1]
     share = 0.5 / np.sqrt(rows)
@@ -195,13 +192,13 @@ def _clearest(scores: Floats) -> tuple[int, int, float, Floats]:
     return int(begin[at]), int(end[at]), float(total[at]), np.where(gains[at] > _EACH, step[at], 0.0)
 
 
-def _apart(one: Bools, other: Bools) -> bool:
+def _apart(one: Booleans, other: Booleans) -> bool:
     """Whether neither it nor the rest of the time is the same as the other."""
     alike = float((one == other).mean())
     return 1 - _SAME < alike < _SAME
 
 
-def _edges(source: Source, windows: _Windows, inside: Bools) -> Floats:
+def _edges(source: Source, windows: _Windows, inside: Booleans) -> Floats:
     """(w + 1,) where each window begins, and the last one ends, s; those at which something changes by the rows near
     them.
     """
@@ -241,7 +238,7 @@ def _edge_s(source: Source, first_s: float, low_s: float, high_s: float, last_s:
     return float(times[row] - row_s / 2) if row < len(times) else high_s
 
 
-def _joined(edges_s: Floats, inside: Bools) -> Stretches:
+def _joined(edges_s: Floats, inside: Booleans) -> Stretches:
     """Windows one after the other as one stretch; what begins with the first one, or ends with the last, has always
     been so, and stays.
     """

@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.recording.phases import is_at_rest
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import SensorLog
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.fields import PhaseField
-
-Floats = npt.NDArray[np.float64]
 
 
 def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[PhaseField, ...]:

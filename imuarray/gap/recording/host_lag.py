@@ -6,14 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
+from imuarray.arrays import Floats, Integers
 from imuarray.log import SensorLog
 from imuarray.simulate.motion.felt import Motion
 from imuarray.units import SI_PER_UNIT
-
-Floats = npt.NDArray[np.float64]
 
 GRID_S = 0.01
 _WINDOW, _FURTHEST = 400, 100
@@ -97,7 +95,7 @@ def _dips(left: Floats) -> Iterator[int]:
     yield from (1 + np.flatnonzero((left[1:-1] < left[:-2]) & (left[1:-1] <= left[2:]))).tolist()
 
 
-def _read(sensors: Sequence[SensorLog], grid_ns: npt.NDArray[np.int64]) -> dict[str, Floats]:
+def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
     """(n, 3) of each quantity, SI, box axes, the mean of all sensors that have rows there."""
     found: dict[str, list[Floats]] = {}
     for sensor in sensors:
@@ -114,7 +112,7 @@ def _read(sensors: Sequence[SensorLog], grid_ns: npt.NDArray[np.int64]) -> dict[
     return {quantity: np.mean(several, axis=0) for quantity, several in found.items()}
 
 
-def _told(motion: Motion, time_ns: npt.NDArray[np.int64]) -> Mapping[str, Floats]:
+def _told(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
     """(n, 3) of each quantity, SI, box axes."""
     felt = motion.felt(time_ns)
     return {
@@ -123,7 +121,7 @@ def _told(motion: Motion, time_ns: npt.NDArray[np.int64]) -> Mapping[str, Floats
     }
 
 
-def _grid(start_ns: int, more: int) -> npt.NDArray[np.int64]:
+def _grid(start_ns: int, more: int) -> Integers:
     """The times of a window, and of so many rows more on either side."""
     return start_ns + _ns(1) * np.arange(-more, _WINDOW + more, dtype=np.int64)
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Integers
 from imuarray.gap.recording.outliers import Outliers, OutlierTally
 from imuarray.gap.recording.source import RecordedSource
 from imuarray.log import SensorLog
 from imuarray.log.format import Phase
 from imuarray.log.writer import Block
-
-Floats = npt.NDArray[np.float64]
 
 KEPT = 64
 """So many of each axis are kept."""
@@ -45,7 +43,7 @@ def _left(block: Block, others: Sequence[SensorLog]) -> Floats:
     return np.asarray((counts - design @ found).T)
 
 
-def _felt(other: SensorLog, time_ns: npt.NDArray[np.int64]) -> list[Floats]:
+def _felt(other: SensorLog, time_ns: Integers) -> list[Floats]:
     """Each axis of another sensor at these times (n,), less its mean, in straight lines between its rows."""
     span = other.between(int(time_ns[0]) - _MARGIN_NS, int(time_ns[-1]) + _MARGIN_NS)
     times = np.asarray(other.time[span], np.int64)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+from imuarray.arrays import Floats, Integers
 
 MOST = 16
 """So many of each axis are kept, unless told otherwise."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.axes import up_vector
 from imuarray.calibrate.pose_readings import MIN_POSE_S, find_rests
 from imuarray.characterise.stretch import FACE_NAMES, STILL_NAMES
@@ -18,7 +18,6 @@ from imuarray.log.format import Phase
 from imuarray.simulate.motion.like import LikeLog
 from imuarray.simulate.motion.posed import Attitude
 
-Floats = npt.NDArray[np.float64]
 Up = tuple[float, float, float]
 
 _SHORT = 0.25

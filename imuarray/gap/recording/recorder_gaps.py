@@ -15,15 +15,13 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import pdtrc
 
+from imuarray.arrays import Integers
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Event
 from imuarray.log.pace import MISSED
 from imuarray.simulate.timeline import Filled, Timeline
-
-Integers = npt.NDArray[np.int64]
 
 MISSING = 1.5
 """Times its usual interval, between the rows of another sensor around the middle of a gap, from which on it is missing

@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Reals, Times
 from imuarray.errors import LogError
 from imuarray.gap.recording.field import fields_of
 from imuarray.gap.recording.phases import attitudes_of, is_at_rest, is_heated, kind_of, phases_of, temperature_notes
@@ -32,9 +32,7 @@ from imuarray.simulate.simulation import Plan, plan_like
 from imuarray.simulate.timeline import Timeline, filled
 from imuarray.simulate.waits import awaited
 
-Floats = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
-Temperature = Callable[[Times], npt.NDArray[np.floating]]
+Temperature = Callable[[Times], Reals]
 """Times (n,) in ns to degC (n,): one reference for all sensors, recorded or simulated."""
 
 

@@ -9,11 +9,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Integers
 from imuarray.log.writer import Block
-
-Integers = npt.NDArray[np.int64]
 
 MOST = 256
 """So many of a log are kept, the longest."""
@@ -56,7 +54,7 @@ def held_in(blocks: Iterable[Block]) -> RepeatedRows:
     return RepeatedRows(found[:, 0], found[:, 1], found[:, 2])
 
 
-def _runs(time_ns: Integers, still: npt.NDArray[np.bool_]) -> Integers:
+def _runs(time_ns: Integers, still: Booleans) -> Integers:
     """(k, 3) rows, times of the first and of the last row of each stretch."""
     change = np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
     begins, ends = np.flatnonzero(change > 0), np.flatnonzero(change < 0) - 1

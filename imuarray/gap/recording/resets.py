@@ -8,13 +8,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.gap.recording.outliers import robust_std
 from imuarray.log import SensorLog
 from imuarray.log.format import STALE, SUSPECT
-
-Floats = npt.NDArray[np.float64]
 
 MOST = 64
 """So many of a log are kept, the first."""
@@ -109,7 +107,7 @@ def _onset(inside: Floats, level: Floats, noise: Floats) -> int | None:
     return None
 
 
-def _is_blank(sensor: SensorLog, begin: int, inside: Floats) -> npt.NDArray[np.bool_]:
+def _is_blank(sensor: SensorLog, begin: int, inside: Floats) -> Booleans:
     """Which rows hold no reading, but the zeros of a chip that has made none since it was reset."""
     stale = (np.asarray(sensor.status[begin : begin + len(inside)]) & STALE) != 0
     return np.asarray(stale & (inside == 0).all(axis=1))

@@ -14,12 +14,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Integers, Times
 from imuarray.log import SensorLog
 
-Floats = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
 Kind = Literal["steady", "stalls", "bursts"]
 
 GAP = 3.0
@@ -116,7 +114,7 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     )
 
 
-def _gaps(sensor: SensorLog, least_s: float) -> tuple[npt.NDArray[np.int64], Floats]:
+def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats]:
     """(k,) the row before each gap, and (k,) its length in s."""
     after, length_s = [np.zeros(0, np.int64)], [np.zeros(0)]
     for block in sensor.blocks():
@@ -129,7 +127,7 @@ def _gaps(sensor: SensorLog, least_s: float) -> tuple[npt.NDArray[np.int64], Flo
     return np.concatenate(after), np.concatenate(length_s)
 
 
-def _make_up(length_s: Floats, behind: npt.NDArray[np.int64], hurry: float) -> bool:
+def _make_up(length_s: Floats, behind: Integers, hurry: float) -> bool:
     """Whether the rows behind gaps (k,) make up for these; `hurry`: their usual pace over the mean one."""
     if np.std(length_s) < REGULAR * np.median(length_s) or not behind.std() > 0:
         return hurry > HURRY

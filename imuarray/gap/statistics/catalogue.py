@@ -8,14 +8,12 @@ from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.statistics.campaign import Campaign, LogSummary, PhaseSummary, runs_in
 from imuarray.gap.statistics.probes import PROBES
 from imuarray.gap.statistics.probes.probe import ArrayProbe, CrossProbe, Domain, LogProbe, PhaseProbe, RunsProbe
 from imuarray.gap.statistics.summary import Summary, side_by_side
-
-Floats = npt.NDArray[np.float64]
 
 ALL_LOGS = -1
 """The log's index of a statistic of several logs; their kind stands where others have their phase."""

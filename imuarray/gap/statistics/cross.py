@@ -16,14 +16,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
 from imuarray.units import SI_PER_UNIT
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 KINEMATIC = 9
 """Columns after those of the sensors: six products of angular rates, three angular accelerations; zeros without a
@@ -253,7 +250,7 @@ class CrossTally:
         return np.concatenate([rate[:, first] * rate[:, second], acceleration], axis=1)
 
 
-def _filled(readings: Floats, full: Bools) -> Floats:
+def _filled(readings: Floats, full: Booleans) -> Floats:
     """Readings (r, m, 3, s, w) with the segment's mean in windows that aren't full (s, w)."""
     if full.all():
         return readings
@@ -261,7 +258,7 @@ def _filled(readings: Floats, full: Bools) -> Floats:
     return np.where(full, readings, mean)
 
 
-def _centred(line: Floats, held: Bools) -> tuple[Floats, Floats]:
+def _centred(line: Floats, held: Booleans) -> tuple[Floats, Floats]:
     """Columns (r, p, s, w) less their means (r, p, s) over the windows that are held (s, w), and these; 0 in the
     others.
     """

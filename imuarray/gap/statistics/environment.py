@@ -19,17 +19,16 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.fft import dct
 from scipy.stats import beta, chi2, norm
 
+from imuarray.arrays import Floats
 from imuarray.gap.statistics.campaign import Campaign, PhaseSummary
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 from imuarray.units import INERTIAL
 
-Floats = npt.NDArray[np.float64]
 Pace = Literal["slow", "fast"]
 
 LEVEL = 0.01

@@ -12,9 +12,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from imuarray.arrays import Floats, Integers
 
 _FINE = 4
 """At so many octaves sums of 1 and 2 rows are looked at, block by block; at the others sums of 4."""
@@ -27,7 +26,7 @@ class Haar(NamedTuple):
     """
 
     variance: Floats
-    terms: npt.NDArray[np.int64]
+    terms: Integers
     kurtosis: Floats
 
 

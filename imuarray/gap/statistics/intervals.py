@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats, Times
 from imuarray.characterise.stretch import GAP
 from imuarray.log.format import FLAGS
 
-Times = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.int16]
 
 WORDS = (-1, 0)
@@ -41,7 +41,7 @@ class IntervalMoments:
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
-        self._waiting: list[npt.NDArray[np.float64]] = []
+        self._waiting: list[Floats] = []
         self._typical_ns = self._longest_ns = 0.0
         self._count = self._gaps = 0
         self._sum_ns = self._squares_ns2 = 0.0
@@ -82,7 +82,7 @@ class IntervalMoments:
         self._squares_ns2 += float(apart @ apart)
 
 
-def _quartile(values: npt.NDArray[np.float64]) -> float:
+def _quartile(values: Floats) -> float:
     """The upper quartile; `numpy.quantile` takes several times as long for it."""
     place = _QUARTILE * (len(values) - 1)
     low = int(place)

@@ -6,13 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Indices
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likeness_of
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.intp]
 
 NOWHERE = -1
 """Place of a statistic that one part does not have."""
@@ -27,8 +24,8 @@ class Pairs:
     """m statistics by their `keys`, and where each stands among the n of both parts: `train` and `held_out` (m,)."""
 
     keys: tuple[Key, ...]
-    train: Integers
-    held_out: Integers
+    train: Indices
+    held_out: Indices
 
     def sums(self, scores: Floats) -> Floats:
         """(..., m) of scores (..., n): of both parts over the root of two, or of the part that says something."""
@@ -88,5 +85,5 @@ def spread_of(sums: Floats) -> Floats:
     return np.asarray(np.maximum(spread, LEAST))
 
 
-def _taken(scores: Floats, places: Integers) -> Floats:
+def _taken(scores: Floats, places: Indices) -> Floats:
     return np.where(places >= 0, scores[..., places], np.nan)

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.recording.outliers import robust_std
 from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
-
-Floats = npt.NDArray[np.float64]
 
 PARTS = 16
 """A run's profile has so many points."""

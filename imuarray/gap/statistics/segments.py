@@ -8,9 +8,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.gap.recording.recordings import Temperature, Times
-
-Floats = npt.NDArray[np.float64]
+from imuarray.arrays import Floats, Indices, Integers, Times
+from imuarray.gap.recording.recordings import Temperature
 
 POWERS = 4
 
@@ -26,7 +25,7 @@ class Segments:
     """
 
     width_s: float
-    rows: npt.NDArray[np.int64]
+    rows: Integers
     time_s: Floats
     temperature_degc: Floats
     warming_degc_per_s: Floats
@@ -127,7 +126,7 @@ class SegmentTally:
         means, squares = self._thermometer / rows
         return means, np.maximum(squares - means**2, 0.0)
 
-    def _parts(self, time_ns: Times) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    def _parts(self, time_ns: Times) -> tuple[Indices, Indices, Indices]:
         """The parts that the times lie in, where each begins and how many rows of these it has."""
         ends = np.searchsorted(self._edges, time_ns[[0, -1]], side="right") - 1
         part = np.arange(ends[0], ends[1] + 1)

@@ -14,6 +14,7 @@ from itertools import chain
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.characterise.codes import NOTHING, Histogram, histograms
 from imuarray.characterise.correlation import Autocovariance
 from imuarray.characterise.repeats import Repeats, RepeatTally
@@ -25,8 +26,6 @@ from imuarray.gap.statistics.intervals import IntervalMoments, Intervals, Status
 from imuarray.gap.statistics.segments import Segments, SegmentTally, apart_again
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
-
-Floats = npt.NDArray[np.float64]
 
 LAGS = 5
 ARCH_LAGS = 3

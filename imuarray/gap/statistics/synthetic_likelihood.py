@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import logsumexp
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
+from imuarray.arrays import Booleans, Floats
 
 FREEDOM = 5.0
 """Of the t distribution: z = 3, 10, 100 cost 3.1, 9.1 and 22.8 nats."""
@@ -36,8 +34,8 @@ class SyntheticLikelihood:
 
     location: Floats
     scale: Floats
-    always: Bools
-    never: Bools
+    always: Booleans
+    never: Booleans
     branches: Floats | None = None
     width: Floats | None = None
 
@@ -65,7 +63,7 @@ class SyntheticLikelihood:
         costly = -(FREEDOM + 1) / 2 * np.log1p(STRANGE**2 / FREEDOM) - np.log(scale)
         return np.asarray(np.where(strange, costly, np.nan_to_num(density)))
 
-    def of(self, chosen: Bools) -> SyntheticLikelihood:
+    def of(self, chosen: Booleans) -> SyntheticLikelihood:
         """That of some of the statistics."""
         return SyntheticLikelihood(
             self.location[chosen],
@@ -77,11 +75,11 @@ class SyntheticLikelihood:
         )
 
     @property
-    def is_silent(self) -> Bools:
+    def is_silent(self) -> Booleans:
         """(n,) what the fit makes the same in every replicate."""
         return np.asarray(self.scale < _SAME * (1 + np.abs(self.location)))
 
-    def _is_silent(self, values: Floats) -> Bools:
+    def _is_silent(self, values: Floats) -> Booleans:
         """(n,) where that goes for the recording too."""
         return np.asarray(self.is_silent & (np.abs(values - self.location) < 10 * _SAME * (1 + np.abs(self.location))))
 

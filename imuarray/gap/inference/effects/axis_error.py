@@ -7,8 +7,8 @@ from functools import cache
 from itertools import permutations, product
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.response import response
@@ -39,7 +39,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
 
 
 @cache
-def exchanges() -> dict[str, npt.NDArray[np.float64]]:
+def exchanges() -> dict[str, Floats]:
     """The 47 exchanges of axes and signs by name, "+Y+X-Z", as matrices (3, 3); right-handed ones first, since no chip
     is left-handed.
     """

@@ -13,17 +13,16 @@ from math import comb
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize, minimize_scalar
 from scipy.signal import correlate
 from scipy.special import ndtr
 
+from imuarray.arrays import Floats, Integers
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.model.rest import REFERENCE_DEGC, FittedParameters
 from imuarray.gap.statistics.synthetic_likelihood import FREEDOM
 
-Floats = npt.NDArray[np.float64]
-Coded = Callable[[npt.NDArray[np.int64]], npt.NDArray[np.int64]]
+Coded = Callable[[Integers], Integers]
 """What comes of whole counts (n,)."""
 
 UNITS_DIFFER = 0.015
@@ -53,7 +52,7 @@ class _Bins(NamedTuple):
     temperature less that of reference, mean, variance.
     """
 
-    face: npt.NDArray[np.int64]
+    face: Integers
     rows: Floats
     felt: Floats
     warm_degc: Floats

@@ -7,14 +7,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import levels, log_levels
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.bias import Bias
-
-Floats = npt.NDArray[np.float64]
 
 _TRACES = ("mean", "level", "run_spread", "run_scatter", "run_outlier")
 _CLEAR = 8.0

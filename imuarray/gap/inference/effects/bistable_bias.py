@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import levels, log_levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.turn_on_bias import BEYOND, TRACES
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.bistable_bias import BistableBias
-
-Floats = npt.NDArray[np.float64]
 
 _WIDE = 2.0
 """A gap so many times the mean of the others parts two groups."""
@@ -35,7 +33,7 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     yield Hypothesis((BistableBias((x, y, z), float(rare.mean())),), ("offset", "probability"))
 
 
-def rarer(means: Floats, errors: Floats) -> npt.NDArray[np.bool_] | None:
+def rarer(means: Floats, errors: Floats) -> Booleans | None:
     """(l,) the smaller one of two groups of levels (l, 3), by the axis that parts them best; None for one group."""
     ordered = np.sort(means, axis=0)
     gaps = np.diff(ordered, axis=0)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import takes_part
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
-
-Floats = npt.NDArray[np.float64]
 
 _NOISE = ("fast_own_axes", "fast_box_axes", "fast_other_chips", "slow_own_axes", "slow_box_axes")
 _AXES = (("force_own", "motion_gain"), ("force_next", "motion_next"), ("force_after", "motion_after"))

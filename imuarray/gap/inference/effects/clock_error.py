@@ -8,15 +8,13 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lag import odd_lags
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.clock_error import ClockError
-
-Floats = npt.NDArray[np.float64]
 
 _MOST_PPM = 2e5
 _FURTHER = (1.0, -1.0, 3.0, -3.0)

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import takes_part
 from imuarray.gap.inference.effects.levels import change_between_logs
@@ -28,8 +28,6 @@ from imuarray.gap.statistics.cross import Cross
 from imuarray.simulate.effects.common_mode import CommonMode
 from imuarray.simulate.effects.turn_on_bias import TurnOnBias
 from imuarray.simulate.signal import Triple
-
-Floats = npt.NDArray[np.float64]
 
 _TRACES = ("slow_own_axes", "fast_own_axes", "slow_between_axes")
 _FREE = ("rms", "time_constant_s")

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import FORCE, moments
 from imuarray.gap.inference.effects.levels import levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.g_sensitivity import GSensitivity
-
-Floats = npt.NDArray[np.float64]
 
 _AT_REST = ("force_own", "force_next", "force_after", "mean")
 _IN_MOTION = ("motion_coupling", "motion_residual")

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Integers
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lag import mean_of, odd_lags
 from imuarray.gap.inference.effects.removal import with_removal
@@ -46,8 +46,8 @@ class _Tail(NamedTuple):
     weighs 64 and 256, how often neighbours differ in it if they are independent.
     """
 
-    sizes: npt.NDArray[np.int64]
-    counts: npt.NDArray[np.int64]
+    sizes: Integers
+    counts: Integers
     rows: int
     crossing: tuple[float, float]
 
@@ -180,7 +180,7 @@ def _tails(summary: Summary) -> Iterator[_Tail]:
         yield _Tail(steps.codes[beyond], steps.counts[beyond], summary.rows, (low, high))
 
 
-def _crossing(high: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> float:
+def _crossing(high: Integers, counts: Integers) -> float:
     """The chance that two readings have another high byte."""
     if len(high) == 0:
         return 0.0

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.cross import KINEMATIC, Cross
-
-Floats = npt.NDArray[np.float64]
 
 OWN, REFERENCE, ROTATION = slice(0, 3), slice(3, 6), slice(6, 6 + KINEMATIC)
 FORCE = slice(6 + KINEMATIC, 9 + KINEMATIC)

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lag import motions, speed_squared
 from imuarray.gap.inference.effects.removal import with_removal
@@ -16,8 +16,6 @@ from imuarray.gap.inference.effects.repetition import repeated_share
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.probes.motion import residual
 from imuarray.simulate.effects.jitter import Jitter
-
-Floats = npt.NDArray[np.float64]
 
 _LEAST, _MOST = 1e-4, 0.9
 

@@ -6,14 +6,12 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.probes.motion import delay, gain
 from imuarray.log.format import Phase
-
-Floats = npt.NDArray[np.float64]
 
 ODD = 2.5
 """Scores beyond which there is something to explain."""

@@ -10,11 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from imuarray.arrays import Floats, Indices, Integers
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.statistics.probes.force import felt_g
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 _LEAST_ROWS = 4
 
@@ -47,7 +45,7 @@ class Levels:
         """All segments' time."""
         return float(self.width_s.sum())
 
-    def groups(self) -> Iterator[npt.NDArray[np.intp]]:
+    def groups(self) -> Iterator[Indices]:
         """Which segments are of each group."""
         for group in np.unique(self.group):
             yield np.flatnonzero(self.group == group)

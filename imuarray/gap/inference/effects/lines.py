@@ -6,12 +6,10 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import median_filter
 
+from imuarray.arrays import Floats
 from imuarray.characterise.spectrum import Spectrum
-
-Floats = npt.NDArray[np.float64]
 
 HALF_WIDTH = 2
 """Bins on each side that a Hann window spreads a line over."""

@@ -6,15 +6,13 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import OWN, REFERENCE, ROTATION, moments
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.nonlinearity import Nonlinearity
-
-Floats = npt.NDArray[np.float64]
 
 _SQUARES = (0, 3, 5)
 """Where xx, yy and zz stand among the products of rates."""

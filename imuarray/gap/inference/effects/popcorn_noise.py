@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.slow import BEYOND, TRACES, Wander, longest_s, sized, slower, wander_of
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.popcorn_noise import PopcornNoise
-
-Floats = npt.NDArray[np.float64]
 
 _FREE = ("amplitude", "switches_per_s")
 _SELDOM = 0.05

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.slow import BEYOND, TRACES, allan_of, size_of, sized
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.random_walk import RandomWalk
-
-Floats = npt.NDArray[np.float64]
 
 _ALIKE = 2.0
 """Levels that are farther apart by this factor than the Allan variances say make a guess of their own."""

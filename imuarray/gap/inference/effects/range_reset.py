@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.chips import CHIPS
 from imuarray.gap.inference.effects.bistable_bias import rarer
@@ -19,9 +18,6 @@ from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.inference.when import NUMBERS, Span, stretches
 from imuarray.simulate.effects.dropped_samples import DroppedSamples
 from imuarray.simulate.effects.range_reset import RangeReset
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 _WHOLE = ("force_own", "motion_gain", "thermal_slope", "code_ends", "saturated", "code_pile")
 _LOGS = ("run_spread", "run_scatter", "run_two_states", "run_outlier", "mean", "noise")

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.gap.statistics.probes.level import mean
-
-Floats = npt.NDArray[np.float64]
 
 MOTION_WEIGHT = 0.1
 """Of a motion beside a face: shares of a noisy reference fill in what no face tells."""

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.in_motion import ROTATION, moments
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.size_effect import SizeEffect
 from imuarray.units import SI_PER_UNIT
-
-Floats = npt.NDArray[np.float64]
 
 _BEYOND = 2.7
 _LARGEST_MM = 5000.0

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import nnls
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.levels import levels, log_levels
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
-
-Floats = npt.NDArray[np.float64]
 
 TRACES = (
     "wander",

@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Booleans, Floats
 from imuarray.gap.inference.evidence import Evidence, PhaseEvidence
 from imuarray.gap.model.rest import REFERENCE_DEGC
-
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
 _LEAST = 3
 """Segments on each side of a step."""
@@ -64,7 +61,7 @@ def onsets(evidence: Evidence) -> list[Onset]:
     return sorted(found, key=lambda one: -one.nats)
 
 
-def states_of_logs(evidence: Evidence, rare: Bools) -> States | None:
+def states_of_logs(evidence: Evidence, rare: Booleans) -> States | None:
     """What the `rare` ones of the logs (l,) show on the face that the first one of all has."""
     logs = sorted({one.log for one in evidence.still})
     if len(logs) != len(rare):

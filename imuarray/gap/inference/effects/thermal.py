@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Integers
 from imuarray.gap.inference.effects.levels import Levels, centred
 from imuarray.gap.model.rest import REFERENCE_DEGC
-
-Floats = npt.NDArray[np.float64]
 
 TRACES = (
     *("thermal_slope", "thermal_square", "thermal_change", "thermal_residual"),
@@ -42,7 +40,7 @@ def is_warmed(found: Levels) -> bool:
     return any(np.ptp(found.degc[at]) >= LEAST_DEGC for at in found.groups())
 
 
-def fitted(columns: Floats, values: Floats, group: npt.NDArray[np.int64] | None) -> Fit:
+def fitted(columns: Floats, values: Floats, group: Integers | None) -> Fit:
     """Least squares of values (n, 3) by columns (n, c), both less the means of their groups (None: as they are)."""
     if group is not None:
         columns, values = centred(columns, group), centred(values, group)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import Levels, levels
 from imuarray.gap.inference.effects.thermal import BEYOND, LEAST_DEGC, TRACES, fitted, is_warmed, warmth
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.thermal_bias import ThermalBias
-
-Floats = npt.NDArray[np.float64]
 
 _CLEAR = 2.0
 """A coefficient so many standard errors from 0 is one."""

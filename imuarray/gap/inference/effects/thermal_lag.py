@@ -6,17 +6,15 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
+from imuarray.arrays import Floats
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.levels import Levels, centred, levels
 from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.effects.thermal import BEYOND, TRACES, is_warmed
 from imuarray.gap.inference.evidence import Evidence
 from imuarray.simulate.effects.thermal_lag import ThermalLag
-
-Floats = npt.NDArray[np.float64]
 
 _TRIED = 30
 _STEPS = 2000

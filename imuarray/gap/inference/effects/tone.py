@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import theilslopes
 
+from imuarray.arrays import Floats
 from imuarray.characterise.spectrum import Spectrum
 from imuarray.gap.inference.effects.candidate import Candidate, Hypothesis
 from imuarray.gap.inference.effects.lines import HALF_WIDTH, highest_lines, pooled
@@ -18,8 +18,6 @@ from imuarray.gap.inference.effects.removal import with_removal
 from imuarray.gap.inference.evidence import SAME_RATE, Evidence, PhaseEvidence
 from imuarray.simulate.effects.tone import Tone
 from imuarray.simulate.signal import Triple
-
-Floats = npt.NDArray[np.float64]
 
 _TRACES = (
     *("line", "alternation", "noise_excess", "kurtosis", "lag_1", "lag_2", "lag_3", "lag_5"),

@@ -6,7 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from imuarray.gap.statistics.probes.probe import NOTHING, Floats, PhaseProbe, log, once
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.probes.probe import NOTHING, PhaseProbe, log, once
 from imuarray.gap.statistics.summary import Summary
 
 _TERMS = 12

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from imuarray.gap.statistics.probes.probe import Floats, PhaseProbe, fisher_z
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.probes.probe import PhaseProbe, fisher_z
 from imuarray.gap.statistics.summary import Summary
 
 _APART = 2

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.characterise.codes import Histogram
-from imuarray.gap.statistics.probes.probe import Floats, PhaseProbe, arcsine, once, one_row
+from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, once, one_row
 from imuarray.gap.statistics.summary import Summary
 from imuarray.simulate.converters import CodeSpan, code_span
 

@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
+from imuarray.arrays import Floats, Indices
 from imuarray.axes import Matrix
 from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.probes.level import level
-from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, Floats, fisher_z, once
+from imuarray.gap.statistics.probes.probe import NOTHING, ArrayProbe, CrossProbe, fisher_z, once
 from imuarray.log.format import SensorHeader
 
 AXES = np.arange(3)
@@ -103,7 +103,7 @@ def _as_own(cross: Cross, sensor: str, box: Floats) -> Floats:
 
 
 @lru_cache(maxsize=64)
-def _nearest(orientation: Matrix) -> npt.NDArray[np.intp]:
+def _nearest(orientation: Matrix) -> Indices:
     """(3,) the box's axis along which each of the sensor's lies."""
     return np.asarray(np.abs(np.array(orientation)).argmax(axis=0))
 

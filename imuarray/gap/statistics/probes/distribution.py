@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.gap.statistics.probes.probe import (
     NOTHING,
-    Floats,
     PhaseProbe,
     arcsine,
     log,

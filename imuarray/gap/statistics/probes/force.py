@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.axes import UP_AXES, up_vector
 from imuarray.gap.statistics.probes.level import mean
-from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe
 from imuarray.gap.statistics.summary import Summary
 
 AXES = np.arange(3)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, once
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, log, once
 from imuarray.gap.statistics.summary import Summary
 
 LEAST_LEVEL = 2e-6

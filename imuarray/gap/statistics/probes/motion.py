@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.gap.statistics.cross import Cross
-from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, Floats, log, once
+from imuarray.gap.statistics.probes.probe import NOTHING, CrossProbe, log, once
 
 AXES = np.arange(3)
 

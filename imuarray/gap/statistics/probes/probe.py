@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import log_ndtr, ndtri_exp
 
+from imuarray.arrays import Floats, Integers
 from imuarray.gap.statistics.campaign import LogSummary
 from imuarray.gap.statistics.cross import Cross
 from imuarray.gap.statistics.runs import Runs
 from imuarray.gap.statistics.summary import Summary
 
-Floats = npt.NDArray[np.float64]
 Subject = TypeVar("Subject", Summary, Cross, LogSummary)
 Found = TypeVar("Found")
 Domain = Literal[
@@ -168,7 +168,7 @@ _KEPT = 0.95
 _TRIMMED = 0.71683
 
 
-def _trimmed_mean(sizes: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> float:
+def _trimmed_mean(sizes: Integers, counts: Integers) -> float:
     """Mean of the smallest 95 % of `sizes` that came `counts` times."""
     if len(sizes) == 0:
         return math.nan

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from imuarray.gap.statistics.probes.probe import NOTHING, Floats, RunsProbe, log
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.probes.probe import NOTHING, RunsProbe, log
 from imuarray.gap.statistics.runs import PARTS, Runs
 
 _LEAST = 4

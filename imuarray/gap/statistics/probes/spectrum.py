@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
-from imuarray.gap.statistics.probes.probe import NOTHING, Floats, PhaseProbe, log, once, score_of_largest
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.probes.probe import NOTHING, PhaseProbe, log, once, score_of_largest
 from imuarray.gap.statistics.summary import Summary
 
 BANDS = 6

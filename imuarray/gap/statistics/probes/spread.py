@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imuarray.arrays import Floats
 from imuarray.gap.statistics.probes.force import felt_g
-from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe, PhaseProbe, log, noise_lsb, once
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, PhaseProbe, log, noise_lsb, once
 from imuarray.gap.statistics.summary import Summary
 
 _LEAST = 4

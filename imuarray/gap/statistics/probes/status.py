@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from imuarray.gap.statistics.probes.probe import Floats, PhaseProbe, arcsine, one_row
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, one_row
 from imuarray.gap.statistics.summary import Summary
 
 

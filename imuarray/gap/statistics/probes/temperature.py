@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 
 import numpy as np
-import numpy.typing as npt
 
-from imuarray.gap.statistics.probes.probe import NOTHING, Floats, LogProbe, log
+from imuarray.arrays import Floats, Integers
+from imuarray.gap.statistics.probes.probe import NOTHING, LogProbe, log
 from imuarray.gap.statistics.summary import Summary
 
 _LEAST_DEGC = 1.0
@@ -61,7 +61,7 @@ class _Joined:
         return bool(np.fmax.reduce(self.degc) - np.fmin.reduce(self.degc) >= _LEAST_DEGC)
 
     @cached_property
-    def rows(self) -> npt.NDArray[np.int64]:
+    def rows(self) -> Integers:
         return np.concatenate([part.rows for part in self._parts])
 
     @cached_property

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from imuarray.gap.statistics.probes.probe import Floats, PhaseProbe, arcsine, log, one_row
+from imuarray.arrays import Floats
+from imuarray.gap.statistics.probes.probe import PhaseProbe, arcsine, log, one_row
 from imuarray.gap.statistics.summary import Summary
 
 
