@@ -34,6 +34,9 @@ LINE_CHARACTERS = 65536
 
 INT16 = (-32768, 32767)
 
+MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
+"""Cells in lower case that hold no value, as pandas, R, SQL and Python write them."""
+
 _LAST_NS = 2**62
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
@@ -64,10 +67,10 @@ class Column(NamedTuple):
         return len(self.lines)
 
     def blank(self) -> npt.NDArray[np.bool_]:
-        """(n,) which cells hold nothing."""
+        """(n,) which cells hold no value: blank ones, NaN and what else stands for it (`MISSING`)."""
         if self.values is not None:
             return np.isnan(self.values) if self.values.dtype.kind == "f" else np.zeros(len(self.values), bool)
-        return np.array([not text or text.isspace() for text in self.texts], bool)
+        return np.array([text.strip().lower() in MISSING for text in self.texts], bool)
 
     def where(self, kept: npt.NDArray[np.bool_]) -> Column:
         """Some of the cells."""
@@ -81,7 +84,8 @@ class Column(NamedTuple):
 
 
 class Table:
-    """The rows of an open file, `[file]` applied. With `named` the first row holds the columns' names.
+    """The rows of an open file, `[file]` applied. With `named` the first row holds the columns' names; where it holds
+    numbers, the last comment before it does, as numpy's savetxt and the EuRoC data sets write a header.
 
     `remarks` counts what was left out.
     """
@@ -94,7 +98,9 @@ class Table:
         self.source = source
         self.line = 0
         self.left_out: Counter[str] = Counter()
-        self.header: list[str] = self._row() if named else []
+        self._comment = ""
+        self._first_row: list[str] = []
+        self.header: list[str] = self._names() if named else []
         self.names: list[str] = [name.strip() for name in self.header]
         self.width = len(self.names)
         self._blank_end = bool(self.names) and not self.names[-1]
@@ -113,7 +119,9 @@ class Table:
             if "\0" in line:
                 self.left_out["nul"] += 1
                 continue
-            if self.line > self._layout.skip_rows and line and not (comment and line.startswith(comment)):
+            if comment and line.startswith(comment):
+                self._comment = line.removeprefix(comment)
+            elif self.line > self._layout.skip_rows and line:
                 yield line
 
     def _read_line(self) -> str:
@@ -123,8 +131,20 @@ class Table:
         except (BadGzipFile, EOFError, zlib.error) as error:
             raise SourceError(f"{self.source}: behind line {self.line}: packed by gzip and damaged: {error}") from None
 
+    def _names(self) -> list[str]:
+        """The cells of the header; the first row of numbers is kept for `_row` if the header is a comment."""
+        row = self._row()
+        header = next(csv.reader([self._comment], delimiter=self._layout.delimiter, skipinitialspace=True), [])
+        if len(header) != len(row) or not all(map(_is_number, row)) or any(map(_is_number, header)):
+            return row
+        self._first_row = row
+        return header
+
     def _row(self) -> list[str]:
         """The next row; [] at the end of the file."""
+        if self._first_row:
+            row, self._first_row = self._first_row, []
+            return row
         try:
             return next(self._reader, [])
         except csv.Error as error:

@@ -40,8 +40,8 @@ _DELIMITERS = (",", ";", "\t", "|", " ")
 _COMMENTS = ("#", "%", "//")
 _UNIT_IN_NAME = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]|_(ms|us|ns|s|g|mg|dps|uT|degC|C)$")
 _SPELLINGS: Mapping[str, str] = {
-    "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "°/s": "dps", "deg/s": "dps",
-    "º/s": "dps", "rad/sec": "rad/s", "radps": "rad/s", "µt": "uT", "μt": "uT", "ut": "uT", "mgauss": "mgauss",
+    "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "m s^-2": "m/s2", "°/s": "dps", "deg/s": "dps",
+    "º/s": "dps", "rad/sec": "rad/s", "radps": "rad/s", "rad s^-1": "rad/s", "µt": "uT", "μt": "uT", "ut": "uT", "mgauss": "mgauss",
     "g": "g", "gs": "gauss", "°c": "degC", "c": "degC", "degc": "degC", "sec": "s", "seconds": "s", "msec": "ms",
     "µs": "us", "usec": "us",
 }  # fmt: skip
@@ -50,6 +50,11 @@ _QUANTITIES: Sequence[tuple[str, re.Pattern[str]]] = (
     ("angular_rate", re.compile(r"gyr|rot|omega|ang|rate|^[gwpr]\*|^r?g\*", re.IGNORECASE)),
     ("specific_force", re.compile(r"acc|force|^l?a\*|^f\*|gravity|lin", re.IGNORECASE)),
 )
+_QUANTITY_OF_UNIT: Mapping[str, str] = {unit: quantity for quantity, units in UNITS_OF.items() for unit in units}
+"""Every unit belongs to one quantity."""
+_GRAVITIES = (1.0, STANDARD_GRAVITY, 1000.0, *(2.0**power for power in range(8, 15)))
+"""1 g in g, m/s2, mg, and in counts of the usual ranges."""
+_NEAR_GRAVITY = 0.15
 _NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Mag"}
 _TIME = re.compile(r"time|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
 _TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
@@ -213,6 +218,7 @@ def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
     lines = [(number, line.strip("\r\0 ")) for number, line in enumerate(whole)]
     lines = [(number, line) for number, line in lines if line and "\0" not in line]
     comment = next((mark for mark in _COMMENTS if any(line.startswith(mark) for _, line in lines)), "#")
+    remarks = [(number, line.removeprefix(comment)) for number, line in lines if line.startswith(comment)]
     lines = [(number, line) for number, line in lines if not line.startswith(comment)]
     if not lines:
         raise SourceError(f"{path}: no line of text in it that could be a row")
@@ -232,7 +238,9 @@ def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
         layout.kind_column, layout.named = 0, False
         return layout, [], [row for _, row in rows[first:]]
     width = len(rows[first][1])
-    header = rows[first - 1] if first else None
+    before = [(number, _cells(line, layout.delimiter)) for number, line in remarks if number < rows[first][0]]
+    commented = before[-1] if before and len(before[-1][1]) == width else None
+    header = rows[first - 1] if first else commented
     layout.named = header is not None and abs(len(header[1]) - width) <= 1
     begin = header[0] if header is not None and layout.named else rows[first][0]
     layout.skip_rows = begin if any(line and not line.startswith(comment) for line in whole[:begin]) else 0
@@ -423,15 +431,23 @@ def _triads(
                 used.update(indices)
                 stem = name[:place] + "*" + name[place + 1 :]
                 called = stem if stem.strip("*_.- []()") else stem_of_file
-                quantity = next((what for what, words in _QUANTITIES if words.search(called)), "specific_force")
-                yield quantity, indices
+                by_name = next((what for what, words in _QUANTITIES if words.search(called)), "specific_force")
+                yield _QUANTITY_OF_UNIT.get(_unit_in(name), by_name), indices
 
 
 def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Threes in order; a force keeps its length while its axes turn, so the first is taken for one."""
-    order = ("specific_force", "angular_rate", "magnetic_field")
-    for quantity, start in zip(order, range(0, len(free) - 2, 3), strict=False):
-        yield quantity, (free[start], free[start + 1], free[start + 2])
+    """Threes in order: force, rate, field; of the first two, the force is the one that is as long as gravity."""
+    triads = [(free[start], free[start + 1], free[start + 2]) for start in range(0, len(free) - 2, 3)][:3]
+    order = ["specific_force", "angular_rate", "magnetic_field"]
+    if len(triads) > 1 and [_is_gravity(columns, triad) for triad in triads[:2]] == [False, True]:
+        order[:2] = ["angular_rate", "specific_force"]
+    yield from zip(order, triads, strict=False)
+
+
+def _is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
+    """Whether the median length of a triad is 1 g in some unit."""
+    length = float(np.nanmedian(np.sqrt(sum(columns[index] ** 2 for index in triad))))
+    return any(abs(length / gravity - 1) < _NEAR_GRAVITY for gravity in _GRAVITIES)
 
 
 def _sensor(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from os import PathLike
@@ -36,7 +37,7 @@ from imuarray.importers.resolution import SAMPLE_ROWS, Resolution, resolution_of
 from imuarray.importers.sources import Reference, Rows, open_rows
 from imuarray.log import Block as LogBlock
 from imuarray.log import LogWriter, Stimulus
-from imuarray.log.format import ARRIVAL, SATURATED, Event, Phase, SensorHeader, ThermometerScale
+from imuarray.log.format import ARRIVAL, LOST_BEFORE, SATURATED, Event, Phase, SensorHeader, ThermometerScale
 from imuarray.log.sensor_log import first_at
 from imuarray.printable import counted
 from imuarray.units import SI_PER_UNIT, UNITS_OF
@@ -155,7 +156,7 @@ def _learnt(plan: Plan, rows: Rows, table_map: TableMap, block_rows: int) -> Ite
             at = dict(zip(plan.columns, where, strict=True))
             for sensor in open_:
                 cells = [block.column(at[column], repr(column)) for column in sensor.columns]
-                kept = ~_blank(cells)
+                kept = ~_missing(cells)
                 values = np.concatenate([numbers(cell.where(kept)) for cell in cells]) * sensor.log_units
                 largest[sensor.name] = max(largest[sensor.name], float(np.abs(values).max(initial=0.0)))
                 if seen < SAMPLE_ROWS:
@@ -204,14 +205,14 @@ def _thermometer_header(item: OwnThermometer) -> SensorHeader:
     )
 
 
+def _missing(cells: Sequence[Column]) -> Booleans:
+    """(n,) rows in which a cell of a sensor holds no value: a triad with two axes is no reading."""
+    return np.asarray(np.any([cell.blank() for cell in cells], axis=0), bool)
+
+
 def _blank(cells: Sequence[Column]) -> Booleans:
-    """(n,) rows in which a sensor read nothing: all its cells are blank."""
-    blank = cells[0].blank()
-    for cell in cells[1:]:
-        if not blank.any():
-            break
-        blank = blank & cell.blank()
-    return blank
+    """(n,) rows in which no cell of a sensor holds a value: they belong to other sensors of the table."""
+    return np.asarray(np.all([cell.blank() for cell in cells], axis=0), bool)
 
 
 class _Rounding:
@@ -259,6 +260,8 @@ class _Stream:
         self.first_ns = self.last_ns = 0
         names = [item.name for item in plan.items if isinstance(item, Recorded)]
         self.rows_of = dict.fromkeys(names, 0)
+        self._incomplete: Counter[str] = Counter()
+        self._flagged_losses: Counter[str] = Counter()
         triads = [item for item in plan.items if isinstance(item, SensorTable)]
         self._rounding = {item.name: _Rounding(item.counts_per_unit is None) for item in triads if item.is_physical}
 
@@ -315,7 +318,8 @@ class _Stream:
 
     def _add_triad(self, sensor: SensorTable, cells: dict[Reference, Column], time: Times) -> None:
         triad = [cells[column] for column in sensor.columns]
-        kept = ~_blank(triad)
+        missing = _missing(triad)
+        kept = ~missing
         per_unit = self._headers[sensor.name].sensitivity * sensor.log_units if sensor.is_physical else None
         codes = Codes(per_unit, sensor.offset, sensor.bits)
         triads = np.stack([counts(cell.where(kept), codes) for cell in triad], axis=1)
@@ -328,8 +332,20 @@ class _Stream:
             degrees = _degrees(cells[sensor.temperature_column].where(kept), sensor.thermometer)
         late = {name: np.zeros(len(triads)) for name in self._headers[sensor.name].compensated}
         status = np.where(full, SATURATED, 0).astype(np.uint16)
+        status |= self._lost_before(sensor.name, missing & ~_blank(triad), kept)
         self.log.append(sensor.name, LogBlock(time[kept], triads, status, degrees, late))
         self.rows_of[sensor.name] += len(triads)
+
+    def _lost_before(self, name: str, incomplete: Booleans, kept: Booleans) -> npt.NDArray[np.uint16]:
+        """Flags (k,) of the rows `kept` (n,): lost before, behind rows that are `incomplete` (n,), also of an earlier
+        block.
+        """
+        losses = self._incomplete[name] + np.cumsum(incomplete)
+        behind = np.diff(losses[kept], prepend=self._flagged_losses[name]) > 0
+        self._incomplete[name] = int(losses[-1])
+        if kept.any():
+            self._flagged_losses[name] = int(losses[kept][-1])
+        return np.where(behind, LOST_BEFORE, 0).astype(np.uint16)
 
     def _add_degrees(self, item: OwnThermometer, cells: dict[Reference, Column], time: Times) -> None:
         kept = ~cells[item.column].blank()
@@ -365,8 +381,12 @@ class _Stream:
         if self._clock.wrapped:
             yield f"the time column began anew {counted(self._clock.wrapped, 'time')}"
         for name, count in self.rows_of.items():
-            if count < self.count:
-                yield f"{name}: no reading in {self.count - count} of {self.count} rows, whose cells are blank"
+            incomplete = self._incomplete[name]
+            if blank := self.count - count - incomplete:
+                yield f"{name}: no reading in {blank} of {self.count} rows, whose cells are blank"
+            if incomplete:
+                rows = counted(incomplete, "row")
+                yield f"{name}: {rows} left out in which an axis has no value; the next row is flagged (lost before)"
         for name, rounding in self._rounding.items():
             header = self._headers[name]
             if text := rounding.remark(name, header.unit, header.sensitivity):

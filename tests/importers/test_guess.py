@@ -34,6 +34,18 @@ CASES: dict[str, tuple[str, list[str]]] = {
         ['unit = "m/s2"', 'unit = "rad/s"', 'columns = ["Accel_X [m/s^2]", "Accel_Y [m/s^2]", "Accel_Z [m/s^2]"]'],
     ),
     "no header": (text_of(None, SI), ["column = 0", "columns = [1, 2, 3]", 'unit = "m/s2"   # ? by its size', "rad/s"]),
+    "no header, the rate before the force": (
+        text_of(None, np.hstack([SI[:, 3:], SI[:, :3]])),
+        ["columns = [4, 5, 6]\nunit = \"m/s2\"", "columns = [1, 2, 3]\nunit = \"rad/s\""],
+    ),
+    "a header that is a comment, units in powers": (
+        text_of(
+            "#timestamp [s],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],"
+            "a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]",
+            np.hstack([SI[:, 3:], SI[:, :3]]),
+        ),
+        ['quantity = "angular_rate"\ncolumns = ["w_RS_S_x [rad s^-1]"', 'unit = "rad/s"\n', 'unit = "m/s2"\n'],
+    ),
     "decimal commas behind two lines of text": (
         "Logger 3\nmade today\n" + text_of("t,ax,ay,az,wx,wy,wz", SI).replace(",", ";").replace(".", ","),
         ['delimiter = ";"', 'decimal = ","', "skip_rows = 2", 'unit = "m/s2"'],
@@ -63,7 +75,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
 }
 
 
-QUICK = ("long names with units", "another range of the gyroscope")
+QUICK = ("long names with units", "a header that is a comment, units in powers", "another range of the gyroscope")
 
 
 @pytest.mark.parametrize(
