@@ -40,8 +40,9 @@ _DELIMITERS = (",", ";", "\t", "|", " ")
 _COMMENTS = ("#", "%", "//")
 _UNIT_IN_NAME = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]|_(ms|us|ns|s|g|mg|dps|uT|degC|C)$")
 _SPELLINGS: Mapping[str, str] = {
-    "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "m s^-2": "m/s2", "°/s": "dps", "deg/s": "dps",
-    "º/s": "dps", "rad/sec": "rad/s", "radps": "rad/s", "rad s^-1": "rad/s", "µt": "uT", "μt": "uT", "ut": "uT", "mgauss": "mgauss",
+    "m/s^2": "m/s2", "m/s²": "m/s2", "ms-2": "m/s2", "m.s-2": "m/s2", "mps2": "m/s2", "m s^-2": "m/s2",
+    "°/s": "dps", "deg/s": "dps", "º/s": "dps", "rad/sec": "rad/s", "radps": "rad/s", "rad s^-1": "rad/s",
+    "µt": "uT", "μt": "uT", "ut": "uT", "mgauss": "mgauss",
     "g": "g", "gs": "gauss", "°c": "degC", "c": "degC", "degc": "degC", "sec": "s", "seconds": "s", "msec": "ms",
     "µs": "us", "usec": "us",
 }  # fmt: skip

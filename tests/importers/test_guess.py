@@ -36,7 +36,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     "no header": (text_of(None, SI), ["column = 0", "columns = [1, 2, 3]", 'unit = "m/s2"   # ? by its size', "rad/s"]),
     "no header, the rate before the force": (
         text_of(None, np.hstack([SI[:, 3:], SI[:, :3]])),
-        ["columns = [4, 5, 6]\nunit = \"m/s2\"", "columns = [1, 2, 3]\nunit = \"rad/s\""],
+        ['columns = [4, 5, 6]\nunit = "m/s2"', 'columns = [1, 2, 3]\nunit = "rad/s"'],
     ),
     "a header that is a comment, units in powers": (
         text_of(
