@@ -156,12 +156,11 @@ def thermometer_of(log: Log, sensor: SensorLog, width_s: float) -> Thermometer |
 
 
 def chip_thermometer(log: Log, width_s: float) -> Thermometer | None:
-    """The thermometer of the first chip that has one, averaged over `width_s`: one whose zero is known, else one that
-    tells changes alone ("relative"); None without any.
+    """The first thermometer of a log, averaged over `width_s`: one whose zero is known (a thermometer of its own before
+    those of the chips), else one that measures changes only ("relative"); None without any.
     """
-    known = [
-        sensor for sensor in log.sensors.values() if sensor.is_triad and len(sensor) and degc_of(sensor) is not None
-    ]
+    sensors = [*log.of("temperature"), *(sensor for sensor in log.sensors.values() if sensor.is_triad)]
+    known = [sensor for sensor in sensors if len(sensor) and degc_of(sensor) is not None]
     known.sort(key=has_zero, reverse=True)
     return _chip_thermometer(log, known[0], width_s) if known else None
 

@@ -14,6 +14,7 @@ from imuarray.cli import main
 from imuarray.importers.table import import_table
 from imuarray.log import open_log
 from imuarray.log.format import ThermometerScale
+from imuarray.simulate.motion.like import LikeLog
 
 ROWS = 12_000
 SLOPE_LSB_PER_DEGC = 3.0
@@ -77,6 +78,17 @@ def test_a_temperature_is_calibrated_against(sensor: str, more: str, kind: str, 
         assert thermal is not None
         error = np.asarray(thermal.slope_sem_lsb_per_degc)
         assert (np.abs(thermal.slope_lsb_per_degc - SLOPE_LSB_PER_DEGC) < np.maximum(4 * error, 0.1)).all()
+
+
+def test_a_simulation_like_the_log_takes_the_temperature_of_its_own_thermometer(tmp_path: Path) -> None:
+    """Beside a chip whose counts of temperature nobody explains."""
+    degc = warming(tmp_path)
+    more = '[[thermometer]]\nname = "Baro"\ncolumn = "degc"\nunit = "degC"\n'
+    with open_log(imported(tmp_path, more, 'temperature_column = "code"\n')) as log:
+        like = LikeLog(log)
+        assert like.temperature_source == "chip"
+        times_ns = np.array([300, 900], np.int64) * 10**9
+        np.testing.assert_allclose(like.felt(times_ns).temperature_degc, degc[[3000, 9000]], atol=0.3)
 
 
 @pytest.mark.slow
