@@ -87,22 +87,22 @@ def validate(
     imuarray gap validate --size glance -o checked
     """
     from imuarray.validation.case_folder import cases_in
-    from imuarray.validation.plans import SIZES, cases, shuffled
+    from imuarray.validation.plans import SIZES, cases, shuffle
 
     planned = cases(cast("Half", half), SIZES[size], seed)
-    planned = shuffled([*planned, *cases_in(folders, cast("Half", half), len(planned))], seed)
+    planned = shuffle([*planned, *cases_in(folders, cast("Half", half), len(planned))], seed)
     if not planned:
         raise click.UsageError("--size none: --cases FOLDER is wanted with it")
-    told = [folder.name for folder in folders]
+    names = [folder.name for folder in folders]
     if not score_only:
         plan = {"half": half, "size": size, "seed": seed, "cases": len(planned)}
-        _begin(output, {**plan, "folders": told} if told else plan)
+        _begin(output, {**plan, "folders": names} if names else plan)
         _run(output, planned, where, workers, again)
-    found = _scored(output, planned)
-    words = " ".join(f"--cases {name}" for name in told) + " " * bool(told)
-    _write(output, found, f"imuarray gap validate --half {half} --size {size} --seed {seed} {words}-o {output.name}")
-    _say(found, as_json)
-    if any(row.is_refuted for row in found.failed):
+    figures = _scored(output, planned)
+    words = " ".join(f"--cases {name}" for name in names) + " " * bool(names)
+    _write(output, figures, f"imuarray gap validate --half {half} --size {size} --seed {seed} {words}-o {output.name}")
+    _say(figures, as_json)
+    if any(row.is_refuted for row in figures.failed):
         raise click.exceptions.Exit(1)
 
 
@@ -112,9 +112,9 @@ def _begin(folder: Path, plan: dict[str, Any]) -> None:
 
     from imuarray.errors import ConfigError
     from imuarray.validation.case import write_json
-    from imuarray.validation.thresholds import frozen
+    from imuarray.validation.thresholds import frozen_thresholds
 
-    wanted = {**plan, "frozen": frozen()}
+    wanted = {**plan, "frozen": frozen_thresholds()}
     path = folder / "plan.json"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -128,10 +128,10 @@ def _begin(folder: Path, plan: dict[str, Any]) -> None:
 
 def _run(folder: Path, planned: list[Any], where: str, workers: int, again: bool) -> None:
     from imuarray.validation.running import executor_of, run_cases
-    from imuarray.validation.trial import tried
+    from imuarray.validation.trial import diagnose_case
 
     with executor_of(where, workers) as executor, progress(len(planned), "cases") as tell:
-        ran = run_cases(planned, folder, tried, executor, again=again, progress=tell)
+        ran = run_cases(planned, folder, diagnose_case, executor, again=again, progress=tell)
     for name in (*ran.failed, *ran.lost):
         click.echo(f"{folder}/outcomes/{name}.json: failed; --again tries it once more", err=True)
 
@@ -143,7 +143,7 @@ def _scored(folder: Path, planned: list[Any]) -> Figures:
     return score_folder(folder, hidden=HIDDEN, planned=planned, sensors=CHIPS)
 
 
-def _write(folder: Path, found: Figures, command: str) -> None:
+def _write(folder: Path, figures: Figures, command: str) -> None:
     from imuarray.errors import MissingExtraError
     from imuarray.report.validation_figures import plots_of
     from imuarray.report.validation_page import write_validation_page
@@ -151,23 +151,23 @@ def _write(folder: Path, found: Figures, command: str) -> None:
     from imuarray.validation.case import write_json
     from imuarray.validation.scoring import as_json
 
-    write_json(folder / "figures.json", as_json(found))
-    plots = plots_of(found) if find_spec("matplotlib") else {}
+    write_json(folder / "figures.json", as_json(figures))
+    plots = plots_of(figures) if find_spec("matplotlib") else {}
     for name, plot in plots.items():
         save_figure(folder / f"{name}.svg", plot, metadata={"Date": None})
     files = {name.replace("-", " "): f"{name}.svg" for name in plots}
-    write_text(folder / "results.md", markdown(found, date.today().isoformat(), command, files), force=True)
+    write_text(folder / "results.md", markdown(figures, date.today().isoformat(), command, files), force=True)
     try:
-        write_validation_page(folder / "results.html", found, command=command, plots=plots, force=True)
+        write_validation_page(folder / "results.html", figures, command=command, plots=plots, force=True)
     except MissingExtraError as error:
         click.echo(f"{folder}: figures.json and results.md only; the page: {error}", err=True)
 
 
-def _say(found: Figures, as_json: bool) -> None:
+def _say(figures: Figures, as_json: bool) -> None:
     from imuarray.validation.scoring import as_json as table_of
-    from imuarray.validation.scoring import text_of
+    from imuarray.validation.scoring import format_text
 
     if as_json:
-        print_json(table_of(found))
+        print_json(table_of(figures))
     else:
-        click.echo(text_of(found), nl=False)
+        click.echo(format_text(figures), nl=False)

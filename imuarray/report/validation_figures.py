@@ -41,8 +41,8 @@ _LEAST_CLOSED = -0.25
 def plots_of(figures: Figures) -> dict[str, Figure]:
     """All that there is to draw of a run, by names for files."""
     alarms = [row for row in figures.rows if row.name.startswith("false alarms") and row.cases]
-    filled = [one for one in figures.reliability if one.cases]
-    known = [one for one in figures.closures if isfinite(one.claimed)]
+    filled = [item for item in figures.reliability if item.cases]
+    known = [item for item in figures.closures if isfinite(item.claimed)]
     plots = {
         "false-alarms": alarms_figure(alarms) if alarms else None,
         "detection": detection_figure(figures.curves) if figures.curves else None,
@@ -77,12 +77,17 @@ def detection_figure(curves: Sequence[Curve]) -> Figure:
     for number, curve in enumerate(curves):
         shift = np.exp(_SPREAD * (number - (len(curves) - 1) / 2))
         places = np.array([limits for limits, _ in curve.points]) * shift
-        found = np.array([(one.value, one.value - one.low, one.high - one.value) for _, one in curve.points])
+        shares = np.array(
+            [
+                (estimate.value, estimate.value - estimate.low, estimate.high - estimate.value)
+                for _, estimate in curve.points
+            ]
+        )
         colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
         drawn = panel.errorbar(
             places,
-            found[:, 0],
-            yerr=np.maximum(found[:, 1:].T, 0),
+            shares[:, 0],
+            yerr=np.maximum(shares[:, 1:].T, 0),
             color=colour,
             marker=marker,
             markersize=4.5,
@@ -134,12 +139,12 @@ def reliability_figure(bins: Sequence[Bin]) -> Figure:
     """The share of causes that are right against the probability that was said; numbers are causes."""
     figure, panel = sheet(NARROW, 4.4)
     panel.plot([0, 1], [0, 1], color=_GREY, linewidth=1, linestyle="--", label="as said")
-    filled = [one for one in bins if one.cases]
-    for one in filled:
-        found = rate(round(one.right * one.cases), one.cases)
-        reach = np.maximum([[found.value - found.low], [found.high - found.value]], 0)
-        panel.errorbar(one.mean, one.right, yerr=reach, color=_BLUE, marker="o", markersize=5, capsize=2.5)
-        panel.annotate(str(one.cases), (one.mean, one.right), (6, 4), textcoords="offset points", fontsize=7.5)
+    filled = [bin_ for bin_ in bins if bin_.cases]
+    for bin_ in filled:
+        estimate = rate(round(bin_.right * bin_.cases), bin_.cases)
+        reach = np.maximum([[estimate.value - estimate.low], [estimate.high - estimate.value]], 0)
+        panel.errorbar(bin_.mean, bin_.right, yerr=reach, color=_BLUE, marker="o", markersize=5, capsize=2.5)
+        panel.annotate(str(bin_.cases), (bin_.mean, bin_.right), (6, 4), textcoords="offset points", fontsize=7.5)
     panel.set(xlim=(-0.02, 1.06), ylim=(-0.04, 1.06), aspect="equal")
     panel.set_xlabel("probability said")
     panel.set_ylabel("share of causes that are right")
@@ -153,8 +158,8 @@ def closure_figure(closures: Sequence[Closure]) -> Figure:
     ends = np.array([_LEAST_CLOSED, 1.0])
     panel.fill_between(ends, ends - WITHIN, ends + WITHIN, color=_BAND, label=f"within {WITHIN}")
     for is_right, colour, marker, label in ((False, _RED, "x", "wrong cause first"), (True, _BLUE, "o", "right")):
-        own = [one for one in closures if one.is_right == is_right and isfinite(one.claimed)]
-        places = np.array([(one.oracle, one.claimed) for one in own]).reshape(-1, 2)
+        own = [closure for closure in closures if closure.is_right == is_right and isfinite(closure.claimed)]
+        places = np.array([(closure.oracle, closure.claimed) for closure in own]).reshape(-1, 2)
         x, y = np.maximum(places, _LEAST_CLOSED).T
         panel.scatter(x, y, s=14, color=colour, marker=marker, linewidth=0.8, alpha=0.7, label=label)
     panel.set(xlim=(_LEAST_CLOSED - 0.03, 1.05), ylim=(_LEAST_CLOSED - 0.03, 1.05), aspect="equal")
@@ -165,9 +170,9 @@ def closure_figure(closures: Sequence[Closure]) -> Figure:
     return figure
 
 
-def _whisker(panel: Axes, found: Estimate, place: float, colour: str) -> None:
+def _whisker(panel: Axes, estimate: Estimate, place: float, colour: str) -> None:
     """A share in percent, lying."""
-    if not found.cases:
+    if not estimate.cases:
         return
-    reach = 100 * np.maximum([[found.value - found.low], [found.high - found.value]], 0)
-    panel.errorbar(100 * found.value, place, xerr=reach, color=colour, marker="o", markersize=5, capsize=3)
+    reach = 100 * np.maximum([[estimate.value - estimate.low], [estimate.high - estimate.value]], 0)
+    panel.errorbar(100 * estimate.value, place, xerr=reach, color=colour, marker="o", markersize=5, capsize=3)

@@ -17,7 +17,7 @@ from imuarray.report.validation_words import failing_rows, frozen_text, plain_te
 from imuarray.validation.rates import Bin
 from imuarray.validation.score_answers import NO_GAP
 from imuarray.validation.score_rows import Row
-from imuarray.validation.scoring import Figures, decimal, lost_by, texts
+from imuarray.validation.scoring import Figures, decimal, format_row, lost_by
 
 NO_FIGURES = "No figures on this page: they need matplotlib (pip install 'imuarray[report]')."
 Parts = list[Table | Figure]
@@ -63,13 +63,13 @@ def validation_sections(figures: Figures, plots: Plots, command: str = "") -> tu
 
 
 def _figures(figures: Figures) -> Section:
-    rows = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *texts(row)] for row in figures.rows]
+    rows = [[row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)] for row in figures.rows]
     heading = ["figure", "", "value", "95 %", "cases", "bar"]
     caption = "Marked where a bar is missed; n.a.: no cases; nothing: no bar."
-    counted = [[name, about] for about, name in _counted(figures).items()]
+    counted = [[name, about] for about, name in _names_by_meaning(figures).items()]
     words = "Each figure with its interval, the number of cases, and the bar that was set before."
-    told = Table(["figure", "what is counted"], counted, "What is counted.", (1,))
-    return Section("Figures and their bars", words, [Table(heading, rows, caption), *_by_plan(figures), told])
+    descriptions = Table(["figure", "what is counted"], counted, "What is counted.", (1,))
+    return Section("Figures and their bars", words, [Table(heading, rows, caption), *_by_plan(figures), descriptions])
 
 
 def _worlds(figures: Figures) -> Iterator[Section]:
@@ -79,14 +79,17 @@ def _worlds(figures: Figures) -> Iterator[Section]:
         heading = ["figure", *figures.worlds, "transfer gap"]
         caption = "In brackets the cases; the gap is what is lost from the first world to the worst of the others."
         parts.append(Table(heading, list(transfer_rows(figures)), caption))
-    for world, rows in figures.elsewhere.items():
-        told = [
-            [row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *texts(row)] for row in rows if row.cases
+    for world, world_rows in figures.elsewhere.items():
+        cells = [
+            [row.name, marked("FAIL") if row.mark == "FAIL" else row.mark, *format_row(row)]
+            for row in world_rows
+            if row.cases
         ]
-        parts.append(Table(["figure", "", "value", "95 %", "cases", "bar"], told, f"World: {world}."))
+        parts.append(Table(["figure", "", "value", "95 %", "cases", "bar"], cells, f"World: {world}."))
     if figures.left_out:
         rows_of = [
-            [one.part, one.figure, decimal(one.value), decimal(one.others), str(one.cases)] for one in figures.left_out
+            [part.part, part.figure, decimal(part.value), decimal(part.others), str(part.cases)]
+            for part in figures.left_out
         ]
         caption = "The cases with a chip or an experiment, and all others."
         parts.append(Table(["part", "figure", "with it", "without it", "cases"], rows_of, caption, (1,)))
@@ -109,12 +112,12 @@ def _by_plan(figures: Figures) -> Iterator[Table]:
         yield Table(["figure", *plans], rows, "On each plan, in brackets the cases.")
 
 
-def _counted(figures: Figures) -> dict[str, str]:
+def _names_by_meaning(figures: Figures) -> dict[str, str]:
     """What is counted, and of which figures that is said."""
-    found: dict[str, list[str]] = {}
+    names_by_meaning: dict[str, list[str]] = {}
     for row in figures.rows:
-        found.setdefault(row.about, []).append(row.name)
-    return {about: "; ".join(names) for about, names in found.items()}
+        names_by_meaning.setdefault(row.about, []).append(row.name)
+    return {about: "; ".join(names) for about, names in names_by_meaning.items()}
 
 
 def _missed(figures: Figures) -> Section:
@@ -135,11 +138,11 @@ def _alarms(figures: Figures, plots: Plots) -> Section:
     known = [row for row in rows if row.cases]
     parts: Parts = []
     if "false-alarms" in plots:
-        told = ", ".join(f"{_plan_of(row)} {share(row.value)}" for row in known)
+        listed = ", ".join(f"{_plan_of(row)} {share(row.value)}" for row in known)
         caption = "Cases without anything wrong in which a gap is told; in brackets how many cases there are."
-        parts.append(SmallFigure(plots["false-alarms"], caption, f"{caption} {told}."))
+        parts.append(SmallFigure(plots["false-alarms"], caption, f"{caption} {listed}."))
     words = "Nothing is wrong with these cases, and one in twenty may be told to have a gap."
-    cells = [[_plan_of(row), *texts(row)] for row in rows]
+    cells = [[_plan_of(row), *format_row(row)] for row in rows]
     table = Table(["plan", "value", "95 %", "cases", "bar"], cells, "Share of cases in which a gap is told.")
     return Section("False alarms", words, [*parts, table])
 
@@ -159,7 +162,7 @@ def _detection(figures: Figures, plots: Plots) -> Section:
         return Section("Detection", "No cases of a single mechanism.")
     parts: Parts = []
     if "detection" in plots:
-        whole = ", ".join(f"{limits:g} limits {share(found.value)}" for limits, found in curves[0].points)
+        whole = ", ".join(f"{limits:g} limits {share(estimate.value)}" for limits, estimate in curves[0].points)
         caption = "Share of cases in which a gap is told, against severity; grey: the bars at 2 and 5 limits."
         parts.append(SmallFigure(plots["detection"], caption, f"{caption} All plans: {whole}."))
     rows = [
@@ -177,10 +180,10 @@ def _curve_table(figures: Figures) -> Table:
     limits = sorted({limits for curve in figures.curves for limits, _ in curve.points})
     rows = []
     for curve in figures.curves:
-        found = dict(curve.points)
-        cells = [found.get(one) for one in limits]
-        rows.append([curve.plan, *(f"{decimal(one.value)} ({one.cases})" if one else "–" for one in cells)])
-    return Table(["plan", *(f"{one:g}x" for one in limits)], rows, "Share detected, in brackets the cases.")
+        points = dict(curve.points)
+        cells = [points.get(limits) for limits in limits]
+        rows.append([curve.plan, *(f"{decimal(limits.value)} ({limits.cases})" if limits else "–" for limits in cells)])
+    return Table(["plan", *(f"{limits:g}x" for limits in limits)], rows, "Share detected, in brackets the cases.")
 
 
 def _causes(figures: Figures, plots: Plots) -> Section:
@@ -194,8 +197,8 @@ def _causes(figures: Figures, plots: Plots) -> Section:
             "What was at work (rows) against the first cause said (columns), all severities; numbers are cases, colour "
             "is the share of the row, red frames are what is right: for what has no name, that none is said."
         )
-        told = "; ".join(f"{truth} taken for {said}: {count}" for truth, said, count in wrong[:5])
-        parts.append(Figure(plots["causes"], caption, f"{caption} Most often wrong: {told}."))
+        listed = "; ".join(f"{truth} taken for {said}: {count}" for truth, said, count in wrong[:5])
+        parts.append(Figure(plots["causes"], caption, f"{caption} Most often wrong: {listed}."))
     if wrong:
         caption = f"The most frequent confusions of {len(wrong)}; cases in which no gap is told are not among them."
         parts.append(Table(["at work", "first cause said", "cases"], wrong[:20], caption, (1,)))
@@ -206,43 +209,43 @@ def _causes(figures: Figures, plots: Plots) -> Section:
 def _taken_for(figures: Figures) -> list[tuple[str, str, str]]:
     """Truth, what was said instead, how often; the most frequent first."""
     confusion = figures.confusion
-    found = [
+    confusions = [
         (count, truth, said)
         for truth, counts, right in zip(confusion.truths, confusion.counts, confusion.right, strict=True)
         for said, count, is_right in zip(confusion.said, counts, right, strict=True)
         if count and not is_right and said != NO_GAP
     ]
-    return [(truth, said, str(count)) for count, truth, said in sorted(found, key=lambda one: -one[0])]
+    return [(truth, said, str(count)) for count, truth, said in sorted(confusions, key=lambda confusion: -confusion[0])]
 
 
 def _probabilities(figures: Figures, plots: Plots) -> Section:
-    filled = [one for one in figures.reliability if one.cases]
+    filled = [bin_ for bin_ in figures.reliability if bin_.cases]
     if not filled:
         return Section("Probabilities", "No cause was told.")
     caption = "Causes told, by their probability: as many should be right as it says. Numbers are causes."
-    told = "; ".join(f"{_bin_name(one)}: {decimal(one.right)} of {one.cases}" for one in filled)
-    parts: Parts = [SmallFigure(plots["probabilities"], caption, f"{caption} {told}.")] if plots else []
-    rows = [[_bin_name(one), decimal(one.mean), decimal(one.right), str(one.cases)] for one in filled]
+    listed = "; ".join(f"{_bin_name(bin_)}: {decimal(bin_.right)} of {bin_.cases}" for bin_ in filled)
+    parts: Parts = [SmallFigure(plots["probabilities"], caption, f"{caption} {listed}.")] if plots else []
+    rows = [[_bin_name(bin_), decimal(bin_.mean), decimal(bin_.right), str(bin_.cases)] for bin_ in filled]
     table = Table(["probability", "mean", "right", "causes"], rows, "Probabilities said, and what came true.")
     words = "Every cause that was told, in cases of one mechanism, two or none."
     return Section("Probabilities", words, [*parts, table])
 
 
-def _bin_name(one: Bin) -> str:
-    return f"{one.low:g} to {one.high:g}"
+def _bin_name(bin_: Bin) -> str:
+    return f"{bin_.low:g} to {bin_.high:g}"
 
 
 def _closure(figures: Figures, plots: Plots) -> Section:
-    known = [one for one in figures.closures if isfinite(one.claimed)]
+    known = [closure for closure in figures.closures if isfinite(closure.claimed)]
     silent = len(figures.closures) - len(known)
     words = "The share of the gap that goes with the causes said, against that of an oracle who is told the effects."
     words += f" In {silent} cases nothing was said, though the oracle could." if silent else ""
     if not known:
         return Section("Closure", f"{words} No cases.")
     caption = "A point a case; grey: near enough."
-    told = f"{caption} {sum(one.is_right for one in known)} with the right cause first, {len(known)} in all."
-    parts: Parts = [SmallFigure(plots["closure"], caption, told)] if plots else []
-    rows = [[row.name, *texts(row)] for row in figures.rows if "closure" in row.name]
+    summary = f"{caption} {sum(closure.is_right for closure in known)} with the right cause first, {len(known)} in all."
+    parts: Parts = [SmallFigure(plots["closure"], caption, summary)] if plots else []
+    rows = [[row.name, *format_row(row)] for row in figures.rows if "closure" in row.name]
     return Section("Closure", words, [*parts, Table(["figure", "value", "95 %", "cases", "bar"], rows, "Closure.")])
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from imuarray.validation.scoring import HEADLINE, MOST_CELLS, Figures, decimal, lost_by, texts, transfer_line
+from imuarray.validation.scoring import HEADLINE, MOST_CELLS, Figures, decimal, format_row, lost_by, transfer_line
 
 
 def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str, str] = MappingProxyType({})) -> str:
@@ -20,7 +20,7 @@ def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str,
     lines += ["", "| | figure | value | 95 % | cases | bar |", "|---|---|---|---|---|---|"]
     for row in figures.rows:
         mark = "**FAIL**" if row.mark == "FAIL" else row.mark
-        lines.append("| " + " | ".join([mark, *map(_cell, (row.name, *texts(row)))]) + " |")
+        lines.append("| " + " | ".join([mark, *map(_cell, (row.name, *format_row(row)))]) + " |")
     for world, rows in figures.elsewhere.items():
         lines += [
             "",
@@ -30,7 +30,7 @@ def markdown(figures: Figures, date: str, command: str = "", plots: Mapping[str,
             "|---|---|---|---|---|---|",
         ]
         lines += [
-            "| " + " | ".join([row.mark, *map(_cell, (row.name, *texts(row)))]) + " |" for row in rows if row.cases
+            "| " + " | ".join([row.mark, *map(_cell, (row.name, *format_row(row)))]) + " |" for row in rows if row.cases
         ]
     if figures.transfers:
         lines += ["", "| figure | " + " | ".join(map(_cell, figures.worlds)) + " | transfer gap |"]
@@ -57,9 +57,9 @@ def summary_lines(figures: Figures) -> Iterator[str]:
         yield f"Missed, but the interval reaches the bar: {'; '.join(maybe)}."
     if bare:
         yield f"No cases for: {'; '.join(bare)}."
-    for one in figures.transfers:
-        if one.name == HEADLINE:
-            yield f"{transfer_line(one).capitalize()}."
+    for transfer in figures.transfers:
+        if transfer.name == HEADLINE:
+            yield f"{transfer_line(transfer).capitalize()}."
     by_reason = "; ".join(f"{name}: {count}" for name, count in lost_by(figures.lost).items())
     yield f"{figures.cases} cases, {len(figures.lost)} of them lost{f' ({by_reason})' if by_reason else ''}."
     judged_on = f"the plan {figures.full!r}" if figures.full else "all plans"
@@ -69,10 +69,10 @@ def summary_lines(figures: Figures) -> Iterator[str]:
 
 def transfer_rows(figures: Figures) -> Iterator[list[str]]:
     """Each figure that several worlds have: its value in each, in brackets the cases, and what is lost."""
-    for one in figures.transfers:
-        cells = [one.rows.get(world) for world in figures.worlds]
+    for transfer in figures.transfers:
+        cells = [transfer.rows.get(world) for world in figures.worlds]
         values = [f"{decimal(row.value)} ({row.cases})" if row else "–" for row in cells]
-        yield [one.name, *values, decimal(one.lost)]
+        yield [transfer.name, *values, decimal(transfer.lost)]
 
 
 def failing_rows(figures: Figures) -> Iterator[list[str]]:
@@ -81,9 +81,9 @@ def failing_rows(figures: Figures) -> Iterator[list[str]]:
     """
     for row in figures.failed:
         failing = row.failing()
-        yield [row.name, "all", *texts(row)[:3]]
+        yield [row.name, "all", *format_row(row)[:3]]
         for cell in failing[:MOST_CELLS]:
-            yield [row.name, f"{cell.group} {cell.name}", *texts(cell)[:3]]
+            yield [row.name, f"{cell.group} {cell.name}", *format_row(cell)[:3]]
         if len(failing) > MOST_CELLS:
             yield [row.name, f"and {len(failing) - MOST_CELLS} more", "", "", ""]
 

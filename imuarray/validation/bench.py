@@ -1,8 +1,8 @@
-"""The fixed plans of the emulated bench: which sensors are read, what is recorded, what that can't show, and the
-severity at which the full plan just shows a mechanism.
+"""The fixed plans of the emulated bench: the sensors, the experiments, the effects that an experiment cannot show, and
+the severity at which the full plan just shows a mechanism.
 
 The limits were measured on development seeds in November 2026. A random world has limits of its own
-(`imuarray.validation.severity`); for these they are where the search begins.
+(`imuarray.validation.severity`); for these the values below are where the search starts.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ ARRAY = "martin2013"
 CHIPS: Mapping[str, str] = MappingProxyType(
     {"ADXL1": "adxl345", "BMA1": "bma180", "BMA3": "bma180", "Gyro1": "l3g4200d", "Gyro3": "l3g4200d"}
 )
-"""The array that is emulated, and those of its sensors that are read: twins at one address of two segments, and
-another accelerometer."""
+"""The emulated array and the sensors that are read: twins at one address of two segments, and another accelerometer."""
 
 PLANS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -27,16 +26,16 @@ PLANS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "full": ("static", "tumble", "heating", "turn-on", "motion"),
     }
 )
-"""What is recorded: experiments of the emulator's bench."""
+"""The experiments of each plan, as the emulator's bench names them."""
 
 FULL = "full"
-"""The plan of all cases but controls, and of those that show what a shorter one can't."""
+"""The plan of all cases except controls and those that demonstrate what a shorter plan cannot show."""
 
 AT_ONE_TEMPERATURE = ("thermal_bias", "thermal_scale", "thermal_lag")
 IN_ONE_ATTITUDE = ("scale", "misalignment", "nonlinearity", "g_sensitivity", "saturation", "clock_error")
 AT_REST = ("skew", "size_effect")
 IN_ONE_BOOT = ("bias", "turn_on_bias", "bistable_bias")
-"""Effects by what hides them."""
+"""Effects grouped by the condition that hides them."""
 
 HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
     {
@@ -46,11 +45,11 @@ HIDDEN: Mapping[str, frozenset[str]] = MappingProxyType(
         "turn-on": frozenset((*AT_ONE_TEMPERATURE, *IN_ONE_ATTITUDE, *AT_REST)),
     }
 )
-"""Effects that a plan can't show, by what they need: another temperature, face or boot, or motion.
+"""The effects that a plan cannot show, by what they need: another temperature, face or boot, or motion.
 
-What was measured to show is not among them (mechanisms at 5 limits, development seeds): a host that comes late shows in
-the repeats of gyroscopes that keep their own time, a clock that is off by when the box is turned, and an output stage
-that gives out on the face on which it does.
+Effects that were measured to show are not listed (mechanisms at 5 limits, development seeds): host latency shows in the
+repeated readings of gyroscopes with their own clock, a clock error in when the box is turned, and clipping on the face
+on which it occurs.
 """
 
 LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
@@ -99,15 +98,15 @@ LIMITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "mux_hang": {"": 0.016},
     }
 )
-"""On one sensor of each chip that it can be put on, or wherever it goes (""). 0.016 is the least and nan stands for
-more than the greatest that was tried, 1/64 and 64; what isn't here is there or not.
+"""Detection limits on one sensor of each chip that has the mechanism, or wherever it acts (""). The search covered 1/64
+to 64: 0.016 is the smallest value, nan means more than the largest. Mechanisms that are not listed have no size.
 """
 
 
 def limit(mechanism: str, chip: str = "") -> float:
-    """Of a mechanism on a sensor of that chip ("": wherever it goes), nan if it never shows; 1.0 for one that is not in
-    the table.
+    """Return the detection limit of a mechanism on a sensor of a chip ("": on whatever it affects). nan if the
+    mechanism never shows; 1.0 if it is not in the table.
     """
-    found = LIMITS.get(mechanism, {})
-    twin = next((name for name in found if name and CHIPS[name] == chip), "")
-    return found.get(twin, next(iter(found.values()), 1.0))
+    limits = LIMITS.get(mechanism, {})
+    twin = next((name for name in limits if name and CHIPS[name] == chip), "")
+    return limits.get(twin, next(iter(limits.values()), 1.0))

@@ -1,7 +1,7 @@
-"""A case: what is recorded with what at work in it, how it is diagnosed, and what came of that.
+"""A case of the validation: what is recorded, which mechanisms are active in it, and the outcome of its diagnosis.
 
-A case is made of its number's seed alone, so that it can be made anew anywhere. Its logs and the diagnosis lie in one
-folder, under a name that tells nothing; what was at work in it lies in another, which the scorer alone opens.
+A case depends on its seed alone, so it can be made again anywhere. Its logs and its diagnosis are in one folder under a
+neutral name; the truth is in another folder, which only the scorer opens.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from imuarray.atomic import write_text
 
 Half = Literal["development", "sealed"]
 Kind = Literal["none", "single", "withheld", "unnamed", "pair", "removal"]
-"""Nothing is wrong; one mechanism that the library of causes names; one whose names are withheld from the library; one
-that no effect names; two at once; the model has an effect that the sensors have not.
+"""No mechanism; one mechanism that the library of causes names; one whose names are withheld from the library; one that
+no effect describes; two mechanisms; an effect that only the model has.
 """
 
 
 @dataclass(frozen=True)
 class Put:
-    """A mechanism put on sensors (none named: wherever it can be), `severity` in units of its reference size and
-    `limits` in detection limits (nan: it is there or not, however severe).
+    """A mechanism placed on sensors (none named: wherever it acts). `severity` is in units of its reference size,
+    `limits` in detection limits (nan if the mechanism has no size).
     """
 
     mechanism: str
@@ -35,15 +35,15 @@ class Put:
 
 @dataclass(frozen=True)
 class Case:
-    """One case: its `number` within a half; `plan` names what is recorded (`PLANS`, or the experiments of a world),
-    `puts` what is at work, `seed` draws units, noise and chance. `without` are effects withheld from the library of
-    causes, `extra` is a table of one effect that the model has besides, `resembles` what each of `puts` may rightly be
-    called.
+    """One case. `number` counts within a half; `plan` names what is recorded (`PLANS`, or the experiments of a world);
+    `puts` are the active mechanisms; `seed` draws units, noise and events. `without` are effects withheld from the
+    library of causes, `extra` is the table of an effect that only the model has, and `resembles` lists the correct
+    effect names of each of `puts`.
 
-    `world` says who made it: "" the fixed plans of the emulated bench, "emulator" a random world, drawn of the seed
-    `draw`, else what the folder `source` says from which it was read. `is_hidden`: the plan can't show it. `chips` says
-    which chip a sensor is, `strata` what a judge may want apart; `control` names the same recording before something
-    was put into it.
+    `world` names the origin: "" for the fixed plans of the emulated bench, "emulator" for a random world drawn from the
+    seed `draw`, otherwise the name given in the folder `source`. `is_hidden`: the plan cannot show the mechanism.
+    `chips` maps sensors to chips, `strata` are properties by which figures are broken down, and `control` names the
+    case with the same recording before the injection.
     """
 
     number: int
@@ -65,16 +65,16 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Of its files; tells nothing."""
+        """The name of its files, which reveals nothing about its truth."""
         return f"{self.half}-{self.number:05d}"
 
     def table(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """Return the case as a JSON table."""
         return asdict(self)
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Case:
-        """The case of such a table."""
+        """Return the case of such a table."""
         puts = tuple(Put(**{**put, "sensors": tuple(put["sensors"])}) for put in table["puts"])
         resembles = tuple(tuple(names) for names in table["resembles"])
         return cls(**{**table, "puts": puts, "resembles": resembles, "without": tuple(table["without"])})
@@ -82,9 +82,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case. `diagnosis` is the JSON of the blind diagnosis; `oracle` the share of the gap closed with
-    its interval, of somebody who is told the effects ({} if there are none to tell); `error` is what went wrong, ""
-    if nothing did; `seconds` it took.
+    """The outcome of a case. `diagnosis` is the JSON of the blind diagnosis; `oracle` holds the share of the gap
+    closed, and its interval, by a diagnosis that knows the effects ({} without effects); `error` is the error message,
+    "" without one; `seconds` is the processing time.
     """
 
     name: str
@@ -95,5 +95,5 @@ class Outcome:
 
 
 def write_json(path: Path, table: Any) -> None:
-    """Whole or not at all: a file with this name is complete."""
+    """Write the file completely or not at all: an existing file is complete."""
     write_text(path, json.dumps(table, indent=1) + "\n", force=True)

@@ -37,28 +37,28 @@ from imuarray.validation.case import Case, Half, Kind, Put, write_json
 FOREIGN = "foreign"
 SEALED = "sealed"
 NUISANCES = frozenset({"thermometer", "own_clock"})
-"""Names of the vocabulary that no diagnosis gives to a cause."""
+"""Effect names that a diagnosis never reports as causes."""
 
 _KINDS = ("control", "effect", "unknown", "pair")
 
 
 def cases_in(folders: Sequence[Path], half: Half, first: int) -> list[Case]:
-    """The cases of these folders, numbered from `first` on; of their truth nothing is read. ConfigError for a folder
-    without cases.
+    """Return the cases of these folders, numbered from `first` on, without reading their truth. ConfigError for a
+    folder without cases.
     """
-    found: list[Case] = []
+    cases: list[Case] = []
     for folder in folders:
         places = _places(folder)
         if not places:
             raise ConfigError(f"{folder}: no cases: NAME/*.h5 beside {SEALED}/NAME.json are wanted")
-        for number, place in enumerate(places, first + len(found)):
-            found.append(Case(number, half, "none", "", (), number, world=FOREIGN, source=str(place.resolve())))
-    return found
+        for number, place in enumerate(places, first + len(cases)):
+            cases.append(Case(number, half, "none", "", (), number, world=FOREIGN, source=str(place.resolve())))
+    return cases
 
 
 def read_case(case: Case) -> tuple[Case, list[Path], dict[str, Any]]:
-    """With all that its truth says, its logs, and the truth, whose "mechanisms" are its effects. ConfigError for a
-    truth that isn't one.
+    """Return the case completed from its truth, its logs, and the truth with its effects under "mechanisms".
+    ConfigError for an invalid truth.
     """
     place = Path(case.source)
     path = place.parent / SEALED / f"{place.name}.json"
@@ -66,20 +66,25 @@ def read_case(case: Case) -> tuple[Case, list[Path], dict[str, Any]]:
     logs = sorted(place.glob("*.h5"))
     if not logs:
         raise ConfigError(f"{place}: no logs")
-    effects = [one for one in truth["effects"] if not set(_names(one)) <= NUISANCES or not _names(one)]
-    resembles = tuple(tuple(name for name in _names(one) if name in CANDIDATES) for one in effects)
+    effects = [effect for effect in truth["effects"] if not set(_names(effect)) <= NUISANCES or not _names(effect)]
+    resembles = tuple(tuple(name for name in _names(effect) if name in CANDIDATES) for effect in effects)
     mechanisms = [
         {
-            "mechanism": one["effect"],
-            "sensors": list(one["sensors"]),
-            "parameters": {"axes": list(one.get("axes") or ())} if len(one.get("axes") or ()) < 3 else {},
+            "mechanism": effect["effect"],
+            "sensors": list(effect["sensors"]),
+            "parameters": {"axes": list(effect.get("axes") or ())} if len(effect.get("axes") or ()) < 3 else {},
             "resembles": list(names),
         }
-        for one, names in zip(effects, resembles, strict=True)
+        for effect, names in zip(effects, resembles, strict=True)
     ]
     puts = tuple(
-        Put(one["effect"], nan, nan if one.get("severity") is None else float(one["severity"]), tuple(one["sensors"]))
-        for one in effects
+        Put(
+            effect["effect"],
+            nan,
+            nan if effect.get("severity") is None else float(effect["severity"]),
+            tuple(effect["sensors"]),
+        )
+        for effect in effects
     )
     control = truth.get("control")
     completed = replace(
@@ -97,7 +102,7 @@ def read_case(case: Case) -> tuple[Case, list[Path], dict[str, Any]]:
 
 
 def write_truth(folder: Path, name: str, truth: Mapping[str, Any]) -> None:
-    """Beside the logs of the case of that name; ConfigError if it isn't a truth."""
+    """Write the truth of the case of that name; ConfigError if it is invalid."""
     _checked(truth, str(folder / SEALED / name))
     (folder / SEALED).mkdir(parents=True, exist_ok=True)
     write_json(folder / SEALED / f"{name}.json", truth)
@@ -125,10 +130,10 @@ def _problems(table: Any) -> Iterator[str]:
     if not isinstance(effects, list):
         yield "effects is no list"
         return
-    for one in effects:
-        if not isinstance(one, Mapping) or not isinstance(one.get("effect"), str) or "sensors" not in one:
+    for effect in effects:
+        if not isinstance(effect, Mapping) or not isinstance(effect.get("effect"), str) or "sensors" not in effect:
             yield "an effect has an effect, a design_name and sensors"
-        elif unknown := sorted(set(_names(one)) - set(CANDIDATES) - NUISANCES):
+        elif unknown := sorted(set(_names(effect)) - set(CANDIDATES) - NUISANCES):
             yield f"effect {unknown[0]!r}: allowed are {', '.join(CANDIDATES)}, or null"
 
 
@@ -138,7 +143,7 @@ def _names(effect: Mapping[str, Any]) -> list[str]:
 
 
 def _kind(resembles: Sequence[Sequence[str]]) -> Kind:
-    """By whether effects have names."""
+    """Return the kind of a case from the library names of its effects."""
     if not resembles:
         return "none"
     if len(resembles) > 1:
@@ -147,13 +152,15 @@ def _kind(resembles: Sequence[Sequence[str]]) -> Kind:
 
 
 def _control(case: Case, place: Path, name: str) -> str:
-    """The name of the control's case, which stands in the same folder."""
-    names = [one.name for one in _places(place.parent)]
+    """Return the name of the control case, which is in the same folder."""
+    names = [path.name for path in _places(place.parent)]
     if name not in names:
         raise ConfigError(f"{place}: no case {name!r} beside it, which is said to be its control")
     return replace(case, number=case.number + names.index(name) - names.index(place.name)).name
 
 
 def _places(folder: Path) -> list[Path]:
-    """Of the cases that have a truth."""
-    return sorted(one for one in folder.glob("*") if one.is_dir() and (folder / SEALED / f"{one.name}.json").exists())
+    """Return the folders of the cases that have a truth."""
+    return sorted(
+        path for path in folder.glob("*") if path.is_dir() and (folder / SEALED / f"{path.name}.json").exists()
+    )

@@ -1,8 +1,8 @@
-"""Who works on cases: processes of this machine, or the workers of a Dask cluster.
+"""Executors for cases: processes of this machine, or the workers of a Dask cluster.
 
-Both tell in which case a worker died. A `ProcessPoolExecutor` can't: where one of its processes dies, all that was
-handed to it fails. So each process here is a pool of its own. A cluster's scheduler hands the cases of a lost worker to
-the next one by itself, and gives them up as Dask's `allowed-failures` says: by default when four died.
+Both report in which case a worker died. A `ProcessPoolExecutor` cannot: when one of its processes dies, all submitted
+calls fail. Each process here is therefore a pool of its own. A cluster's scheduler reassigns the cases of a lost worker
+and gives up after Dask's `allowed-failures`: by default at the fourth death.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ _CONNECT_S = 10.0
 
 
 class Workers(Protocol):
-    """An executor that knows how many calls it works on side by side, and tells that a worker died."""
+    """An executor that reports how many calls it runs in parallel, and that a worker died."""
 
     @property
     def places(self) -> int:
-        """So many calls are worked on at once, now; 0 if all have to wait."""
+        """The number of calls that run in parallel now; 0 if all have to wait."""
 
     @property
     def deaths(self) -> tuple[type[Exception], ...]:
-        """What a future raises whose worker died."""
+        """The exceptions that the future of a call raises when its worker died."""
 
     def submit(self, job: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """As `concurrent.futures.Executor.submit`."""
+        """Submit a call as `concurrent.futures.Executor.submit` does."""
 
 
 @contextmanager
 def executor_of(text: str, workers: int) -> Iterator[Workers]:
-    """The executor of a name: "processes", so many `workers` with one BLAS thread each, or a Dask scheduler's address,
-    "tcp://host:port", with all workers that it has.
+    """Return the executor of a name: "processes", with `workers` processes of one BLAS thread each, or a Dask
+    scheduler's address, "tcp://host:port", with all its workers.
 
-    A cluster's workers need this very version of the package and the same folder under the same path; one thread each
-    (`dask worker --nthreads 1`), since a death costs what all threads are at; and one BLAS thread, which is what Dask
-    gives them unless told --no-nanny. ConfigError for another text, MissingExtraError without Dask, ImuArrayError if no
-    scheduler answers.
+    A cluster's workers need this version of the package and the same folder under the same path; one thread each (`dask
+    worker --nthreads 1`), since a death costs the calls of all threads; and one BLAS thread, which is Dask's default
+    without --no-nanny. ConfigError for another text, MissingExtraError without Dask, ImuArrayError if no scheduler
+    answers.
     """
     if text == "processes":
         with Processes(workers) as here:
@@ -59,8 +59,8 @@ def executor_of(text: str, workers: int) -> Iterator[Workers]:
 
 
 class Processes(Executor):
-    """Processes with one BLAS thread each, started when they are needed; the place of one that died is filled again.
-    An exception in the manager's block, KeyboardInterrupt too, ends them at once.
+    """Processes with one BLAS thread each, started on demand; a process that dies is replaced. An exception in the
+    manager's block, including KeyboardInterrupt, ends them at once.
     """
 
     deaths = (BrokenExecutor,)
@@ -72,11 +72,11 @@ class Processes(Executor):
         self._pools: list[Pool] = []
 
     def submit(self, job: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
-        """To the next process that has nothing to do."""
+        """Submit a call to the next idle process."""
         return self._threads.submit(self._call, partial(job, *args, **named))
 
     def _call(self, job: Callable[[], Any]) -> Any:
-        """In the process of this thread."""
+        """Run the call in the process of this thread."""
         if getattr(self._own, "pool", None) is None:
             self._own.pool = processes(1)
             self._pools.append(self._own.pool)
@@ -87,7 +87,7 @@ class Processes(Executor):
             raise
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
-        """Waits for what was submitted, unless the block failed."""
+        """Wait for the submitted calls, unless the block failed."""
         if kind is not None:
             self._threads.shutdown(wait=False, cancel_futures=True)
             for pool in self._pools:
@@ -95,14 +95,14 @@ class Processes(Executor):
         self.shutdown()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """As an executor does: what was begun is finished."""
+        """Finish the calls that have started, as every executor does."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
         for pool in self._pools:
             pool.shutdown(wait, cancel_futures=cancel_futures)
 
 
 class Cluster:
-    """The workers of a Dask scheduler, by its `distributed.Client`."""
+    """The workers of a Dask scheduler, through its `distributed.Client`."""
 
     def __init__(self, client: Any) -> None:
         self.deaths: tuple[type[Exception], ...] = (import_module("distributed").KilledWorker,)
@@ -118,19 +118,19 @@ class Cluster:
             raise ImuArrayError(f"the scheduler is gone: {error}; the same again goes on") from None
 
     def submit(self, job: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """To the worker that the scheduler chooses, or to the first that comes."""
+        """Submit a call to the worker that the scheduler chooses."""
         future: Future[Any] = self._executor.submit(job, *args)
         return future
 
 
-class Here:
-    """This process, at once."""
+class InlineExecutor:
+    """An executor that runs each call at once in this process."""
 
     places = 1
     deaths = ()
 
     def submit(self, job: Callable[..., Any], /, *args: Any) -> Future[Any]:
-        """Done when it returns; what the call raises is raised here."""
+        """Run the call and return its completed future; an exception of the call is raised here."""
         future: Future[Any] = Future()
         future.set_result(job(*args))
         return future

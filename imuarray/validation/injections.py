@@ -1,10 +1,10 @@
-"""Real recordings as cases: an effect of known size put into a recorded log, the untouched log as control.
+"""Real recordings as cases: an effect of known size is injected into a recorded log; the unchanged log is the control.
 
     python -m imuarray.validation.injections RUN.h5... -o FOLDER --seed 1
 
-A recording that was made of real sensors has whatever it has; what was put into it is known. So a case counts as told
-rightly by what is said of it and not of its control. The folder is one of `imuarray.validation.case_folder`. Sizes are
-in detection limits as everywhere (`imuarray.validation.severity`).
+A recording of real sensors has unknown effects of its own; only the injected one is known. A case is therefore judged
+by the causes that are reported for it and not for its control. The folder is one of `imuarray.validation.case_folder`.
+Sizes are in detection limits as everywhere (`imuarray.validation.severity`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import click
@@ -27,19 +27,20 @@ import numpy as np
 from imuarray.arrays import Floats, Integers
 from imuarray.log import Log, open_log
 from imuarray.validation.case_folder import write_truth
-from imuarray.validation.severity import sized
+from imuarray.validation.severity import find_severity
 
 LIMITS = 5.0
-"""Detection limits of what is put in, unless another size is asked for."""
+"""Default size of an injected effect in detection limits."""
 WANDER_S = 30.0
-"""Correlation time of an offset that wanders."""
+"""Correlation time of a wandering offset."""
 
 
 @dataclass(frozen=True)
 class Injection:
-    """What can be put into a recording: `act` (times (n,) s since the log's first row, time (n,) ns, counts (n, 3),
-    axis, size, generator) -> rows kept, time, counts. `names` are what it may be called, `first` the size at which the
-    search for the limit begins, in counts if not said; 0: it is there or not.
+    """An effect that can be injected into a recording. `act` maps times (n,) s since the log's first row, time (n,) ns,
+    counts (n, 3), axis, size and generator to rows kept, time, counts. `names` are the correct effect names, `first`
+    the size at which the search for the detection limit starts, in counts unless `unit` says otherwise; 0 if the effect
+    has no size.
     """
 
     act: Callable[[Floats, Integers, Floats, int, float, np.random.Generator], tuple[Any, Integers, Floats]]
@@ -53,29 +54,29 @@ class Injection:
 def _wander(
     at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
 ) -> tuple[Any, Integers, Floats]:
-    """A first-order Gauss-Markov process of `size` counts rms."""
+    """Add a first-order Gauss-Markov process of `size` counts rms."""
     kept = np.exp(-np.diff(at_s, prepend=at_s[0]) / WANDER_S)
     steps = random.standard_normal(len(at_s)) * np.sqrt(1 - kept**2)
     path, value = np.empty(len(at_s)), float(random.standard_normal())
     for row, (share, step) in enumerate(zip(kept.tolist(), steps.tolist(), strict=True)):
         value = share * value + step
         path[row] = value
-    return slice(None), time, _with(counts, axis, size * path)
+    return slice(None), time, _add_to_axis(counts, axis, size * path)
 
 
 def _line(
     at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
 ) -> tuple[Any, Integers, Floats]:
-    """A sine of `size` counts between a tenth and nine tenths of half the rate."""
+    """Add a sine of `size` counts at a frequency between a tenth and nine tenths of the Nyquist frequency."""
     half_hz = 0.5 / float(np.median(np.diff(at_s)))
     hz, phase = random.uniform(0.1, 0.9) * half_hz, random.uniform(0, 2 * np.pi)
-    return slice(None), time, _with(counts, axis, size * np.sin(2 * np.pi * hz * at_s + phase))
+    return slice(None), time, _add_to_axis(counts, axis, size * np.sin(2 * np.pi * hz * at_s + phase))
 
 
 def _drop(
     at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
 ) -> tuple[Any, Integers, Floats]:
-    """So large a share of the rows never came."""
+    """Drop this share of the rows at random."""
     kept = random.random(len(at_s)) >= size
     return kept, time[kept], counts[kept]
 
@@ -83,7 +84,7 @@ def _drop(
 def _even(
     at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
 ) -> tuple[Any, Integers, Floats]:
-    """Codes in steps that are twice those of before."""
+    """Double the step between codes."""
     step = 2 * max(1, int(np.gcd.reduce(np.abs(counts - counts[0]).astype(int), axis=None)))
     return slice(None), time, np.round(counts / step) * step
 
@@ -91,14 +92,14 @@ def _even(
 def _clock(
     at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
 ) -> tuple[Any, Integers, Floats]:
-    """A clock that is fast by so large a share."""
+    """Make the clock fast by this share."""
     return slice(None), time[0] + np.round((time - time[0]) * (1 + size)).astype(np.int64), counts
 
 
 def _swap(
     at_s: Floats, time: Integers, counts: Floats, axis: int, size: float, random: np.random.Generator
 ) -> tuple[Any, Integers, Floats]:
-    """An axis with the next one, one of them with its sign turned."""
+    """Exchange an axis with the next one and reverse the sign of one of them."""
     other, swapped = (axis + 1) % 3, counts.copy()
     swapped[:, axis], swapped[:, other] = counts[:, other], -counts[:, axis]
     return slice(None), time, swapped
@@ -116,6 +117,15 @@ INJECTIONS: Mapping[str, Injection] = MappingProxyType(
 )
 
 
+class _Target(NamedTuple):
+    """The place of an injection: an axis of a sensor in the log at `path`, and the seed of its randomness."""
+
+    path: Path
+    sensor: str
+    axis: int
+    seed: int
+
+
 def write_cases(
     logs: Sequence[Path],
     folder: Path,
@@ -125,35 +135,35 @@ def write_cases(
     limits: float = LIMITS,
     documented: Sequence[Mapping[str, Any]] = (),
 ) -> list[str]:
-    """Write the control and a case of each injection into the first of the `logs`, all of which belong to a recording;
-    the numbers of the cases, the control's first, which go on where the folder ends. What a limit is not reached for is
-    left out. `documented`: effects (as a truth has them) that the recording is known to have.
+    """Write the control and one case of each injection into the first of the `logs`, which all belong to one recording.
+    Returns the numbers of the cases, the control's first, continuing those in the folder. Injections that do not reach
+    the required size are left out. `documented`: effects (as a truth has them) that the recording is known to have.
     """
     folder.mkdir(parents=True, exist_ok=True)
     first = len([place for place in folder.glob("[0-9]*") if place.is_dir()])
     numbers = [f"{first:03d}"]
     with ExitStack() as stack:
         plain = [stack.enter_context(open_log(path)) for path in logs]
-        sensors = {name: one for name, one in plain[0].sensors.items() if one.is_triad and len(one)}
-        chips = {name: one.chip for name, one in sensors.items()}
+        sensors = {name: log for name, log in plain[0].sensors.items() if log.is_triad and len(log)}
+        chips = {name: log.chip for name, log in sensors.items()}
         about = {"world": "real", "sensors": chips, "experiments": [path.stem for path in logs]}
-        _copied(logs, folder / numbers[0])
+        _copy_logs(logs, folder / numbers[0])
         control = "effect" if documented else "control"
         write_truth(folder, numbers[0], {**about, "kind": control, "effects": list(documented)})
         for name in names:
             random = np.random.default_rng([seed, crc32(name.encode())])
-            inertial = [one for one in sensors if sensors[one].unit in ("g", "dps")]
-            sensor = str(random.choice(inertial))
-            axis, key = int(random.integers(3)), int(random.integers(2**31))
-            found = _size(INJECTIONS[name], logs[0], plain[0], sensor, axis, key, limits, stack)
-            if found is None:
+            inertial = [name for name, log in sensors.items() if log.unit in ("g", "dps")]
+            sensor, axis = str(random.choice(inertial)), int(random.integers(3))
+            target = _Target(logs[0], sensor, axis, int(random.integers(2**31)))
+            fit = _find_size(INJECTIONS[name], target, plain[0], limits, stack)
+            if fit is None:
                 continue
-            size, measured = found
+            size, measured = fit
             number = f"{first + len(numbers):03d}"
-            _copied(logs, folder / number)
+            _copy_logs(logs, folder / number)
             touched = list(sensors) if INJECTIONS[name].is_of_all else [sensor]
-            for one in touched:
-                inject(folder / number / logs[0].name, INJECTIONS[name], one, axis, size, key)
+            for touched_name in touched:
+                inject(folder / number / logs[0].name, INJECTIONS[name], touched_name, axis, size, target.seed)
             effect = {
                 "effect": name,
                 "design_name": INJECTIONS[name].names[0],
@@ -171,7 +181,7 @@ def write_cases(
 
 
 def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float, seed: int) -> None:
-    """Put it into a log, in place; counts stay whole numbers within their code span."""
+    """Inject an effect into a log, in place. Counts remain integers within their data type."""
     with h5py.File(path, "r+") as file:
         group = file[f"sensors/{sensor}"]
         time, counts = group["time"][:], group["counts"][:]
@@ -188,42 +198,35 @@ def inject(path: Path, injection: Injection, sensor: str, axis: int, size: float
                 dataset[:] = values
 
 
-def _with(counts: Floats, axis: int, added: Floats) -> Floats:
+def _add_to_axis(counts: Floats, axis: int, added: Floats) -> Floats:
     changed = counts.copy()
     changed[:, axis] += added
     return changed
 
 
-def _copied(logs: Sequence[Path], folder: Path) -> None:
+def _copy_logs(logs: Sequence[Path], folder: Path) -> None:
     folder.mkdir(parents=True)
     for path in logs:
         shutil.copyfile(path, folder / path.name)
 
 
-def _size(
-    injection: Injection,
-    path: Path,
-    plain: Log,
-    sensor: str,
-    axis: int,
-    seed: int,
-    limits: float,
-    stack: ExitStack,
+def _find_size(
+    injection: Injection, target: _Target, plain: Log, limits: float, stack: ExitStack
 ) -> tuple[float, float | None] | None:
-    """The size of so many detection limits in this log, and what was measured if it has a size; None if it doesn't get
-    so far.
+    """Return the size that amounts to `limits` detection limits in this log and the measured limits (None for an effect
+    without size); None if the size cannot be reached.
     """
     if not injection.first:
         return 1.0, None
 
     def logs_at(severity: float) -> list[Log]:
-        copy = Path(stack.enter_context(TemporaryDirectory())) / path.name
-        shutil.copyfile(path, copy)
-        inject(copy, injection, sensor, axis, severity * injection.first, seed)
+        copy = Path(stack.enter_context(TemporaryDirectory())) / target.path.name
+        shutil.copyfile(target.path, copy)
+        inject(copy, injection, target.sensor, target.axis, severity * injection.first, target.seed)
         return [stack.enter_context(open_log(copy))]
 
-    found = sized(logs_at, [plain], limits, 1.0)
-    return (found.severity * injection.first, found.limits) if isfinite(found.limits) else None
+    fit = find_severity(logs_at, [plain], limits, 1.0)
+    return (fit.severity * injection.first, fit.limits) if isfinite(fit.limits) else None
 
 
 @click.command()
@@ -232,7 +235,7 @@ def _size(
 @click.option("--seed", type=int, default=0, show_default=True, help="of sensors, axes and chance")
 @click.option("--limits", type=float, default=LIMITS, show_default=True, help="size in detection limits")
 def program(logs: tuple[Path, ...], output: Path, seed: int, limits: float) -> None:
-    """Write cases of each log, which is a recording of its own."""
+    """Write the cases of each log, which is a recording of its own."""
     for number, path in enumerate(logs):
         for name in write_cases([path], output, 1000 * seed + number, limits=limits):
             click.echo(output / name)

@@ -1,8 +1,8 @@
-"""Which cases there are: what is at work, how much of it, recorded how, by half, size and seed.
+"""The cases of a run: the active mechanisms, their size, and the recording, by half, size and seed.
 
-Severities are in units of the detection limit: of a random world, the one of the very case
-(`imuarray.validation.severity`); of the fixed plans, one that was measured once (`imuarray.validation.bench`). No seed
-of one half is one of the other.
+Severities are in units of the detection limit: for a random world the limit of the case itself
+(`imuarray.validation.severity`), for the fixed plans a limit that was measured once (`imuarray.validation.bench`). The
+seeds of the two halves are disjoint.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 import random
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from types import MappingProxyType
@@ -36,28 +36,30 @@ from imuarray.validation.worlds import World, draw_world
 EMULATOR = "emulator"
 """The random worlds of the emulated array."""
 RANDOM = ""
-"""The plan of a world that is yet to be drawn."""
+"""The plan of a world that is drawn later."""
 
 SEVERITIES = (0.5, 1.0, 2.0, 5.0, 20.0)
-"""In detection limits."""
+"""Sizes of single mechanisms in detection limits."""
 
 STRONG = 5.0
-"""Of what is not told by severity: unnamed and withheld mechanisms, pairs."""
+"""Size of unnamed mechanisms, withheld mechanisms and pairs, whose severity is not varied."""
 
 _SOMEWHERE_HIDDEN = frozenset((*AT_ONE_TEMPERATURE, *IN_ONE_ATTITUDE, *AT_REST, *IN_ONE_BOOT))
 
 NEEDED_BY_UNNAMED: Mapping[str, str] = MappingProxyType(
     {"thermal_hysteresis": "heating", "vibration_rectification": "motion", "supply_droop": "motion"}
 )
-"""Experiments that mechanisms without a name need."""
+"""The experiments that unnamed mechanisms need."""
 
 
 MANY_FACES = 4
-"""So many faces show what a tumble does; from two on nothing is hidden for sure."""
+"""Number of faces that show what a tumble does; with two or more nothing is hidden for sure."""
 
 
 def hidden_in(world: World, chip: str, *, for_sure: bool = False) -> frozenset[str]:
-    """Effects that a world hardly shows, or can't show `for_sure`, on a sensor of that chip, by what they need."""
+    """Return the effects that a world hardly shows, or cannot show `for_sure`, on a sensor of a chip, by what they
+    need.
+    """
     moves = "motion" in world.kinds and bool(world.recorder["reference"])
     turns = world.faces >= (2 if for_sure else MANY_FACES)
     needs: Mapping[tuple[str, ...], bool] = {
@@ -84,7 +86,7 @@ EXTRAS: tuple[Mapping[str, Any], ...] = (
     {"chip": "bma180", "effect": "turn_on_bias", "parameters": {"rms_g": [0.05, 0.05, 0.05]}},
     {"chip": "adxl345", "effect": "quantisation", "parameters": {"step_lsb": 4.0}},
 )
-"""Effects that a model is given for one sensor of a chip, and that the sensor has not."""
+"""Effects that the model has for one sensor of a chip and the sensor does not."""
 
 _SEEDS: Mapping[Half, int] = MappingProxyType({"development": 1_000_000, "sealed": 2_000_000})
 """The first seed of each half; a million cases keep them apart."""
@@ -92,12 +94,12 @@ _SEEDS: Mapping[Half, int] = MappingProxyType({"development": 1_000_000, "sealed
 
 @dataclass(frozen=True)
 class Size:
-    """How many cases: `controls` of each plan, or in all of random worlds; `singles` of each named mechanism at each of
-    `severities`, `others` of it on each other fixed plan at the highest, `hidden` where it can't show; `withheld` of
-    each named and `unnamed` of each other one; `pairs` on different sensors and on one; `removals` of each extra
-    effect. Only `mechanisms`, if any are named.
+    """The number of cases: `controls` for each plan, or in total for random worlds; `singles` of each named mechanism
+    at each of `severities`, `others` of it on each other fixed plan at the highest severity, `hidden` where it cannot
+    show; `withheld` of each named and `unnamed` of each unnamed mechanism; `pairs` on different sensors and on one;
+    `removals` of each extra effect. `mechanisms` restricts the list.
 
-    In random `worlds`, or on the fixed `plans` of the emulated bench.
+    The cases are in random `worlds`, or on the fixed `plans` of the emulated bench.
     """
 
     controls: int = 0
@@ -141,16 +143,16 @@ SIZES: Mapping[str, Size] = MappingProxyType(
         "full": Size(controls=1000, singles=12, hidden=4, withheld=6, unnamed=20, pairs=200, removals=10, worlds=True),
     }
 )
-"""By the names that the command takes: "none" for folders of cases alone, the first three others on the fixed plans."""
+"""Sizes by the names that the command takes: "none" for case folders alone, the next three on the fixed plans."""
 
 STRIDE = 10_000_000
-"""Between the seeds of the worlds that are looked at for one case; the halves stay apart."""
+"""Distance between the seeds of the worlds tried for one case; the halves stay disjoint."""
 MOST_WORLDS = 2000
-"""That are looked at for one case."""
+"""Maximum number of worlds tried for one case."""
 
 
-class _Drawn(NamedTuple):
-    """A case as yet without a number."""
+class _DrawnCase(NamedTuple):
+    """A case without number and seed."""
 
     kind: Kind
     plan: str
@@ -162,37 +164,37 @@ class _Drawn(NamedTuple):
 
 
 def cases(half: Half, size: Size, seed: int = 0) -> list[Case]:
-    """All of them, numbered; `seed` makes another set of the same half (0 to 99)."""
+    """Return the numbered cases; each `seed` (0 to 99) makes another set of the same half."""
     if not 0 <= seed < 100:
         raise ValueError(f"seed {seed}; allowed is 0 to 99")
     first = _SEEDS[half] + 10_000 * seed
-    drawn = list(_all(size))
-    random.Random(first).shuffle(drawn)  # a run that is stopped early has something of everything
+    planned = list(_all(size))
+    random.Random(first).shuffle(planned)  # a run that is stopped early has something of everything
     place = _in_a_world if size.worlds else _on_the_bench
-    return [place(one, half, number, first + number) for number, one in enumerate(drawn)]
+    return [place(drawn, half, number, first + number) for number, drawn in enumerate(planned)]
 
 
-def shuffled(planned: Sequence[Case], seed: int) -> list[Case]:
-    """So that a run that is stopped early has something of every world."""
-    if len({one.world for one in planned}) < 2:
+def shuffle(planned: Sequence[Case], seed: int) -> list[Case]:
+    """Return the cases in random order, so that a run that is stopped early covers every world."""
+    if len({case.world for case in planned}) < 2:
         return list(planned)
     return random.Random(seed).sample(list(planned), len(planned))
 
 
-def _all(size: Size) -> Iterator[_Drawn]:
-    facts = {name: one for name, one in mechanisms().items() if (not size.mechanisms or name in size.mechanisms)}
-    named = [name for name, one in facts.items() if one["resembles"]]
+def _all(size: Size) -> Iterator[_DrawnCase]:
+    facts = {name: fact for name, fact in mechanisms().items() if (not size.mechanisms or name in size.mechanisms)}
+    named = [name for name, fact in facts.items() if fact["resembles"]]
     for plan in (RANDOM,) if size.worlds else size.plans:
-        yield from [_Drawn("none", plan)] * size.controls
+        yield from [_DrawnCase("none", plan)] * size.controls
     for name in named:
         severities = size.severities if facts[name]["graded"] else size.severities[-1:]
         for limits in severities:
-            yield from [_Drawn("single", FULL, (name,), limits)] * size.singles
+            yield from [_DrawnCase("single", FULL, (name,), limits)] * size.singles
         yield from _hidden(name, facts[name]["resembles"], size)
-        yield from [_Drawn("withheld", FULL, (name,), STRONG)] * size.withheld
+        yield from [_DrawnCase("withheld", FULL, (name,), STRONG)] * size.withheld
     for name in facts:
         if name not in named:
-            yield from [_Drawn("unnamed", FULL, (name,), STRONG)] * size.unnamed
+            yield from [_DrawnCase("unnamed", FULL, (name,), STRONG)] * size.unnamed
     choose = random.Random(0)
     apart = [name for name in named if facts[name]["place"] == "sensor"]
     for together in (False, True):
@@ -203,90 +205,101 @@ def _all(size: Size) -> Iterator[_Drawn]:
             if first != second and (not together or set(facts[first]["touches"]) & set(facts[second]["touches"]))
         ]
         for _ in range(size.pairs):
-            yield _Drawn("pair", FULL, choose.choice(possible), STRONG, together=together)
+            yield _DrawnCase("pair", FULL, choose.choice(possible), STRONG, together=together)
     for extra in EXTRAS:
-        yield from [_Drawn("removal", FULL, extra=extra)] * size.removals
+        yield from [_DrawnCase("removal", FULL, extra=extra)] * size.removals
 
 
-def _hidden(name: str, resembles: Collection[str], size: Size) -> Iterator[_Drawn]:
-    """Cases of a mechanism where it doesn't show, and on the fixed plans that aren't full."""
+def _hidden(name: str, resembles: Collection[str], size: Size) -> Iterator[_DrawnCase]:
+    """Yield cases of a mechanism where it does not show, and on the fixed plans that are not full."""
     if size.worlds:
         if set(resembles) <= _SOMEWHERE_HIDDEN:
-            yield from [_Drawn("single", RANDOM, (name,), size.severities[-1], is_hidden=True)] * size.hidden
+            yield from [_DrawnCase("single", RANDOM, (name,), size.severities[-1], is_hidden=True)] * size.hidden
         return
     for plan in size.plans:
         if plan != FULL:
             count = size.others + size.hidden * (set(resembles) <= HIDDEN[plan])
-            yield from [_Drawn("single", plan, (name,), size.severities[-1])] * count
+            yield from [_DrawnCase("single", plan, (name,), size.severities[-1])] * count
 
 
-def _on_the_bench(one: _Drawn, half: Half, number: int, seed: int) -> Case:
-    """On a fixed plan, with sensors by its seed."""
+def _on_the_bench(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
+    """Return the case on a fixed plan, with sensors drawn by its seed."""
     choose = random.Random(seed)
-    sensors = _places(one, CHIPS, choose, lambda name, chip: True)
+    sensors = _places(drawn, CHIPS, choose, lambda name, chip: True)
     if sensors is None:
-        raise ValueError(f"{' and '.join(one.names)}: the bench has no sensors for it")
-    facts = [mechanisms()[name] for name in one.names]
+        raise ValueError(f"{' and '.join(drawn.names)}: the bench has no sensors for it")
+    facts = [mechanisms()[name] for name in drawn.names]
     puts = tuple(
-        _put(name, fact["graded"], one.limits, chosen, CHIPS.get((*chosen, "")[0], ""))
-        for name, fact, chosen in zip(one.names, facts, sensors, strict=True)
+        _put(name, fact["graded"], drawn.limits, chosen, CHIPS.get((*chosen, "")[0], ""))
+        for name, fact, chosen in zip(drawn.names, facts, sensors, strict=True)
     )
-    extra = {**one.extra, "sensor": _first_of(CHIPS, one.extra["chip"])} if one.extra else {}
-    return _case(one, half, number, seed, puts, extra, one.plan, CHIPS)
+    extra = {**drawn.extra, "sensor": _first_of(CHIPS, drawn.extra["chip"])} if drawn.extra else {}
+    return replace(_case(drawn, half, number, seed), puts=puts, extra=extra, chips=dict(CHIPS))
 
 
-def _in_a_world(one: _Drawn, half: Half, number: int, seed: int) -> Case:
-    """In the first random world of its seed that has what the case needs, with sensors by its seed."""
+def _in_a_world(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
+    """Return the case in the first random world of its seed that can show it, with sensors drawn by its seed."""
     choose = random.Random(seed)
     for attempt in range(MOST_WORLDS):
         world = draw_world(seed + attempt * STRIDE)
-        sensors = _places(one, world.inertial, choose, partial(_shows, one, world), world.twins())
-        extra = {**one.extra, "sensor": _first_of(world.inertial, one.extra["chip"])} if one.extra else {}
-        if sensors is None or (one.extra and not extra["sensor"]):
+        sensors = _places(drawn, world.inertial, choose, partial(_shows, drawn, world), world.twins())
+        extra = {**drawn.extra, "sensor": _first_of(world.inertial, drawn.extra["chip"])} if drawn.extra else {}
+        if sensors is None or (drawn.extra and not extra["sensor"]):
             continue
-        puts = tuple(Put(name, math.nan, one.limits, chosen) for name, chosen in zip(one.names, sensors, strict=True))
-        about = {"world": EMULATOR, "draw": world.seed, "is_hidden": one.is_hidden, "strata": dict(world.strata)}
-        return _case(one, half, number, seed, puts, extra, world.plan, world.inertial, **about)
-    raise ValueError(f"{' and '.join(one.names) or one.kind}: no world shows it")
+        puts = tuple(
+            Put(name, math.nan, drawn.limits, chosen) for name, chosen in zip(drawn.names, sensors, strict=True)
+        )
+        return replace(
+            _case(drawn, half, number, seed),
+            plan=world.plan,
+            puts=puts,
+            extra=extra,
+            chips=world.inertial,
+            world=EMULATOR,
+            draw=world.seed,
+            is_hidden=drawn.is_hidden,
+            strata=dict(world.strata),
+        )
+    raise ValueError(f"{' and '.join(drawn.names) or drawn.kind}: no world shows it")
 
 
-def _shows(one: _Drawn, world: World, name: str, chip: str) -> bool:
-    """Whether a mechanism shows on a sensor of that chip in that world; or hides, if that is asked for."""
+def _shows(drawn: _DrawnCase, world: World, name: str, chip: str) -> bool:
+    """Return whether a mechanism shows on a sensor of a chip in a world; for hidden cases, whether it does not show."""
     effects = mechanisms()[name]["resembles"]
-    hidden = hidden_in(world, chip, for_sure=one.is_hidden)
+    hidden = hidden_in(world, chip, for_sure=drawn.is_hidden)
     if not effects:
         return NEEDED_BY_UNNAMED.get(name, world.kinds[0]) in world.kinds
-    return bool(set(effects) <= hidden) == one.is_hidden
+    return bool(set(effects) <= hidden) == drawn.is_hidden
 
 
 def _places(
-    one: _Drawn,
+    drawn: _DrawnCase,
     chips: Mapping[str, str],
     choose: random.Random,
     can_show: Callable[[str, str], bool],
     twins: Sequence[tuple[str, str]] | None = None,
 ) -> list[tuple[str, ...]] | None:
-    """Sensors of each mechanism: those that both of a pair can be put on, or two, one for each; None if there are not
-    enough. None of its own has a mechanism that goes wherever it can.
+    """Return the sensors of each mechanism: those that both mechanisms of a pair can affect, or one for each; None if
+    there are not enough. A mechanism that affects whatever it can has no sensors.
     """
-    facts = [mechanisms()[name] for name in one.names]
+    facts = [mechanisms()[name] for name in drawn.names]
     free = [
         [sensor for sensor, chip in chips.items() if chip in fact["touches"] and can_show(name, chip)]
-        for name, fact in zip(one.names, facts, strict=True)
+        for name, fact in zip(drawn.names, facts, strict=True)
     ]
-    if one.together:
+    if drawn.together:
         common = sorted(set.intersection(*map(set, free)))
         free = [[choose.choice(common)] if common else []] * len(free)
     taken: set[str] = set()
-    found = list[tuple[str, ...]]()
+    placed = list[tuple[str, ...]]()
     for fact, sensors in zip(facts, free, strict=True):
-        left = [sensor for sensor in sensors if sensor not in taken]
-        chosen = _sensors(fact["place"], left, chips, choose, twins)
+        free_sensors = [sensor for sensor in sensors if sensor not in taken]
+        chosen = _sensors(fact["place"], free_sensors, chips, choose, twins)
         if chosen is None:
             return None
-        taken |= set() if one.together else set(chosen)
-        found.append(chosen)
-    return found
+        taken |= set() if drawn.together else set(chosen)
+        placed.append(chosen)
+    return placed
 
 
 def _sensors(
@@ -296,7 +309,9 @@ def _sensors(
     choose: random.Random,
     twins: Sequence[tuple[str, str]] | None,
 ) -> tuple[str, ...] | None:
-    """One, two of a chip, or none where the mechanism itself says where it goes; None if there are not enough."""
+    """Return one sensor, two of a chip, or none where the mechanism determines where it acts; None if there are not
+    enough.
+    """
     if place == "sensor":
         return (choose.choice(sensors),) if sensors else None
     if place == "pair":
@@ -311,29 +326,19 @@ def _sensors(
 
 
 def _first_of(chips: Mapping[str, str], chip: str) -> str:
-    """The first sensor of that chip, "" if there is none."""
+    """Return the first sensor of a chip, "" if there is none."""
     return next((sensor for sensor, own in chips.items() if own == chip), "")
 
 
-def _case(
-    one: _Drawn,
-    half: Half,
-    number: int,
-    seed: int,
-    puts: tuple[Put, ...],
-    extra: Mapping[str, Any],
-    plan: str,
-    chips: Mapping[str, str],
-    **about: Any,
-) -> Case:
-    resembles = tuple(tuple(mechanisms()[name]["resembles"]) for name in one.names)
-    without = resembles[0] if one.kind == "withheld" else ()
-    more = {"without": without, "extra": extra, "resembles": resembles, "chips": dict(chips), **about}
-    return Case(number, half, one.kind, plan, puts, seed, **more)
+def _case(drawn: _DrawnCase, half: Half, number: int, seed: int) -> Case:
+    """Return the case without its sensors."""
+    resembles = tuple(tuple(mechanisms()[name]["resembles"]) for name in drawn.names)
+    without = resembles[0] if drawn.kind == "withheld" else ()
+    return Case(number, half, drawn.kind, drawn.plan, (), seed, without=without, resembles=resembles)
 
 
 def _put(mechanism: str, is_graded: bool, limits: float, sensors: tuple[str, ...], chip: str) -> Put:
-    """So many limits of it; what a fit hides whatever its severity, or nearly, is there at its greatest."""
+    """Place a mechanism at `limits` detection limits. A mechanism that cannot reach them gets the greatest severity."""
     if not is_graded:
         return Put(mechanism, 1.0, math.nan, sensors)
     severity = limit(mechanism, chip) * limits

@@ -1,6 +1,6 @@
-"""Statistics of rates: shares with their intervals, ranks, how far probabilities are to be believed.
+"""Statistics of rates: proportions with intervals, ranks, and the calibration of probabilities.
 
-Intervals hold 95 %: Wilson's for shares (JASA 22, 1927), the percentile bootstrap for everything else.
+Intervals have 95 % confidence: Wilson's for proportions (JASA 22, 1927), the percentile bootstrap for everything else.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Numbers = Sequence[float] | Floats
 
 CONFIDENCE = 0.95
 BINS = 10
-"""Of probabilities, equally wide."""
+"""Number of probability bins of equal width."""
 
 _DRAWS = 1000
 _MEANS = 200
@@ -26,7 +26,7 @@ _ROUNDING = 1e-9
 
 
 class Estimate(NamedTuple):
-    """A figure with its 95 % interval, of so many `cases`; nan where there are none."""
+    """A figure with its 95 % interval over `cases` cases; nan without cases."""
 
     value: float
     low: float
@@ -38,7 +38,7 @@ NOTHING = Estimate(nan, nan, nan, 0)
 
 
 class Bin(NamedTuple):
-    """Probabilities between `low` and `high`: so many, their mean, and the share of them that came true."""
+    """Probabilities between `low` and `high`: their number, their mean, and the share of them that were right."""
 
     low: float
     high: float
@@ -48,7 +48,7 @@ class Bin(NamedTuple):
 
 
 class Chance(NamedTuple):
-    """A share of hits with its labels permuted once, and what permutations give on average, and their deviation."""
+    """The hits with labels permuted once, and the mean share and standard deviation over all permutations."""
 
     hits: int
     mean: float
@@ -56,17 +56,17 @@ class Chance(NamedTuple):
 
 
 def rate(hits: int, cases: int) -> Estimate:
-    """A share of cases, with Wilson's interval."""
+    """Return a proportion of cases with Wilson's interval."""
     if not cases:
         return NOTHING
     interval = stats.binomtest(hits, cases).proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(hits / cases, float(interval.low), float(interval.high), cases)
 
 
-def bootstrapped(statistic: Callable[..., float], *samples: Numbers, seed: int) -> Estimate:
-    """`statistic` of samples (n,), (m,), ... that are drawn anew, each by itself; `cases` are those of the first.
+def bootstrap(statistic: Callable[..., float], *samples: Numbers, seed: int) -> Estimate:
+    """Return `statistic` of samples (n,), (m,), ..., each resampled independently; `cases` counts the first sample.
 
-    No interval (nan) if a sample has a single value.
+    The interval is nan if a sample has a single value.
     """
     arrays = [np.asarray(sample, float) for sample in samples]
     if not all(map(len, arrays)):
@@ -87,31 +87,31 @@ def bootstrapped(statistic: Callable[..., float], *samples: Numbers, seed: int) 
     return Estimate(value, float(interval.low), float(interval.high), cases)
 
 
-def of_groups(
+def bootstrap_groups(
     statistic: Callable[[Floats, Booleans], float], groups: Sequence[tuple[Numbers, Any]], seed: int
 ) -> Estimate:
-    """`statistic` of probabilities (n,) and whether they came true (n,), which come in groups, one of a case: groups
-    are drawn anew, as what belongs to one case is not independent. `cases` counts the probabilities.
+    """Return `statistic` of probabilities (n,) and whether they were right (n,), grouped by case. Whole groups are
+    resampled, because values of one case are not independent. `cases` counts the probabilities.
     """
-    filled = [(np.asarray(one, float), np.asarray(right, bool)) for one, right in groups if len(one)]
+    filled = [(np.asarray(values, float), np.asarray(right, bool)) for values, right in groups if len(values)]
     if not filled:
         return NOTHING
-    said, came = (np.concatenate(parts) for parts in zip(*filled, strict=True))
-    sizes = np.array([len(one) for one, _ in filled])
+    values, outcomes = (np.concatenate(parts) for parts in zip(*filled, strict=True))
+    sizes = np.array([len(values) for values, _ in filled])
     starts = np.cumsum(sizes) - sizes
 
     def joined(places: Floats) -> float:
         chosen = places.astype(int)
         many = sizes[chosen]
         rows = np.arange(many.sum()) + np.repeat(starts[chosen] - (np.cumsum(many) - many), many)
-        return statistic(said[rows], came[rows])
+        return statistic(values[rows], outcomes[rows])
 
-    return bootstrapped(joined, np.arange(len(filled), dtype=float), seed=seed)._replace(cases=len(said))
+    return bootstrap(joined, np.arange(len(filled), dtype=float), seed=seed)._replace(cases=len(values))
 
 
 def auroc(positives: Numbers, negatives: Numbers) -> float:
-    """The chance that a score of `positives` (n,) is above one of `negatives` (m,), ties counting half: the area under
-    the receiver operating characteristic (Hanley and McNeil, Radiology 143, 1982). nan without either.
+    """Return the probability that a score of `positives` (n,) exceeds one of `negatives` (m,), ties counting half: the
+    area under the receiver operating characteristic (Hanley and McNeil, Radiology 143, 1982). nan without either.
     """
     many = len(positives) * len(negatives)
     if not many:
@@ -121,47 +121,51 @@ def auroc(positives: Numbers, negatives: Numbers) -> float:
 
 
 def limit_of(negatives: Numbers, most: float) -> float:
-    """The least limit that no more than a share `most` of `negatives` (n,) is above; -inf without any."""
+    """Return the least limit that at most the share `most` of `negatives` (n,) exceeds; -inf without any."""
     allowed = floor(most * len(negatives) + _ROUNDING)
     return float(np.sort(negatives)[::-1][allowed]) if allowed < len(negatives) else -inf
 
 
 def reliability(probabilities: Numbers, right: Any, bins: int = BINS) -> tuple[Bin, ...]:
-    """Probabilities (n,) against whether they came true (n,), in bins that are equally wide; 1 is in the last."""
-    chances, came = np.asarray(probabilities, float), np.asarray(right, bool)
+    """Bin probabilities (n,) by value and compare them with whether they were right (n,); 1 is in the last bin."""
+    chances, outcomes = np.asarray(probabilities, float), np.asarray(right, bool)
     places = np.minimum((chances * bins).astype(int), bins - 1)
-    found = []
+    filled = []
     for place in range(bins):
         own = places == place
-        mean, share = (float(chances[own].mean()), float(came[own].mean())) if own.any() else (nan, nan)
-        found.append(Bin(place / bins, (place + 1) / bins, int(own.sum()), mean, share))
-    return tuple(found)
+        mean, share = (float(chances[own].mean()), float(outcomes[own].mean())) if own.any() else (nan, nan)
+        filled.append(Bin(place / bins, (place + 1) / bins, int(own.sum()), mean, share))
+    return tuple(filled)
 
 
 def calibration_error(probabilities: Numbers, right: Any, bins: int = BINS) -> float:
-    """Expected calibration error: how far the mean of a bin is from the share that came true, over all bins as filled
-    as they are (Naeini, Cooper and Hauskrecht, AAAI 2015). nan without any.
+    """Return the expected calibration error: the distance between mean probability and share right, averaged over bins
+    by their number of values (Naeini, Cooper and Hauskrecht, AAAI 2015). nan without values.
     """
-    filled = [one for one in reliability(probabilities, right, bins) if one.cases]
-    total = sum(one.cases for one in filled)
-    return sum(one.cases * abs(one.mean - one.right) for one in filled) / total if total else nan
+    filled = [bin_ for bin_ in reliability(probabilities, right, bins) if bin_.cases]
+    total = sum(bin_.cases for bin_ in filled)
+    return sum(bin_.cases * abs(bin_.mean - bin_.right) for bin_ in filled) / total if total else nan
 
 
 def calibration_error_by_chance(probabilities: Floats, seed: int) -> float:
-    """The mean error of probabilities (n,) that are right: of few no bin is full, and its share is off by chance."""
+    """Return the mean calibration error of correct probabilities (n,): with few values a bin's share deviates by
+    chance.
+    """
     random = np.random.default_rng(seed)
     drawn = (random.random(len(probabilities)) < probabilities for _ in range(_MEANS))
-    return float(np.mean([calibration_error(probabilities, came) for came in drawn]))
+    return float(np.mean([calibration_error(probabilities, outcomes) for outcomes in drawn]))
 
 
 def brier(probabilities: Numbers, right: Any) -> float:
-    """Mean squared difference of probabilities (n,) and what came (n,), 0 or 1 (Brier, Mon. Weather Rev. 78, 1950)."""
+    """Return the mean squared difference of probabilities (n,) and outcomes (n,), 0 or 1 (Brier, Mon. Weather Rev. 78,
+    1950).
+    """
     return float(np.mean((np.asarray(probabilities, float) - np.asarray(right, bool)) ** 2))
 
 
-def permuted(hits: Any, seed: int) -> Chance:
-    """`hits` (n, n): whether answer i (row) hits label j (column). Labels permuted once; mean and deviation of the
-    share that permutations hit are exact (Hoeffding, Ann. Math. Stat. 22, 1951).
+def permute_labels(hits: Any, seed: int) -> Chance:
+    """Permute the labels of `hits` (n, n), whether answer i (row) hits label j (column). The hits are of one
+    permutation; mean and deviation of the share are exact (Hoeffding, Ann. Math. Stat. 22, 1951).
     """
     table = np.asarray(hits, bool)
     many = len(table)

@@ -1,11 +1,11 @@
-"""Many cases over an executor: resumable, and a worker that dies costs its case alone.
+"""Run many cases over an executor: resumable, and a worker that dies costs only its case.
 
-A case goes out as itself and a folder's path, and comes back as one word. Its files are written by who works on it,
-whole or not at all; nothing in them tells who that was, how many there were, or in which order.
+A case is submitted with a folder's path and returns its state. The worker writes the files of the case, completely or
+not at all; they do not depend on the worker, the number of workers or the order.
 
-A worker dies of its case (memory, a crash of compiled code) or for no fault of it. That a case begins is marked in the
-folder before anything is done, and so no case begins a third time, whoever sends it: this process or a cluster's
-scheduler.
+A worker dies because of its case (memory, a crash of compiled code) or for another reason. Each start of a case is
+recorded in the folder beforehand, so that no case starts a third time, whether this process or a cluster's scheduler
+resubmits it.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from typing import Literal
 
 from imuarray.errors import ImuArrayError
 from imuarray.validation.case import Case, Outcome, write_json
-from imuarray.validation.executors import Here, Workers, executor_of
+from imuarray.validation.executors import InlineExecutor, Workers, executor_of
 
-__all__ = ["LOST", "Job", "Ran", "State", "executor_of", "run_cases"]
+__all__ = ["LOST", "Job", "RunSummary", "State", "executor_of", "run_cases"]
 
 Job = Callable[[Case, Path], None]
-"""A module's function that works on a case and writes sealed/NAME.json and, last, outcomes/NAME.json into the folder.
-What it writes depends on nothing but the case.
+"""A module-level function that runs a case and writes sealed/NAME.json and, last, outcomes/NAME.json into the folder.
+The files depend on the case alone.
 """
 State = Literal["done", "failed", "lost"]
 
 LOST = "its worker died twice"
-"""The `error` of the outcome of a case that is lost."""
+"""The `error` in the outcome of a lost case."""
 
-_BEGINNINGS = 2
+_MOST_STARTS = 2
 _LOOK_S = 5.0
-"""So often a cluster is asked how large it is while nothing finishes."""
+"""Interval at which the size of a cluster is queried while nothing finishes."""
 
 
 @dataclass(frozen=True)
-class Ran:
-    """How it went: of how many of the `cases` the outcome was there `before`; the names of those that now `failed` with
-    an error, and of those that are `lost` with their workers.
+class RunSummary:
+    """The summary of a run: the number of `cases`, the number that already had an outcome `before`, the names of those
+    that `failed` with an error now, and of those `lost` with their workers.
     """
 
     cases: int
@@ -59,24 +59,24 @@ def run_cases(
     *,
     again: bool = False,
     progress: Callable[[int], None] = lambda done: None,
-) -> Ran:
-    """Every case of which `folder` has no outcome (`again`: or an error), by `executor` (None: in this process, with as
-    many BLAS threads as it has). `progress` is told how many of all are done.
+) -> RunSummary:
+    """Run every case that has no outcome in `folder` (`again`: or an error) on `executor` (None: in this process with
+    its own number of BLAS threads). `progress` receives the number of finished cases.
 
-    What goes wrong with a case is the `error` of its outcome (its `seconds` are 0), and stops no other. A case whose
-    worker died is tried once more; by processes when all others are done, alone. If that one dies too, it is lost.
-    ImuArrayError if workers can't begin or are taken away, ValueError for two cases of one name. What is done stays,
-    then and at a KeyboardInterrupt, whose text says how to go on.
+    An exception in a case becomes the `error` of its outcome (its `seconds` are 0) and stops no other case. A case
+    whose worker died is tried once more; with processes after all others, alone. If its worker dies again, it is lost.
+    ImuArrayError if workers cannot start or are lost for good, ValueError for two cases of one name. Finished cases
+    remain then and after a KeyboardInterrupt, whose text says how to continue.
     """
     folder = folder.resolve()
     if len({case.name for case in cases}) < len(cases):
         raise ValueError("two cases have one name")
-    _make(folder)
-    todo = _undone(cases, folder, again)
+    _make_folders(folder)
+    todo = _unfinished(cases, folder, again)
     before = len(cases) - len(todo)
     states: dict[str, State] = {}
     try:
-        with closing(_worked(todo, executor or Here(), job, folder)) as worked:
+        with closing(_finished(todo, executor or InlineExecutor(), job, folder)) as worked:
             progress(before)
             for case, state in worked:
                 states[case.name] = state
@@ -87,19 +87,19 @@ def run_cases(
     with suppress(OSError):
         _mark(folder).rmdir()
     failed, lost = (tuple(sorted(name for name in states if states[name] == state)) for state in ("failed", "lost"))
-    return Ran(len(cases), before, failed, lost)
+    return RunSummary(len(cases), before, failed, lost)
 
 
-def _make(folder: Path) -> None:
-    """The folders, without the marks of a run before."""
+def _make_folders(folder: Path) -> None:
+    """Create the folders and delete the marks of an earlier run."""
     for part in (folder / "outcomes", folder / "sealed", _mark(folder)):
         part.mkdir(parents=True, exist_ok=True)
     for mark in _mark(folder).iterdir():
         mark.unlink()
 
 
-def _undone(cases: Sequence[Case], folder: Path, again: bool) -> list[Case]:
-    """The cases without an outcome; an error is none, and taken away, if they are to be tried `again`."""
+def _unfinished(cases: Sequence[Case], folder: Path, again: bool) -> list[Case]:
+    """Return the cases without an outcome. With `again` an outcome with an error is deleted first."""
     todo = []
     for case in cases:
         state = _state(case, folder)
@@ -111,43 +111,47 @@ def _undone(cases: Sequence[Case], folder: Path, again: bool) -> list[Case]:
     return todo
 
 
-def _worked(
+def _finished(
     cases: Sequence[Case], workers: Workers, job: Job, folder: Path
 ) -> Generator[tuple[Case, State], None, None]:
-    """Each case when it is finished. No more are out than there are places for: few are lost when this process ends."""
+    """Yield each case when it finishes. Only as many are submitted as run in parallel, so that few are lost on exit."""
     waiting, again, deaths = deque(cases), deque[Case](), Counter[str]()
-    out: dict[Future[State], Case] = {}
+    running: dict[Future[State], Case] = {}
     try:
-        while waiting or again or out:
-            if not waiting and not out:
+        while waiting or again or running:
+            if not waiting and not running:
                 waiting.append(again.popleft())
-            for _ in range(min(len(waiting), max(workers.places, 1) - len(out))):
+            for _ in range(min(len(waiting), max(workers.places, 1) - len(running))):
                 case = waiting.popleft()
-                out[workers.submit(_attempt, job, case, folder)] = case
-            for future in wait(out, _LOOK_S, FIRST_COMPLETED).done:
-                case = out.pop(future)
-                state = _answer(future, case, folder, workers, deaths)
+                running[workers.submit(_attempt, job, case, folder)] = case
+            for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
+                case = running.pop(future)
+                state = _state_of_future(future, case, folder, workers, deaths)
                 if state is None:
                     again.append(case)
                 else:
                     yield case, state
     finally:
-        for future in out:
+        for future in running:
             future.cancel()
 
 
-def _answer(future: Future[State], case: Case, folder: Path, workers: Workers, deaths: Counter[str]) -> State | None:
-    """What came of a case that was sent; None if it shall be sent again. `deaths` so far, by case."""
+def _state_of_future(
+    future: Future[State], case: Case, folder: Path, workers: Workers, deaths: Counter[str]
+) -> State | None:
+    """Return the state of a submitted case; None if it must be submitted again. `deaths` counts dead
+    workers by case.
+    """
     try:
         return future.result()
     except CancelledError:
         raise ImuArrayError(f"{case.name}: taken away: is the scheduler gone? The same again goes on") from None
     except workers.deaths as error:
         deaths[case.name] += 1
-        begun = _begun(case, folder)
-        if begun >= _BEGINNINGS:
+        starts = _starts(case, folder)
+        if starts >= _MOST_STARTS:
             return _finish(case, folder, LOST)
-        if deaths[case.name] - begun >= _BEGINNINGS:
+        if deaths[case.name] - starts >= _MOST_STARTS:
             raise ImuArrayError(f"{case.name}: workers die before they begin: {_line(error)}") from error
         return None
     except Exception as error:
@@ -155,11 +159,11 @@ def _answer(future: Future[State], case: Case, folder: Path, workers: Workers, d
 
 
 def _attempt(job: Job, case: Case, folder: Path) -> State:
-    """Where the work is done. A case may come that is done: its worker died before it said so."""
+    """Run a case in the worker. A case may already be finished, if its worker died before it reported so."""
     state = _state(case, folder)
     if state is not None:
         return state
-    if _begun(case, folder) >= _BEGINNINGS:
+    if _starts(case, folder) >= _MOST_STARTS:
         return _finish(case, folder, LOST)
     with _mark(folder, case).open("ab") as beginnings:
         beginnings.write(b".")
@@ -171,7 +175,7 @@ def _attempt(job: Job, case: Case, folder: Path) -> State:
 
 
 def _finish(case: Case, folder: Path, error: str) -> State:
-    """Writes an error down, and takes the mark away."""
+    """Write an error as outcome and delete the mark."""
     if error:
         write_json(_outcome(case, folder), asdict(Outcome(case.name, {}, {}, 0.0, error)))
     _mark(folder, case).unlink(missing_ok=True)
@@ -179,7 +183,7 @@ def _finish(case: Case, folder: Path, error: str) -> State:
 
 
 def _state(case: Case, folder: Path) -> State | None:
-    """What the outcome says; None if there is none that can be read."""
+    """Return the state from the outcome file; None if there is no readable one."""
     try:
         return _of_error(json.loads(_outcome(case, folder).read_text())["error"])
     except (FileNotFoundError, ValueError):
@@ -195,12 +199,12 @@ def _outcome(case: Case, folder: Path) -> Path:
 
 
 def _mark(folder: Path, case: Case | None = None) -> Path:
-    """The file that has a byte for each time the case began, or the folder of all of them."""
+    """Return the file that has a byte for each start of the case, or the folder of all of them."""
     return folder / "begun" / (case.name if case else "")
 
 
-def _begun(case: Case, folder: Path) -> int:
-    """How often a case that isn't finished began."""
+def _starts(case: Case, folder: Path) -> int:
+    """Return how often an unfinished case was started."""
     try:
         return _mark(folder, case).stat().st_size
     except FileNotFoundError:

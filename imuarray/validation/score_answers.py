@@ -1,4 +1,4 @@
-"""What a run left behind: the diagnosis of every case beside its sealed truth, and the cases that were lost."""
+"""The results of a run: the diagnosis of every case together with its sealed truth, and the lost cases."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ LIKELY = 0.5
 """Probability from which on a cause counts as named."""
 
 NO_GAP, NOTHING_NAMED = "no gap", "nothing named"
-Said = Mapping[str, Any]
+Cause = Mapping[str, Any]
 """A cause, as the JSON of a diagnosis has it."""
 
 
-OF_A_WORLD: Mapping[tuple[str, str], frozenset[str]] = MappingProxyType(
+WORLD_EFFECTS: Mapping[tuple[str, str], frozenset[str]] = MappingProxyType(
     {
         ("labels", "some wrong"): frozenset({"face_error"}),
         ("vibration", "fridge"): frozenset({"tone", "common_mode"}),
         ("vibration", "fan"): frozenset({"tone", "common_mode"}),
     }
 )
-"""By stratum of a random world: what a diagnosis may rightly say of it, whatever else is at work."""
+"""The effects that may rightly be reported in a stratum of a random world, whatever else is active."""
 
 
 @dataclass(frozen=True)
-class AtWork:
-    """A mechanism that was at work: its size in detection limits (nan: it is there or not), on which sensors and axes
-    (none: all, or it isn't told), and what effects it may rightly be called.
+class ActiveMechanism:
+    """A mechanism that was active: its size in detection limits (nan if it has none), its sensors and axes (empty: all,
+    or unknown), and its correct effect names.
     """
 
     mechanism: str
@@ -45,69 +45,69 @@ class AtWork:
     axes: frozenset[str]
     resembles: frozenset[str]
 
-    def is_called(self, cause: Said) -> bool:
-        """Whether the cause has one of its names; what is taken out of the model isn't at work."""
+    def is_named_by(self, cause: Cause) -> bool:
+        """Return whether the cause has one of its names; a cause that removes an effect from the model does not."""
         return cause["effect"] in self.resembles and cause.get("action") != "remove"
 
-    def is_met(self, cause: Said) -> bool:
-        """Whether it has one of its names, and concerns at least one of its sensors."""
-        return self.is_called(cause) and meets(self.sensors, cause.get("sensors", ()))
+    def is_located_by(self, cause: Cause) -> bool:
+        """Return whether the cause has one of its names and at least one of its sensors."""
+        return self.is_named_by(cause) and meets(self.sensors, cause.get("sensors", ()))
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A case that was diagnosed: what was `at_work`, and what came of it."""
+    """A diagnosed case: the mechanisms that were `active`, and its outcome."""
 
     case: Case
-    at_work: tuple[AtWork, ...]
+    active: tuple[ActiveMechanism, ...]
     outcome: Outcome
-    known: tuple[Said, ...] = ()
-    """What is said of the control of this case: not what was put into it."""
+    known: tuple[Cause, ...] = ()
+    """The causes reported for the control of this case, which are not due to the injection."""
 
     @property
     def verdict(self) -> str:
-        """In the diagnosis' words."""
+        """The verdict in the words of the diagnosis."""
         return str(self.outcome.diagnosis["verdict"])
 
     @property
     def is_detected(self) -> bool:
-        """Whether a gap is told."""
+        """True if a gap is reported."""
         return self.verdict != NO_GAP
 
     @property
-    def causes(self) -> tuple[Said, ...]:
-        """Most probable first, without those that are said of the control as well."""
-        told = self.outcome.diagnosis.get("causes") or ()
-        return tuple(cause for cause in told if not any(_is_same(cause, other) for other in self.known))
+    def causes(self) -> tuple[Cause, ...]:
+        """The reported causes, most probable first, without those that are reported for the control as well."""
+        reported = self.outcome.diagnosis.get("causes") or ()
+        return tuple(cause for cause in reported if not any(_is_same(cause, other) for other in self.known))
 
     @property
     def is_false_alarm(self) -> bool:
-        """Whether a gap is told that the world of a control does not explain: where its faces are noted wrongly, or a
-        machine shakes its room, these are right to be told, and everything beside them is not.
+        """True if a gap is reported that the world of a control does not explain. Wrong face labels or a vibrating room
+        are rightly reported; everything else is a false alarm.
         """
         if not self.is_detected or self.verdict != "explained":
             return self.is_detected
         effects = {str(cause["effect"]) for cause in self.causes}
-        return not effects or not effects <= self.of_the_world
+        return not effects or not effects <= self.world_effects
 
     @property
-    def of_the_world(self) -> frozenset[str]:
-        """Effects that a world has by itself."""
-        return frozenset().union(*(OF_A_WORLD.get(item, ()) for item in self.case.strata.items()))
+    def world_effects(self) -> frozenset[str]:
+        """The effects that a world has without any mechanism."""
+        return frozenset().union(*(WORLD_EFFECTS.get(item, ()) for item in self.case.strata.items()))
 
     @property
-    def named(self) -> tuple[Said, ...]:
-        """The causes that are likely."""
+    def named(self) -> tuple[Cause, ...]:
+        """The causes with a probability of at least `LIKELY`."""
         return tuple(cause for cause in self.causes if probability(cause) >= LIKELY)
 
     @property
-    def first(self) -> Said | None:
+    def first(self) -> Cause | None:
         """The most probable cause."""
         return self.causes[0] if self.causes else None
 
     @property
     def said(self) -> str:
-        """The first cause's effect, or that there's none, or no gap."""
+        """The effect of the first cause, `NOTHING_NAMED` without causes, `NO_GAP` without a gap."""
         if not self.is_detected:
             return NO_GAP
         return str(self.first["effect"]) if self.first else NOTHING_NAMED
@@ -115,59 +115,59 @@ class Answer:
     @property
     def limits(self) -> float:
         """Size of the smallest mechanism at work, in detection limits; nan if it is there or not."""
-        return min((one.limits for one in self.at_work if isfinite(one.limits)), default=nan)
+        return min((mechanism.limits for mechanism in self.active if isfinite(mechanism.limits)), default=nan)
 
     @property
     def mechanisms(self) -> str:
-        """Their names."""
-        return " + ".join(one.mechanism for one in self.at_work)
+        """The names of the active mechanisms."""
+        return " + ".join(mechanism.mechanism for mechanism in self.active)
 
     @property
     def chips(self) -> tuple[str, ...]:
-        """Of the sensors that have what is at work, else of all; none if nobody says."""
-        concerned = {name for one in self.at_work for name in one.sensors} or set(self.case.chips)
+        """The chips of the affected sensors, or of all sensors if none is named; empty if unknown."""
+        concerned = {name for mechanism in self.active for name in mechanism.sensors} or set(self.case.chips)
         return tuple(sorted({chip for name, chip in self.case.chips.items() if name in concerned}))
 
     @property
     def experiments(self) -> tuple[str, ...]:
-        """Of the plan."""
+        """The experiments of the plan."""
         return tuple(name for name in self.case.plan.split("+") if name)
 
     @property
     def unknown(self) -> float:
-        """How probable it is, by the diagnosis, that something outside the library is present."""
+        """The probability, stated by the diagnosis, that an effect outside the library is present."""
         return number(self.outcome.diagnosis.get("unknown"), 0.0)
 
     @property
     def closed(self) -> float:
-        """Share of the gap that is said to be closed; nan if none is said."""
+        """The reported share of the gap that is closed; nan without one."""
         return number((self.outcome.diagnosis.get("gap") or {}).get("closed"))
 
     @property
     def closed_ci95(self) -> tuple[float, float]:
-        """Its interval; nan if none is said."""
+        """The interval of the closed share; nan without one."""
         return interval((self.outcome.diagnosis.get("gap") or {}).get("closed_ci95"))
 
     @property
     def oracle(self) -> float:
-        """Share of the gap closed by somebody who is told the effects; nan if there is none."""
+        """The share of the gap that a diagnosis with known effects closes; nan without one."""
         return number(self.outcome.oracle.get("closed"))
 
     @property
-    def untold(self) -> tuple[Said, ...]:
-        """What the diagnosis says it can't tell."""
+    def undetermined(self) -> tuple[Cause, ...]:
+        """The effects that the diagnosis reports as impossible to determine."""
         diagnosis = self.outcome.diagnosis
         return tuple(diagnosis.get("unshown") or diagnosis.get("cannot_tell") or ())
 
     def is_first_right(self) -> bool:
-        """Whether the first cause has a name of what is at work."""
+        """Return whether the first cause names an active mechanism."""
         first = self.first
-        return first is not None and any(one.is_called(first) for one in self.at_work)
+        return first is not None and any(mechanism.is_named_by(first) for mechanism in self.active)
 
 
 @dataclass(frozen=True)
-class Lost:
-    """A case of which nothing came, and `why`."""
+class LostCase:
+    """A case without a result, and `why`."""
 
     name: str
     kind: str
@@ -177,40 +177,40 @@ class Lost:
 
 @dataclass(frozen=True)
 class Run:
-    """A validation run: its plan (`plan.json`), answers in the order of their numbers, lost cases, and what was
-    noticed.
+    """The results of a validation run: its plan (`plan.json`), the answers in the order of their numbers, lost cases,
+    notes.
     """
 
     plan: Mapping[str, Any]
     answers: tuple[Answer, ...]
-    lost: tuple[Lost, ...]
+    lost: tuple[LostCase, ...]
     notes: tuple[str, ...] = ()
 
 
 def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
-    """Open the sealed truth of a run's folder. Cases without outcome are lost, as are outcomes without truth; so are
-    those of `planned` that have nothing at all. Where what comes by chance never came there is no answer. ConfigError
-    if it isn't a run's folder.
+    """Read a run's folder with its sealed truth. Cases without outcome are lost, as are outcomes without truth and
+    those of `planned` without any file. A case in which a random mechanism never acted has no answer. ConfigError if it
+    is not the folder of a run.
     """
     place = Path(folder)
     try:
         plan = json.loads((place / "plan.json").read_text())
     except (OSError, ValueError):
         raise ConfigError(f"{place}: no plan.json; allowed is the folder of a validation run") from None
-    sealed, came = _tables(place / "sealed"), _tables(place / "outcomes")
+    sealed, outcomes = _tables(place / "sealed"), _tables(place / "outcomes")
     answers, lost, differing, idle = [], [], 0, 0
     for name, table in sealed.items():
-        case, outcome = Case.of_table(table["case"]), Outcome(**came[name]) if name in came else None
+        case, outcome = Case.of_table(table["case"]), Outcome(**outcomes[name]) if name in outcomes else None
         if outcome is None or outcome.error or not outcome.diagnosis:
-            lost.append(Lost(name, case.kind, case.plan, _why(outcome)))
+            lost.append(LostCase(name, case.kind, case.plan, _why(outcome)))
             continue
         if _is_idle(table.get("truth") or {}):
             idle += 1
             continue
-        answers.append(Answer(case, at_work_of(case, table.get("truth") or {}), outcome))
+        answers.append(Answer(case, active_mechanisms(case, table.get("truth") or {}), outcome))
         differing += _differs(case, table.get("truth") or {})
-    lost += _unsealed(planned, sealed, came)
-    answers = sorted(_beside_controls(answers), key=lambda one: (one.case.half, one.case.number))
+    lost += _without_truth(planned, sealed, outcomes)
+    answers = sorted(_with_controls(answers), key=lambda answer: (answer.case.half, answer.case.number))
     notes = {
         f"In {differing} cases what is at work has other names in the plan than by its generator.": differing,
         f"In {idle} cases what comes by chance never came while something was recorded: they don't count.": idle,
@@ -218,44 +218,44 @@ def read_run(folder: str | PathLike[str], planned: Iterable[Case] = ()) -> Run:
     return Run(plan, tuple(answers), tuple(lost), tuple(note for note, count in notes.items() if count))
 
 
-def _beside_controls(answers: Sequence[Answer]) -> Iterator[Answer]:
-    """With what is said of their controls."""
-    causes = {one.case.name: one.causes for one in answers}
-    for one in answers:
-        yield replace(one, known=causes.get(one.case.control, ()))
+def _with_controls(answers: Sequence[Answer]) -> Iterator[Answer]:
+    """Yield the answers with the causes reported for their controls."""
+    causes = {answer.case.name: answer.causes for answer in answers}
+    for answer in answers:
+        yield replace(answer, known=causes.get(answer.case.control, ()))
 
 
-def _is_same(cause: Said, other: Said) -> bool:
-    """Whether two causes are one: the effect, at a common sensor."""
+def _is_same(cause: Cause, other: Cause) -> bool:
+    """Return whether two causes agree in effect and share a sensor."""
     return bool(cause["effect"] == other["effect"]) and meets(cause.get("sensors", ()), other.get("sensors", ()))
 
 
-def at_work_of(case: Case, truth: Mapping[str, Any]) -> tuple[AtWork, ...]:
-    """What was at work in a case, with the sensors of its truth."""
-    told = _told(truth) or [{} for _ in case.puts]
+def active_mechanisms(case: Case, truth: Mapping[str, Any]) -> tuple[ActiveMechanism, ...]:
+    """Return the mechanisms that were active in a case, with the sensors of its truth."""
+    mechanisms = _told(truth) or [{} for _ in case.puts]
     same = len(case.resembles) == len(case.puts)
-    names = case.resembles if same else tuple(tuple(one.get("resembles", ())) for one in told)
+    names = case.resembles if same else tuple(tuple(mechanism.get("resembles", ())) for mechanism in mechanisms)
     return tuple(
-        AtWork(
+        ActiveMechanism(
             put.mechanism,
             put.limits,
-            frozenset(one.get("sensors") or put.sensors),
-            frozenset(_axes(one.get("parameters", {}))),
+            frozenset(mechanism.get("sensors") or put.sensors),
+            frozenset(_axes(mechanism.get("parameters", {}))),
             frozenset(effects),
         )
-        for put, one, effects in zip(case.puts, told, names, strict=True)
+        for put, mechanism, effects in zip(case.puts, mechanisms, names, strict=True)
     )
 
 
-def probability(cause: Said) -> float:
-    """Of a cause; 0 if it has none."""
+def probability(cause: Cause) -> float:
+    """Return the probability of a cause; 0 if it has none."""
     return number(cause.get("probability"), 0.0)
 
 
 def meets(sensors: Iterable[str], others: Iterable[str]) -> bool:
-    """Whether two sets of sensors have one in common; none named is all."""
-    one, other = set(sensors), set(others)
-    return not one or not other or bool(one & other)
+    """Return whether two sets of sensors intersect; an empty set stands for all sensors."""
+    first, second = set(sensors), set(others)
+    return not first or not second or bool(first & second)
 
 
 def number(value: Any, otherwise: float = nan) -> float:
@@ -280,7 +280,7 @@ def _told(truth: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def _is_idle(truth: Mapping[str, Any]) -> bool:
-    """Whether a mechanism that says whom it touched, when it comes, touched none in any log."""
+    """Return whether a mechanism that logs the sensors it affects affected none in any log."""
     said: dict[str, bool] = {}
     for log in truth.get("logs") or ():
         for mechanism, sensors in log.get("touched", {}).items():
@@ -289,26 +289,28 @@ def _is_idle(truth: Mapping[str, Any]) -> bool:
 
 
 def _differs(case: Case, truth: Mapping[str, Any]) -> bool:
-    """Whether the plan would call what is at work otherwise than who made it."""
-    told = [set(one.get("resembles", ())) for one in _told(truth)]
-    return bool(case.resembles and told) and [set(names) for names in case.resembles] != told
+    """Return whether the plan and the generator disagree about the names of a mechanism."""
+    generated = [set(mechanism.get("resembles", ())) for mechanism in _told(truth)]
+    return bool(case.resembles and generated) and [set(names) for names in case.resembles] != generated
 
 
 def _tables(folder: Path) -> dict[str, Any]:
-    """By name; a file that can't be read is none."""
-    found = {}
+    """Return the readable JSON files of a folder by name."""
+    tables = {}
     for path in sorted(folder.glob("*.json")):
         with suppress(ValueError):
-            found[path.stem] = json.loads(path.read_text())
-    return found
+            tables[path.stem] = json.loads(path.read_text())
+    return tables
 
 
-def _unsealed(planned: Iterable[Case], sealed: Mapping[str, Any], came: Mapping[str, Any]) -> Iterable[Lost]:
-    """Cases that have no truth: never begun, or their worker died before it was written."""
+def _without_truth(
+    planned: Iterable[Case], sealed: Mapping[str, Any], outcomes: Mapping[str, Any]
+) -> Iterable[LostCase]:
+    """Yield the cases without a truth: never started, or their worker died before it was written."""
     known = {case.name: case for case in planned}
-    for name in sorted({*known, *came} - set(sealed)):
+    for name in sorted({*known, *outcomes} - set(sealed)):
         kind, plan = (known[name].kind, known[name].plan) if name in known else ("unknown", "unknown")
-        yield Lost(name, kind, plan, _why(Outcome(**came[name])) if name in came else "never begun")
+        yield LostCase(name, kind, plan, _why(Outcome(**outcomes[name])) if name in outcomes else "never begun")
 
 
 def _why(outcome: Outcome | None) -> str:

@@ -1,4 +1,4 @@
-"""Is the cause right? First, within its class, at the right sensor; two at once; what has to go; what has no name."""
+"""Figures of causes: the right cause first, within its class, at the right sensor; pairs; removals; unknown effects."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from imuarray.validation.rates import Estimate, auroc, bootstrapped, limit_of, permuted, rate
-from imuarray.validation.score_answers import NO_GAP, NOTHING_NAMED, Answer, AtWork, meets
+from imuarray.validation.rates import Estimate, auroc, bootstrap, limit_of, permute_labels, rate
+from imuarray.validation.score_answers import NO_GAP, NOTHING_NAMED, ActiveMechanism, Answer, meets
 from imuarray.validation.score_detection import Hidden, shown_singles
-from imuarray.validation.score_rows import NO_BAR, Bar, Row, on_plan, rate_row, row_of, severity_name
+from imuarray.validation.score_rows import NO_BAR, Bar, Row, make_row, on_plan, rate_row, severity_name
 
 FIRST: Bar = (0.90, None)
 FIRST_LARGE, IN_CLASS, PLACE = (0.97, None), (0.97, None), (0.98, None)
@@ -27,8 +27,8 @@ _SURE = 3.0
 
 
 class Confusion(NamedTuple):
-    """What was at work (rows) against the first cause said (columns), `counts` (rows, columns) of cases; `right` says
-    which columns are names of a row's mechanism.
+    """Active mechanisms (rows) against the first reported cause (columns), `counts` (rows, columns) of cases; `right`
+    says which columns are names of a row's mechanism.
     """
 
     truths: tuple[str, ...]
@@ -40,62 +40,62 @@ class Confusion(NamedTuple):
 def cause_rows(
     answers: Sequence[Answer], hidden: Hidden, full: str, sensors: Collection[str], seed: int
 ) -> Iterator[Row]:
-    """Of single mechanisms that were detected, pairs and removals, unknown ones, and the control."""
-    singles = [one for one in shown_singles(answers, hidden) if one.is_detected]
+    """Yield the figures of detected single mechanisms, unknown mechanisms, pairs and removals, and the control."""
+    singles = [answer for answer in shown_singles(answers, hidden) if answer.is_detected]
     yield from _first_rows(singles, full)
-    right = [one for one in singles if one.is_first_right()]
-    placed = sensors or {sensor for one in answers for work in one.at_work for sensor in work.sensors}
+    right = [answer for answer in singles if answer.is_first_right()]
+    placed = sensors or {sensor for answer in answers for work in answer.active for sensor in work.sensors}
     about = "of right first causes: sensors (those of all likely causes of that name) and axes are the truth's"
 
-    def is_right(one: Answer) -> bool:
-        return is_place_right(one, set(one.case.chips) or placed)
+    def is_right(answer: Answer) -> bool:
+        return is_place_right(answer, set(answer.case.chips) or placed)
 
     yield rate_row("right sensor and axis", right, is_right, PLACE, about, full)
     yield from _unknown_rows(answers, singles, full, seed)
-    yield from _pair_rows([one for one in answers if one.case.kind == "pair"], full)
-    removals = [one for one in answers if one.case.kind == "removal"]
+    yield from _pair_rows([answer for answer in answers if answer.case.kind == "pair"], full)
+    removals = [answer for answer in answers if answer.case.kind == "removal"]
     about = "the model has an effect that the sensors have not: a likely cause takes it out or replaces it"
     yield rate_row("removed base effect named", removals, is_removed, REMOVED, about, full)
     yield _control(on_plan(singles, full), seed)
 
 
 def is_in_class(answer: Answer) -> bool:
-    """Whether the first cause, or one that is said to be confusable with it, has a right name."""
+    """Return whether the first cause, or an effect that it is reported to be confusable with, has a right name."""
     first = answer.first
     if first is None or _takes_out(answer):
         return False
     names = {first["effect"], *first.get("confusable_with", ())}
-    return any(names & one.resembles for one in answer.at_work)
+    return any(names & mechanism.resembles for mechanism in answer.active)
 
 
 def is_place_right(answer: Answer, sensors: Collection[str]) -> bool:
-    """Whether likely causes of the right name, the first one among them, concern the sensors of the truth and no other
-    one of `sensors`; and its axes, where the truth names any.
+    """Return whether the likely causes of the right name, including the first cause, affect exactly those of `sensors`
+    that the truth names, and its axes if it names any.
     """
-    first, (work, *_) = answer.first, answer.at_work
+    first, (work, *_) = answer.first, answer.active
     if first is None:
         return False
-    causes = [first, *(cause for cause in answer.named if cause is not first and work.is_called(cause))]
-    told = {sensor for cause in causes for sensor in cause.get("sensors") or sensors}
+    causes = [first, *(cause for cause in answer.named if cause is not first and work.is_named_by(cause))]
+    reported = {sensor for cause in causes for sensor in cause.get("sensors") or sensors}
     axes = {axis for cause in causes for axis in cause.get("axes") or "xyz"}
-    return told & set(sensors) == work.sensors & set(sensors) and (not work.axes or axes == work.axes)
+    return reported & set(sensors) == work.sensors & set(sensors) and (not work.axes or axes == work.axes)
 
 
 def are_both_named(answer: Answer) -> bool:
-    """Whether every mechanism has a likely cause of its name that concerns its sensors; one cause can be that of two
-    mechanisms only if they have a name in common.
+    """Return whether every mechanism has a likely cause of its name at its sensors. One cause serves two mechanisms
+    only if they have a name in common.
     """
-    works, causes = answer.at_work, answer.named
+    works, causes = answer.active, answer.named
     if _share_a_name(works):
-        return all(any(work.is_met(cause) for cause in causes) for work in works)
+        return all(any(work.is_located_by(cause) for cause in causes) for work in works)
     return any(
-        all(work.is_met(cause) for work, cause in zip(works, chosen, strict=True))
+        all(work.is_located_by(cause) for work, cause in zip(works, chosen, strict=True))
         for chosen in permutations(causes, len(works))
     )
 
 
 def is_removed(answer: Answer) -> bool:
-    """Whether a likely cause takes the model's extra effect out, or replaces it, where it is."""
+    """Return whether a likely cause removes or replaces the model's extra effect at its sensor."""
     effects, sensors = extra_of(answer.case.extra, answer.case.resembles)
     return any(
         cause["effect"] in effects and cause.get("action") != "add" and meets(sensors, cause.get("sensors", ()))
@@ -104,7 +104,9 @@ def is_removed(answer: Answer) -> bool:
 
 
 def extra_of(extra: Mapping[str, Any], resembles: Sequence[Sequence[str]] = ()) -> tuple[set[str], set[str]]:
-    """Names and sensors of a model's extra effect: of its "effect", else of tables in it, else what it resembles."""
+    """Return the names and sensors of a model's extra effect: its "effect", otherwise its tables, otherwise the names
+    that it resembles.
+    """
     named = (
         {str(extra["effect"])}
         if "effect" in extra
@@ -116,21 +118,21 @@ def extra_of(extra: Mapping[str, Any], resembles: Sequence[Sequence[str]] = ()) 
 
 
 def confusion_of(answers: Sequence[Answer], full: str) -> Confusion:
-    """Cases of one mechanism or none on the full plan; names in the order in which mechanisms have them, so that what
-    is right lies near the diagonal.
+    """Return the confusion matrix of the cases of at most one mechanism on the full plan. Names are in the order of the
+    mechanisms, so that correct answers are near the diagonal.
     """
-    counted = [one for one in on_plan(answers, full) if len(one.at_work) < 2 and one.case.kind != "removal"]
+    counted = [answer for answer in on_plan(answers, full) if len(answer.active) < 2 and answer.case.kind != "removal"]
     rows: dict[str, list[Answer]] = {}
-    for one in sorted(counted, key=_row_order):
-        rows.setdefault(_row_name(one), []).append(one)
+    for answer in sorted(counted, key=_row_order):
+        rows.setdefault(_row_name(answer), []).append(answer)
     names = {
-        name: sorted({effect for one in own for work in one.at_work for effect in work.resembles})
+        name: sorted({effect for answer in own for work in answer.active for effect in work.resembles})
         for name, own in rows.items()
     }
-    said = {one.said for one in counted} - {NO_GAP, NOTHING_NAMED}
+    said = {answer.said for answer in counted} - {NO_GAP, NOTHING_NAMED}
     ordered = dict.fromkeys(effect for effects in names.values() for effect in effects if effect in said)
     columns = (*ordered, *sorted(said - set(ordered)), NOTHING_NAMED, NO_GAP)
-    counts = tuple(tuple(sum(one.said == column for one in own) for column in columns) for own in rows.values())
+    counts = tuple(tuple(sum(answer.said == column for answer in own) for column in columns) for own in rows.values())
     right = tuple(tuple(_is_right_column(own, column) for column in columns) for own in rows.values())
     return Confusion(tuple(rows), columns, counts, right)
 
@@ -138,18 +140,18 @@ def confusion_of(answers: Sequence[Answer], full: str) -> Confusion:
 def _first_rows(singles: Sequence[Answer], full: str) -> Iterator[Row]:
     about = "single mechanisms that were detected: the most probable cause has a right name"
     yield rate_row("right cause first", singles, Answer.is_first_right, FIRST, about, full)
-    large = [one for one in singles if one.limits >= LARGE]
+    large = [answer for answer in singles if answer.limits >= LARGE]
     yield rate_row("right cause first, 5x and above", large, Answer.is_first_right, FIRST_LARGE, about, full)
     about = "as above, or one of those that it is said to be confusable with"
     yield rate_row("right within the reported class", singles, is_in_class, IN_CLASS, about, full)
 
 
 def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int) -> Iterator[Row]:
-    strangers = [one for one in answers if one.case.kind in ("unnamed", "withheld") and one.is_detected]
+    strangers = [answer for answer in answers if answer.case.kind in ("unnamed", "withheld") and answer.is_detected]
     groups = ("kind", "severity", "mechanism")
     about = "detected mechanisms that no name of the library fits: the verdict"
     yield rate_row("unknown called unexplained or partly", strangers, _is_open, UNKNOWN, about, full, groups)
-    known = [one for one in singles if isclose(one.limits, LARGE)]
+    known = [answer for answer in singles if isclose(answer.limits, LARGE)]
     about = f"detected single mechanisms at {severity_name(LARGE)} that the library names: the verdict"
     yield rate_row("known at 5x called unexplained", known, _is_unexplained, FALSE_UNKNOWN, about, full)
     yield rate_row("known at 5x called unexplained or partly", known, _is_open, NO_BAR, about, full)
@@ -159,40 +161,45 @@ def _unknown_rows(answers: Sequence[Answer], singles: Sequence[Answer], full: st
 def _unknown_scores(
     strangers: Sequence[Answer], known: Sequence[Answer], singles: Sequence[Answer], full: str, seed: int
 ) -> Iterator[Row]:
-    """By the diagnosis' own probability that something unknown is present."""
-    above = [one.unknown for one in strangers]
-    at_large = [one.unknown for one in on_plan(known, full)]
-    found = sum(value > limit_of(at_large, 0.1) for value in above) if at_large else 0
+    """Yield the figures of the stated probability that an unknown effect is present."""
+    above = [answer.unknown for answer in strangers]
+    at_large = [answer.unknown for answer in on_plan(known, full)]
+    detected = sum(value > limit_of(at_large, 0.1) for value in above) if at_large else 0
     about = (
         "detected unknown ones whose probability of being unknown is above the limit that 10 % of the known at 5x pass"
     )
-    yield row_of("unknown told at 10 % false ones at 5x", rate(found, len(above) if at_large else 0), UNKNOWN, about)
-    every = [one.unknown for one in on_plan(singles, full)]
-    about = "the chance that an unknown one has the greater probability of being unknown than a known one at 5x"
-    area = bootstrapped(auroc, above, at_large, seed=seed)
-    cell = row_of(
-        "against known ones of every size", bootstrapped(auroc, above, every, seed=seed), NO_BAR, "", group="severity"
+    yield make_row(
+        "unknown told at 10 % false ones at 5x", rate(detected, len(above) if at_large else 0), UNKNOWN, about
     )
-    yield row_of("unknown against known at 5x, AUROC", area, UNKNOWN, about, [cell])
+    every = [answer.unknown for answer in on_plan(singles, full)]
+    about = "the chance that an unknown one has the greater probability of being unknown than a known one at 5x"
+    area = bootstrap(auroc, above, at_large, seed=seed)
+    cell = make_row(
+        "against known ones of every size", bootstrap(auroc, above, every, seed=seed), NO_BAR, "", group="severity"
+    )
+    yield make_row("unknown against known at 5x, AUROC", area, UNKNOWN, about, [cell])
 
 
 def _pair_rows(pairs: Sequence[Answer], full: str) -> Iterator[Row]:
     for name, is_apart, bar in (("on different units", True, APART), ("on one sensor", False, TOGETHER)):
-        own = [one for one in pairs if _are_apart(one.at_work) == is_apart]
+        own = [answer for answer in pairs if _are_apart(answer.active) == is_apart]
         about = "every mechanism has a likely cause (probability 0.5) of a right name at one of its sensors"
         yield rate_row(f"two {name}, both named", own, are_both_named, bar, about, full)
 
 
 def _control(singles: Sequence[Answer], seed: int) -> Row:
-    """With the labels of cases permuted, no more than chance may be right."""
-    labels = [frozenset(effect for work in one.at_work for effect in work.resembles) for one in singles]
-    effects = {label: np.array([one.said in label and not _takes_out(one) for one in singles]) for label in set(labels)}
+    """Permute the labels of the cases: no more of them may be right than by chance."""
+    labels = [frozenset(effect for work in answer.active for effect in work.resembles) for answer in singles]
+    effects = {
+        label: np.array([answer.said in label and not _takes_out(answer) for answer in singles])
+        for label in set(labels)
+    }
     hits = np.stack([effects[label] for label in labels], axis=1) if labels else np.zeros((0, 0), bool)
-    chance = permuted(hits, seed)
-    found: Estimate = rate(chance.hits, len(singles))
+    chance = permute_labels(hits, seed)
+    share: Estimate = rate(chance.hits, len(singles))
     bar = (None, chance.mean + _SURE * chance.deviation) if isfinite(chance.mean) else (None, 0.5)
     about = f"a control of the scoring: labels of cases permuted once, which gives {chance.mean:.3f} on average"
-    return row_of("right cause first, labels shuffled", found, bar, about)
+    return make_row("right cause first, labels shuffled", share, bar, about)
 
 
 def _takes_out(answer: Answer) -> bool:
@@ -207,33 +214,33 @@ def _is_unexplained(answer: Answer) -> bool:
     return answer.verdict == "unexplained"
 
 
-def _are_apart(works: Sequence[AtWork]) -> bool:
-    """Whether no sensor has two of them."""
+def _are_apart(works: Sequence[ActiveMechanism]) -> bool:
+    """Return whether no sensor has two of the mechanisms."""
     every = [sensor for work in works for sensor in work.sensors]
     return len(every) == len(set(every))
 
 
-def _share_a_name(works: Sequence[AtWork]) -> bool:
+def _share_a_name(works: Sequence[ActiveMechanism]) -> bool:
     every = [effect for work in works for effect in work.resembles]
     return len(every) > len(set(every))
 
 
 def _row_order(answer: Answer) -> tuple[int, list[str], str]:
     rank = {"none": 3, "unnamed": 2, "withheld": 1}.get(answer.case.kind, 0)
-    return rank, sorted(effect for work in answer.at_work for effect in work.resembles), answer.mechanisms
+    return rank, sorted(effect for work in answer.active for effect in work.resembles), answer.mechanisms
 
 
 def _row_name(answer: Answer) -> str:
-    if not answer.at_work:
+    if not answer.active:
         return "nothing wrong"
     return f"{answer.mechanisms} (withheld)" if answer.case.kind == "withheld" else answer.mechanisms
 
 
 def _is_right_column(answers: Sequence[Answer], column: str) -> bool:
-    """Whether a diagnosis that says so is right: a name, or that there is nothing, or that there's no name."""
-    one = answers[0]
-    if not one.at_work:
+    """Return whether this column is correct for the mechanism: a name, no gap, or no name."""
+    first = answers[0]
+    if not first.active:
         return column == NO_GAP
-    if one.case.kind != "single":
+    if first.case.kind != "single":
         return column == NOTHING_NAMED
-    return any(column in work.resembles for answer in answers for work in answer.at_work)
+    return any(column in work.resembles for answer in answers for work in answer.active)

@@ -1,4 +1,4 @@
-"""Is there a gap? False alarms, detection against severity, and what can't be told."""
+"""Figures of detection: false alarms, detection by severity, and effects that cannot be determined."""
 
 from __future__ import annotations
 
@@ -14,26 +14,24 @@ from imuarray.validation.score_rows import (
     Bar,
     Row,
     cells_of,
-    grouped,
+    group_answers,
+    make_row,
     on_plan,
     rate_row,
-    row_of,
     severity_name,
 )
 
 FALSE_ALARMS: Bar = (0.035, 0.065)
-"""Of a nominal 5 %."""
+"""Allowed range of a nominal 5 %."""
 DETECTION: Mapping[float, Bar] = {2.0: (0.80, None), 5.0: (0.98, None)}
-"""By detection limits."""
+"""Bars by detection limits."""
 
 Hidden = Mapping[str, Collection[str]]
-"""By plan, the effects that it can't show."""
+"""The effects that a plan cannot show, by plan."""
 
 
 class Curve(NamedTuple):
-    """Detection on one plan ("all": on all of them): (limits, share), the smallest first, of mechanisms that have a
-    size.
-    """
+    """Detection on one plan ("all": on all of them): (limits, share) in ascending order, of mechanisms with a size."""
 
     plan: str
     points: tuple[tuple[float, Estimate], ...]
@@ -48,57 +46,59 @@ class Power(NamedTuple):
 
 
 def detection_rows(answers: Sequence[Answer], hidden: Hidden, full: str) -> Iterator[Row]:
-    """False alarms by plan, detection at 2 and 5 limits, and what can't be told."""
-    yield from _false_alarms([one for one in answers if one.case.kind == "none"], full)
+    """Yield false alarms by plan, detection at 2 and 5 limits, and the reporting of effects that a plan cannot show."""
+    yield from _false_alarms([answer for answer in answers if answer.case.kind == "none"], full)
     shown = shown_singles(answers, hidden)
     for limits, bar in DETECTION.items():
-        own = [one for one in shown if isclose(one.limits, limits)]
+        own = [answer for answer in shown if isclose(answer.limits, limits)]
         about = "single mechanisms: a gap is told; those that a plan can't show are judged below"
         yield rate_row(f"detection at {severity_name(limits)}", own, _is_detected, bar, about, full, ("mechanism",))
-    yield _untold([one for one in answers if is_hidden(one, hidden)])
+    yield _undetermined_row([answer for answer in answers if is_hidden(answer, hidden)])
 
 
 def is_hidden(answer: Answer, hidden: Hidden) -> bool:
-    """Whether the plan can't show a single mechanism, by none of its names."""
+    """Return whether the plan cannot show a single mechanism under any of its names."""
     effects = set(hidden.get(answer.case.plan, ()))
-    is_of_plan = all(one.resembles and one.resembles <= effects for one in answer.at_work)
+    is_of_plan = all(mechanism.resembles and mechanism.resembles <= effects for mechanism in answer.active)
     return answer.case.kind == "single" and (answer.case.is_hidden or is_of_plan)
 
 
 def shown_singles(answers: Sequence[Answer], hidden: Hidden) -> list[Answer]:
-    """Single mechanisms that the plan can show."""
-    return [one for one in answers if one.case.kind == "single" and not is_hidden(one, hidden)]
+    """Return the single mechanisms that the plan can show."""
+    return [answer for answer in answers if answer.case.kind == "single" and not is_hidden(answer, hidden)]
 
 
-def is_told_untold(answer: Answer) -> bool:
-    """Whether the diagnosis says that it can't tell what is at work, and what to record."""
+def is_reported_undetermined(answer: Answer) -> bool:
+    """Return whether the diagnosis reports that it cannot determine the active mechanism, and what to record."""
     return all(
         any(
-            told["effect"] in one.resembles and told.get("record") and meets(one.sensors, told.get("sensors", ()))
-            for told in answer.untold
+            entry["effect"] in mechanism.resembles
+            and entry.get("record")
+            and meets(mechanism.sensors, entry.get("sensors", ()))
+            for entry in answer.undetermined
         )
-        for one in answer.at_work
+        for mechanism in answer.active
     )
 
 
 def curves_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[Curve, ...]:
-    """Of all plans together, then of each; of those of random worlds by experiment."""
-    sized = [one for one in shown_singles(answers, hidden) if one.limits == one.limits]
-    parts = grouped("experiment" if any(one.case.world for one in sized) else "plan", sized)
+    """Return the detection curves of all plans together and of each; for random worlds by experiment."""
+    find_severity = [answer for answer in shown_singles(answers, hidden) if answer.limits == answer.limits]
+    parts = group_answers("experiment" if any(answer.case.world for answer in find_severity) else "plan", find_severity)
     return tuple(
-        Curve(plan, tuple((own[0].limits, _detected(own)) for own in grouped("severity", part).values()))
-        for plan, part in {"all": sized, **parts}.items()
+        Curve(plan, tuple((own[0].limits, _detection_rate(own)) for own in group_answers("severity", part).values()))
+        for plan, part in {"all": find_severity, **parts}.items()
         if part
     )
 
 
 def power_of(answers: Sequence[Answer], full: str) -> Power:
-    """Single mechanisms on the full plan."""
-    counted = [one for one in on_plan(answers, full) if one.case.kind == "single"]
-    severities, mechanisms = tuple(grouped("severity", counted)), grouped("mechanism", counted)
+    """Count the detected single mechanisms on the full plan."""
+    counted = [answer for answer in on_plan(answers, full) if answer.case.kind == "single"]
+    severities, mechanisms = tuple(group_answers("severity", counted)), group_answers("mechanism", counted)
     counts = []
     for own in mechanisms.values():
-        by_severity = grouped("severity", own)
+        by_severity = group_answers("severity", own)
         parts = [by_severity.get(name, ()) for name in severities]
         counts.append(tuple((sum(map(_is_detected, part)), len(part)) for part in parts))
     return Power(tuple(mechanisms), severities, tuple(counts))
@@ -109,33 +109,33 @@ def _false_alarms(controls: Sequence[Answer], full: str) -> Iterator[Row]:
     if full == EVERY and controls:
         parts = ("experiment", "chip", "stratum")
         cells = [cell for group in parts for cell in cells_of(group, controls, _is_false_alarm, NO_BAR)]
-        yield row_of("false alarms", _alarmed(controls), FALSE_ALARMS, about, cells)
+        yield make_row("false alarms", _false_alarm_rate(controls), FALSE_ALARMS, about, cells)
         return
-    for plan, own in grouped("plan", controls).items():
-        yield row_of(f"false alarms, plan {plan}", _alarmed(own), FALSE_ALARMS, about)
+    for plan, own in group_answers("plan", controls).items():
+        yield make_row(f"false alarms, plan {plan}", _false_alarm_rate(own), FALSE_ALARMS, about)
     if not controls:
-        yield row_of("false alarms", _alarmed(controls), FALSE_ALARMS, about)
+        yield make_row("false alarms", _false_alarm_rate(controls), FALSE_ALARMS, about)
 
 
-def _untold(answers: Sequence[Answer]) -> Row:
+def _undetermined_row(answers: Sequence[Answer]) -> Row:
     about = "the plan can't show the mechanism: the diagnosis says that it can't tell, and what to record"
     cells = [
-        row_of(name, _told(own), (1.0, None), "", group=group)
+        make_row(name, _reported_rate(own), (1.0, None), "", group=group)
         for group in ("plan", "mechanism")
-        for name, own in grouped(group, answers).items()
+        for name, own in group_answers(group, answers).items()
     ]
-    return row_of("what a plan can't show is told", _told(answers), (1.0, None), about, cells)
+    return make_row("what a plan can't show is told", _reported_rate(answers), (1.0, None), about, cells)
 
 
-def _told(answers: Sequence[Answer]) -> Estimate:
-    return rate(sum(map(is_told_untold, answers)), len(answers))
+def _reported_rate(answers: Sequence[Answer]) -> Estimate:
+    return rate(sum(map(is_reported_undetermined, answers)), len(answers))
 
 
-def _detected(answers: Sequence[Answer]) -> Estimate:
+def _detection_rate(answers: Sequence[Answer]) -> Estimate:
     return rate(sum(map(_is_detected, answers)), len(answers))
 
 
-def _alarmed(answers: Sequence[Answer]) -> Estimate:
+def _false_alarm_rate(answers: Sequence[Answer]) -> Estimate:
     return rate(sum(map(_is_false_alarm, answers)), len(answers))
 
 

@@ -1,4 +1,4 @@
-"""Rows of the score: a figure with its interval and its bar, and the cells of which it is made."""
+"""Rows of the score: a figure with its interval, its bar, and its cells."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from imuarray.validation.rates import Estimate, rate
 from imuarray.validation.score_answers import Answer
 
 Bar = tuple[float | None, float | None]
-"""Least and greatest value allowed; None: no end."""
+"""Least and greatest value allowed; None: no bound."""
 
 NO_BAR: Bar = (None, None)
 FULL = "full"
-"""The plan on which bars are judged, unless said otherwise."""
+"""The plan on which bars are judged by default."""
 EVERY = ""
-"""In its place: bars are judged on all plans, as of random worlds."""
+"""Stands for all plans, on which the bars of random worlds are judged."""
 
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Row:
-    """A figure: `value` with its 95 % interval, of `cases`; `about` says what is counted. `cells` are the same figure
-    of parts of the cases; `group` says of what parts ("plan", "severity", "mechanism", ...).
+    """A figure: `value` with its 95 % interval over `cases`; `about` says what is counted. `cells` are the same figure
+    for parts of the cases; `group` says which parts ("plan", "severity", "mechanism", ...).
     """
 
     name: str
@@ -40,14 +40,14 @@ class Row:
 
     @property
     def passes(self) -> bool | None:
-        """Whether the value is within the bar; None if there are no cases, or no bar."""
+        """True if the value is within the bar; None without cases or without a bar."""
         if self.bar == NO_BAR or not isfinite(self.value):
             return None
         return _within(self.value, self.value, self.bar)
 
     @property
     def is_refuted(self) -> bool:
-        """Whether the whole interval is outside the bar: more than chance with so few cases."""
+        """True if the whole interval is outside the bar, so that the miss is more than chance."""
         return self.passes is False and isfinite(self.low) and not _within(self.high, self.low, self.bar)
 
     @property
@@ -58,12 +58,12 @@ class Row:
         return {True: "ok", False: "FAIL", None: "n.a."}[self.passes]
 
     def failing(self) -> tuple[Row, ...]:
-        """The cells below their bar, the surest first."""
+        """Return the cells that miss their bar, the most certain first."""
         failed = [cell for cell in self.cells if cell.passes is False]
         return tuple(sorted(failed, key=lambda cell: (not cell.is_refuted, -cell.cases)))
 
     def as_json(self) -> dict[str, Any]:
-        """Numbers that aren't finite are null."""
+        """Return the row as a JSON table; numbers that are not finite are null."""
         return {
             "name": self.name,
             **({"group": self.group} if self.group else {"about": self.about}),
@@ -78,9 +78,9 @@ class Row:
         }
 
 
-def row_of(name: str, found: Estimate, bar: Bar, about: str, cells: Iterable[Row] = (), group: str = "") -> Row:
-    """A row of an estimate."""
-    return Row(name, *found, bar, about, tuple(cells), group)
+def make_row(name: str, estimate: Estimate, bar: Bar, about: str, cells: Iterable[Row] = (), group: str = "") -> Row:
+    """Return the row of an estimate."""
+    return Row(name, *estimate, bar, about, tuple(cells), group)
 
 
 def rate_row(
@@ -92,70 +92,70 @@ def rate_row(
     full: str = FULL,
     groups: Sequence[str] = ("severity", "mechanism"),
 ) -> Row:
-    """The share of hits on the full plan, and by plan; on every plan, by experiment and by chip. Cells of what is
-    counted, by what `groups` name, have its bar.
+    """Return the share of hits on the full plan with cells by plan; if bars are judged on every plan, with cells by
+    experiment and by chip. The cells by `groups` cover the counted cases and have the same bar.
     """
     counted = on_plan(answers, full)
     parts = ("plan",) if full else ("experiment", "chip")
     cells = [cell for group in parts for cell in cells_of(group, answers, is_hit, NO_BAR)]
     for group in groups:
         cells += cells_of(group, counted, is_hit, bar)
-    return row_of(name, _rate(counted, is_hit), bar, about, cells)
+    return make_row(name, _rate(counted, is_hit), bar, about, cells)
 
 
 def on_plan(answers: Iterable[Answer], full: str) -> list[Answer]:
-    """Those of the plan on which bars are judged."""
-    return [one for one in answers if full in (EVERY, one.case.plan)]
+    """Return the answers of the plan on which bars are judged."""
+    return [answer for answer in answers if full in (EVERY, answer.case.plan)]
 
 
-def grouped(group: str, answers: Iterable[Answer]) -> Mapping[str, Sequence[Answer]]:
-    """By plan, severity, mechanism or kind; by experiment, chip or stratum, of which a case may have several.
-    Severities from the smallest on, the others by name.
+def group_answers(group: str, answers: Iterable[Answer]) -> Mapping[str, Sequence[Answer]]:
+    """Group answers by plan, severity, mechanism or kind, or by experiment, chip or stratum, of which a case may have
+    several. Severities are in ascending order, the others by name.
     """
-    found: dict[str, list[Answer]] = {}
-    for one in sorted(answers, key=_by_limits if group == "severity" else _GROUPS[group]):
-        for name in _GROUPS[group](one):
-            found.setdefault(name, []).append(one)
-    return dict(sorted(found.items())) if group in ("experiment", "chip", "stratum") else found
+    groups: dict[str, list[Answer]] = {}
+    for answer in sorted(answers, key=_by_limits if group == "severity" else _GROUPS[group]):
+        for name in _GROUPS[group](answer):
+            groups.setdefault(name, []).append(answer)
+    return dict(sorted(groups.items())) if group in ("experiment", "chip", "stratum") else groups
 
 
 def severity_name(limits: float) -> str:
-    """ "2x the limit", or "there or not"."""
+    """Return the name of a severity: "2x the limit", or "there or not"."""
     return f"{limits:g}x the limit" if isfinite(limits) else "there or not"
 
 
 def finite(value: float) -> float | None:
-    """As JSON has it."""
+    """Return the value for JSON: None if it is not finite."""
     return value if isfinite(value) else None
 
 
 _GROUPS: Mapping[str, Callable[[Answer], tuple[str, ...]]] = {
-    "plan": lambda one: (one.case.plan,),
-    "severity": lambda one: (severity_name(one.limits),),
-    "mechanism": lambda one: (one.mechanisms,),
-    "kind": lambda one: (one.case.kind,),
-    "experiment": lambda one: one.experiments,
-    "chip": lambda one: one.chips,
-    "stratum": lambda one: tuple(f"{name} {value}" for name, value in one.case.strata.items()),
+    "plan": lambda answer: (answer.case.plan,),
+    "severity": lambda answer: (severity_name(answer.limits),),
+    "mechanism": lambda answer: (answer.mechanisms,),
+    "kind": lambda answer: (answer.case.kind,),
+    "experiment": lambda answer: answer.experiments,
+    "chip": lambda answer: answer.chips,
+    "stratum": lambda answer: tuple(f"{name} {value}" for name, value in answer.case.strata.items()),
 }
 
 
 def cells_of(group: str, answers: Sequence[Answer], is_hit: Callable[[Answer], bool], bar: Bar) -> Iterable[Row]:
-    """The share of hits in each part."""
-    parts = grouped(group, answers)
+    """Yield the share of hits in each part."""
+    parts = group_answers(group, answers)
     for name, own in parts.items() if len(parts) > 1 or group == "plan" else ():
-        yield row_of(name, _rate(own, is_hit), bar, "", group=group)
+        yield make_row(name, _rate(own, is_hit), bar, "", group=group)
 
 
 def _rate(answers: Sequence[Answer], is_hit: Callable[[Answer], bool]) -> Estimate:
     return rate(sum(map(is_hit, answers)), len(answers))
 
 
-def _by_limits(one: Answer) -> float:
-    return one.limits if isfinite(one.limits) else float("inf")
+def _by_limits(answer: Answer) -> float:
+    return answer.limits if isfinite(answer.limits) else float("inf")
 
 
 def _within(value: float, other: float, bar: Bar) -> bool:
-    """Whether `value` reaches the lower end and `other` does not exceed the upper one."""
+    """Return whether `value` reaches the lower end and `other` does not exceed the upper one."""
     low, high = bar
     return (low is None or value >= low - _ROUNDING) and (high is None or other <= high + _ROUNDING)

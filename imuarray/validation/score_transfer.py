@@ -1,4 +1,4 @@
-"""What figures are worth elsewhere: in another world; on the cases with a chip or an experiment against all others."""
+"""Transfer of figures: to other worlds, and between the cases with a chip or an experiment and all others."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from typing import NamedTuple
 from imuarray.validation.score_answers import Answer
 from imuarray.validation.score_causes import LARGE, is_in_class
 from imuarray.validation.score_detection import Hidden, shown_singles
-from imuarray.validation.score_rows import Row, grouped
+from imuarray.validation.score_rows import Row, group_answers
 
 LEAST_CASES = 5
-"""Of a part, below which nothing is said of it."""
+"""Minimum number of cases of a part for a figure."""
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """A figure, and its row in each world, that of the world on which the diagnosis was developed first."""
+    """A figure and its row in each world, first the world on which the diagnosis was developed."""
 
     name: str
     rows: Mapping[str, Row]
 
     @property
     def lost(self) -> float:
-        """How much worse it is in the worst of the other worlds: less, or more where a bar is a most."""
+        """The loss in the worst of the other worlds: how much lower, or higher if the bar is an upper bound."""
         home, *others = self.rows.values()
         is_most = home.bar[0] is None and home.bar[1] is not None
         if None not in home.bar:  # a rate that is to be met from both sides
-            return max(abs(one.value - home.value) for one in others)
-        return max((one.value - home.value) * (1 if is_most else -1) for one in others)
+            return max(abs(row.value - home.value) for row in others)
+        return max((row.value - home.value) * (1 if is_most else -1) for row in others)
 
 
 class LeftOut(NamedTuple):
-    """A figure on the cases with a chip or an experiment, and on all others; `cases` are those with it."""
+    """A figure on the cases with a chip or an experiment and on all others; `cases` counts those with it."""
 
     part: str
     figure: str
@@ -44,23 +44,23 @@ class LeftOut(NamedTuple):
 
 
 def left_out_of(answers: Sequence[Answer], hidden: Hidden) -> tuple[LeftOut, ...]:
-    """Of each chip and each experiment: false alarms, detection and causes. Probabilities that were fitted to the cases
-    without it: `imuarray.validation.calibration`.
+    """Return false alarms, detection and causes with and without each chip and each experiment. For probabilities
+    fitted to the cases without it see `imuarray.validation.calibration`.
     """
     return tuple(_left_out(answers, hidden))
 
 
 def _left_out(answers: Sequence[Answer], hidden: Hidden) -> Iterator[LeftOut]:
     shown = shown_singles(answers, hidden)
-    detected = [one for one in shown if one.is_detected]
+    detected = [answer for answer in shown if answer.is_detected]
     figures: Mapping[str, tuple[Sequence[Answer], Callable[[Answer], bool]]] = {
-        "detection at 5x the limit": ([one for one in shown if isclose(one.limits, LARGE)], _is_detected),
+        "detection at 5x the limit": ([answer for answer in shown if isclose(answer.limits, LARGE)], _is_detected),
         "right cause first": (detected, Answer.is_first_right),
         "right within the reported class": (detected, is_in_class),
-        "without a false alarm": ([one for one in answers if one.case.kind == "none"], _is_silent),
+        "without a false alarm": ([answer for answer in answers if answer.case.kind == "none"], _is_silent),
     }
     for group in ("chip", "experiment"):
-        for part in grouped(group, answers):
+        for part in group_answers(group, answers):
             for name, (counted, is_hit) in figures.items():
                 own, others = _split(counted, group, part)
                 if min(len(own), len(others)) >= LEAST_CASES:
@@ -68,10 +68,10 @@ def _left_out(answers: Sequence[Answer], hidden: Hidden) -> Iterator[LeftOut]:
 
 
 def _split(answers: Sequence[Answer], group: str, part: str) -> tuple[list[Answer], list[Answer]]:
-    """Those with it, and those without."""
-    own = grouped(group, answers).get(part, ())
-    names = {one.case.name for one in own}
-    return list(own), [one for one in answers if one.case.name not in names]
+    """Return the answers with the part, and those without."""
+    own = group_answers(group, answers).get(part, ())
+    names = {answer.case.name for answer in own}
+    return list(own), [answer for answer in answers if answer.case.name not in names]
 
 
 def _share(answers: Sequence[Answer], is_hit: Callable[[Answer], bool]) -> float:

@@ -3,14 +3,14 @@
 ::
 
     figures = score_folder("run", hidden={"static": {"scale", "misalignment"}})
-    print(text_of(figures))
+    print(format_text(figures))
 
-Random worlds are judged on all their plans. Of the fixed plans, bars are judged on the full one; the other plans are
-told beside it. Nothing is left out but lost cases, which are told, and from detection and causes what a plan can't
-show, which has a row of its own.
+Random worlds are judged on all their plans, the fixed plans on the full one; the figures of the other plans are cells.
+Only lost cases are left out, and they are listed. Detection and causes exclude effects that a plan cannot show, which
+have a row of their own.
 
-Each world has figures of its own. What a figure loses from the emulated worlds, on which the diagnosis was developed,
-to another's is its transfer gap: what it is worth on data that are nobody's here.
+Each world has figures of its own. The loss of a figure from the emulated worlds, on which the diagnosis was developed,
+to another world is its transfer gap: it estimates the figure on data from elsewhere.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any
 
 from imuarray.validation.case import Case
 from imuarray.validation.rates import Bin, rate
-from imuarray.validation.score_answers import Answer, Lost, Run, read_run
+from imuarray.validation.score_answers import Answer, LostCase, Run, read_run
 from imuarray.validation.score_causes import Confusion, cause_rows, confusion_of
 from imuarray.validation.score_closure import (
     Closure,
@@ -36,7 +36,7 @@ from imuarray.validation.score_closure import (
     time_rows,
 )
 from imuarray.validation.score_detection import Curve, Hidden, Power, curves_of, detection_rows, power_of
-from imuarray.validation.score_rows import EVERY, FULL, NO_BAR, Bar, Row, finite, row_of
+from imuarray.validation.score_rows import EVERY, FULL, NO_BAR, Bar, Row, finite, make_row
 from imuarray.validation.score_transfer import LeftOut, Transfer, left_out_of
 
 WIDTH = 120
@@ -67,7 +67,7 @@ BARS_ELSEWHERE: Mapping[str, Mapping[str, Bar]] = MappingProxyType(
         "real": MappingProxyType({"right cause first, 5x and above": (0.80, None)}),
     }
 )
-"""By world, the bars of its figures; those that aren't here have none there."""
+"""The bars of the figures of other worlds; figures that are not listed have none there."""
 
 TRANSFERRED = (
     *("false alarms", "detection at 2x the limit", "detection at 5x the limit", "right cause first"),
@@ -79,22 +79,22 @@ TRANSFERRED = (
 )
 """Figures that are compared between worlds."""
 HEADLINE = "right cause first"
-"""The figure whose difference is said first."""
+"""The figure whose transfer gap is printed first."""
 
 MOST_CELLS = 8
-"""Failing cells of a row that are named."""
+"""Maximum number of failing cells that are printed for a row."""
 
 
 @dataclass(frozen=True)
 class Figures:
-    """All that a run shows. `plan` is its plan.json, `cases` all of them, those `lost` among them; `full` names the
+    """All figures of a run. `plan` is its plan.json, `cases` counts all cases including those `lost`; `full` names the
     plan on which bars are judged.
     """
 
     plan: Mapping[str, Any]
     full: str
     cases: int
-    lost: tuple[Lost, ...]
+    lost: tuple[LostCase, ...]
     notes: tuple[str, ...]
     rows: tuple[Row, ...]
     curves: tuple[Curve, ...]
@@ -113,13 +113,13 @@ class Figures:
 
     @property
     def transfers(self) -> tuple[Transfer, ...]:
-        """`TRANSFERRED` figures that at least two worlds have."""
+        """The `TRANSFERRED` figures that at least two worlds have."""
         tables = {world: {row.name: row for row in rows} for world, rows in self.worlds.items()}
-        found = [
+        transfers = [
             Transfer(name, {world: own[name] for world, own in tables.items() if name in own and own[name].cases})
             for name in TRANSFERRED
         ]
-        return tuple(one for one in found if len(one.rows) > 1)
+        return tuple(transfer for transfer in transfers if len(transfer.rows) > 1)
 
     @property
     def half(self) -> str:
@@ -128,7 +128,7 @@ class Figures:
 
     @property
     def frozen(self) -> Mapping[str, Any]:
-        """What was settled before the run: thresholds, version."""
+        """The thresholds and the version that were noted before the run."""
         return dict(self.plan.get("frozen") or {})
 
     @property
@@ -137,7 +137,7 @@ class Figures:
         return tuple(row for row in self.rows if row.passes is False)
 
     def row(self, name: str) -> Row:
-        """By its name; KeyError if there is none."""
+        """Return the row of a name; KeyError if there is none."""
         for row in self.rows:
             if row.name == name:
                 return row
@@ -160,12 +160,13 @@ def score_folder(
 def score(
     run: Run, *, hidden: Hidden = NOTHING, full: str = FULL, sensors: Collection[str] = (), seed: int = 0
 ) -> Figures:
-    """The figures of a run. `hidden`: by plan, the effects that it can't show; `sensors`: those on which mechanisms can
-    be put (all that any truth names), as a cause's others don't count; `seed` draws intervals and shuffles labels.
+    """Return the figures of a run. `hidden`: by plan, the effects that it cannot show; `sensors`: the sensors that
+    mechanisms can affect (default: all that any truth names), the only ones of a cause that count; `seed` draws
+    intervals and shuffles labels.
     """
     worlds: dict[str, list[Answer]] = {}
-    for one in sorted(run.answers, key=lambda one: _order(one.case.world)):
-        worlds.setdefault(one.case.world, []).append(one)
+    for answer in sorted(run.answers, key=lambda answer: _order(answer.case.world)):
+        worlds.setdefault(answer.case.world, []).append(answer)
     world = next(iter(worlds), "")
     answers = worlds.get(world, [])
     full = EVERY if world else full
@@ -179,8 +180,8 @@ def score(
             *time_rows(own, full, seed),
         )
 
-    elsewhere = {name: _barred(rows_of(own), name) for name, own in worlds.items() if name != world}
-    rows = _barred(rows_of(answers), world) if world in BARS_ELSEWHERE else rows_of(answers)
+    elsewhere = {name: _with_bars(rows_of(own), name) for name, own in worlds.items() if name != world}
+    rows = _with_bars(rows_of(answers), world) if world in BARS_ELSEWHERE else rows_of(answers)
     return Figures(
         run.plan,
         full,
@@ -200,61 +201,61 @@ def score(
 
 
 def _order(world: str) -> tuple[int, str]:
-    """The emulator's worlds, the fixed plans, then the others by name."""
+    """Return the sort key of a world: the emulator's worlds, the fixed plans, then the others by name."""
     return {"emulator": 0, "": 1}.get(world, 2), world
 
 
-def _barred(rows: Iterable[Row], world: str) -> tuple[Row, ...]:
-    """With the bars of another world, cells too."""
+def _with_bars(rows: Iterable[Row], world: str) -> tuple[Row, ...]:
+    """Return the rows, and their cells, with the bars of another world."""
     bars = BARS_ELSEWHERE.get(world, {})
-    found = []
+    barred = []
     for row in rows:
         bar = bars.get(row.name, NO_BAR)
         cells = tuple(cell if cell.bar == NO_BAR else replace(cell, bar=bar) for cell in row.cells)
-        found.append(replace(row, bar=bar, cells=cells))
-    return tuple(found)
+        barred.append(replace(row, bar=bar, cells=cells))
+    return tuple(barred)
 
 
 def as_json(figures: Figures) -> dict[str, Any]:
-    """As one JSON object; numbers that aren't finite are null."""
+    """Return the figures as one JSON object; numbers that are not finite are null."""
     power, confusion = figures.power, figures.confusion
     return {
         "half": figures.half,
         "plan": dict(figures.plan),
         "full": figures.full,
         "cases": figures.cases,
-        "lost": [vars(one) for one in figures.lost],
+        "lost": [vars(item) for item in figures.lost],
         "notes": list(figures.notes),
         "figures": [row.as_json() for row in figures.rows],
         "curves": [
-            {"plan": one.plan, "points": [{"limits": limits, **_plain(found)} for limits, found in one.points]}
-            for one in figures.curves
+            {"plan": item.plan, "points": [{"limits": limits, **_plain(estimate)} for limits, estimate in item.points]}
+            for item in figures.curves
         ],
         "power": {**power._asdict(), "about": "detected and all cases, by mechanism and severity"},
         "confusion": {**confusion._asdict(), "about": "first cause said, by what was at work"},
-        "reliability": [_plain(one) for one in figures.reliability],
-        "closures": [_plain(one) for one in figures.closures],
+        "reliability": [_plain(item) for item in figures.reliability],
+        "closures": [_plain(item) for item in figures.closures],
         "world": figures.world,
         "elsewhere": {world: [row.as_json() for row in rows] for world, rows in figures.elsewhere.items()},
         "transfer": [
-            {"name": one.name, **{world: finite(row.value) for world, row in one.rows.items()}, "lost": one.lost}
-            for one in figures.transfers
+            {"name": item.name, **{world: finite(row.value) for world, row in item.rows.items()}, "lost": item.lost}
+            for item in figures.transfers
         ],
-        "left_out": [_plain(one) for one in figures.left_out],
+        "left_out": [_plain(item) for item in figures.left_out],
     }
 
 
-def text_of(figures: Figures) -> str:
-    """For the terminal, at most 120 columns: every row with its mark, then the cells that miss a bar, then what is
-    lost.
+def format_text(figures: Figures) -> str:
+    """Format the figures for the terminal, at most 120 columns: every row with its mark, the cells that miss a bar, and
+    the lost cases.
     """
     heading = f"{figures.half or 'validation'} half: {figures.cases} cases, {len(figures.lost)} lost"
-    lines = [heading, "", _line("", "figure", "value", "95 %", "cases", "bar")]
-    lines += [_line(row.mark, row.name, *texts(row)) for row in figures.rows]
+    lines = [heading, "", _format_line("", "figure", "value", "95 %", "cases", "bar")]
+    lines += [_format_line(row.mark, row.name, *format_row(row)) for row in figures.rows]
     for world, rows in figures.elsewhere.items():
-        told = [row for row in rows if row.cases]
-        lines += ["", f"world: {world}", *(_line(row.mark, row.name, *texts(row)) for row in told)]
-    lines += ["", *(transfer_line(one) for one in figures.transfers)] if figures.transfers else []
+        filled = [row for row in rows if row.cases]
+        lines += ["", f"world: {world}", *(_format_line(row.mark, row.name, *format_row(row)) for row in filled)]
+    lines += ["", *(transfer_line(transfer) for transfer in figures.transfers)] if figures.transfers else []
     for row in figures.failed:
         lines += ["", *wrap(f"{row.name}: {row.about}", WIDTH), *_failing(row)]
     lines += (
@@ -264,14 +265,14 @@ def text_of(figures: Figures) -> str:
     return "\n".join(line.rstrip()[:WIDTH] for line in lines) + "\n"
 
 
-def transfer_line(one: Transfer) -> str:
-    """A figure in each world, and what is lost from the first to the worst."""
-    values = ", ".join(f"{world} {decimal(row.value)} ({row.cases})" for world, row in one.rows.items())
-    return f"transfer gap of {one.name}: {decimal(one.lost)} ({values})"
+def transfer_line(transfer: Transfer) -> str:
+    """Return a line with a figure in each world, and the loss from the first to the worst."""
+    values = ", ".join(f"{world} {decimal(row.value)} ({row.cases})" for world, row in transfer.rows.items())
+    return f"transfer gap of {transfer.name}: {decimal(transfer.lost)} ({values})"
 
 
-def texts(row: Row) -> tuple[str, str, str, str]:
-    """Value, interval, cases and bar as a person reads them."""
+def format_row(row: Row) -> tuple[str, str, str, str]:
+    """Return value, interval, cases and bar as text."""
     low, high = row.bar
     if row.bar == NO_BAR:
         bar = ""
@@ -284,37 +285,37 @@ def texts(row: Row) -> tuple[str, str, str, str]:
 
 
 def decimal(value: float) -> str:
-    """Three digits after the point, one from 10 on; "–" for what isn't finite."""
+    """Format with three decimals, one from 10 on; "–" if not finite."""
     return "–" if not isfinite(value) else f"{value:.3f}" if abs(value) < 10 else f"{value:.1f}"
 
 
-def lost_by(lost: Iterable[Lost]) -> Mapping[str, int]:
-    """How many, by kind, plan and why."""
-    found: dict[str, int] = {}
-    for one in lost:
-        name = f"{one.kind}, plan {one.plan}, {one.why}"
-        found[name] = found.get(name, 0) + 1
-    return found
+def lost_by(lost: Iterable[LostCase]) -> Mapping[str, int]:
+    """Count the lost cases by kind, plan and reason."""
+    counts: dict[str, int] = {}
+    for case in lost:
+        name = f"{case.kind}, plan {case.plan}, {case.why}"
+        counts[name] = counts.get(name, 0) + 1
+    return counts
 
 
 def _failing(row: Row) -> Iterator[str]:
     failed = row.failing()
     for cell in failed[:MOST_CELLS]:
-        value, interval, cases, _ = texts(cell)
+        value, interval, cases, _ = format_row(cell)
         yield f"      {cell.group} {cell.name}: {value} ({interval}) of {cases}"
     if len(failed) > MOST_CELLS:
         yield f"      and {len(failed) - MOST_CELLS} more"
 
 
-def _line(mark: str, name: str, value: str, interval: str, cases: str, bar: str) -> str:
+def _format_line(mark: str, name: str, value: str, interval: str, cases: str, bar: str) -> str:
     return f"{mark:<5}{name:<48.48}{value:>8}  {interval:>16}{cases:>8}  {bar}"
 
 
 def _lost(run: Run) -> Row:
-    found = rate(len(run.lost), len(run.answers) + len(run.lost))
-    return row_of("cases lost", found, NO_BAR, "no outcome, or one with an error: in no other figure")
+    share = rate(len(run.lost), len(run.answers) + len(run.lost))
+    return make_row("cases lost", share, NO_BAR, "no outcome, or one with an error: in no other figure")
 
 
-def _plain(found: Any) -> dict[str, Any]:
-    """Of a named tuple."""
-    return {key: finite(value) if isinstance(value, float) else value for key, value in found._asdict().items()}
+def _plain(record: Any) -> dict[str, Any]:
+    """Return a named tuple as a JSON table."""
+    return {key: finite(value) if isinstance(value, float) else value for key, value in record._asdict().items()}

@@ -1,4 +1,4 @@
-"""The thresholds that decide what a diagnosis says: noted when a run begins, so that none is moved in the middle."""
+"""The thresholds of the diagnosis, recorded when a run begins so that none is changed during it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from imuarray.gap.statistics import synthetic_likelihood
 from imuarray.validation import trial
 
 
-def frozen() -> dict[str, Any]:
-    """By their names; the version of the software with them."""
+def frozen_thresholds() -> dict[str, Any]:
+    """Return the thresholds by name, with the version of the software."""
     return {
         "level of false alarms": localisation.LEVEL,
         "nats to be looked at": forward_selection.WORTH,

@@ -1,7 +1,8 @@
-"""One case from its recording to its outcome: made by the generator, diagnosed blindly, then once more by an oracle.
+"""One case from its recording to its outcome: recorded by the generator, diagnosed blindly, then once more by an
+oracle.
 
-The diagnosis is given the paths of the logs, the effects that are withheld from its library and the model; what is at
-work in the logs is told to nobody but the oracle, whose library holds nothing else.
+The diagnosis receives the paths of the logs, the effects that are withheld from its library and the model. Only the
+oracle receives the active mechanisms; its library contains nothing else.
 """
 
 from __future__ import annotations
@@ -30,31 +31,29 @@ from imuarray.validation.bench import limit
 from imuarray.validation.case import Case, Outcome, Put, write_json
 from imuarray.validation.case_folder import read_case
 from imuarray.validation.generator import mechanisms, record, record_in
-from imuarray.validation.severity import FURTHEST, Sized, sized
+from imuarray.validation.severity import FURTHEST, SeverityFit, find_severity
 from imuarray.validation.worlds import draw_world
 
 REPLICATES = 40
-"""Of the base model in a case: the smallest number with which 5 % can be told; how often there's a false alarm is
-measured.
-"""
+"""Replicates of the base model in a case: the smallest number that resolves 5 %; the false-alarm rate is measured."""
 
 _KEPT = ("verdict", "sentence", "p", "gap", "causes", "unknown", "cannot_tell", "notes")
 _WORST = 20
 
 
-class Recorded(NamedTuple):
-    """A case with all that was settled while it was recorded, the paths of its logs, and the truth."""
+class CaseRecording(NamedTuple):
+    """A case with everything that was determined while it was recorded, the paths of its logs, and the truth."""
 
     case: Case
     logs: list[Path]
     truth: Mapping[str, Any]
 
 
-def tried(case: Case, folder: Path) -> None:
-    """Writes the truth into `folder`/sealed and the outcome into `folder`/outcomes, in this order."""
+def diagnose_case(case: Case, folder: Path) -> None:
+    """Write the truth into `folder`/sealed and then the outcome into `folder`/outcomes."""
     begin = time.perf_counter()
     with TemporaryDirectory() as name, ExitStack() as stack:
-        case, logs, truth = recorded(case, Path(name))
+        case, logs, truth = record_case(case, Path(name))
         for part in ("sealed", "outcomes"):
             (folder / part).mkdir(parents=True, exist_ok=True)
         write_json(folder / "sealed" / f"{case.name}.json", {"case": case.table(), "truth": truth})
@@ -62,29 +61,29 @@ def tried(case: Case, folder: Path) -> None:
         recordings = recordings_of(opened)
         model = model_with(case.extra, headers_of(recordings)) if case.extra else None
         compared = compare(recordings, runner, model=model, replicates=REPLICATES)
-        found = explain(compared, library(case.without), briefly=True).as_json()
+        diagnosis = explain(compared, library(case.without), briefly=True).as_json()
         oracle = _oracle(compared, case, truth) if case.kind in ("single", "pair") else {}
-    kept = {key: found[key] for key in _KEPT}
-    lists = {key: found[key][:_WORST] for key in ("where", "unexplained")}
+    kept = {key: diagnosis[key] for key in _KEPT}
+    lists = {key: diagnosis[key][:_WORST] for key in ("where", "unexplained")}
     outcome = Outcome(case.name, {**kept, **lists}, oracle, time.perf_counter() - begin)
     write_json(folder / "outcomes" / f"{case.name}.json", asdict(outcome))
 
 
-def recorded(case: Case, folder: Path) -> Recorded:
-    """The logs of a case: those that somebody wrote, those of a fixed plan, or those of a random world, in which each
-    mechanism has the severity that is so many detection limits of this case.
+def record_case(case: Case, folder: Path) -> CaseRecording:
+    """Return the logs of a case: from a case folder, from a fixed plan, or from a random world, in which the severity
+    of each mechanism is matched to the required number of detection limits.
     """
     if case.source:
-        return Recorded(*read_case(case))
+        return CaseRecording(*read_case(case))
     if not case.world:
-        return Recorded(case, *record(folder, case.plan, case.puts, case.seed))
+        return CaseRecording(case, *record(folder, case.plan, case.puts, case.seed))
     world = draw_world(case.draw).table()
-    told = {**world, "recorder": {**world["recorder"], "reference": True}}
+    with_reference = {**world, "recorder": {**world["recorder"], "reference": True}}
     made: dict[tuple[Put, ...], tuple[list[Path], dict[str, Any]]] = {}
 
     def written(*puts: Put) -> list[Path]:
         if puts not in made:
-            made[puts] = record_in(told, folder / f"{len(made)}", puts, case.seed)
+            made[puts] = record_in(with_reference, folder / f"{len(made)}", puts, case.seed)
         return made[puts][0]
 
     puts = []
@@ -102,23 +101,23 @@ def recorded(case: Case, folder: Path) -> Recorded:
                 return [stack.enter_context(open_log(path)) for path in paths]
 
             plain = [stack.enter_context(open_log(path)) for path in written()]
-            puts.append(_as_sized(put, sized(logs_at, plain, put.limits, first)))
+            puts.append(_with_severity(put, find_severity(logs_at, plain, put.limits, first)))
     named = [replace(put, limits=wanted.limits) for put, wanted in zip(puts, case.puts, strict=True)]
     logs = written(*named)
     if not world["recorder"]["reference"]:
         for path in logs:
             leave_reference_out(path)
     truth = {**made[tuple(named)][1], "world": world, "limits": [put.limits for put in puts]}
-    return Recorded(replace(case, puts=tuple(puts)), logs, truth)
+    return CaseRecording(replace(case, puts=tuple(puts)), logs, truth)
 
 
-def _as_sized(put: Put, found: Sized) -> Put:
-    """What is asked for counts, if it was reached."""
-    return replace(put, severity=found.severity, limits=put.limits if math.isfinite(found.limits) else math.nan)
+def _with_severity(put: Put, fit: SeverityFit) -> Put:
+    """Return the placement with the severity; its nominal limits are kept if they were reached."""
+    return replace(put, severity=fit.severity, limits=put.limits if math.isfinite(fit.limits) else math.nan)
 
 
 def leave_reference_out(path: Path) -> None:
-    """As if nobody had noted what the bench was told to do."""
+    """Remove the reference and the truth from a log, as if the commanded motion had not been noted."""
     with h5py.File(path, "r+") as file:
         for name in ("reference", "truth"):
             if name in file:
@@ -126,24 +125,26 @@ def leave_reference_out(path: Path) -> None:
 
 
 def model_with(extra: Mapping[str, Any], headers: Iterable[SensorHeader]) -> Model:
-    """What sensors usually have, as the diagnosis' own model has it, and in one of them one effect more."""
+    """Return the usual model of the diagnosis with one effect added to one sensor."""
     recipe = {key: figure_of(value, extra["effect"]) for key, value in extra["parameters"].items()}
     part = Part(extra["chip"], name=extra["sensor"], effects={extra["effect"]: (recipe,)})
     return replace(usual_model(headers), name="data sheets and more", sensors=(part,))
 
 
 def headers_of(recordings: Iterable[Recording]) -> list[SensorHeader]:
-    """Of all sensors that were recorded, each once."""
-    found = {name: header for one in recordings for name, (header, _) in one.experiment.plan.sensors.items()}
-    return list(found.values())
+    """Return the headers of all recorded sensors, each once."""
+    headers = {
+        name: header for recording in recordings for name, (header, _) in recording.experiment.plan.sensors.items()
+    }
+    return list(headers.values())
 
 
 def _oracle(compared: GapCase, case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:
-    """The share closed by who knows the effects and the sensors that have them, with its interval: such a one need not
-    be shown that they are there, and blames no others.
+    """Return the share closed by a diagnosis that knows the effects and their sensors, with its interval. It needs no
+    evidence that they are present, and considers no others.
     """
     effects = {name for names in case.resembles for name in names}
-    sensors = {name for one in truth["mechanisms"] for name in one["sensors"]} & compared.headers.keys()
-    candidates = {name: one for name, one in CANDIDATES.items() if name in effects}
+    sensors = {name for mechanism in truth["mechanisms"] for name in mechanism["sensors"]} & compared.headers.keys()
+    candidates = {name: mechanism for name, mechanism in CANDIDATES.items() if name in effects}
     gap = explain(compared, candidates, known=sorted(sensors), briefly=True).as_json()["gap"]
     return {"closed": gap["closed"], "closed_ci95": gap["closed_ci95"]}

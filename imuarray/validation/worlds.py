@@ -1,14 +1,14 @@
-"""Random worlds: for every case another array, plan, room, recorder and way of noting what was done.
+"""Random worlds: for every case another array, plan, room, recorder and way of labelling.
 
 ::
 
     world = draw_world(1_000_042)     # a pure function of the seed
     world.table()                     # what the generator of cases records (`firmware_emulator.sessions`)
 
-What decides most (how many sensors, which chips, how fast, which experiments, labels, timing, ...) is drawn by a
-Kronecker sequence over consecutive seeds, one irrational step a quantity, so that any short run of seeds has something
-of everything; the rest is drawn from streams of its own. Nothing here is beyond what data sheets, rooms and programs
-are allowed to do: a case without a mechanism is an array in which nothing is wrong.
+The main quantities (number of sensors, chips, rates, experiments, labels, timing, ...) are drawn by a Kronecker
+sequence over consecutive seeds, with one irrational step per quantity, so that any short run of seeds covers their
+ranges; the rest is drawn from streams of its own. Everything is within what data sheets, rooms and programs allow: in a
+case without a mechanism nothing is wrong.
 """
 
 from __future__ import annotations
@@ -28,25 +28,26 @@ from imuarray.chips import CHIPS
 Table = dict[str, Any]
 
 MOST_ROWS = 30_000
-"""Of all logs and sensors of a case together: so many are compared with forty replicates in some seconds of one
-processor; the search for causes takes several times that."""
+"""Maximum number of rows of all logs and sensors of a case: they are compared with forty replicates in some seconds of
+one processor; the search for causes takes several times that.
+"""
 MOST_SECONDS = 600.0
-"""Of all logs of a case together."""
+"""Maximum duration of all logs of a case."""
 MOST_READINGS_PER_S = 2500.0
-"""Of all sensors: what a bus of 400 kHz carries (0.25 ms a triad), and a third to spare."""
+"""Maximum readings of all sensors: what a bus of 400 kHz carries (0.25 ms a triad), with a third to spare."""
 RATES_HZ = (20.0, 25.0, 32.0, 50.0, 64.0, 100.0, 128.0, 200.0, 250.0, 400.0, 500.0, 1000.0)
 KINDS = ("static", "tumble", "heating", "turn-on", "motion")
-"""Of experiments, in the order in which they are done."""
+"""The experiments, in the order in which they are done."""
 
 QUANTITIES = (
     *("sensors", "chips", "twins", "rate", "rates", "plan", "poses", "heating", "labels", "recorder", "gaps"),
     *("thermometers", "barometer", "magnetometer", "reference", "draught", "vibration", "length"),
 )
-"""What is drawn evenly over consecutive seeds."""
+"""The quantities that are drawn evenly over consecutive seeds."""
 _STEPS = tuple(math.sqrt(number) % 1 for number in range(2, 80) if all(number % factor for factor in range(2, number)))[
     : len(QUANTITIES)
 ]
-"""Square roots of primes: no two quantities go round together."""
+"""Square roots of primes: no two quantities have commensurable periods."""
 
 _ADDRESSES: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {chip: CHIPS[chip].addresses for chip in ("adxl345", "bma180", "l3g4200d")}
@@ -72,25 +73,28 @@ _AXES = tuple(
 """The 24 right-handed ways to mount a chip."""
 
 TILT_DEG = 1.0
-"""How far a table is off the horizontal (one sigma), together with a box that is not square."""
+"""Tilt of a table (one sigma), together with the squareness of the box."""
 HAND_DEG = 20.0
-"""How far from a face a box lies that is put down by hand."""
+"""Angle between a box set down by hand and the nearest face."""
 DRIFT_DEGC_PER_H = 2.0
-"""Of a room, either way, at most."""
+"""Greatest temperature drift of a room in either direction."""
 DRAUGHT_DEGC = (0.03, 0.4)
-"""Swings (rms) of the box's temperature in a draughty room."""
+"""Temperature variation (rms) of the box in a draughty room."""
 VIBRATION_G = (2e-5, 5e-4)
-"""Peak of what a fridge or a fan does to a table: from what nobody feels to what a hand on the table just feels."""
+"""Peak vibration of a table by a fridge or a fan: from imperceptible to just perceptible by hand. @ =(BUSY_SHARE,
+BUSY_MS) Share of the transactions that wait on a busy board, and their mean wait. @ =(STALLS_PER_MIN, STALL_S) Rate and
+duration of the stalls of a recorder.
+"""
 VIBRATION_DPS_PER_G = 20.0
 BUSY_SHARE, BUSY_MS = (0.005, 0.03), (0.05, 0.4)
-"""Of the transactions on a busy board, so many wait, so long on average."""
+"""Share of the transactions that wait on a busy board, and their mean wait."""
 STALLS_PER_MIN, STALL_S = (0.5, 2.0), (0.2, 2.0)
-"""Of a recorder that now and then reads nothing."""
+"""Rate and duration of the stalls of a recorder."""
 
 _LEAST_S: Mapping[str, float] = MappingProxyType(
     {"static": 20.0, "tumble": 42.0, "heating": 45.0, "turn-on": 20.0, "motion": 20.0}
 )
-"""With less an experiment shows nothing."""
+"""The shortest useful duration of an experiment."""
 _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "static": (40.0, 300.0),
@@ -100,14 +104,14 @@ _USUAL_S: Mapping[str, tuple[float, float]] = MappingProxyType(
         "motion": (25.0, 80.0),
     }
 )
-"""Where the time and the rows allow it."""
+"""The usual durations, where the limits of time and rows allow them."""
 
 
 @dataclass(frozen=True)
 class World:
-    """What is drawn of one seed. `array` is its TOML text, `chips` says which chip each sensor is, `ranges` and `rates`
-    how it is set and how often it is read; `sessions` are the logs, `room` and `recorder` what they are made with, all
-    as tables of the generator; `strata` says in words what a judge may want apart.
+    """The draw of one seed. `array` is its TOML text, `chips` maps sensors to chips, `ranges` and `rates` are their
+    settings and reading rates; `sessions` are the logs, `room` and `recorder` their conditions, all as tables of the
+    generator; `strata` names the properties by which figures are broken down.
     """
 
     seed: int
@@ -123,7 +127,7 @@ class World:
 
     @property
     def plan(self) -> str:
-        """Its experiments, "heating+static"; as `plan_of` names them."""
+        """The experiments in the form of `plan_of`: "heating+static"."""
         return plan_of(self.kinds)
 
     @property
@@ -133,37 +137,37 @@ class World:
 
     @property
     def seconds(self) -> float:
-        """Of all logs."""
+        """The duration of all logs."""
         return float(sum(session["seconds"] for session in self.sessions))
 
     @property
     def rows(self) -> float:
-        """Of all logs and sensors, about."""
+        """The approximate number of rows of all logs and sensors."""
         return self.seconds * sum(self.rates.values())
 
     @property
     def faces(self) -> int:
-        """On how many different faces the box lies, about."""
+        """The approximate number of different faces on which the box lies."""
         ups = np.array([pose["up"] for session in self.sessions for pose in session["poses"]])
         return len(set(np.argmax(ups @ np.array(list(_FACES.values())).T, axis=1).tolist()))
 
     def twins(self) -> list[tuple[str, str]]:
-        """Pairs of sensors of one chip and range."""
+        """Return the pairs of sensors of one chip and range."""
         pairs = itertools.combinations(self.inertial, 2)
         return [(a, b) for a, b in pairs if (self.chips[a], self.ranges[a]) == (self.chips[b], self.ranges[b])]
 
     def table(self) -> Table:
-        """For the generator, as JSON has it."""
+        """Return the world as a JSON table for the generator."""
         return {"array": self.array, "sessions": list(self.sessions), "room": self.room, "recorder": self.recorder}
 
 
 def plan_of(kinds: Sequence[str]) -> str:
-    """The name of a plan with these experiments."""
+    """Return the name of a plan with these experiments."""
     return "+".join(sorted(set(kinds)))
 
 
 def draw_world(seed: int) -> World:
-    """The world of a seed. Consecutive seeds cover the strata evenly."""
+    """Return the world of a seed. Consecutive seeds cover the strata evenly."""
     even = {name: (seed * step) % 1 for name, step in zip(QUANTITIES, _STEPS, strict=True)}
     kinds = _kinds(even["plan"])
     sensors = _sensors(even, _stream(seed, "array"), sum(_LEAST_S[kind] for kind in kinds))
@@ -185,16 +189,16 @@ def draw_world(seed: int) -> World:
         session["reference_hz"] = 500.0 if recorder["reference"] and session["motions"] else 0.0
     room = _room(even, _stream(seed, "room"))
     strata = {
-        "sensors": str(sum(one["chip"] in _ADDRESSES for one in sensors)),
+        "sensors": str(sum(sensor["chip"] in _ADDRESSES for sensor in sensors)),
         "rate_hz": f"{rate_hz:g}",
-        "rates": "different" if any(one.get("fifo") for one in sensors) else "one",
+        "rates": "different" if any(sensor.get("fifo") for sensor in sensors) else "one",
         "poses": ("by hand" if by_hand else "by faces") if "tumble" in kinds else "none",
         "labels": labels,
         "recorder": "busy" if recorder["share"] else "quiet",
         "gaps": "some" if recorder["stalls_per_min"] else "none",
         "thermometers": "read" if recorder["thermometers"] else "not read",
-        "barometer": "there" if any(one["chip"] == "bmp180" for one in sensors) else "none",
-        "magnetometer": "there" if any(one["chip"].startswith("hmc") for one in sensors) else "none",
+        "barometer": "there" if any(sensor["chip"] == "bmp180" for sensor in sensors) else "none",
+        "magnetometer": "there" if any(sensor["chip"].startswith("hmc") for sensor in sensors) else "none",
         "reference": "there" if recorder["reference"] else "none",
         "draught": "there" if room["draught_degc"] else "none",
         "vibration": _choice(even["vibration"], _VIBRATIONS),
@@ -202,8 +206,8 @@ def draw_world(seed: int) -> World:
     return World(
         seed,
         _toml(sensors),
-        {one["name"]: one["chip"] for one in sensors},
-        {one["name"]: one.get("range", 0.0) for one in sensors},
+        {sensor["name"]: sensor["chip"] for sensor in sensors},
+        {sensor["name"]: sensor.get("range", 0.0) for sensor in sensors},
         rates,
         kinds,
         tuple(sessions),
@@ -214,12 +218,12 @@ def draw_world(seed: int) -> World:
 
 
 def _stream(seed: int, key: str) -> np.random.Generator:
-    """Random numbers of their own for everything that has a name."""
+    """Return a generator of random numbers for everything that has a name."""
     return np.random.default_rng([seed, crc32(key.encode())])
 
 
 def _choice(even: float, shares: Mapping[str, float]) -> str:
-    """One of these by their shares of 1."""
+    """Choose a name by its share of 1."""
     reached = 0.0
     for name, share in shares.items():
         reached += share
@@ -229,19 +233,19 @@ def _choice(even: float, shares: Mapping[str, float]) -> str:
 
 
 def _between(random: np.random.Generator, bounds: tuple[float, float]) -> float:
-    """Evenly by its logarithm, three digits."""
+    """Draw log-uniformly, rounded to three digits."""
     low, high = np.log(bounds)
     return float(f"{math.exp(random.uniform(low, high)):.3g}")
 
 
 def _kinds(even: float) -> tuple[str, ...]:
-    """One of the 31 sets of experiments."""
+    """Choose one of the 31 sets of experiments."""
     bits = 1 + int(even * (2 ** len(KINDS) - 1))
     return tuple(kind for place, kind in enumerate(KINDS) if bits >> place & 1)
 
 
 def _sensors(even: Mapping[str, float], random: np.random.Generator, least_s: float) -> list[Table]:
-    """Entries of the array's TOML; no more than can be read for `least_s`."""
+    """Return the entries of the array's TOML; no more than can be read for `least_s`."""
     few = {"1": 0.15, "2": 0.15, "3": 0.2, "4": 0.15, "6": 0.2, "9": 0.1, "16": 0.05}
     most = int(_choice(even["sensors"], few))
     count = int(random.integers({"6": 5, "9": 7, "16": 10}.get(str(most), most), most + 1))
@@ -251,15 +255,16 @@ def _sensors(even: Mapping[str, float], random: np.random.Generator, least_s: fl
     slots = {chip: [(channel, address) for channel in range(_CHANNELS) for address in _ADDRESSES[chip]] for chip in mix}
     twins = even["twins"] < 0.6
     common = {chip: _range(chip, random) for chip in mix}
-    found: list[Table] = []
+    sensors: list[Table] = []
     chosen = [mix[place % len(mix)] for place in range(count)] if count >= len(mix) else mix[:count]
     for chip in random.permutation(chosen).tolist():
         if not slots[chip]:
             continue
         channel, address = slots[chip].pop(int(random.integers(len(slots[chip]))))
         range_ = common[chip] if twins else _range(chip, random)
-        name = f"{'Gyro' if chip == 'l3g4200d' else chip[:3].upper()}{1 + sum(one['chip'] == chip for one in found)}"
-        found.append(
+        number = 1 + sum(sensor["chip"] == chip for sensor in sensors)
+        name = f"{'Gyro' if chip == 'l3g4200d' else chip[:3].upper()}{number}"
+        sensors.append(
             {
                 "name": name,
                 "chip": chip,
@@ -271,63 +276,63 @@ def _sensors(even: Mapping[str, float], random: np.random.Generator, least_s: fl
             }
         )
     if even["barometer"] < 0.4:
-        found.append({"name": "Baro", "chip": "bmp180", "channel": 0, "address": CHIPS["bmp180"].addresses[0]})
+        sensors.append({"name": "Baro", "chip": "bmp180", "channel": 0, "address": CHIPS["bmp180"].addresses[0]})
     if even["magnetometer"] < 0.3:
         chip = str(random.choice(["hmc5883", "hmc5883l"]))
-        range_ = float(random.choice([one for one in CHIPS[chip].sensitivity if one > 1]))
+        range_ = float(random.choice([sensor for sensor in CHIPS[chip].sensitivity if sensor > 1]))
         place = {"channel": 1, "address": CHIPS[chip].addresses[0], "range": range_, "rate_hz": 75.0}
-        found.append({"name": "Mag", "chip": chip, **place, "axes": str(random.choice(_AXES))})
-    return found
+        sensors.append({"name": "Mag", "chip": chip, **place, "axes": str(random.choice(_AXES))})
+    return sensors
 
 
 def _range(chip: str, random: np.random.Generator) -> float:
-    """One in which gravity does not clip, whatever the part's scale and bias."""
-    return float(random.choice([one for one in CHIPS[chip].sensitivity if one >= 1.5]))
+    """Draw a range that gravity does not clip, whatever the part's scale and bias."""
+    return float(random.choice([limit for limit in CHIPS[chip].sensitivity if limit >= 1.5]))
 
 
 def _filter(chip: str, random: np.random.Generator) -> Table:
-    """Data rate and filter, as far as they can be set."""
-    spec, found = CHIPS[chip], dict[str, Any]()
+    """Draw the data rate and the filter, as far as they can be set."""
+    spec, settings = CHIPS[chip], dict[str, Any]()
     if spec.rates_hz:
-        found["rate_hz"] = float(random.choice([one for one in spec.rates_hz if 50 <= one <= 1600]))
-    if bandwidths := spec.allowed_bandwidths_hz(found.get("rate_hz", spec.fixed_rate_hz)):
-        found["bandwidth_hz"] = float(random.choice(bandwidths))
-    return found
+        settings["rate_hz"] = float(random.choice([rate_hz for rate_hz in spec.rates_hz if 50 <= rate_hz <= 1600]))
+    if bandwidths := spec.allowed_bandwidths_hz(settings.get("rate_hz", spec.fixed_rate_hz)):
+        settings["bandwidth_hz"] = float(random.choice(bandwidths))
+    return settings
 
 
 def _rates(
     even: Mapping[str, float], sensors: list[Table], kinds: Sequence[str], random: np.random.Generator
 ) -> tuple[float, dict[str, float]]:
-    """Frames a second, the highest of those that the draw, the bus and the budget of rows allow, and readings a second
-    of each sensor: some accelerometers and gyroscopes of a third of the worlds have all their samples fetched from the
+    """Return the frame rate, the highest that the draw, the bus and the budget of rows allow, and the reading rate of
+    each sensor. In a third of the worlds some accelerometers and gyroscopes have all their samples fetched from the
     chip's queue.
     """
     wanted = RATES_HZ[int(even["rate"] * len(RATES_HZ))]
-    queued = [one for one in sensors if CHIPS[one["chip"]].has_fifo]
+    queued = [sensor for sensor in sensors if CHIPS[sensor["chip"]].has_fifo]
     if even["rates"] < 0.35 and wanted >= 50.0 and queued:
-        for one in random.permutation(len(queued))[: max(1, len(queued) // 2)].tolist():
-            slow = [rate for rate in CHIPS[queued[one]["chip"]].rates_hz if 50 <= rate <= min(400.0, 8 * wanted)]
-            _queue(queued[one], float(random.choice(slow)), random)
+        for sensor in random.permutation(len(queued))[: max(1, len(queued) // 2)].tolist():
+            slow = [rate for rate in CHIPS[queued[sensor]["chip"]].rates_hz if 50 <= rate <= min(400.0, 8 * wanted)]
+            _queue(queued[sensor], float(random.choice(slow)), random)
     least_s = sum(_LEAST_S[kind] for kind in kinds)
-    for rate_hz in reversed([one for one in RATES_HZ if one <= wanted]):
-        rates = {one["name"]: _rate(one, rate_hz) for one in sensors}
+    for rate_hz in reversed([sensor for sensor in RATES_HZ if sensor <= wanted]):
+        rates = {sensor["name"]: _rate(sensor, rate_hz) for sensor in sensors}
         total = sum(rates.values())
         if total <= MOST_READINGS_PER_S and total * least_s <= MOST_ROWS:
             return rate_hz, rates
-    for one in queued:
-        one.pop("fifo", None)
-    return RATES_HZ[0], {one["name"]: _rate(one, RATES_HZ[0]) for one in sensors}
+    for sensor in queued:
+        sensor.pop("fifo", None)
+    return RATES_HZ[0], {sensor["name"]: _rate(sensor, RATES_HZ[0]) for sensor in sensors}
 
 
 def _queue(sensor: Table, rate_hz: float, random: np.random.Generator) -> None:
-    """Its chip's queue is drained, at that data rate."""
+    """Configure a sensor whose queue is read, at that data rate."""
     sensor |= {"fifo": True, "rate_hz": rate_hz}
     if bandwidths := CHIPS[sensor["chip"]].allowed_bandwidths_hz(rate_hz):
         sensor["bandwidth_hz"] = float(random.choice(bandwidths))
 
 
 def _rate(sensor: Table, rate_hz: float) -> float:
-    """Rows a second."""
+    """Return the rows per second of a sensor."""
     if sensor.get("fifo"):
         return float(sensor["rate_hz"])
     return CHIPS[sensor["chip"]].default_rate_hz if CHIPS[sensor["chip"]].on_demand else rate_hz
@@ -336,7 +341,7 @@ def _rate(sensor: Table, rate_hz: float) -> float:
 def _lengths(
     kinds: Sequence[str], rates: Mapping[str, float], even: float, random: np.random.Generator
 ) -> dict[str, float]:
-    """Seconds of each experiment: as usual, or as much less as the time and the rows demand."""
+    """Return the duration of each experiment, s: the usual one, shortened as the limits of time and rows demand."""
     short = even < 0.3
     usual = {kind: _LEAST_S[kind] if short else _between(random, _USUAL_S[kind]) for kind in kinds}
     most_s = min(MOST_SECONDS, MOST_ROWS / sum(rates.values()))
@@ -347,7 +352,7 @@ def _lengths(
 
 
 def _leaning(face: str, degrees: float, random: np.random.Generator) -> list[float]:
-    """A unit vector about so far from a face's."""
+    """Return a unit vector that is about this angle away from a face's normal."""
     up = np.array(_FACES[face]) + math.radians(degrees) * random.standard_normal(3) / math.sqrt(2)
     return [float(part) for part in up / np.linalg.norm(up)]
 
@@ -372,7 +377,7 @@ def _static(seconds: float, random: np.random.Generator, even: Mapping[str, floa
 
 
 def _tumble(seconds: float, random: np.random.Generator, even: Mapping[str, float], limits: Limits) -> list[Table]:
-    """By faces, in any order, all or some of them; or put down by hand, of which nobody says how it lay."""
+    """Return a tumble over all or some faces in any order; or with poses set by hand and not labelled with a face."""
     turn_s = float(random.choice([1.5, 2.0, 3.0]))
     most = int(seconds / (turn_s + 4.0))
     by_hand = even["poses"] < 0.5
@@ -390,7 +395,7 @@ def _tumble(seconds: float, random: np.random.Generator, even: Mapping[str, floa
 
 
 def _heating(seconds: float, random: np.random.Generator, even: Mapping[str, float], limits: Limits) -> list[Table]:
-    """Up, down, by steps or in two pulses; on one face, or on another one from stretch to stretch."""
+    """Return a heating: up, up and down, in steps or two pulses; on one face, or with a new face for each stretch."""
     course = _choice(even["heating"], {"up": 0.25, "up and down": 0.25, "steps": 0.25, "pulses": 0.25})
     peak, faces = float(random.uniform(35, 55)), random.permutation(list(_FACES)).tolist()
     rises = {
@@ -419,7 +424,7 @@ def _heating(seconds: float, random: np.random.Generator, even: Mapping[str, flo
 
 
 def _turn_on(seconds: float, random: np.random.Generator, even: Mapping[str, float], limits: Limits) -> list[Table]:
-    """A series of power-ups, each a log."""
+    """Return a series of power-ups, each a log."""
     each_s = float(random.choice([4.0, 6.0, 10.0]))
     logs = int(np.clip(seconds / each_s, 4, 12))
     each_s = round(seconds / logs, 2)
@@ -432,20 +437,20 @@ def _turn_on(seconds: float, random: np.random.Generator, even: Mapping[str, flo
 
 @dataclass(frozen=True)
 class Limits:
-    """How far a motion may go without clipping: rad/s, and g beside gravity."""
+    """The greatest motion without clipping: rad/s, and g in addition to gravity."""
 
     rate: float
     force_g: float
 
 
 def _motion_limits(sensors: Sequence[Table]) -> Limits:
-    rates = [one["range"] for one in sensors if one["chip"] == "l3g4200d"]
-    forces = [one["range"] for one in sensors if CHIPS[one["chip"]].unit == "g"]
+    rates = [sensor["range"] for sensor in sensors if sensor["chip"] == "l3g4200d"]
+    forces = [sensor["range"] for sensor in sensors if CHIPS[sensor["chip"]].unit == "g"]
     return Limits(0.5 * math.radians(min(rates, default=500.0)), 0.25 * (min(forces, default=4.0) - 1.1))
 
 
 def _motion(seconds: float, random: np.random.Generator, even: Mapping[str, float], limits: Limits) -> list[Table]:
-    """At rest, rocked and shaken once to three times about any axis, at rest."""
+    """Return rest, one to three motions of rocking and shaking about random axes, and rest."""
     still_s = max(4.0, round(0.12 * seconds, 2))
     count = int(random.integers(1, 4))
     edges = np.linspace(still_s, seconds - still_s, count + 1).tolist()
@@ -476,14 +481,14 @@ _SESSIONS = MappingProxyType(
 
 
 def _labelled(session: Table, labels: str, random: np.random.Generator) -> Table:
-    """As somebody noted it: all; nothing; or two faces of a tumble confused."""
+    """Return the session with its labels: complete, missing, or with two faces of a tumble exchanged."""
     if labels == "missing":
         return {**session, "phases": []}
     if labels == "some wrong" and session["name"] == "tumble":
         phases = [list(phase) for phase in session["phases"]]
-        one, other = random.choice(len(phases), 2, replace=False).tolist()
+        first, second = random.choice(len(phases), 2, replace=False).tolist()
         for place in (2, 3):
-            phases[one][place], phases[other][place] = phases[other][place], phases[one][place]
+            phases[first][place], phases[second][place] = phases[second][place], phases[first][place]
         return {**session, "phases": phases}
     return session
 
@@ -528,10 +533,10 @@ def _room(even: Mapping[str, float], random: np.random.Generator) -> Table:
 
 
 def _toml(sensors: Sequence[Table]) -> str:
-    """Of an array with a multiplexer."""
+    """Return the TOML of an array with a multiplexer."""
     lines = ["[array]", 'name = "bench"', 'mux = { chip = "pca9544a", address = 0x70 }']
-    for one in sensors:
-        lines += ["[[sensor]]", *(f"{key} = {_value(value)}" for key, value in one.items())]
+    for sensor in sensors:
+        lines += ["[[sensor]]", *(f"{key} = {_value(value)}" for key, value in sensor.items())]
     return "\n".join(lines) + "\n"
 
 

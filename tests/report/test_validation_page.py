@@ -26,7 +26,7 @@ from imuarray.validation.score_causes import Confusion
 from imuarray.validation.score_closure import Closure
 from imuarray.validation.score_detection import Curve
 from imuarray.validation.score_rows import Row
-from imuarray.validation.scoring import Figures, score_folder, texts
+from imuarray.validation.scoring import Figures, format_row, score_folder
 from tests.validation.made_run import NO_GAP, THERE_OR_NOT, Made, cause, put, said
 
 EVIL = "<script>alert('x')</script>\"&--><img src=http://evil.example/x.png> $\\frac{$ `|` \x1b[2J"
@@ -204,12 +204,12 @@ def test_without_matplotlib_there_are_tables_alone(
 
 
 def test_a_run_without_cases_makes_a_page(tmp_path: Path) -> None:
-    found = score_folder(Made(tmp_path / "run", plan={}).folder)
-    write_validation_page(tmp_path / "page.html", found)
+    score = score_folder(Made(tmp_path / "run", plan={}).folder)
+    write_validation_page(tmp_path / "page.html", score)
     page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
     assert page.images == [] and list(page.rows) == ORDER
     assert page.summary[0] == "0 of 0 figures reach their bar."
-    assert "Nothing was frozen" in markdown(found, "2026-01-31")
+    assert "Nothing was frozen" in markdown(score, "2026-01-31")
 
 
 def test_markdown_has_every_figure_and_what_misses(figures: Figures) -> None:
@@ -219,7 +219,7 @@ def test_markdown_has_every_figure_and_what_misses(figures: Figures) -> None:
     assert lines[lines.index("```sh") + 1] == COMMAND
     for row in figures.rows:
         mark = "**FAIL**" if row.passes is False else row.mark
-        assert f"| {mark} | {row.name} | {' | '.join(texts(row))} |" in lines
+        assert f"| {mark} | {row.name} | {' | '.join(format_row(row))} |" in lines
     assert "| right cause first | severity there or not | 0.000 | 0.000 to 0.793 | 1 |" in lines
 
 

@@ -88,7 +88,7 @@ class Made:
         """
         self.count += 1
         names = (
-            tuple(tuple(one) for one in resembles)
+            tuple(tuple(item) for item in resembles)
             if resembles is not None
             else tuple(NAMES[put.mechanism] for put in puts)
         )
@@ -104,7 +104,7 @@ class Made:
             for put, effects in zip(puts, names, strict=kind != "removal")
         ]
         table = {"case": case.table(), "truth": {"array": "martin2013", "mechanisms": mechanisms}}
-        table["truth"]["logs"] = [{"touched": one} for one in touched]
+        table["truth"]["logs"] = [{"touched": item} for item in touched]
         write_json(self.folder / "sealed" / f"{case.name}.json", table)
         return case
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from imuarray.validation.calibration import CauseClaim, claims_in, confused_in, cross_validated, program, rates_of
+from imuarray.validation.calibration import CauseClaim, claims_in, confusable_pairs, cross_validate, fit_rates, program
 from imuarray.validation.score_answers import read_run
 from tests.validation.made_run import Made, cause, put, said
 
@@ -22,17 +22,17 @@ def test_rates_are_found_again() -> None:
     400 come within 0.08 but for one in a thousand.
     """
     random = np.random.default_rng(2)
-    told = [
+    claims = [
         CauseClaim(share, closed, bool(random.random() < worth * (0.25 + 0.65 * closed**2)))
         for closed in (0.0, 0.5, 1.0)
         for share, worth in ((1.0, 21.5 / 22.5), (27 / 28, 0.75))
         for _ in range(400)
     ]
-    found = rates_of(told)
-    assert (found.least, found.most) == pytest.approx((0.25, 0.9), abs=0.08)
-    assert found.least + (found.most - found.least) * 0.5**found.steep == pytest.approx(0.4125, abs=0.08)
-    assert 27**found.rivals / (1 + 27**found.rivals) == pytest.approx(0.75, abs=0.08)
-    assert all(map(math.isnan, rates_of([])))
+    rates = fit_rates(claims)
+    assert (rates.least, rates.most) == pytest.approx((0.25, 0.9), abs=0.08)
+    assert rates.least + (rates.most - rates.least) * 0.5**rates.steep == pytest.approx(0.4125, abs=0.08)
+    assert 27**rates.rivals / (1 + 27**rates.rivals) == pytest.approx(0.75, abs=0.08)
+    assert all(map(math.isnan, fit_rates([])))
 
 
 def test_a_run(tmp_path: Path) -> None:
@@ -42,8 +42,8 @@ def test_a_run(tmp_path: Path) -> None:
     made.both("single", said(right, other, cause("axis_error", 0.9, share=None)), put("mains_ripple"))
     made.both("pair", said(cause("scale", 0.7, share=0.4, all_closed=None)), put("mains_ripple"), put("torn_reads"))
     made.both("removal", said(right), extra={"effect": "tone", "sensor": "Gyro1"})
-    told = claims_in(read_run(tmp_path).answers)
-    assert told == [CauseClaim(0.95, 0.9, True), CauseClaim(0.95, 0.9, False), CauseClaim(0.4, 0.0, False)]
+    claims = claims_in(read_run(tmp_path).answers)
+    assert claims == [CauseClaim(0.95, 0.9, True), CauseClaim(0.95, 0.9, False), CauseClaim(0.4, 0.0, False)]
     printed = CliRunner().invoke(program, [str(tmp_path)]).output
     assert printed.startswith("3 causes, 1 right; without a rival 2:\n")
     assert "0.90 to 0.95 closed: 0.50 of 2" in printed
@@ -55,7 +55,7 @@ def test_what_is_confused_is_counted(tmp_path: Path) -> None:
     for first in ("scale", "scale", "tone", "tone", "tone", "jitter"):
         made.both("single", said(cause(first)), put("mains_ripple"))
     made.both("single", said(verdict="unexplained"), put("mains_ripple"))
-    (pair,) = confused_in(read_run(tmp_path).answers)
+    (pair,) = confusable_pairs(read_run(tmp_path).answers)
     assert pair == ("tone", "scale", 2, 6)
 
 
@@ -65,16 +65,16 @@ def test_probabilities_are_judged_by_rates_of_other_worlds(tmp_path: Path) -> No
     some say about a half of the others; of a second kind of world in which they are never right that is far off.
     """
     made = Made(tmp_path)
-    told = said(cause("tone", 0.9, share=0.95, all_closed=0.9))
+    diagnosis = said(cause("tone", 0.9, share=0.95, all_closed=0.9))
     for number in range(60):
-        made.both("single", told, put("mains_ripple" if number % 2 else "torn_reads"))
+        made.both("single", diagnosis, put("mains_ripple" if number % 2 else "torn_reads"))
     other = Made(tmp_path / "other")
     for _ in range(20):
-        other.both("single", told, put("torn_reads"))
+        other.both("single", diagnosis, put("torn_reads"))
     answers = read_run(tmp_path).answers
-    strange = [replace(one, case=replace(one.case, world="foreign")) for one in read_run(other.folder).answers]
-    own, *moved = cross_validated([*answers, *strange])
+    strange = [replace(answer, case=replace(answer.case, world="foreign")) for answer in read_run(other.folder).answers]
+    own, *moved = cross_validate([*answers, *strange])
     assert own.part == "other worlds"
     assert own.causes == 80
-    (there,) = [one for one in moved if one.part == "foreign, fitted to fixed plans"]
+    (there,) = [answer for answer in moved if answer.part == "foreign, fitted to fixed plans"]
     assert there.error == pytest.approx(0.5, abs=0.05)

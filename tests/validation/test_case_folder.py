@@ -54,16 +54,16 @@ def effect(name: str | None, severity: float | None = 5.0, axes: str = "x", **mo
 
 def test_a_truth_becomes_a_case(tmp_path: Path) -> None:
     """By its effects' names: one, none, two, no effect; a thermometer that is off is what parts may have."""
-    told = [
+    truths = [
         truth(effect("tone", also_called=["common_mode"]), experiments=["static", "heating"], sensors={"A": "bma180"}),
         truth(effect(None, None, "xyz"), kind="unknown", world="real", strata={"busy_board": True}),
         truth(effect("tone"), effect("scale", None), kind="pair", control="003"),
         truth(kind="control"),
         truth(effect("thermometer")),
     ]
-    for number, one in enumerate(told):
+    for number, written_truth in enumerate(truths):
         written(tmp_path / f"{number:03d}" / "log.h5")
-        write_truth(tmp_path, f"{number:03d}", one)
+        write_truth(tmp_path, f"{number:03d}", written_truth)
     (tmp_path / "999").mkdir()  # a case that was never finished
     planned = cases_in([tmp_path], "sealed", 10)
     assert [case.name for case in planned] == [f"sealed-{number:05d}" for number in range(10, 15)]

@@ -20,7 +20,7 @@ import pytest
 from imuarray.errors import ImuArrayError
 from imuarray.validation import executors
 from imuarray.validation.executors import Workers
-from imuarray.validation.running import Ran, executor_of, run_cases
+from imuarray.validation.running import RunSummary, executor_of, run_cases
 from tests.validation.jobs import case_of, worked, written
 
 pytestmark = [
@@ -43,9 +43,9 @@ def soon(look: Callable[[], Found | None]) -> Found:
     """What `look` finds, as soon as it finds anything."""
     until = time.monotonic() + WAIT_S
     while time.monotonic() < until:
-        found = look()
-        if found:
-            return found
+        result = look()
+        if result:
+            return result
         time.sleep(0.05)
     raise TimeoutError(look)
 
@@ -65,12 +65,12 @@ def dask(*arguments: str, **environment: str) -> Iterator[subprocess.Popen[bytes
 @contextmanager
 def cluster(folder: Path, nanny: str, allowed_failures: int = 3) -> Iterator[tuple[Workers, subprocess.Popen[bytes]]]:
     """Two workers of one thread each, and their scheduler. A nanny starts its worker anew when it dies."""
-    told = folder / "scheduler.json"
+    schedule = folder / "scheduler.json"
     allowed = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(allowed_failures)}
     with ExitStack() as stack:
-        scheduler = stack.enter_context(dask("scheduler", "--port", "0", "--scheduler-file", str(told), **allowed))
-        soon(lambda: told.exists() and told.read_text().rstrip().endswith("}"))
-        address = json.loads(told.read_text())["address"]
+        scheduler = stack.enter_context(dask("scheduler", "--port", "0", "--scheduler-file", str(schedule), **allowed))
+        soon(lambda: schedule.exists() and schedule.read_text().rstrip().endswith("}"))
+        address = json.loads(schedule.read_text())["address"]
         for _ in range(2):
             stack.enter_context(dask("worker", address, "--nworkers", "1", "--nthreads", "1", nanny))
         executor = stack.enter_context(executor_of(address, 0))
@@ -96,7 +96,7 @@ def test_a_killed_worker_costs_nothing(tmp_path: Path) -> None:
     killer = Thread(target=kill)
     with cluster(tmp_path, "--no-nanny") as (executor, _):
         killer.start()
-        assert run_cases(cases, there, worked, executor, progress=heard.append) == Ran(24, 0, (), ())
+        assert run_cases(cases, there, worked, executor, progress=heard.append) == RunSummary(24, 0, (), ())
         assert executor.places == 1
     killer.join()
     assert heard == list(range(25))
@@ -113,7 +113,7 @@ def test_a_case_that_kills_its_workers_is_lost_after_two(tmp_path: Path, allowed
         run_cases(cases, here, worked, processes)
     with cluster(tmp_path, "--nanny", allowed_failures) as (executor, _):
         ran = run_cases(cases, there, worked, executor)
-    assert ran == Ran(20, 0, (cases[11].name,), (cases[4].name,))
+    assert ran == RunSummary(20, 0, (cases[11].name,), (cases[4].name,))
     assert (there / "die-4").read_bytes() == b".."
     assert written(there) == written(here)
 

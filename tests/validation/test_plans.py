@@ -15,7 +15,7 @@ from imuarray.validation import plans
 from imuarray.validation.bench import CHIPS, HIDDEN, LIMITS, PLANS, limit
 from imuarray.validation.case import Case
 from imuarray.validation.generator import mechanisms
-from imuarray.validation.plans import EXTRAS, SIZES, Size, cases, hidden_in, shuffled
+from imuarray.validation.plans import EXTRAS, SIZES, Size, cases, hidden_in, shuffle
 from imuarray.validation.worlds import draw_world
 
 BENCH = Size(controls=200, singles=20, others=4, withheld=4, unnamed=20, pairs=100, removals=12)
@@ -34,7 +34,7 @@ def test_everything_is_withheld_put_to_work_and_recorded_in_every_plan() -> None
         assert {put.mechanism for case in planned if case.kind == kind for put in case.puts} == expected
     assert {case.plan for case in planned if case.kind == "none"} == set(PLANS)
     limits = {case.puts[0].limits for case in planned if case.kind == "single"}
-    assert {one for one in limits if not math.isnan(one)} == {0.5, 1.0, 2.0, 5.0, 20.0}
+    assert {limit for limit in limits if not math.isnan(limit)} == {0.5, 1.0, 2.0, 5.0, 20.0}
 
 
 def test_halves_and_sets_share_no_seed() -> None:
@@ -77,7 +77,7 @@ def test_severity_is_in_detection_limits() -> None:
 def test_limits_are_of_mechanisms_that_are_graded() -> None:
     graded = {name for name, facts in mechanisms().items() if facts["graded"]}
     assert set(LIMITS) <= graded
-    assert all(value > 0 for found in LIMITS.values() for value in found.values() if not math.isnan(value))
+    assert all(value > 0 for limits in LIMITS.values() for value in limits.values() if not math.isnan(value))
 
 
 def test_extra_effects_are_effects() -> None:
@@ -126,10 +126,10 @@ def test_nothing_that_no_diagnosis_names_is_a_case() -> None:
 
 def test_worlds_are_shuffled_together() -> None:
     planned = cases("development", Size(controls=20, worlds=True))
-    foreign = [replace(one, world="foreign", number=one.number + 20) for one in planned]
-    first = [one.world for one in shuffled([*planned, *foreign], 0)[:20]]
+    foreign = [replace(case, world="foreign", number=case.number + 20) for case in planned]
+    first = [case.world for case in shuffle([*planned, *foreign], 0)[:20]]
     assert 5 < first.count("foreign") < 15
-    assert shuffled(planned, 0) == planned
+    assert shuffle(planned, 0) == planned
 
 
 @pytest.mark.parametrize("page", ["README.md", "VALIDATION.md"])

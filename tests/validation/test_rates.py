@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from imuarray.validation.rates import (
     auroc,
-    bootstrapped,
+    bootstrap,
+    bootstrap_groups,
     brier,
     calibration_error,
     calibration_error_by_chance,
     limit_of,
-    of_groups,
-    permuted,
+    permute_labels,
     rate,
     reliability,
 )
@@ -45,7 +45,7 @@ def test_no_cases_have_no_rate() -> None:
 
 @given(scores, scores)
 def test_area_under_the_curve_counts_pairs(positives: list[float], negatives: list[float]) -> None:
-    pairs = [(one > other) + 0.5 * (one == other) for one in positives for other in negatives]
+    pairs = [(positive > negative) + 0.5 * (positive == negative) for positive in positives for negative in negatives]
     assert auroc(positives, negatives) == pytest.approx(sum(pairs) / len(pairs))
 
 
@@ -102,18 +102,18 @@ def test_few_right_probabilities_have_a_calibration_error_too() -> None:
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:
     """400 normal values: 1.96 standard errors to either side; 1000 draws scatter by 4 % of that: six of it."""
     values = np.random.default_rng(5).normal(3.0, 2.0, 400)
-    found = bootstrapped(lambda drawn: float(np.mean(drawn)), values, seed=1)
+    score = bootstrap(lambda drawn: float(np.mean(drawn)), values, seed=1)
     reach = Z * values.std() / 20
-    assert found.value == values.mean() and found.cases == 400
-    assert found.low == pytest.approx(values.mean() - reach, abs=0.24 * reach)
-    assert found.high == pytest.approx(values.mean() + reach, abs=0.24 * reach)
-    assert bootstrapped(lambda drawn: float(np.mean(drawn)), values, seed=1) == found
+    assert score.value == values.mean() and score.cases == 400
+    assert score.low == pytest.approx(values.mean() - reach, abs=0.24 * reach)
+    assert score.high == pytest.approx(values.mean() + reach, abs=0.24 * reach)
+    assert bootstrap(lambda drawn: float(np.mean(drawn)), values, seed=1) == score
 
 
 def test_a_single_value_has_no_interval() -> None:
-    found = bootstrapped(max, [2.0], seed=1)
-    assert (found.value, found.cases) == (2.0, 1) and isnan(found.low)
-    assert bootstrapped(max, [], seed=1).cases == 0
+    score = bootstrap(max, [2.0], seed=1)
+    assert (score.value, score.cases) == (2.0, 1) and isnan(score.low)
+    assert bootstrap(max, [], seed=1).cases == 0
 
 
 def test_groups_are_drawn_whole() -> None:
@@ -121,20 +121,20 @@ def test_groups_are_drawn_whole() -> None:
     0.16, 0.016 were copies independent.
     """
     groups = [([1.0] * 100, [place % 2 == 0] * 100) for place in range(10)]
-    found = of_groups(lambda said, right: float(np.mean(right)), [*groups, ([], [])], seed=1)
-    assert (found.value, found.cases) == (0.5, 1000)
-    assert 0.15 <= found.low <= 0.3 and 0.7 <= found.high <= 0.85
+    score = bootstrap_groups(lambda said, right: float(np.mean(right)), [*groups, ([], [])], seed=1)
+    assert (score.value, score.cases) == (0.5, 1000)
+    assert 0.15 <= score.low <= 0.3 and 0.7 <= score.high <= 0.85
 
 
 @given(st.lists(st.lists(st.booleans(), min_size=4, max_size=4), min_size=4, max_size=4), st.integers(0, 5))
 def test_chance_is_that_of_all_permutations(hits: list[list[bool]], seed: int) -> None:
     shares = [sum(row[place] for row, place in zip(hits, order, strict=True)) / 4 for order in permutations(range(4))]
-    found = permuted(hits, seed)
-    assert found.mean == pytest.approx(np.mean(shares))
-    assert found.deviation == pytest.approx(np.std(shares), abs=1e-9)
-    assert found.hits / 4 in shares
+    score = permute_labels(hits, seed)
+    assert score.mean == pytest.approx(np.mean(shares))
+    assert score.deviation == pytest.approx(np.std(shares), abs=1e-9)
+    assert score.hits / 4 in shares
 
 
 def test_nothing_to_permute() -> None:
-    assert permuted([], 0) == pytest.approx((0, nan, nan), nan_ok=True)
-    assert permuted([[True]], 0) == (1, 1.0, 0.0)
+    assert permute_labels([], 0) == pytest.approx((0, nan, nan), nan_ok=True)
+    assert permute_labels([[True]], 0) == (1, 1.0, 0.0)

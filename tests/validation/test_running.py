@@ -21,7 +21,7 @@ import pytest
 from imuarray.errors import ConfigError, ImuArrayError, MissingExtraError
 from imuarray.validation.case import Case
 from imuarray.validation.executors import Processes
-from imuarray.validation.running import Ran, executor_of, run_cases
+from imuarray.validation.running import RunSummary, executor_of, run_cases
 from tests.validation.jobs import case_of, worked, written
 
 ROOT = Path(__file__).parents[2]
@@ -40,8 +40,8 @@ def test_a_case_with_an_outcome_is_not_run_again(tmp_path: Path) -> None:
     cases = [case_of(number) for number in range(4)]
     calls: list[int] = []
     heard: list[int] = []
-    assert run_cases(cases[1:3], tmp_path, partial(counted, calls)) == Ran(2, 0, (), ())
-    assert run_cases(cases, tmp_path, partial(counted, calls), progress=heard.append) == Ran(4, 2, (), ())
+    assert run_cases(cases[1:3], tmp_path, partial(counted, calls)) == RunSummary(2, 0, (), ())
+    assert run_cases(cases, tmp_path, partial(counted, calls), progress=heard.append) == RunSummary(4, 2, (), ())
     assert calls == [1, 2, 0, 3]
     assert heard == [2, 3, 4]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["outcomes", "sealed"]
@@ -61,7 +61,7 @@ def test_an_error_is_the_outcome_of_its_case_alone(tmp_path: Path) -> None:
     plans = ("raise", "work", "leave", "nothing", "work")
     cases = [case_of(number, plan) for number, plan in enumerate(plans)]
     ran = run_cases(cases, tmp_path, worked)
-    assert ran == Ran(5, 0, tuple(cases[number].name for number in (0, 2, 3)), ())
+    assert ran == RunSummary(5, 0, tuple(cases[number].name for number in (0, 2, 3)), ())
     assert [error_of(tmp_path, case) for case in cases] == [
         "ValueError: no such thing",
         "",
@@ -78,7 +78,7 @@ def test_errors_are_tried_again_when_asked(tmp_path: Path) -> None:
     mended = [case_of(0), cases[1]]
     assert run_cases(mended, tmp_path, partial(counted, calls)).before == 2
     assert calls == []
-    assert run_cases(mended, tmp_path, partial(counted, calls), again=True) == Ran(2, 1, (), ())
+    assert run_cases(mended, tmp_path, partial(counted, calls), again=True) == RunSummary(2, 1, (), ())
     assert calls == [0]
     assert error_of(tmp_path, cases[0]) == ""
 
@@ -123,7 +123,7 @@ def test_no_more_are_out_than_there_are_places_for(tmp_path: Path, places: int, 
     """One waits for a place if there is none."""
     cases = [case_of(number, "slow") for number in range(9)]
     with Places([places]) as executor:
-        assert run_cases(cases, tmp_path, worked, executor) == Ran(9, 0, (), ())
+        assert run_cases(cases, tmp_path, worked, executor) == RunSummary(9, 0, (), ())
     assert executor.most == [most]
 
 
@@ -146,7 +146,7 @@ def test_who_worked_cannot_be_told(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     for folder, workers, order in ((one, 1, cases), (two, 2, cases[::-1])):
         with executor_of("processes", workers) as executor:
             ran = run_cases(order, folder, worked, executor)
-        assert ran == Ran(8, 0, (cases[2].name,), (cases[4].name,))
+        assert ran == RunSummary(8, 0, (cases[2].name,), (cases[4].name,))
         assert error_of(folder, cases[4]) == "its worker died twice"
         assert (folder / "die-4").read_bytes() == b".."
         assert not (folder / "begun").exists()
@@ -190,7 +190,7 @@ def test_an_interrupt_says_how_to_go_on_and_the_rest_is_done_later(tmp_path: Pat
 
     with pytest.raises(KeyboardInterrupt, match=r"^2 of 5 cases are done; the same again goes on with the rest$"):
         run_cases(cases, tmp_path, worked, progress=stop)
-    assert run_cases(cases, tmp_path, worked) == Ran(5, 2, (), ())
+    assert run_cases(cases, tmp_path, worked) == RunSummary(5, 2, (), ())
 
 
 PROGRAM = """
@@ -219,8 +219,8 @@ def test_ctrl_c_ends_all_processes(tmp_path: Path) -> None:
     ) as process:
         pids = [read_when_there(folder / f"wait to be killed-{number}") for number in (1, 2)]
         os.killpg(process.pid, signal.SIGINT)
-        told = process.communicate(timeout=60)[1]
-    assert told.rstrip().endswith("KeyboardInterrupt: 1 of 9 cases are done; the same again goes on with the rest")
+        errors = process.communicate(timeout=60)[1]
+    assert errors.rstrip().endswith("KeyboardInterrupt: 1 of 9 cases are done; the same again goes on with the rest")
     assert [path.name for path in (folder / "outcomes").iterdir()] == [f"{case_of(0).name}.json"]
     for pid in pids:
         with pytest.raises(ProcessLookupError):

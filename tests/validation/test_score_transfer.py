@@ -10,7 +10,7 @@ from imuarray.report.validation_words import markdown, summary_lines
 from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
 from imuarray.validation.score_transfer import left_out_of
-from imuarray.validation.scoring import as_json, score_folder, text_of
+from imuarray.validation.scoring import as_json, format_text, score_folder
 from tests.validation.made_run import NO_GAP, Made, cause, put, said
 
 CHIPS = {"Gyro1": "l3g4200d", "BMA1": "bma180"}
@@ -28,19 +28,19 @@ def run(tmp_path: Path) -> Made:
             plan = "heating+static" if number % 2 else "static"
             made.both("single", said(first), put("mains_ripple"), plan=plan, world=world, chips=CHIPS)
         for number in range(4):
-            told = said() if world == "foreign" and number == 0 else NO_GAP
-            made.both("none", told, plan="static", world=world, chips=CHIPS)
+            diagnosis = said() if world == "foreign" and number == 0 else NO_GAP
+            made.both("none", diagnosis, plan="static", world=world, chips=CHIPS)
     return made
 
 
 def test_each_world_has_its_figures_and_its_bars(run: Made) -> None:
-    found = score_folder(run.folder)
-    assert found.world == "emulator"
-    assert list(found.worlds) == ["emulator", "foreign"]
-    assert found.row("right cause first").value == 1.0
-    assert found.row("right cause first").bar == (0.90, None)
-    assert found.row("false alarms").value == 0.0
-    abroad = {row.name: row for row in found.elsewhere["foreign"]}
+    score = score_folder(run.folder)
+    assert score.world == "emulator"
+    assert list(score.worlds) == ["emulator", "foreign"]
+    assert score.row("right cause first").value == 1.0
+    assert score.row("right cause first").bar == (0.90, None)
+    assert score.row("false alarms").value == 0.0
+    abroad = {row.name: row for row in score.elsewhere["foreign"]}
     assert abroad["right cause first"].value == 0.6
     assert abroad["right cause first"].bar == (0.80, None)
     assert abroad["false alarms"].value == 0.25
@@ -48,24 +48,24 @@ def test_each_world_has_its_figures_and_its_bars(run: Made) -> None:
 
 
 def test_what_is_lost_between_worlds_is_said_first(run: Made) -> None:
-    found = score_folder(run.folder)
-    lost = {one.name: one.lost for one in found.transfers}
+    figures_ = score_folder(run.folder)
+    lost = {transfer.name: transfer.lost for transfer in figures_.transfers}
     assert lost["right cause first"] == pytest.approx(0.4)
     assert lost["detection at 5x the limit"] == 0.0
     assert lost["false alarms"] == pytest.approx(0.25)
     line = "Transfer gap of right cause first: 0.400 (emulator 1.000 (10), foreign 0.600 (10))."
-    assert line in list(summary_lines(found))
-    assert "transfer gap of right cause first: 0.400" in text_of(found)
-    assert "| right cause first | 1.000 (10) | 0.600 (10) | 0.400 |" in markdown(found, "2026-01-01")
-    table = as_json(found)
+    assert line in list(summary_lines(figures_))
+    assert "transfer gap of right cause first: 0.400" in format_text(figures_)
+    assert "| right cause first | 1.000 (10) | 0.600 (10) | 0.400 |" in markdown(figures_, "2026-01-01")
+    table = as_json(figures_)
     assert table["world"] == "emulator"
     assert {"name": "false alarms", "emulator": 0.0, "foreign": 0.25, "lost": 0.25} in table["transfer"]
 
 
 def test_parts_are_judged_against_the_rest(run: Made) -> None:
     """Five cases with heating, nine without, of the emulator's; the sensors of all of them have one chip."""
-    answers = [one for one in read_run(run.folder).answers if one.case.world == "foreign"]
-    parts = {(one.part, one.figure): one for one in left_out_of(answers, {})}
+    answers = [item for item in read_run(run.folder).answers if item.case.world == "foreign"]
+    parts = {(item.part, item.figure): item for item in left_out_of(answers, {})}
     heated = parts["experiment heating", "right cause first"]
     assert (heated.value, heated.others, heated.cases) == (0.6, 0.6, 5)
     assert answers[0].chips == ("l3g4200d",)
@@ -75,19 +75,19 @@ def test_parts_are_judged_against_the_rest(run: Made) -> None:
 def test_what_is_said_of_the_control_was_not_put_in(tmp_path: Path) -> None:
     made = Made(tmp_path)
     control = made.both("none", said(cause("quantisation", 0.9, "BMA1")), world="real")
-    told = said(cause("quantisation", 0.95, "BMA1"), cause("tone", 0.7, "BMA1"))
-    made.both("single", told, put("mains_ripple", 5.0, "BMA1"), world="real", control=control.name)
-    found = score_folder(tmp_path)
-    assert found.row("right cause first").value == 1.0
-    assert found.row("right cause first, 5x and above").bar == (0.80, None)
+    diagnosis = said(cause("quantisation", 0.95, "BMA1"), cause("tone", 0.7, "BMA1"))
+    made.both("single", diagnosis, put("mains_ripple", 5.0, "BMA1"), world="real", control=control.name)
+    score = score_folder(tmp_path)
+    assert score.row("right cause first").value == 1.0
+    assert score.row("right cause first, 5x and above").bar == (0.80, None)
 
 
 def test_what_a_world_cannot_show_is_no_detection(tmp_path: Path) -> None:
     made = Made(tmp_path)
     made.both("single", NO_GAP, put("reference_voltage"), plan="static", world="emulator", is_hidden=True)
-    found = score_folder(tmp_path)
-    assert found.row("detection at 5x the limit").cases == 0
-    assert found.row("what a plan can't show is told").cases == 1
+    score = score_folder(tmp_path)
+    assert score.row("detection at 5x the limit").cases == 0
+    assert score.row("what a plan can't show is told").cases == 1
 
 
 def test_an_old_case_is_read() -> None:

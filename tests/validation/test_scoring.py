@@ -14,7 +14,7 @@ from imuarray.validation.case import Case
 from imuarray.validation.score_answers import read_run
 from imuarray.validation.score_causes import extra_of, is_place_right
 from imuarray.validation.score_rows import Row
-from imuarray.validation.scoring import Figures, as_json, score_folder, text_of
+from imuarray.validation.scoring import Figures, as_json, format_text, score_folder
 from tests.validation.made_run import FROZEN, NO_GAP, THERE_OR_NOT, Made, cause, put, said
 
 RIPPLE = said(cause("tone"))
@@ -42,12 +42,12 @@ def test_false_alarms_have_their_bar_on_each_plan(made: Made) -> None:
     for plan, alarms, cases in (("full", 1, 20), ("static", 2, 10), ("heat", 30, 30)):
         for number in range(cases):
             made.both("none", RIPPLE if number < alarms else NO_GAP, plan=plan)
-    found = figures(made)
-    rows = [found.row(f"false alarms, plan {plan}") for plan in ("full", "static", "heat")]
+    score = figures(made)
+    rows = [score.row(f"false alarms, plan {plan}") for plan in ("full", "static", "heat")]
     assert [shares(row) for row in rows] == [(0.05, 20), (0.2, 10), (1.0, 30)]
     assert [row.mark for row in rows] == ["ok", "FAIL", "FAIL"]
     assert [row.is_refuted for row in rows] == [False, False, True]
-    assert set(found.failed) >= {*rows[1:]} and rows[0] not in found.failed
+    assert set(score.failed) >= {*rows[1:]} and rows[0] not in score.failed
 
 
 def test_detection_by_severity_plan_and_mechanism(made: Made) -> None:
@@ -56,21 +56,21 @@ def test_detection_by_severity_plan_and_mechanism(made: Made) -> None:
     made.both("single", RIPPLE, put("single_trap", 2.0))
     made.both("single", NO_GAP, put("mains_ripple", 2.0), plan="static")
     made.both("single", RIPPLE, put("crossed_wiring", THERE_OR_NOT))
-    found = figures(made)
-    twice = found.row("detection at 2x the limit")
+    score = figures(made)
+    twice = score.row("detection at 2x the limit")
     assert shares(twice) == (0.75, 4) and twice.mark == "FAIL"
     assert cells(twice, "plan") == {"full": (0.75, 4), "static": (0.0, 1)}
     assert cells(twice, "mechanism") == {"mains_ripple": (pytest.approx(2 / 3), 3), "single_trap": (1.0, 1)}
     assert [cell.name for cell in twice.failing()] == ["mains_ripple"]
-    assert shares(found.row("detection at 5x the limit")) == (1.0, 1)
+    assert shares(score.row("detection at 5x the limit")) == (1.0, 1)
     curves = {
-        curve.plan: [(limits, *shares_of) for limits, (*shares_of, _, _, _) in curve.points] for curve in found.curves
+        curve.plan: [(limits, *shares_of) for limits, (*shares_of, _, _, _) in curve.points] for curve in score.curves
     }
     assert list(curves) == ["all", "full", "static"]
     assert curves["all"] == [(0.5, 0.0), (2.0, 0.6), (5.0, 1.0)]
     assert curves["static"] == [(2.0, 0.0)]
-    assert found.power.severities == ("0.5x the limit", "2x the limit", "5x the limit", "there or not")
-    assert dict(zip(found.power.mechanisms, found.power.counts, strict=True)) == {
+    assert score.power.severities == ("0.5x the limit", "2x the limit", "5x the limit", "there or not")
+    assert dict(zip(score.power.mechanisms, score.power.counts, strict=True)) == {
         "mains_ripple": ((0, 1), (2, 3), (1, 1), (0, 0)),
         "single_trap": ((0, 0), (1, 1), (0, 0), (0, 0)),
         "crossed_wiring": ((0, 0), (0, 0), (0, 0), (1, 1)),
@@ -89,14 +89,14 @@ def test_the_first_cause_and_its_class(made: Made) -> None:
     made.both("single", said(verdict="unexplained"), small)
     made.both("single", NO_GAP, small)
     made.both("single", said(cause("scale")), large, plan="static")
-    found = figures(made)
-    first = found.row("right cause first")
+    score = figures(made)
+    first = score.row("right cause first")
     assert shares(first) == (pytest.approx(3 / 7), 7)
     assert cells(first, "severity") == {"2x the limit": (0.25, 4), "5x the limit": (0.5, 2), "20x the limit": (1.0, 1)}
     assert cells(first, "plan")["static"] == (0.0, 1)
-    assert shares(found.row("right cause first, 5x and above")) == (pytest.approx(2 / 3), 3)
-    assert shares(found.row("right within the reported class")) == (pytest.approx(5 / 7), 7)
-    confusion = found.confusion
+    assert shares(score.row("right cause first, 5x and above")) == (pytest.approx(2 / 3), 3)
+    assert shares(score.row("right within the reported class")) == (pytest.approx(5 / 7), 7)
+    confusion = score.confusion
     assert confusion.said == ("odr_error", "tone", "scale", "nothing named", "no gap")
     assert dict(zip(confusion.truths, confusion.counts, strict=True)) == {
         "slow_oscillator": (1, 0, 0, 0, 0),
@@ -161,14 +161,14 @@ def test_what_has_no_name(made: Made) -> None:
     ):
         made.both(kind, said(cause("scale"), verdict=verdict, unknown=unknown), put("single_trap"))  # type: ignore[arg-type]
     made.both("unnamed", NO_GAP, put("single_trap"))
-    found = figures(made)
-    called = found.row("unknown called unexplained or partly")
+    score = figures(made)
+    called = score.row("unknown called unexplained or partly")
     assert shares(called) == (0.5, 4) and cells(called, "kind") == {"unnamed": (1.0, 2), "withheld": (0.0, 2)}
-    assert shares(found.row("known at 5x called unexplained")) == (0.1, 10)
-    assert found.row("known at 5x called unexplained").mark == "ok"
-    assert shares(found.row("known at 5x called unexplained or partly")) == (0.2, 10)
-    assert shares(found.row("unknown told at 10 % false ones at 5x")) == (0.5, 4)
-    area = found.row("unknown against known at 5x, AUROC")
+    assert shares(score.row("known at 5x called unexplained")) == (0.1, 10)
+    assert score.row("known at 5x called unexplained").mark == "ok"
+    assert shares(score.row("known at 5x called unexplained or partly")) == (0.2, 10)
+    assert shares(score.row("unknown told at 10 % false ones at 5x")) == (0.5, 4)
+    area = score.row("unknown against known at 5x, AUROC")
     assert shares(area) == (pytest.approx((10 + 9 + 8 + 0.5) / 40), 4)
     assert area.low < area.value < area.high
     assert shares(area.cells[0]) == (pytest.approx((10 + 9 + 8 + 0.5) / 44), 4)
@@ -187,9 +187,9 @@ def test_what_has_no_name(made: Made) -> None:
 )
 def test_two_at_once(made: Made, causes: list[dict[str, Any]], named: bool) -> None:
     made.both("pair", said(*causes), put("mains_ripple", 5.0, "Gyro1"), put("reference_voltage", 5.0, "BMA1"))
-    found = figures(made)
-    assert shares(found.row("two on different units, both named")) == (float(named), 1)
-    assert found.row("two on one sensor, both named").mark == "n.a."
+    score = figures(made)
+    assert shares(score.row("two on different units, both named")) == (float(named), 1)
+    assert score.row("two on one sensor, both named").mark == "n.a."
 
 
 def test_two_on_one_sensor_and_two_of_one_name(made: Made) -> None:
@@ -199,9 +199,9 @@ def test_two_on_one_sensor_and_two_of_one_name(made: Made) -> None:
     both = put("torn_reads", 5.0, "Gyro1"), put("cable_bit_errors", 5.0, "Gyro2")
     made.both("pair", said(cause("glitches", 0.9, "Gyro1", "Gyro2")), *both)
     made.both("pair", said(cause("glitches", 0.9, "Gyro1")), *both)
-    found = figures(made)
-    assert shares(found.row("two on one sensor, both named")) == (0.5, 2)
-    assert shares(found.row("two on different units, both named")) == (0.5, 2)
+    score = figures(made)
+    assert shares(score.row("two on one sensor, both named")) == (0.5, 2)
+    assert shares(score.row("two on different units, both named")) == (0.5, 2)
 
 
 @pytest.mark.parametrize(
@@ -238,15 +238,15 @@ def test_closure_against_the_oracle(made: Made) -> None:
     made.both(
         "pair", said(cause("tone"), closed=0.7, ci95=(0.65, 0.75)), put("mains_ripple"), put("single_trap"), oracle=0.7
     )
-    found = figures(made)
-    near, covers = found.row("closure near the oracle's"), found.row("closure's interval covers the oracle's")
+    score = figures(made)
+    near, covers = score.row("closure near the oracle's"), score.row("closure's interval covers the oracle's")
     assert shares(near) == (0.5, 4) and shares(covers) == (0.5, 4)
     assert cells(near, "kind") == {"single": (pytest.approx(1 / 3), 3), "pair": (1.0, 1)}
-    assert [(one.claimed, one.oracle, one.is_right) for one in found.closures[:2]] == [
+    assert [(closure.claimed, closure.oracle, closure.is_right) for closure in score.closures[:2]] == [
         (0.85, 0.9, True),
         (0.64, 0.7, True),
     ]
-    assert isnan(found.closures[2].claimed)
+    assert isnan(score.closures[2].claimed)
 
 
 def test_closure_that_is_claimed_wrongly(made: Made) -> None:
@@ -257,11 +257,11 @@ def test_closure_that_is_claimed_wrongly(made: Made) -> None:
     made.both("none", said(cause("tone"), closed=0.2, ci95=(-0.1, 0.4)))
     made.both("none", said(cause("tone"), closed=0.3, ci95=(0.1, 0.4)))
     made.both("none", said(verdict="unexplained", closed=None, ci95=None))
-    found = figures(made)
-    wrong = found.row("closure claimed for a wrong cause")
+    score = figures(made)
+    wrong = score.row("closure claimed for a wrong cause")
     assert shares(wrong) == (pytest.approx(0.35), 2) and wrong.mark == "FAIL"
     assert [wrong.low, wrong.high] == pytest.approx([0.1, 0.6])
-    assert shares(found.row("without a gap, closure may be 0")) == (0.75, 4)
+    assert shares(score.row("without a gap, closure may be 0")) == (0.75, 4)
 
 
 def test_closure_where_only_wrong_causes_are_left(made: Made) -> None:
@@ -281,31 +281,31 @@ def test_probabilities_of_all_causes_told(made: Made) -> None:
     made.both("single", said(cause("tone", 0.9, "BMA1")), put("mains_ripple"))
     made.both("none", NO_GAP)
     made.both("unnamed", said(cause("tone", 0.7)), put("single_trap"), resembles=[()])
-    found = figures(made)
-    assert shares(found.row("calibration error (ECE)")) == (pytest.approx(1 / 3), 3)
-    assert shares(found.row("Brier score of causes")) == (pytest.approx(0.86 / 3), 3)
-    assert [(one.cases, one.right) for one in found.reliability if one.cases] == [(1, 0.0), (2, 0.5)]
+    score = figures(made)
+    assert shares(score.row("calibration error (ECE)")) == (pytest.approx(1 / 3), 3)
+    assert shares(score.row("Brier score of causes")) == (pytest.approx(0.86 / 3), 3)
+    assert [(bin_.cases, bin_.right) for bin_ in score.reliability if bin_.cases] == [(1, 0.0), (2, 0.5)]
 
 
 def test_what_a_plan_cannot_show(made: Made) -> None:
     """It doesn't count as undetected; it has to be told, with what to record, at that sensor."""
-    told = {"effect": "scale", "sensors": ["Gyro1"], "record": "motion: turns"}
+    entry = {"effect": "scale", "sensors": ["Gyro1"], "record": "motion: turns"}
     for unshown in (
-        [told],
-        [{**told, "record": ""}],
-        [{**told, "sensors": ["BMA1"]}],
-        [{**told, "effect": "tone"}],
+        [entry],
+        [{**entry, "record": ""}],
+        [{**entry, "sensors": ["BMA1"]}],
+        [{**entry, "effect": "tone"}],
         [],
     ):
         diagnosis = {**NO_GAP, "unshown": unshown}
         made.both("single", diagnosis, put("reference_voltage", 2.0), plan="static")
-    made.both("single", {**NO_GAP, "cannot_tell": [told], "unshown": None}, put("reference_voltage"), plan="static")
+    made.both("single", {**NO_GAP, "cannot_tell": [entry], "unshown": None}, put("reference_voltage"), plan="static")
     made.both("single", RIPPLE, put("mains_ripple", 2.0), plan="static")
-    found = figures(made, hidden={"static": {"scale", "misalignment"}})
-    row = found.row("what a plan can't show is told")
+    score = figures(made, hidden={"static": {"scale", "misalignment"}})
+    row = score.row("what a plan can't show is told")
     assert shares(row) == (pytest.approx(2 / 6), 6) and row.mark == "FAIL"
     assert cells(row, "plan") == {"static": (pytest.approx(2 / 6), 6)}
-    assert [(curve.plan, curve.points[0][1].cases) for curve in found.curves] == [("all", 1), ("static", 1)]
+    assert [(curve.plan, curve.points[0][1].cases) for curve in score.curves] == [("all", 1), ("static", 1)]
     assert figures(made).row("what a plan can't show is told").mark == "n.a."
 
 
@@ -321,8 +321,8 @@ def test_lost_cases_are_told(made: Made) -> None:
     stranger = Case(91, "sealed", "single", "heat", (), 1)
     made.answer(stranger, NO_GAP)
     never = Case(92, "sealed", "none", "static", (), 1)
-    found = figures(made, planned=[dead, never])
-    assert [(one.kind, one.plan, one.why) for one in found.lost] == [
+    score = figures(made, planned=[dead, never])
+    assert [(case.kind, case.plan, case.why) for case in score.lost] == [
         ("none", "full", "no outcome"),
         ("none", "full", "MemoryError: too large"),
         ("pair", "full", "no outcome"),
@@ -330,9 +330,9 @@ def test_lost_cases_are_told(made: Made) -> None:
         ("unknown", "unknown", "no truth"),
         ("none", "static", "never begun"),
     ]
-    assert found.cases == 7 and shares(found.row("cases lost")) == (pytest.approx(6 / 7), 7)
-    assert shares(found.row("false alarms, plan full")) == (0.0, 1)
-    assert "lost: 1 of none, plan full, MemoryError: too large" in text_of(found)
+    assert score.cases == 7 and shares(score.row("cases lost")) == (pytest.approx(6 / 7), 7)
+    assert shares(score.row("false alarms, plan full")) == (0.0, 1)
+    assert "lost: 1 of none, plan full, MemoryError: too large" in format_text(score)
 
 
 def test_shuffled_labels_are_right_by_chance_alone(made: Made) -> None:
@@ -347,9 +347,9 @@ def test_shuffled_labels_are_right_by_chance_alone(made: Made) -> None:
     }
     for mechanism, effect in 10 * list(names.items()):
         made.both("single", said(cause(effect)), put(mechanism))
-    found = figures(made)
-    control = found.row("right cause first, labels shuffled")
-    assert found.row("right cause first").value == 1.0
+    score = figures(made)
+    control = score.row("right cause first, labels shuffled")
+    assert score.row("right cause first").value == 1.0
     assert control.bar[1] == pytest.approx(0.25 + 3 * (0.25 * 0.75 / 39) ** 0.5)
     assert control.mark == "ok" and control.cases == 40
     assert figures(made, seed=3).row("right cause first, labels shuffled").value != control.value
@@ -359,19 +359,19 @@ def test_seconds_are_those_of_the_full_plan(made: Made) -> None:
     for seconds in range(1, 12):
         made.answer(made.case("none"), NO_GAP, seconds=float(seconds))
     made.answer(made.case("none", plan="static"), NO_GAP, seconds=1000.0)
-    found = figures(made)
-    assert shares(found.row("seconds a case, median")) == (6.0, 11)
-    assert shares(found.row("seconds a case, 90 % quantile")) == (10.0, 11)
-    assert found.row("seconds a case, median").mark == ""
+    score = figures(made)
+    assert shares(score.row("seconds a case, median")) == (6.0, 11)
+    assert shares(score.row("seconds a case, 90 % quantile")) == (10.0, 11)
+    assert score.row("seconds a case, median").mark == ""
 
 
 def test_what_never_came_does_not_count(made: Made) -> None:
     """It came in one of the logs, in none, and the last leaves nothing to chance."""
     for touched in ([{"torn_reads": []}, {"torn_reads": ["Gyro1"]}], [{"torn_reads": []}] * 2, [{}, {}]):
         made.both("single", NO_GAP, put("torn_reads"), touched=touched)
-    found = figures(made)
-    assert shares(found.row("detection at 5x the limit")) == (0.0, 2)
-    assert found.notes == (
+    score = figures(made)
+    assert shares(score.row("detection at 5x the limit")) == (0.0, 2)
+    assert score.notes == (
         "In 1 cases what comes by chance never came while something was recorded: they don't count.",
     )
 
@@ -387,12 +387,12 @@ def test_names_that_differ_from_the_generators_are_noted(made: Made) -> None:
 
 
 def test_an_empty_run_has_no_cases_for_anything(made: Made) -> None:
-    found = figures(made)
-    assert {row.mark for row in found.rows} == {"n.a.", ""}
-    assert found.failed == () and found.half == "sealed" and found.frozen == FROZEN
+    score = figures(made)
+    assert {row.mark for row in score.rows} == {"n.a.", ""}
+    assert score.failed == () and score.half == "sealed" and score.frozen == FROZEN
     with pytest.raises(KeyError):
-        found.row("anything else")
-    json.dumps(as_json(found), allow_nan=False)
+        score.row("anything else")
+    json.dumps(as_json(score), allow_nan=False)
 
 
 def test_a_folder_that_is_no_run(tmp_path: Path) -> None:
@@ -407,13 +407,13 @@ def test_json_and_text(made: Made) -> None:
         made.both("single", said(cause(effect)), put("mains_ripple", 5.0), oracle=0.9)
     made.both("none", NO_GAP)
     made.both("single", RIPPLE, put("crossed_wiring", THERE_OR_NOT))
-    found = figures(made)
-    table = json.loads(json.dumps(as_json(found), allow_nan=False))
+    score = figures(made)
+    table = json.loads(json.dumps(as_json(score), allow_nan=False))
     assert table["half"] == "sealed" and table["plan"]["frozen"] == FROZEN
     first = next(row for row in table["figures"] if row["name"] == "right cause first")
     assert (first["cases"], first["bar"], first["passes"]) == (13, [0.9, None], False)
     assert first["value"] == pytest.approx(11 / 13)
-    lines = text_of(found).splitlines()
+    lines = format_text(score).splitlines()
     assert max(map(len, lines)) <= 120
     assert lines[0] == "sealed half: 14 cases, 0 lost"
     (line,) = (line for line in lines if line[5:].startswith("right cause first "))
@@ -431,7 +431,7 @@ def test_json_and_text(made: Made) -> None:
         "least",
         "0.9",
     ]
-    assert as_json(figures(made)) == as_json(found)
+    assert as_json(figures(made)) == as_json(score)
 
 
 def test_bars_include_their_ends() -> None:

@@ -18,8 +18,8 @@ from imuarray.log import Block, Log, LogWriter, open_log
 from imuarray.log.format import SensorHeader
 from imuarray.validation import generator, severity
 from imuarray.validation.case import Put
-from imuarray.validation.severity import LIMIT, matched, sized
-from imuarray.validation.thresholds import frozen
+from imuarray.validation.severity import LIMIT, find_severity, matched_statistic
+from imuarray.validation.thresholds import frozen_thresholds
 
 Floats = npt.NDArray[np.float64]
 ROWS, SIGMA = 6400, 20.0
@@ -29,16 +29,16 @@ HEADER = SensorHeader("A", "bma180", "specific_force", "g", 4.0, 2048.0)
 @contextmanager
 def logs(folder: Path, *counts: Floats) -> Iterator[list[Log]]:
     """Logs at 100 Hz of these (n, 3)."""
-    found = []
-    for number, one in enumerate(counts):
+    opened = []
+    for number, values in enumerate(counts):
         path = folder / f"{len(list(folder.iterdir()))}-{number}.h5"
-        time = np.arange(len(one), dtype=np.int64) * 10_000_000
+        time = np.arange(len(values), dtype=np.int64) * 10_000_000
         with LogWriter(path, [HEADER], source="imported", epoch="2024-01-01T00:00:00Z") as log:
-            rounded = np.round(one).astype(np.int16)
-            log.append("A", Block(time, rounded, np.zeros(len(one), np.uint16)))
-        found.append(open_log(path))
-    yield found
-    for log in found:
+            rounded = np.round(values).astype(np.int16)
+            log.append("A", Block(time, rounded, np.zeros(len(values), np.uint16)))
+        opened.append(open_log(path))
+    yield opened
+    for log in opened:
         log.close()
 
 
@@ -56,28 +56,28 @@ def test_a_step_between_halves_has_the_ratio_of_a_matched_filter(tmp_path: Path)
     """
     step = 8 * SIGMA / math.sqrt(ROWS) * (np.arange(ROWS) >= ROWS / 2)
     with logs(tmp_path, noise(), noise() + on_x(step)) as (plain, changed):
-        assert matched([plain], [changed]) == pytest.approx(4.0, rel=0.12)
-        assert matched([plain], [plain]) == 0.0
+        assert matched_statistic([plain], [changed]) == pytest.approx(4.0, rel=0.12)
+        assert matched_statistic([plain], [plain]) == 0.0
 
 
 def test_what_is_fitted_has_no_ratio(tmp_path: Path) -> None:
     """A bias; a noise that is as white as the other one: what is left is chance."""
     louder = noise() * 1.3
     with logs(tmp_path, noise(), noise() + 50.0, louder) as (plain, moved, loud):
-        assert matched([plain], [moved]) < LIMIT
-        assert matched([plain], [loud]) < LIMIT
+        assert matched_statistic([plain], [moved]) < LIMIT
+        assert matched_statistic([plain], [loud]) < LIMIT
 
 
 def test_noise_that_is_drawn_anew_is_no_effect(tmp_path: Path) -> None:
     with logs(tmp_path, *(noise(seed) for seed in range(6))) as (plain, *others):
-        assert max(matched([plain], [other]) for other in others) < LIMIT
+        assert max(matched_statistic([plain], [other]) for other in others) < LIMIT
 
 
 def test_a_line_is_in_the_spectrum(tmp_path: Path) -> None:
     """With an amplitude of sigma, half the noise's power in a bin or three of thirty-two, of some hundred windows."""
     line = SIGMA * np.sin(2 * np.pi * 0.31 * np.arange(ROWS))
     with logs(tmp_path, noise(), noise() + on_x(0.3 * line), noise() + on_x(line)) as (plain, small, large):
-        assert LIMIT < matched([plain], [small]) < matched([plain], [large])
+        assert LIMIT < matched_statistic([plain], [small]) < matched_statistic([plain], [large])
 
 
 @settings(max_examples=60)
@@ -90,19 +90,19 @@ def test_a_severity_is_found_in_a_few_tries(limit: float, power: float, wanted: 
         return LIMIT * (changed / limit) ** power
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(severity, "matched", scored)
-        found = sized(lambda size: size, [], wanted, 1.0)  # type: ignore[arg-type,return-value]
+        patch.setattr(severity, "matched_statistic", scored)
+        score = find_severity(lambda size: size, [], wanted, 1.0)  # type: ignore[arg-type,return-value]
     assert len(asked) <= 4
-    if math.isfinite(found.limits):
-        assert found.limits == pytest.approx((found.severity / limit) ** power)
-        assert 0.5 < found.limits / wanted < 2.0
+    if math.isfinite(score.limits):
+        assert score.limits == pytest.approx((score.severity / limit) ** power)
+        assert 0.5 < score.limits / wanted < 2.0
 
 
 def test_what_never_shows_has_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(severity, "matched", lambda plain, changed: 0.01)
-    found = sized(lambda size: [], [], 5.0, 1.0)
-    assert math.isnan(found.limits)
-    assert found.severity == 64.0
+    monkeypatch.setattr(severity, "matched_statistic", lambda plain, changed: 0.01)
+    score = find_severity(lambda size: [], [], 5.0, 1.0)
+    assert math.isnan(score.limits)
+    assert score.severity == 64.0
     assert LIMIT == 4.0
 
 
@@ -115,6 +115,6 @@ def test_what_the_generator_refuses_is_said_in_a_line(tmp_path: Path) -> None:
 
 
 def test_thresholds_are_noted_with_the_version() -> None:
-    noted = frozen()
+    noted = frozen_thresholds()
     assert noted["level of false alarms"] == 0.05
     assert str(noted["software"]).startswith("imuarray ")

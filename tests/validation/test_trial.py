@@ -17,8 +17,8 @@ def test_one_sensor_has_one_effect_more_than_is_usual(extra: dict[str, str]) -> 
     headers = [header(name, chip=chip) for name, chip in CHIPS.items()]
     extra = {**extra, "sensor": next(name for name, chip in CHIPS.items() if chip == extra["chip"])}
     model, usual = model_with(extra, headers), usual_model(headers)
-    for one in headers:
-        known = {effect.name for effect in usual.effects(one, Streams(1))}
-        added = [extra["effect"]] if one.name == extra["sensor"] and extra["effect"] not in known else []
-        names = [effect.name for effect in model.effects(one, Streams(1))]
-        assert sorted(names) == sorted([*(effect.name for effect in usual.effects(one, Streams(1))), *added])
+    for sensor_header in headers:
+        known = {effect.name for effect in usual.effects(sensor_header, Streams(1))}
+        added = [extra["effect"]] if sensor_header.name == extra["sensor"] and extra["effect"] not in known else []
+        names = [effect.name for effect in model.effects(sensor_header, Streams(1))]
+        assert sorted(names) == sorted([*(effect.name for effect in usual.effects(sensor_header, Streams(1))), *added])

@@ -58,13 +58,13 @@ def test_a_reduced_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     """
     words = ["gap", "validate", "-o", str(tmp_path), "--size", "reduced", "--json"]
     code = main(words)
-    told = json.loads(capsys.readouterr().out)
-    found = score_folder(tmp_path, planned=cases("development", SIZES["reduced"]))
-    refuted = {row.name for row in found.failed if row.is_refuted}
+    printed = json.loads(capsys.readouterr().out)
+    score = score_folder(tmp_path, planned=cases("development", SIZES["reduced"]))
+    refuted = {row.name for row in score.failed if row.is_refuted}
     assert refuted <= MISSED
     assert code == (1 if refuted else 0)
-    assert told["cases"] == found.cases == 9
-    assert not found.lost
+    assert printed["cases"] == score.cases == 9
+    assert not score.lost
     results = (tmp_path / "results.md").read_text()
     assert results.startswith("## Results of ")
     plots = re.findall(r"\]\((.+\.svg)\)", results)
@@ -76,9 +76,11 @@ def test_a_reduced_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert outcomes == {path: path.stat().st_mtime_ns for path in (tmp_path / "outcomes").iterdir()}
     read = [json.loads(path.read_text()) for path in sorted((tmp_path / "outcomes").iterdir())]
     sealed = [json.loads(path.read_text())["case"] for path in sorted((tmp_path / "sealed").iterdir())]
-    wrong = [one["diagnosis"]["verdict"] for one, case in zip(read, sealed, strict=True) if case["puts"]]
+    wrong = [outcome["diagnosis"]["verdict"] for outcome, case in zip(read, sealed, strict=True) if case["puts"]]
     assert len(wrong) == 4
     assert "no gap" not in wrong
-    causes = [one["diagnosis"]["causes"] for one, case in zip(read, sealed, strict=True) if case["kind"] == "single"]
+    causes = [
+        outcome["diagnosis"]["causes"] for outcome, case in zip(read, sealed, strict=True) if case["kind"] == "single"
+    ]
     names = [case["resembles"][0] for case in sealed if case["kind"] == "single"]
     assert sum(bool(own) and own[0]["effect"] in right for own, right in zip(causes, names, strict=True)) >= 2

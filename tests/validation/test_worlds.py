@@ -59,7 +59,7 @@ def test_nothing_clips_and_no_part_is_beyond_its_sheet() -> None:
                 assert rate < 0.9 * min(rates, default=9999.0)
         assert abs(world.room["drift_degc_per_s"]) * 3600 <= 2.0
         assert world.room["draught_degc"] <= 0.4
-        assert all(one["peak_g"] <= 5e-4 for one in world.room["vibrations"])
+        assert all(vibration["peak_g"] <= 5e-4 for vibration in world.room["vibrations"])
 
 
 @pytest.mark.parametrize("first", [1_000_000, 2_120_000])
@@ -70,21 +70,21 @@ def test_a_short_run_has_something_of_everything(first: int) -> None:
     for name in many[0].strata:
         if name in ("sensors", "rate_hz", "poses"):  # of many kinds, or only where there is a tumble
             continue
-        shares = {value: count / 400 for value, count in Counter(one.strata[name] for one in many).items()}
-        found = Counter(one.strata[name] for one in few)
+        shares = {value: count / 400 for value, count in Counter(world.strata[name] for world in many).items()}
+        counted = Counter(world.strata[name] for world in few)
         for value, share in shares.items():
-            assert abs(found[value] / 40 - share) < 0.15, (name, value)
+            assert abs(counted[value] / 40 - share) < 0.15, (name, value)
     for kind in KINDS:
-        assert sum(kind in one.kinds for one in many) == pytest.approx(206, abs=15)
-        assert 12 <= sum(kind in one.kinds for one in few) <= 28
-    counts = {len(one.inertial) for one in few}
+        assert sum(kind in world.kinds for world in many) == pytest.approx(206, abs=15)
+        assert 12 <= sum(kind in world.kinds for world in few) <= 28
+    counts = {len(world.inertial) for world in few}
     assert min(counts) == 1
     assert max(counts) >= 7
-    assert {chip for one in few for chip in one.inertial.values()} == {"adxl345", "bma180", "l3g4200d"}
-    rates = [one.recorder["rate_hz"] for one in many]
+    assert {chip for world in few for chip in world.inertial.values()} == {"adxl345", "bma180", "l3g4200d"}
+    rates = [world.recorder["rate_hz"] for world in many]
     assert min(rates) == 20.0
     assert max(rates) >= 500.0
-    assert len({one.plan for one in many}) == 31
+    assert len({world.plan for world in many}) == 31
 
 
 SMALL = [seed for seed in range(200) if draw_world(seed).rows < 14_000][:3]
