@@ -22,6 +22,7 @@ from imuarray.characterise.codes import NOTHING, Histogram, histogram, usual_ste
 from imuarray.characterise.repeats import RepeatTally
 from imuarray.gap.recording.row_timing import RowTiming, row_timing
 from imuarray.log import Log, SensorLog
+from imuarray.printable import counted
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 WINDOW_S = 0.5
@@ -142,6 +143,8 @@ def report_of(log: Log) -> Report:
         if timing.sentence:
             hint = "; the map says stamps = 'arrival' for times that are counted out" if timing.kind == "bursts" else ""
             quirks.add(sensor.name, timing.sentence + hint)
+        elif timing.gaps:
+            quirks.add(sensor.name, _missing_rows(timing))
         for text in _rate(timing):
             doubts.add(sensor.name, text)
         codes = _Codes(sensor)
@@ -240,6 +243,13 @@ def _doubled(ratio: float) -> str:
         return ""
     factor = f"{2 ** abs(power)} times too {'small' if power > 0 else 'large'}"
     return f"range and sensitivity may be those of another setting, the counts per g {factor}"
+
+
+def _missing_rows(timing: RowTiming) -> str:
+    """How many rows would fill the gaps of steady rows."""
+    missing = max(round(timing.gaps_s / timing.usual_s) - timing.gaps, 1)
+    gaps, rows = counted(timing.gaps, "gap"), counted(missing, "row")
+    return f"{gaps} between rows, {1e3 * timing.gap_s:.3g} ms in the median: {rows} may be missing"
 
 
 def _rate(timing: RowTiming) -> Iterator[str]:

@@ -347,6 +347,12 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
     ),
     "several tables of different rates": (several_tables(), KINDS, 0, ["2000 rows at most over 20.0 s"]),
     "blank cells of a slower sensor": (wide_with_blanks(), MAP, 0, ["Acc: no reading in 1500 of 2000 rows"]),
+    "rows that are missing": (
+        edited(lambda rows: [row for at, row in enumerate(rows) if at not in (500, 501, 502, 1200, 1201)]),
+        MAP,
+        0,
+        ["~ Acc, Gyro: 2 gaps between rows, 35 ms in the median: 5 rows may be missing"],
+    ),
     "gravity taken out": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()._replace(force_g=walk().force_g * 0.05)), "{:d}")]),
         MAP,

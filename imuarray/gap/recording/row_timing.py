@@ -9,7 +9,7 @@ a stall is not.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -96,6 +96,8 @@ def row_timing(sensor: SensorLog) -> RowTiming:
     usual_s = float(np.median(np.diff(np.asarray(sensor.time[: 1 << 16], np.int64)))) * 1e-9
     after, length_s = _gaps(sensor, GAP * usual_s)
     steady = RowTiming("steady", rows, seconds, usual_s)
+    if len(after):
+        steady = replace(steady, gaps=len(after), gap_s=float(np.median(length_s)), gaps_s=float(length_s.sum()))
     if len(after) < LEAST_GAPS or length_s.sum() < LEAST_SHARE * seconds:
         return steady
     behind = np.diff(np.append(after, rows - 1))
