@@ -8,14 +8,13 @@ and `bias`; run one after the other they make the same map again. Slopes with te
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from imuarray.arrays import Floats
+from imuarray.arrays import Floats, Integers
 from imuarray.calibrate.model import Calibration, SensorCalibration
 from imuarray.errors import CalibrationError
 from imuarray.log.format import SensorHeader
@@ -135,17 +134,17 @@ def _thermal(unit: SensorCalibration, header: SensorHeader) -> Iterator[Effect]:
         raise CalibrationError(f"sensor {header.name}: thermal: {error}") from None
 
 
-def _noise(unit: SensorCalibration, header: SensorHeader, step_lsb: int) -> Iterator[Effect]:
+def _noise(unit: SensorCalibration, header: SensorHeader, step_lsb: Integers) -> Iterator[Effect]:
     """The measured scatter without that of rounding, step^2 / 12 (Sheppard's correction)."""
     if unit.noise_lsb is not None:
         yield WhiteNoise(_triple(np.sqrt(np.maximum(unit.noise_lsb**2 - step_lsb**2 / 12, 0)) / header.sensitivity))
 
 
-def _step_lsb(model: Model, header: SensorHeader) -> int:
-    """By how much neighbouring codes of this sensor differ."""
+def _step_lsb(model: Model, header: SensorHeader) -> Integers:
+    """(3,) by how much neighbouring codes of each axis of this sensor differ."""
     effects = model.effects(header, Streams(0))
-    steps = [int(effect.step_lsb) for effect in effects if isinstance(effect, Quantisation)]
-    return math.lcm(even_step(header.chip, header.rate_hz), *steps)
+    steps = [np.array(effect.step_lsb, int) for effect in effects if isinstance(effect, Quantisation)]
+    return np.asarray(np.lcm.reduce([np.full(3, even_step(header.chip, header.rate_hz)), *steps]))
 
 
 def _check_fit(unit: SensorCalibration, header: SensorHeader) -> None:

@@ -232,6 +232,10 @@ def _agree(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
         if len(first) != len(second) and 1 not in (len(first), len(second)):
             return False  # lists of events, of which one sensor had more
         first, second = np.broadcast_arrays(first.astype(float), second.astype(float))
+        finite = np.isfinite(first)  # an axis without a limit has an infinite one
+        if (finite != np.isfinite(second)).any():
+            return False
+        first, second = first[finite], second[finite]
         largest = np.fmax(np.abs(first), np.abs(second))
         factor = _SAME_FREQUENCY if "frequency" in key else _SAME
         if (np.abs(first - second) > (factor - 1) * largest).any():

@@ -8,17 +8,17 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.simulate.effect import Effect, require, scalar
-from imuarray.simulate.signal import Analog, Codes, Place
+from imuarray.simulate.effect import Effect, per_axis, require, scalar
+from imuarray.simulate.signal import Analog, Codes, Place, Triple
 
 Whole = npt.NDArray[np.signedinteger[Any]]
 
 
 @dataclass(frozen=True)
 class Quantisation(Effect):
-    """Codes are rounded to multiples of `step_lsb` counts, and end at the last multiple within the code span; of every
-    `carry_lsb` of them the last `missing_lsb` never come, but the code of the carry in their place; and those bits are
-    cleared that are set in the number `dead_bits` (4: bit 2).
+    """Codes of each axis are rounded to multiples of `step_lsb` counts, and end at the last multiple within the code
+    span; of every `carry_lsb` of them the last `missing_lsb` never come, but the code of the carry in their place; and
+    those bits are cleared that are set in the number `dead_bits` (4: bit 2).
 
     Rounding to one count belongs to the converter and is always there. Two counts are an ADXL345 at 1600 Hz and more
     (ADX-47), four a BMA180 read out with 12 bits (BMA-61). Where the converter's step is coarser already, codes are
@@ -30,7 +30,7 @@ class Quantisation(Effect):
     """
 
     name: ClassVar[str] = "quantisation"
-    step_lsb: float = scalar(1.0)
+    step_lsb: Triple = per_axis(1.0)
     dead_bits: float = scalar(0.0)
     carry_lsb: float = scalar(1.0)
     missing_lsb: float = scalar(0.0)
@@ -38,19 +38,24 @@ class Quantisation(Effect):
     def __post_init__(self) -> None:
         """ValueError unless they are whole numbers, steps 1 or more, and some code before a carry comes."""
         super().__post_init__()
-        require("step_lsb", self.step_lsb, 1, 4096)
+        for step in self.step_lsb:
+            require("step_lsb", step, 1, 4096)
         require("dead_bits", self.dead_bits, 0, 32767)
         require("carry_lsb", self.carry_lsb, 1, 4096)
         require("missing_lsb", self.missing_lsb, 0, self.carry_lsb - 1)
-        for name in ("step_lsb", "dead_bits", "carry_lsb", "missing_lsb"):
-            if (value := getattr(self, name)) != int(value):
+        numbers = [("step_lsb", step) for step in self.step_lsb]
+        numbers += [(name, getattr(self, name)) for name in ("dead_bits", "carry_lsb", "missing_lsb")]
+        for name, value in numbers:
+            if value != int(value):
                 raise ValueError(f"{name}: {value}; a whole number is wanted")
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Sets the converter's step and code ends."""
-        if self.step_lsb == 1:
+        if max(self.step_lsb) == 1:
             return analog
-        step = np.lcm(analog.step, int(self.step_lsb))
+        is_same = len(set(self.step_lsb)) == 1
+        own = np.array(self.step_lsb[0] if is_same else [self.step_lsb]).astype(int)  # (1, 3) counts as columns of rows
+        step = np.lcm(analog.step, own)
         step = int(step) if np.ndim(step) == 0 else step
         lowest, highest = -(-analog.lowest // step) * step, analog.highest // step * step
         return replace(analog, step=step, lowest=lowest, highest=highest)

@@ -8,33 +8,36 @@ from typing import ClassVar
 
 import numpy as np
 
-from imuarray.simulate.effect import Effect, require, scalar
-from imuarray.simulate.signal import Analog, Place
+from imuarray.simulate.effect import Effect, per_axis, require
+from imuarray.simulate.signal import Analog, Place, Triple
 
 
 @dataclass(frozen=True)
 class Saturation(Effect):
-    """y = x within [-limit, limit], the nearer end of it outside; x is the signal with its noise.
+    """y = x within [-limit, limit], the nearer end of it outside; x is the signal of an axis with its noise.
 
-    `limit` in the sensor's unit. The end of the code span itself (BMA-60, ADX-46; L3G-40 to L3G-42 print spans 15 %
-    beyond the range) belongs to the converter; this is the element or its amplifier giving out earlier, the "clipped"
-    signal of the paper's section 2.3. In data: a flat top at codes that aren't the last ones, so that no flag tells.
+    `limit` of each axis in the sensor's unit. The end of the code span itself (BMA-60, ADX-46; L3G-40 to L3G-42 print
+    spans 15 % beyond the range) belongs to the converter; this is the element or its amplifier giving out earlier, the
+    "clipped" signal of the paper's section 2.3. In data: a flat top at codes that aren't the last ones, so that no flag
+    tells.
     """
 
     name: ClassVar[str] = "saturation"
-    limit: float = scalar(math.inf, suffix="_{u}")
+    limit: Triple = per_axis(math.inf, suffix="_{u}")
 
     def __post_init__(self) -> None:
         """ValueError for a negative one."""
         super().__post_init__()
-        require("limit", self.limit, 0.0)
+        for limit in self.limit:
+            require("limit", limit, 0.0)
 
     def analog(self, analog: Analog, at: Place) -> Analog:
         """Clips signal and noise together; rows within the limit stay as they are, bit for bit."""
         total = analog.value + analog.noise
-        beyond = np.abs(total) > self.limit
+        limit = np.array(self.limit, total.dtype)
+        beyond = np.abs(total) > limit
         if not beyond.any():
             return analog
-        ends = np.copysign(analog.value.dtype.type(self.limit), total)
+        ends = np.copysign(limit, total)
         noise = np.where(beyond, analog.noise.dtype.type(0), analog.noise)
         return replace(analog, value=np.where(beyond, ends, analog.value), noise=noise)

@@ -43,6 +43,13 @@ def test_quantisation(kind: str, sensor: str, step: float) -> None:
     assert trial == Hypothesis((Quantisation(step),))
 
 
+@pytest.mark.parametrize("steps", [(1.0, 1.0, 4.0), (2.0, 1.0, 2.0), (2.0, 8.0, 1.0)])
+def test_a_step_of_some_axes(steps: tuple[float, float, float]) -> None:
+    """Codes of all axes together have no step; those of each axis have."""
+    (trial,) = quantisation.guesses(shown("static", "A1", Quantisation(steps)))
+    assert trial == Hypothesis((Quantisation(steps),))
+
+
 def test_a_step_that_is_no_power_of_two_comes_first() -> None:
     first, second = quantisation.guesses(shown("static", "A1", Quantisation(6.0)))
     assert first == Hypothesis((Quantisation(6.0),))
@@ -69,8 +76,16 @@ def test_saturation(kind: str, sensor: str, limit: float) -> None:
     trial = next(iter(saturation.guesses(evidence)))
     (found,) = trial.effects
     assert isinstance(found, Saturation)
-    assert found.limit == pytest.approx(limit, abs=1 / evidence.header.sensitivity)
+    assert found.limit == pytest.approx((limit,) * 3, abs=1 / evidence.header.sensitivity)
     assert trial.free == ("limit",)
+
+
+def test_an_axis_that_saturates_alone() -> None:
+    """Readings of the others go on beyond its limit."""
+    evidence = shown("motion", "A1", Saturation((math.inf, math.inf, 1.1)))
+    (found,) = list(saturation.guesses(evidence))[-1].effects
+    assert isinstance(found, Saturation)
+    assert found.limit == pytest.approx((math.inf, math.inf, 1.1), abs=1 / evidence.header.sensitivity)
 
 
 @pytest.mark.parametrize("probability", [0.02, 0.05, 0.3])

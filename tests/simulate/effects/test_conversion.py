@@ -32,6 +32,11 @@ class TestQuantisation:
     def test_multiples_of_both_steps(self, place, analog, already: int, asked: int, becomes: int) -> None:
         assert Quantisation(asked).analog(analog(0, 1, step=already), place()).step == becomes
 
+    def test_a_step_of_one_axis(self, place, analog, sensor) -> None:
+        """0.0195 g are 9.98 counts of 512 per g: 10 where codes come one by one, 8 where they come in fours."""
+        after = Quantisation((1.0, 4.0, 2.0)).analog(analog(0, 2, value=0.0195), place())
+        assert converted(after, code_span(sensor("bma180"))).tolist() == [[10, 8, 10]] * 2
+
     def test_a_bit_that_is_dead(self, place, codes) -> None:
         """Of -9 ... 9, two's complement, without the bit that counts four: what has it reads four lower."""
         before = codes(0, 19, np.arange(-9, 10)[:, None])
@@ -72,13 +77,17 @@ class TestSaturation:
         assert after.value.tolist() == [[1.0, 0.9, 1.1]]
         assert after.noise.tolist() == [[0.0, 0.05, -0.2]]
 
+    def test_a_limit_of_one_axis(self, place, analog) -> None:
+        after = Saturation((math.inf, 1.0, 3.0)).analog(analog(0, 1, value=(-2.0, -2.0, -2.0)), place())
+        assert after.value.tolist() == [[-2.0, -1.0, -2.0]]
+
     def test_codes_stop_before_their_span_does(self, place, analog, sensor) -> None:
         after = Saturation(5.0).analog(analog(0, 1, value=(9, -9, 4), noise=0.3), place())
         assert converted(after, code_span(sensor("bma180"))).tolist() == [[2560, -2560, 2202]]
 
 
 REFUSED: list[tuple[Callable[[], object], str]] = [
-    (lambda: Quantisation(0), "step_lsb: 0; allowed is 1 to 4096"),
+    (lambda: Quantisation(0), "step_lsb: 0.0; allowed is 1 to 4096"),
     (lambda: Quantisation(2.5), "step_lsb: 2.5; a whole number"),
     (lambda: Quantisation(carry_lsb=8, missing_lsb=8), "missing_lsb: 8; allowed is 0 to 7"),
     (lambda: Quantisation(missing_lsb=1), "missing_lsb: 1; allowed is 0 to 0"),

@@ -33,8 +33,9 @@ _FEWEST = 3
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The greatest step of which (nearly) all codes are multiples, and the power of two in it; bits that are never set,
-    though codes leap over where they would be; codes before a carry that never come.
+    """The greatest step of which (nearly) all codes are multiples, and the power of two in it, or those of each axis
+    where not all have one; bits that are never set, though codes leap over where they would be; codes before a carry
+    that never come.
     """
     yield from with_removal(evidence, Quantisation.name, _found(evidence))
 
@@ -43,23 +44,33 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     usual = code_span(evidence.header).step
     if not evidence.is_odd(*_PROBES, *_LEAPS):
         return
-    codes = [codes for seen in evidence.seen for codes in seen.raw.codes if len(codes.codes)]
+    of_axes = [[seen.raw.codes[axis] for seen in evidence.seen] for axis in range(3)]
+    codes = [codes for axis in of_axes for codes in axis if len(codes.codes)]
     merged = reduce(Histogram.merge, codes, NOTHING)
     divisor = _divisor(merged)
-    powers = [step for step in _STEPS if divisor and divisor % step == 0]
-    for step in dict.fromkeys((divisor, *powers[-1:])):
+    for step in dict.fromkeys(_with_power(divisor)):
         if step > usual:
-            yield Hypothesis((Quantisation(float(step)),))
+            yield Hypothesis((Quantisation((float(step),) * 3),))
     if divisor not in (0, usual):
         return
+    each = [_divisor(reduce(Histogram.merge, axis, NOTHING)) for axis in of_axes]
+    if max(each) > usual:
+        for steps in dict.fromkeys(zip(*map(_with_power, each), strict=True)):
+            x, y, z = (float(step) if step > usual else 1.0 for step in steps)
+            yield Hypothesis((Quantisation((x, y, z)),))
     for bit in range(_HIGHEST_BIT):
         if _is_dead(bit, merged, codes):
             yield from _with_what_hides(evidence, Quantisation(dead_bits=float(1 << bit)), 2 << bit, 1 << bit)
-    each = {carry: missing for carry in _STEPS[1:] if (missing := _missing(carry, merged, codes))}
-    if each:  # of every 16 all but two are, of every four, two
-        carry = max(each, key=lambda carry: each[carry] / carry)
-        found = Quantisation(carry_lsb=float(carry), missing_lsb=float(each[carry]))
-        yield from _with_what_hides(evidence, found, carry, each[carry])
+    short = {carry: missing for carry in _STEPS[1:] if (missing := _missing(carry, merged, codes))}
+    if short:  # of every 16 all but two are, of every four, two
+        carry = max(short, key=lambda carry: short[carry] / carry)
+        found = Quantisation(carry_lsb=float(carry), missing_lsb=float(short[carry]))
+        yield from _with_what_hides(evidence, found, carry, short[carry])
+
+
+def _with_power(divisor: int) -> tuple[int, int]:
+    """The divisor, and the greatest power of two in it; itself where there is none."""
+    return divisor, max((step for step in _STEPS if divisor and divisor % step == 0), default=divisor)
 
 
 def _with_what_hides(evidence: Evidence, found: Quantisation, period: int, stretch: int) -> Iterator[Hypothesis]:
@@ -71,7 +82,7 @@ def _with_what_hides(evidence: Evidence, found: Quantisation, period: int, stret
 
 
 def _divisor(merged: Histogram) -> int:
-    """Of all codes but a hundredth of the readings, over all axes and phases; 0 without one."""
+    """Of all codes but a hundredth of the readings; 0 without one."""
     least = (1 - _ODD_ONES) * merged.counts.sum()
     for step in range(_STEPS[-1], 1, -1):
         on = merged.codes % step == 0

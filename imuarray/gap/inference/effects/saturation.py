@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -21,7 +22,9 @@ _MOST = 2
 
 
 def guesses(evidence: Evidence) -> Iterator[Hypothesis]:
-    """The largest codes at which an axis piles up."""
+    """The largest codes at which an axis piles up, as the limits of all axes; and those of each axis that piles up
+    alone.
+    """
     yield from with_removal(evidence, Saturation.name, _found(evidence))
 
 
@@ -29,10 +32,15 @@ def _found(evidence: Evidence) -> Iterator[Hypothesis]:
     if not evidence.is_odd(*_PROBES):
         return
     span = code_span(evidence.header)
-    ends = (end for seen in evidence.seen for codes in seen.raw.codes for end in _piled(codes))
-    limits = {abs(end) for end in ends if span.lowest < end < span.highest and end}
-    for limit in _apart(sorted(limits, reverse=True))[:_MOST]:
-        yield Hypothesis((Saturation(limit / evidence.header.sensitivity),), ("limit",))
+    limits: list[set[int]] = [set(), set(), set()]
+    for seen in evidence.seen:
+        for own, codes in zip(limits, seen.raw.codes, strict=True):
+            own |= {abs(end) for end in _piled(codes) if span.lowest < end < span.highest and end}
+    for limit in _apart(sorted(set().union(*limits), reverse=True))[:_MOST]:
+        yield Hypothesis((Saturation((limit / evidence.header.sensitivity,) * 3),), ("limit",))
+    if any(limits) and not all(limits):
+        x, y, z = (max(own) / evidence.header.sensitivity if own else math.inf for own in limits)
+        yield Hypothesis((Saturation((x, y, z)),), ("limit",))
 
 
 def _piled(seen: Histogram) -> Iterator[int]:
