@@ -74,14 +74,14 @@ def phase(start_s: int, end_s: int, name: str, up: str = "") -> Phase:
 def test_what_was_done_follows_from_the_phases(tmp_path: Path, phases: list[Phase], kind: str) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", phases))
     assert (found.name, found.kind, found.phases) == ("log.h5", kind, tuple(phases))
-    assert found.notes == ("No reference tells the temperature: 25 degC is assumed all the time.",)
+    assert found.notes == ("There is no reference temperature: 25 degC is assumed throughout.",)
 
 
 def test_a_motion_that_nothing_tells_of_is_left_out(tmp_path: Path) -> None:
     phases = [phase(0, 4, "static", "+Z"), phase(4, 8, "motion")]
     found = recorded(foreign_log(tmp_path / "log.h5", phases))
     assert (found.kind, found.phases) == ("static", (phases[0],))
-    assert found.notes[0] == "Phase 'motion' is left out: nothing says how the box moved."
+    assert found.notes[0] == "Phase 'motion' is left out: the log has no track of the box's motion."
 
 
 def test_a_reference_tells_of_it(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_static_stretches_are_found_and_their_attitudes_estimated(tmp_path: Path
     assert all(one.name == f"pose {number}" for number, one in enumerate(found.phases, start=1))
     middles = np.array([(one.start_ns + one.end_ns) // 2 for one in found.phases])
     np.testing.assert_allclose(motion.felt(middles).force_box / 9.80665, ups, atol=1.5e-3)
-    assert found.notes[0] == "No phase is named as one at rest: 10 static stretches were found."
+    assert found.notes[0] == "No phase is marked as at rest: 10 static stretches were detected."
     assert "not noted in 10 of 10 phases at rest" in found.notes[1]
     campaign = Campaign((summarised(found),))
     for name in ("A1", "A2"):
@@ -228,7 +228,7 @@ def test_without_accelerometers_others_tell_when_the_box_rests(tmp_path: Path, s
 def test_logs_of_two_arrays_are_refused(tmp_path: Path) -> None:
     one = open_log(foreign_log(tmp_path / "one.h5", [phase(0, 9, "static", "+Z")]))
     other = open_log(foreign_log(tmp_path / "other.h5", [phase(0, 9, "static", "+Z")], [COMPASS]))
-    with pytest.raises(LogError, match=r"one\.h5: no sensor in common with .*other\.h5: logs of two arrays"):
+    with pytest.raises(LogError, match=r"one\.h5: no sensor in common with .*other\.h5: logs of different arrays"):
         recordings_of([one, other])
     assert len(recordings_of([one, one])) == 2
 
@@ -282,8 +282,8 @@ def test_while_the_box_moves_no_field_is_known(tmp_path: Path) -> None:
         log.phase(phase(0, 9, "motion"))
     found = recorded(path)
     assert found.experiment.plan.sensors.keys() == {"Gyro"}
-    assert "Mag is left out: nothing tells the field while the box moves." in found.notes
-    with pytest.raises(LogError, match="nothing tells the magnetic field while the box moves, and no other"):
+    assert "Mag is left out: the magnetic field is not known while the box moves." in found.notes
+    with pytest.raises(LogError, match="the magnetic field is not known while the box moves, and there is no other"):
         recording_of(open_log(path), ["Mag"])
 
 
@@ -294,7 +294,7 @@ def test_a_thermometer_that_the_log_explains_tells_the_temperature(tmp_path: Pat
     path = foreign_log(tmp_path / "log.h5", [phase(0, 39, "static", "+Z")], [known, FOREIGN[1]], seconds=40)
     found = recorded(path)
     (note,) = found.notes
-    assert note.startswith("No reference tells the temperature: it is taken from a chip's own thermometer")
+    assert note.startswith("There is no reference temperature: it is taken from a chip's own thermometer")
     degc = found.experiment.motion.felt(np.array([0, 5, 20, 39]) * SECOND).temperature_degc
     assert degc == pytest.approx([36.5 + 1.25, 36.5 + 1.25, 36.5 + 5, 36.5 + 8.75], abs=0.1)
     assert not found.experiment.plan.sensors["Acc"][0].has_temperature  # there is none to compare it with
@@ -331,7 +331,7 @@ def test_flags_that_an_import_cannot_set_are_not_missed(tmp_path: Path) -> None:
 
 def test_without_accelerometers_the_box_stands_upright(tmp_path: Path) -> None:
     found = recorded(foreign_log(tmp_path / "log.h5", [phase(0, 9, "static")], FOREIGN[1:]))
-    assert found.notes[0] == "No accelerometer tells which axis was up: where no phase says so, +Z is assumed."
+    assert found.notes[0] == "There is no accelerometer to estimate the attitude from: +Z up is assumed where no phase notes it."
     np.testing.assert_allclose(found.experiment.motion.felt(np.array([0])).force_box, [[0, 0, 9.80665]])
 
 
@@ -363,7 +363,7 @@ def test_a_magnetometer_that_is_heated_on_two_faces_is_left_out(tmp_path: Path, 
     phases = [phase(20 * at, 20 * at + 19, "heat", up) for at, up in enumerate(faces)]
     found = recorded(heated_log(tmp_path / "log.h5", sensors, phases, 10.0))
     assert ("Mag" in found.experiment.plan.sensors) == (len(faces) == 1)
-    note = "Mag is left out: nothing tells the field of a box that is heated on several faces."
+    note = "Mag is left out: the magnetic field is not known in a box that is heated on several faces."
     assert (note in found.notes) == (len(faces) == 2)
 
 
@@ -373,7 +373,7 @@ def test_a_heating_whose_temperature_nobody_knows_is_left_out_beside_others(tmp_
     heating = foreign_log(tmp_path / "heating.h5", [phase(0, 9, "heat", "+Z")], sensors)
     found = recordings_of([open_log(static), open_log(heating)])
     assert [recording.name for recording in found] == ["static.h5"]
-    assert found[0].notes[0] == "heating.h5 is left out: nothing tells the temperature while the box is heated."
+    assert found[0].notes[0] == "heating.h5 is left out: the box is heated and no temperature is recorded."
     assert [recording.name for recording in recordings_of([open_log(heating)])] == ["heating.h5"]
 
 

@@ -12,7 +12,7 @@ from imuarray.gap.recording.recordings import recording_of, sources_of
 from imuarray.gap.recording.row_timing import (
     EvenRows,
     RowTiming,
-    _make_up,
+    _is_burst,
     even_rows,
     notes_of,
     row_timing,
@@ -71,7 +71,7 @@ def test_stalls_after_every_so_many_rows(tmp_path: Path, every: int, stall_s: fl
     assert found.gaps_s == pytest.approx(39 * stall_s, rel=1e-6)
     (note,) = notes_of([("Acc", found), ("Gyro", found)])
     assert note.startswith(f"Acc, Gyro: rows stall for {stall_s:.3g} s after every {every} rows: no rows in ")
-    assert note.endswith("between the stalls one comes every 17 ms (58.82 Hz).")
+    assert note.endswith("between the stalls they are 17 ms apart (58.82 Hz).")
 
 
 @pytest.mark.parametrize(("share", "period_rows"), [(0.9, 20), (0.6, 0)])
@@ -129,12 +129,12 @@ def test_what_makes_a_burst() -> None:
     standing = (length_s - 1) / length_s.std(), (other - 1) / other.std()
     for correlation, expected in ((0.4, False), (0.7, True)):
         mixed = correlation * standing[0] + np.sqrt(1 - correlation**2) * standing[1]
-        assert _make_up(length_s, np.rint(1000 * (10 + mixed)).astype(np.int64), 5.0) == expected
+        assert _is_burst(length_s, np.rint(1000 * (10 + mixed)).astype(np.int64), 5.0) == expected
     behind = np.rint(1000 * (10 + standing[0])).astype(np.int64)
     for scatter, expected in ((0.035, False), (0.07, True)):  # lengths that are all the same say nothing
-        assert _make_up(1 + scatter * standing[0], behind, 5.0) == expected
+        assert _is_burst(1 + scatter * standing[0], behind, 5.0) == expected
     for hurry, expected in ((7.0, False), (14.0, True)):
-        assert _make_up(np.ones(50), np.full(50, 32), hurry) == expected
+        assert _is_burst(np.ones(50), np.full(50, 32), hurry) == expected
 
 
 def test_a_steady_log_is_not_spoken_of(tmp_path: Path) -> None:

@@ -1,1 +1,1 @@
-"""Recorded logs as the diagnosis takes them: rows, phases, attitudes, and what happened to single rows."""
+"""Recorded logs as the diagnosis reads them: rows, phases, attitudes, and events of single rows."""

@@ -1,4 +1,4 @@
-"""What happened to single rows of a recorded sensor; a simulation happens to hit others, and is not asked."""
+"""Events of single rows of a recorded sensor. A simulation has other ones, so these are not compared."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from imuarray.gap.recording.host_lag import HostLag, behind
-from imuarray.gap.recording.neighbours import lone_beside
+from imuarray.gap.recording.host_lag import HostLag, host_lags
+from imuarray.gap.recording.neighbours import outliers_in_motion
 from imuarray.gap.recording.outliers import Outliers
-from imuarray.gap.recording.repeated_rows import NOWHERE, RepeatedRows, held_in
+from imuarray.gap.recording.repeated_rows import NO_REPEATED_ROWS, RepeatedRows, repeated_rows_in
 from imuarray.gap.recording.resets import Reset, resets_in
 from imuarray.gap.recording.source import recorded_source
 from imuarray.log import Log
@@ -26,44 +26,49 @@ _END_NS = np.iinfo(np.int64).max
 
 
 class Host(NamedTuple):
-    """Of a log of so many `rows`, of all its sensors: before how many of them the host was kept waiting (`waits`), the
-    sum of the squares of half of these times in s^2, and how many rows it `missed`; `behind`, how far all sensors are
-    behind the track of the box's motion, if the log has one.
+    """Delays of the host over all sensors of a log.
+
+    `rows` of the log, before how many of them the host was kept waiting (`waits`), the sum of the squares of half of
+    these times in s^2, and how many rows it `missed`; `lags` of all sensors behind the track of the box's motion, if
+    the log has one.
     """
 
     rows: int = 0
     waits: int = 0
     square_s2: float = 0.0
     missed: int = 0
-    behind: tuple[HostLag, ...] = ()
+    lags: tuple[HostLag, ...] = ()
 
 
-IN_TIME = Host()
+PUNCTUAL = Host()
 
 
 @dataclass(frozen=True)
 class Events:
-    """Of one sensor in one log: stretches in which its rows are `held`; which readings are `lone` beside other sensors,
-    in each phase in which the box moves; and the `holes` in its rows, as `Filled.holes` gives them. `host` is what
-    the times of all sensors tell of the host, `resets` are stretches in which the chip was not set as it should be.
+    """Events of one sensor in one log.
+
+    `repeated`: stretches in which its rows repeat; `outliers` against the other sensors in each phase in which the box
+    moves; `holes` in its rows as `Filled.holes` gives them; `host`, the delays of the host seen in all sensors;
+    `resets`, stretches in which the chip's configuration was lost.
     """
 
-    held: RepeatedRows = NOWHERE
-    lone: tuple[Outliers, ...] = ()
+    repeated: RepeatedRows = NO_REPEATED_ROWS
+    outliers: tuple[Outliers, ...] = ()
     holes: tuple[tuple[int, int, int], ...] = ()
-    host: Host = IN_TIME
+    host: Host = PUNCTUAL
     resets: tuple[Reset, ...] = ()
 
 
 def events_of(
     log: Log, timelines: Mapping[str, Timeline], moving: Sequence[Phase], motion: Motion | None = None
 ) -> Mapping[str, Events]:
-    """Of the sensors with these timelines; `moving` are the phases in which the box moves, `motion` is what it felt if
-    a track of the log tells.
+    """Events of the sensors with these timelines.
+
+    `moving` are the phases in which the box moves; `motion` is what it felt, if the log has a track.
     """
     inertial = [log[name] for name in timelines if log[name].quantity in INERTIAL]  # of a track that tells no field
-    lags = behind(inertial, motion) if motion is not None and inertial else ()
-    host = _host(timelines.values())._replace(behind=lags)
+    lags = host_lags(inertial, motion) if motion is not None and inertial else ()
+    host = _host(timelines.values())._replace(lags=lags)
     return MappingProxyType(
         {name: _events(log, name, line, moving, timelines, host) for name, line in timelines.items()}
     )
@@ -84,8 +89,8 @@ def _events(log: Log, name: str, line: Timeline, moving: Sequence[Phase], known:
     others = [log[other] for other in known if other != name and log[other].quantity == sensor.quantity]
     own = line.own if isinstance(line, Awaited) else line
     return Events(
-        held_in(recorded_source(sensor, line).blocks(0, _END_NS)),
-        tuple(lone_beside(sensor, others, phase) for phase in moving),
+        repeated_rows_in(recorded_source(sensor, line).blocks(0, _END_NS)),
+        tuple(outliers_in_motion(sensor, others, phase) for phase in moving),
         tuple(own.holes()) if isinstance(own, Filled) else (),
         host,
         resets_in(sensor),

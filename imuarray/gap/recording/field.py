@@ -1,7 +1,8 @@
-"""The magnetic field in which a box lay, from its own magnetometers: no log tells it, and no two rooms have the same.
+"""The magnetic field around a resting box, from the log's own magnetometers.
 
-So the level that the magnetometers of a log have in common, in each phase at rest, is what is felt there, and says
-nothing of their errors; how they differ, and what they do within a phase, does.
+No log records the field and no two rooms have the same. The mean level of the magnetometers in each phase at rest is
+therefore taken as the field, and is no evidence of their errors; their differences and their changes within a phase
+are.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from imuarray.simulate.motion.fields import PhaseField
 
 
 def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[PhaseField, ...]:
-    """The mean of the magnetometers among `sensors` in each of the phases at rest, in the order of time; nothing where
-    there is no magnetometer.
+    """The mean field of the magnetometers among `sensors` in each phase at rest, in the order of time; empty without a
+    magnetometer.
     """
     magnetometers = [sensor for sensor in sensors if sensor.quantity == "magnetic_field" and sensor.sensitivity]
     fields: list[PhaseField] = []
@@ -37,7 +38,7 @@ def fields_of(sensors: Sequence[SensorLog], phases: Sequence[Phase]) -> tuple[Ph
 
 
 def _mean_box(sensor: SensorLog, phase: Phase) -> Floats | None:
-    """(3,) gauss in the box frame; None without readings."""
+    """Mean field (3,) in gauss in the box frame; None without readings."""
     rows, sums = 0, np.zeros(3)
     for block in RecordedSource(sensor).blocks(phase.start_ns, phase.end_ns):
         rows += len(block.time)

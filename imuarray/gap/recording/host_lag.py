@@ -1,4 +1,4 @@
-"""How far all sensors of a log are behind the motion that its track tells: what the clock of the host has gained."""
+"""The lag of all sensors of a log behind the motion of its track: what the host's clock has gained."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from imuarray.simulate.motion.felt import Motion
 from imuarray.units import SI_PER_UNIT
 
 GRID_S = 0.01
-_WINDOW, _FURTHEST = 400, 100
-"""Rows of the grid in a window, and by how many it may be behind, or ahead, more than the window before."""
+_WINDOW, _MOST_LAG_ROWS = 400, 100
+"""Rows of the grid in a window, and the largest lag or lead in rows relative to the window before."""
 
 WINDOWS = 64
-"""Of a log, those in which it moves most; a rate that changes shows in as many."""
+"""Windows of a log that are used, those with the most motion; a drifting rate shows in as many."""
 
-_LEAST, _MOVES = 0.5, 1e-2
-"""Share of the sensors' variance that the motion has to explain, and least rms of it, in m/s^2 and rad/s."""
+_LEAST_SHARE, _LEAST_RMS = 0.5, 1e-2
+"""Share of the sensors' variance that the motion has to explain, and its least rms in m/s^2 and rad/s."""
 
-_SURE = 1.5
-"""The next best place has to leave so many times the variance: else it may be a period more or less."""
+_UNIQUE = 1.5
+"""The second best lag has to leave so many times the variance: otherwise the lag is ambiguous by a period."""
 
 
 class HostLag(NamedTuple):
-    """At `at_s` after the log's epoch, in the middle of a window's motion, sensors are `lag_s` behind the track, with a
-    standard error `error_s`.
+    """Lag `lag_s` of the sensors behind the track at `at_s` after the log's epoch (the middle of a window's motion),
+    with standard error `error_s`.
     """
 
     at_s: float
@@ -37,67 +37,71 @@ class HostLag(NamedTuple):
     error_s: float
 
 
-def behind(sensors: Sequence[SensorLog], motion: Motion) -> tuple[HostLag, ...]:
-    """Of the sensors (accelerometers and gyroscopes) taken together, window by window, in those that tell it."""
-    found: list[HostLag] = []
+def host_lags(sensors: Sequence[SensorLog], motion: Motion) -> tuple[HostLag, ...]:
+    """The common lag of the sensors (accelerometers and gyroscopes), window by window, where it is determined."""
+    lags: list[HostLag] = []
     lag_s = 0.0
-    for start_ns in _moving(sensors, motion):
-        one = _in_window(sensors, motion, start_ns, lag_s)
-        if one is not None:
-            found.append(one)
-            lag_s = one.lag_s
-    return tuple(found)
+    for start_ns in _moving_windows(sensors, motion):
+        lag = _in_window(sensors, motion, start_ns, lag_s)
+        if lag is not None:
+            lags.append(lag)
+            lag_s = lag.lag_s
+    return tuple(lags)
 
 
-def _moving(sensors: Sequence[SensorLog], motion: Motion) -> list[int]:
-    """When the windows begin, in ns, in which the box moves most by its track."""
-    begin_ns = max((int(one.time[0]) for one in sensors), default=0)
-    end_ns = min((int(one.time[-1]) for one in sensors), default=0)
+def _moving_windows(sensors: Sequence[SensorLog], motion: Motion) -> list[int]:
+    """Begins of the windows with the most motion by the track, in ns."""
+    begin_ns = max((int(values.time[0]) for values in sensors), default=0)
+    end_ns = min((int(values.time[-1]) for values in sensors), default=0)
     length_ns = _ns(_WINDOW)
     starts = np.arange(begin_ns, end_ns - length_ns, length_ns)
     size = np.zeros(len(starts))
     for at, start in enumerate(starts.tolist()):
-        size[at] = max(np.sqrt(np.var(one, axis=0).sum()) for one in _told(motion, _grid(start, 0)[::8]).values())
+        size[at] = max(
+            np.sqrt(np.var(values, axis=0).sum()) for values in _track_values(motion, _grid(start, 0)[::8]).values()
+        )
     chosen = np.argsort(-size, kind="stable")[:WINDOWS]
-    return sorted(starts[chosen[size[chosen] > _MOVES]].tolist())
+    return sorted(starts[chosen[size[chosen] > _LEAST_RMS]].tolist())
 
 
 def _in_window(sensors: Sequence[SensorLog], motion: Motion, start_ns: int, near_s: float) -> HostLag | None:
-    """None where nothing, or more than one lag, fits."""
+    """The lag in one window; None where no lag fits, or more than one does."""
     near = round(near_s / GRID_S)
-    reach = _grid(start_ns - _ns(near), _FURTHEST)
-    read, told = _read(sensors, _grid(start_ns, 0)), _told(motion, reach)
-    left, square, noise = np.zeros(2 * _FURTHEST + 1), np.zeros(_WINDOW), 0.0
+    reach = _grid(start_ns - _ns(near), _MOST_LAG_ROWS)
+    read, track = _read(sensors, _grid(start_ns, 0)), _track_values(motion, reach)
+    unexplained, square, noise = np.zeros(2 * _MOST_LAG_ROWS + 1), np.zeros(_WINDOW), 0.0
     for quantity, own in read.items():
-        moved = told[quantity]
-        size = float(np.var(moved, axis=0).sum())
-        if size < _MOVES**2:
+        expected = track[quantity]
+        size = float(np.var(expected, axis=0).sum())
+        if size < _LEAST_RMS**2:
             continue
-        shifted = sliding_window_view(moved, _WINDOW, axis=0)[::-1]  # the first is the furthest behind
-        apart = own.T - own.mean(axis=0)[:, None] - (shifted - shifted.mean(axis=2, keepdims=True))
-        left += (apart**2).sum(axis=(1, 2)) / size
-        square += (np.gradient(moved, GRID_S, axis=0) ** 2).sum(axis=1)[_FURTHEST:-_FURTHEST] / size
+        shifted = sliding_window_view(expected, _WINDOW, axis=0)[::-1]  # the first is the furthest behind
+        difference = own.T - own.mean(axis=0)[:, None] - (shifted - shifted.mean(axis=2, keepdims=True))
+        unexplained += (difference**2).sum(axis=(1, 2)) / size
+        square += (np.gradient(expected, GRID_S, axis=0) ** 2).sum(axis=1)[_MOST_LAG_ROWS:-_MOST_LAG_ROWS] / size
         noise += _WINDOW
-    best = int(np.argmin(left))
-    if not square.any() or not 0 < best < len(left) - 1 or left[best] > _LEAST * noise:
+    best = int(np.argmin(unexplained))
+    if not square.any() or not 0 < best < len(unexplained) - 1 or unexplained[best] > _LEAST_SHARE * noise:
         return None
-    if any(left[at] < _SURE * left[best] for at in _dips(left) if at != best):
+    if any(unexplained[at] < _UNIQUE * unexplained[best] for at in _dips(unexplained) if at != best):
         return None
-    before, here, after = left[best - 1 : best + 2].tolist()
-    place = best - _FURTHEST + 0.5 * (before - after) / (before - 2 * here + after)
+    before, here, after = unexplained[best - 1 : best + 2].tolist()
+    place = best - _MOST_LAG_ROWS + 0.5 * (before - after) / (before - 2 * here + after)
     middle_s = float(np.average(np.arange(_WINDOW), weights=square)) * GRID_S
     error_s = float(np.sqrt(here / noise / square.sum()))
     return HostLag(start_ns * 1e-9 + middle_s, (near + place) * GRID_S, error_s)
 
 
-def _dips(left: Floats) -> Iterator[int]:
-    """Where it is less than on either side."""
-    yield from (1 + np.flatnonzero((left[1:-1] < left[:-2]) & (left[1:-1] <= left[2:]))).tolist()
+def _dips(values: Floats) -> Iterator[int]:
+    """Indices of the local minima."""
+    yield from (1 + np.flatnonzero((values[1:-1] < values[:-2]) & (values[1:-1] <= values[2:]))).tolist()
 
 
 def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
-    """(n, 3) of each quantity, SI, box axes, the mean of all sensors that have rows there."""
-    found: dict[str, list[Floats]] = {}
+    """The readings (n, 3) of each quantity at the grid's times, SI, box axes, averaged over all sensors that have rows
+    there.
+    """
+    readings: dict[str, list[Floats]] = {}
     for sensor in sensors:
         span = sensor.between(int(grid_ns[0]) - _ns(10), int(grid_ns[-1]) + _ns(10))
         times = np.asarray(sensor.time[span], np.int64)
@@ -106,14 +110,14 @@ def _read(sensors: Sequence[SensorLog], grid_ns: Integers) -> dict[str, Floats]:
         box = np.asarray(sensor.counts[span], float) @ np.array(sensor.orientation).T
         at, known = (grid_ns - grid_ns[0]) * 1e-9, (times - grid_ns[0]) * 1e-9
         scale = SI_PER_UNIT[sensor.unit] / sensor.sensitivity
-        found.setdefault(sensor.quantity, []).append(
+        readings.setdefault(sensor.quantity, []).append(
             np.stack([np.interp(at, known, axis) for axis in box.T], axis=1) * scale
         )
-    return {quantity: np.mean(several, axis=0) for quantity, several in found.items()}
+    return {quantity: np.mean(several, axis=0) for quantity, several in readings.items()}
 
 
-def _told(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
-    """(n, 3) of each quantity, SI, box axes."""
+def _track_values(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
+    """The track's values (n, 3) of each quantity, SI, box axes."""
     felt = motion.felt(time_ns)
     return {
         "specific_force": np.asarray(felt.force_box, float),
@@ -122,7 +126,7 @@ def _told(motion: Motion, time_ns: Integers) -> Mapping[str, Floats]:
 
 
 def _grid(start_ns: int, more: int) -> Integers:
-    """The times of a window, and of so many rows more on either side."""
+    """The times of a window, extended by `more` rows on either side."""
     return start_ns + _ns(1) * np.arange(-more, _WINDOW + more, dtype=np.int64)
 
 

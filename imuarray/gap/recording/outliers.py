@@ -1,4 +1,4 @@
-"""Readings that stand alone: far from both of their neighbours, which are near each other."""
+"""Isolated readings: far from both neighbours, which are near each other."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import numpy as np
 from imuarray.arrays import Floats, Integers
 
 MOST = 16
-"""So many of each axis are kept, unless told otherwise."""
+"""The most readings of each axis that are kept by default."""
 
 _ALONE = 1.5
-"""So many times further than both neighbours from theirs: a lone reading is twice as far, one beside a step as far."""
+"""Ratio of a reading's distance from the middle of its neighbours to that of the neighbours from theirs: 2 for an
+isolated reading, 1 next to a step.
+"""
 
 _ASIDE = 2
 """Rows on either side that have to be known."""
@@ -24,26 +26,28 @@ _ROBUST = 1.4826
 
 @dataclass(frozen=True)
 class Outliers:
-    """The k readings of a phase that are furthest from the middle of their two neighbours, some of each axis: their
-    `axis` (k,), times `time_ns` (k,) and signed distances `apart` (k,) in counts. Of none but such as stand
-    alone; the first two and the last two of a phase are left out.
+    """The k readings of a phase that are furthest from the middle of their two neighbours, at most so many of each
+    axis.
+
+    `axis` (k,), times `time_ns` (k,) and signed distances `deviation` (k,) in counts. Only isolated readings are
+    listed; the first two and the last two of a phase are left out.
     """
 
     axis: Integers
     time_ns: Integers
-    apart: Floats
+    deviation: Floats
 
 
 class OutlierTally:
-    """Takes rows as they come; keeps so many of each axis."""
+    """Collects the furthest isolated readings of each axis while rows arrive."""
 
     def __init__(self, most: int = MOST) -> None:
         self._most = most
         self._time, self._line = np.zeros(0, np.int64), np.zeros((3, 0))
-        self._found: list[list[tuple[float, int, float]]] = [[], [], []]
+        self._furthest: list[list[tuple[float, int, float]]] = [[], [], []]
 
     def update(self, time_ns: Integers, apart: Floats) -> None:
-        """The next rows: times (n,), and (3, n) distances of counts from an origin."""
+        """Adds rows: times (n,), and distances (3, n) of counts from an origin."""
         time = np.concatenate([self._time, time_ns])
         line = np.concatenate([self._line, apart], axis=1)
         self._time, self._line = time[-2 * _ASIDE :], line[:, -2 * _ASIDE :].copy()
@@ -61,15 +65,15 @@ class OutlierTally:
             rows = [
                 (float(inner[axis, at]), int(time[at + _ASIDE]), float(off[axis, at + 1])) for at in places.tolist()
             ]
-            self._found[axis] = sorted([*self._found[axis], *rows], reverse=True)[: self._most]
+            self._furthest[axis] = sorted([*self._furthest[axis], *rows], reverse=True)[: self._most]
 
     def result(self) -> Outliers:
-        """All that came so far, axis by axis, the furthest first."""
-        rows = [(axis, time, by) for axis, own in enumerate(self._found) for _, time, by in own]
-        axes, times, apart = zip(*rows, strict=True) if rows else ((), (), ())
-        return Outliers(np.array(axes, np.int64), np.array(times, np.int64), np.array(apart, float))
+        """The readings collected so far, axis by axis, the furthest first."""
+        rows = [(axis, time, by) for axis, own in enumerate(self._furthest) for _, time, by in own]
+        axes, times, deviation = zip(*rows, strict=True) if rows else ((), (), ())
+        return Outliers(np.array(axes, np.int64), np.array(times, np.int64), np.array(deviation, float))
 
 
 def robust_std(values: Floats) -> Floats:
-    """Per column of (r, k), from the median absolute deviation."""
+    """Standard deviation of each column of (r, k) from the median absolute deviation."""
     return np.asarray(_ROBUST * np.median(np.abs(values - np.median(values, axis=0)), axis=0))

@@ -1,9 +1,8 @@
-"""Gaps in a log that the recorder made: no sensor was read then, so no simulation of the log reads one either.
+"""Gaps in a log that the recorder made: no sensor was read in them, and no simulation of the log reads one either.
 
-A row that one sensor lacks while the others were read is lost, and something that the simulator may lack. Where nobody
-was there to read any of them nothing is known of the sensors, and nothing differs: the timing of the recorder is a
-nuisance, told in a note. Two things tell it: every other sensor that was due is missing as well, or an event of the
-logger says that frames were missed.
+A row that one sensor lacks while the others were read is lost, which the simulator may lack. If no sensor was read,
+nothing is known of the sensors: the recorder's timing is a nuisance quantity and becomes a note. A gap is the
+recorder's if every other sensor that was due is missing as well, or if an event of the logger reports missed frames.
 """
 
 from __future__ import annotations
@@ -24,21 +23,20 @@ from imuarray.log.pace import MISSED
 from imuarray.simulate.timeline import Filled, Timeline
 
 MISSING = 1.5
-"""Times its usual interval, between the rows of another sensor around the middle of a gap, from which on it is missing
-there, too."""
+"""Interval of another sensor around the middle of a gap, in its usual intervals, from which on it is missing too."""
 
 DUE = 0.6
-"""Share of a gap: a sensor whose usual interval is longer need not have been read in it."""
+"""Share of a gap: a sensor with a longer interval need not have been read in it."""
 
 CHANCE = 0.01
-"""Probability with which sensors that lose rows one by one have as many gaps in common."""
+"""Probability with which sensors that lose rows independently have as many gaps in common."""
 
 _SPAN = re.compile(r"missed in ([\d.]+) s")
-"""What an event says that tells all delays of a while together."""
+"""The part of an event that reports all delays of a period together."""
 
 
 class _Gap(NamedTuple):
-    """Between two rows of a sensor, in ns of the log."""
+    """The gap between two rows of a sensor, in ns of the log."""
 
     begin_ns: int
     end_ns: int
@@ -50,8 +48,10 @@ class _Gap(NamedTuple):
 
 @dataclass(frozen=True)
 class RecorderGaps:
-    """The timelines of sensors without the rows that were due while the recorder read nothing (`lines`); by sensor the
-    times (k,) in ns of the first rows behind these gaps; and a `note` on them, "" where there are none.
+    """Timelines without the recorder's gaps.
+
+    `lines`: the timelines of sensors without the rows that were due in these gaps; `ends_ns`: by sensor the times (k,)
+    of the first rows after them; `note` on the gaps, "" where there are none.
     """
 
     lines: Mapping[str, Timeline]
@@ -60,7 +60,7 @@ class RecorderGaps:
 
 
 def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
-    """Those between the rows of recorded sensors with these timelines."""
+    """Detects the recorder's gaps among the rows of sensors with these timelines."""
     usual_ns = {name: _usual_ns(sensor) for name, sensor in log.sensors.items()}
     delays = [_delay(event) for event in log.events if event.kind == "late" and not event.sensor]
     kept, ends_ns = dict(lines), {}
@@ -88,18 +88,18 @@ def recorder_gaps(log: Log, lines: Mapping[str, Timeline]) -> RecorderGaps:
 
 
 def _is_late(gap: _Gap, usual_ns: float, delays: Sequence[_Gap]) -> bool:
-    """Whether the logger says that it was late then."""
+    """Whether the logger reports a delay during the gap."""
     return any(delay.begin_ns <= gap.end_ns + usual_ns and delay.end_ns > gap.begin_ns for delay in delays)
 
 
 def _is_common(gap: _Gap, others: Sequence[tuple[SensorLog, float]]) -> bool:
-    """Whether all others that were due in the gap are missing there; with none, nothing tells."""
+    """Whether all other sensors that were due in the gap are missing in it; False if none was due."""
     due = [(sensor, interval_ns) for sensor, interval_ns in others if 0 < interval_ns <= DUE * gap.length_ns]
     return bool(due) and all(_is_missing(sensor, interval_ns, gap) for sensor, interval_ns in due)
 
 
 def _is_missing(sensor: SensorLog, usual_ns: float, gap: _Gap) -> bool:
-    """Whether its rows around the middle of the gap are further apart than usual."""
+    """Whether the sensor's rows around the middle of the gap are further apart than usual."""
     middle_ns = (gap.begin_ns + gap.end_ns) // 2
     row = sensor.between(middle_ns, middle_ns).start
     if not 0 < row < len(sensor):
@@ -109,18 +109,18 @@ def _is_missing(sensor: SensorLog, usual_ns: float, gap: _Gap) -> bool:
 
 
 def _lost_share(sensor: SensorLog, usual_ns: float, gap_ns: float) -> float:
-    """Of the time of a log, that in which a sensor lacks rows, but for one gap of this length."""
+    """The share of a log's time in which a sensor lacks rows, except for one gap of this length."""
     span_ns = int(sensor.time[-1]) - int(sensor.time[0])
     return max(1 - ((len(sensor) - 1) * usual_ns + gap_ns) / span_ns, 0.0)
 
 
 def _usual_ns(sensor: SensorLog) -> float:
-    """The median of its first intervals, 0 without two rows."""
+    """The median of a sensor's first intervals, 0 without two rows."""
     return float(np.median(np.diff(np.asarray(sensor.time[: 1 << 14], np.int64)))) if len(sensor) > 1 else 0.0
 
 
 def _delay(event: Event) -> _Gap:
-    """When the logger was late, as an event tells it: up to then, or in a while that ends then."""
+    """The period in which the logger was late according to an event."""
     span = _SPAN.search(event.message) if MISSED.match(event.message) else None
     return _Gap(event.time_ns - round(float(span[1]) * 1e9) if span else event.time_ns, event.time_ns)
 

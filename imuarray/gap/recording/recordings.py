@@ -1,8 +1,8 @@
-"""Recorded logs as the diagnosis takes them: what was done in each, which sensors were read when, how the box lay.
+"""Recorded logs as the diagnosis reads them: what was done in each, which sensors were read when, the box's attitudes.
 
-What a log says is believed: phases that say which axis was up, `/truth` or `/reference` on how the box moved. Where it
-says nothing, static poses are found and their attitudes estimated from the accelerometers
-(`imuarray.gap.recording.attitude`); a motion that nothing tells of is left out. Every such decision is a note.
+Notes in a log are believed: phases that name the axis that was up, `/truth` or `/reference` for the motion. Without
+them static poses are detected and their attitudes estimated from the accelerometers
+(`imuarray.gap.recording.attitude`); motion without a track is left out. Every such decision is a note.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from imuarray.simulate.timeline import Timeline, filled
 from imuarray.simulate.waits import awaited
 
 Temperature = Callable[[Times], Reals]
-"""Times (n,) in ns to degC (n,): one reference for all sensors, recorded or simulated."""
+"""Function from times (n,) in ns to the reference temperature (n,) in degC, the same for all sensors."""
 
 
 class Experiment(NamedTuple):
-    """What happened in one log: which sensors were read when, and what the box did."""
+    """The plan of one log (which sensors were read when) and the motion of the box."""
 
     plan: Plan
     motion: Motion
@@ -45,11 +45,11 @@ class Experiment(NamedTuple):
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded log, named as its file; `kind` is what was done (static, tumble, heating, turn-on, motion), `phases`
-    the stretches that are compared, `experiment` what a simulation of it needs, rows that were lost included, `notes`
-    what was assumed or left out; `gap_ends_ns` by sensor the times of the first rows behind gaps of the recorder.
+    """A recorded log, named as its file; the log stays open.
 
-    The log stays open.
+    `kind` is what was done (static, tumble, heating, turn-on, motion), `phases` the stretches that are compared,
+    `experiment` what a simulation of it needs, lost rows included, `notes` what was assumed or left out; `gap_ends_ns`
+    by sensor the times of the first rows after gaps of the recorder.
     """
 
     name: str
@@ -62,21 +62,21 @@ class Recording:
 
     @cached_property
     def temperature_source(self) -> TemperatureSource:
-        """What tells the temperature."""
+        """The source of the reference temperature."""
         return LikeLog(self.log).temperature_source
 
     @property
     def has_reference_temperature(self) -> bool:
-        """Whether something beside the chips' own thermometers tells the temperature."""
+        """Whether the temperature comes from more than the chips' own thermometers."""
         return self.temperature_source not in ("chip", "nothing")
 
 
 def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
-    """One log, of its triads or `only` those named.
+    """Reads one log: all its triads, or `only` those named.
 
-    LogError for a sensor that it doesn't have, and for a log in which nothing can be compared.
+    LogError for a sensor that the log does not have, and for a log in which nothing can be compared.
     """
-    chosen, left_out = _chosen(log, only)
+    chosen, left_out = _chosen_sensors(log, only)
     motion = LikeLog(log)
     phases, skipped = phases_of(log, motion)
     heated = is_heated(phases, motion)
@@ -85,7 +85,10 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
     timings = {name: row_timing(log[name]) for name in plan.sensors}
     gaps = _timelines(log, timings)
     is_compared = motion.temperature_source != "chip"
-    sensors = {name: (_with_known(header, is_compared), gaps.lines[name]) for name, (header, _) in plan.sensors.items()}
+    sensors = {
+        name: (_with_comparable_thermometer(header, is_compared), gaps.lines[name])
+        for name, (header, _) in plan.sensors.items()
+    }
     attitudes, assumed = attitudes_of(log, phases, motion)
     notes = (*left_out, *unknown, *skipped, *assumed, *temperature_notes(motion), *notes_of(timings.items()))
     notes = (*notes, *([gaps.note] if gaps.note else []))
@@ -99,13 +102,12 @@ def recording_of(log: Log, only: Collection[str] = ()) -> Recording:
 
 
 def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Recording, ...]:
-    """Several logs of one array, in the order in which they were recorded if all of them say when; a sensor that one
-    lacks is left out there, with a note.
+    """Reads several logs of one array, in the order of recording if all of them have a date.
 
-    LogError for one that none has, or that was set otherwise in another log, and for a log that has none in common with
-    the others.
+    A sensor that a log lacks is left out there, with a note. LogError for a sensor that no log has, for one configured
+    differently in another log, and for a log without a sensor in common with the others.
     """
-    found: list[Recording] = []
+    recordings: list[Recording] = []
     first: dict[str, SensorLog] = {}
     if all(log.epoch for log in logs):
         logs = sorted(logs, key=lambda log: log.epoch)
@@ -113,26 +115,26 @@ def recordings_of(logs: Sequence[Log], only: Collection[str] = ()) -> tuple[Reco
     for name in names:
         if not any(name in log.sensors for log in logs):
             raise LogError(f"{logs[0].path}: no sensor {name!r}, nor in any other log")
-    _of_one_array(logs)
+    _refuse_two_arrays(logs)
     for log in logs:
         here = [name for name in names if name in log.sensors and len(log[name])]
         for name in here:
-            _same(first.setdefault(name, log[name]), log[name])
+            _refuse_other_configuration(first.setdefault(name, log[name]), log[name])
         if not here:
             raise LogError(f"{log.path}: none of the sensors {', '.join(names)} was read in it")
         recording = recording_of(log, here)
         lacking = tuple(f"{name} is left out: it was not read in this log." for name in names if name not in here)
-        found.append(replace(recording, notes=(*lacking, *recording.notes)))
-    return _without_unknown_heat(found)
+        recordings.append(replace(recording, notes=(*lacking, *recording.notes)))
+    return _without_unknown_temperature(recordings)
 
 
-def _without_unknown_heat(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Those in which the temperature is known, or doesn't change for all that is noted; all, if there are no others."""
+def _without_unknown_temperature(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """The recordings except heatings without a temperature; all of them if there are no others."""
     known: list[Recording] = []
     notes: list[str] = []
     for recording in recordings:
         if recording.kind == "heating" and recording.temperature_source == "nothing":
-            notes.append(f"{recording.name} is left out: nothing tells the temperature while the box is heated.")
+            notes.append(f"{recording.name} is left out: the box is heated and no temperature is recorded.")
         else:
             known.append(recording)
     if not notes or not known:
@@ -141,14 +143,14 @@ def _without_unknown_heat(recordings: Sequence[Recording]) -> tuple[Recording, .
 
 
 def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Recording]) -> None:
-    """LogError in one line if the earlier recordings are of another array: of none of the same sensors, or of sensors
-    that were set otherwise.
+    """Raises LogError if the earlier recordings are of another array: no sensor in common, or sensors configured
+    differently.
     """
     sensors = {name: recording.log[name] for recording in earlier for name in recording.experiment.plan.sensors}
     for recording in recordings:
         shared = [name for name in recording.experiment.plan.sensors if name in sensors]
         for name in shared:
-            _same(sensors[name], recording.log[name])
+            _refuse_other_configuration(sensors[name], recording.log[name])
         if not shared:
             first = earlier[0].log.path
             raise LogError(
@@ -157,7 +159,7 @@ def refuse_other_array(recordings: Sequence[Recording], earlier: Sequence[Record
 
 
 def temperature_of(motion: Motion) -> Temperature:
-    """The reference temperature that a motion tells."""
+    """The reference temperature of a motion, as a function of time."""
 
     def temperature(time_ns: Times) -> Floats:
         return np.asarray(motion.felt(time_ns).temperature_degc, float)
@@ -166,9 +168,11 @@ def temperature_of(motion: Motion) -> Temperature:
 
 
 def sources_of(recording: Recording) -> dict[str, Source]:
-    """Its sensors' rows, as a simulation of it has them: without the counts of thermometers whose scale is unknown, or
-    that are all that tells the temperature; without the flag of lost rows behind gaps of the recorder; those that came
-    in bursts at the times at which they were read.
+    """The rows of a recording's sensors, in the form in which a simulation has them.
+
+    Without the counts of thermometers whose scale is unknown or that are the only source of the temperature, and
+    without the flag of lost rows after gaps of the recorder; rows that arrived in bursts get the times at which they
+    were read.
     """
     sources: dict[str, Source] = {}
     for name, (header, line) in recording.experiment.plan.sensors.items():
@@ -182,13 +186,13 @@ def sources_of(recording: Recording) -> dict[str, Source]:
 
 
 class _Comparable:
-    """A source without what can't be compared: the counts of its thermometer, unless it `has_temperature`, and the
-    flags of the rows at `gap_ends_ns` (k,).
+    """A source without what can't be compared: its thermometer's counts, unless it `has_temperature`, and the flags of
+    the rows at `gap_ends_ns` (k,).
     """
 
     def __init__(self, source: Source, has_temperature: bool, gap_ends_ns: Times) -> None:
         self.header = replace(source.header, has_temperature=source.header.has_temperature and has_temperature)
-        self.known: dict[Hashable, Any] = {}
+        self.cache: dict[Hashable, Any] = {}
         self._source = source
         self._gap_ends_ns = gap_ends_ns
 
@@ -203,8 +207,8 @@ class _Comparable:
             yield block._replace(temperature_counts=temperature, status=status)
 
 
-def _chosen(log: Log, only: Collection[str]) -> tuple[list[str], list[str]]:
-    """Names of sensors, and notes on those left out."""
+def _chosen_sensors(log: Log, only: Collection[str]) -> tuple[list[str], list[str]]:
+    """The names of the sensors to compare, and notes on those left out."""
     wanted = [log[name] for name in only] or [sensor for sensor in log.sensors.values() if sensor.is_triad]
     for sensor in wanted:
         if not sensor.is_triad:
@@ -219,23 +223,24 @@ def _chosen(log: Log, only: Collection[str]) -> tuple[list[str], list[str]]:
 def _without_unknown_field(
     log: Log, names: Sequence[str], phases: Sequence[Phase], *, heated: bool
 ) -> tuple[list[str], list[str]]:
-    """Those of the sensors for which it is known what they feel, and notes on others: no log tells the magnetic field
-    while the box moves, or in a box that is heated on several faces, since the scale of a magnetometer follows the
-    temperature (HMC-57). LogError if none is left.
+    """The sensors whose input is known, and notes on the others.
+
+    No log records the magnetic field while the box moves, or in a box that is heated on several faces, since a
+    magnetometer's scale follows the temperature (HMC-57). LogError if no sensor remains.
     """
     moves = not all(map(is_at_rest, phases))
     if not moves and not (heated and len(phases) > 1):
         return list(names), []
-    when = "while the box moves" if moves else "of a box that is heated on several faces"
+    when = "while the box moves" if moves else "in a box that is heated on several faces"
     others = [name for name in names if log[name].quantity != "magnetic_field"]
     if not others:
-        raise LogError(f"{log.path}: nothing tells the magnetic field {when}, and no other sensor is there")
+        raise LogError(f"{log.path}: the magnetic field is not known {when}, and there is no other sensor")
     magnetometers = [name for name in names if name not in others]
-    return others, [f"{name} is left out: nothing tells the field {when}." for name in magnetometers]
+    return others, [f"{name} is left out: the magnetic field is not known {when}." for name in magnetometers]
 
 
 def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
-    """When each sensor is read, and when none is."""
+    """The timelines of all sensors, without the recorder's gaps."""
     steady: dict[str, Timeline] = {
         name: filled(log[name]) for name, timing in timings.items() if timing.kind != "bursts"
     }
@@ -244,22 +249,25 @@ def _timelines(log: Log, timings: Mapping[str, RowTiming]) -> RecorderGaps:
     return replace(gaps, lines={**(awaited(gaps.lines, log.sensors) if steady else {}), **even})
 
 
-def _of_one_array(logs: Sequence[Log]) -> None:
-    """LogError for a log of another array: it has no triad of the same name as one in another log."""
+def _refuse_two_arrays(logs: Sequence[Log]) -> None:
+    """Raises LogError for a log that has no triad in common with another log."""
     triads = [{name for name, sensor in log.sensors.items() if sensor.is_triad} for log in logs]
     for at, (log, own) in enumerate(zip(logs, triads, strict=True)):
         others = set().union(*triads[:at], *triads[at + 1 :])
         if len(logs) > 1 and not own & others:
             rest = logs[0 if at else 1].path
-            raise LogError(f"{log.path}: no sensor in common with {rest}: logs of two arrays are diagnosed one by one")
+            raise LogError(
+                f"{log.path}: no sensor in common with {rest}: logs of different arrays are diagnosed separately"
+            )
 
 
-def _same(one: SensorLog, other: SensorLog) -> None:
+def _refuse_other_configuration(first: SensorLog, other: SensorLog) -> None:
+    """Raises LogError if a sensor is configured differently in two logs."""
     for name in ("chip", "quantity", "unit", "range", "sensitivity", "axes"):
-        if (here := getattr(other, name)) != (there := getattr(one, name)):
-            raise LogError(f"{other.where}: {name} is {here}, but {there} in {one.where}")
+        if (here := getattr(other, name)) != (there := getattr(first, name)):
+            raise LogError(f"{other.where}: {name} is {here}, but {there} in {first.where}")
 
 
-def _with_known(header: SensorHeader, is_compared: bool) -> SensorHeader:
-    """Without a thermometer whose counts mean nothing to anybody, or that can't be `compared` with another one."""
+def _with_comparable_thermometer(header: SensorHeader, is_compared: bool) -> SensorHeader:
+    """The header without a thermometer whose scale is unknown, or that can't be compared."""
     return replace(header, has_temperature=is_compared and thermometer_of(header) is not None)

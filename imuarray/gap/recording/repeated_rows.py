@@ -1,6 +1,6 @@
-"""Stretches of a recorded log in which a sensor says the same again and again: when each began and ended.
+"""Stretches of a recorded log in which a sensor repeats the same reading.
 
-They are of the whole log: what is held while the box lies still may be what was felt while it was turned.
+The whole log is searched: a reading that is repeated at rest may have been taken while the box was turned.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from imuarray.arrays import Booleans, Integers
 from imuarray.log.writer import Block
 
 MOST = 256
-"""So many of a log are kept, the longest."""
+"""The most stretches of a log that are kept, the longest."""
 
 _LEAST = 2
-"""Fewer repetitions are no stretch."""
+"""Fewest repetitions of a stretch."""
 
 
 @dataclass(frozen=True)
@@ -31,38 +31,38 @@ class RepeatedRows:
     end_ns: Integers
 
 
-NOWHERE = RepeatedRows(*np.zeros((3, 0), np.int64))
+NO_REPEATED_ROWS = RepeatedRows(*np.zeros((3, 0), np.int64))
 
 
-def held_in(blocks: Iterable[Block]) -> RepeatedRows:
-    """Of all rows of a sensor, in memory that does not grow with them."""
+def repeated_rows_in(blocks: Iterable[Block]) -> RepeatedRows:
+    """Collects the repeated rows of a sensor in bounded memory."""
     last = np.zeros((0, 3), np.int16)
-    found = lasting = np.zeros((0, 3), np.int64)  # each of so many rows, from when, until when
+    longest = open_run = np.zeros((0, 3), np.int64)  # each of so many rows, from when, until when
     for block in blocks:
         counts = np.concatenate([last, block.counts])
         x, y, z = (counts[1:] == counts[:-1]).T
         still = x & y & z
         runs = _runs(block.time[len(block.time) - len(still) :], still)
-        if len(lasting) and len(still) and still[0]:
-            runs[0, 0] += lasting[0, 0]
-            runs[0, 1] = lasting[0, 1]
+        if len(open_run) and len(still) and still[0]:
+            runs[0, 0] += open_run[0, 0]
+            runs[0, 1] = open_run[0, 1]
         else:
-            runs = np.concatenate([lasting, runs])
+            runs = np.concatenate([open_run, runs])
         done = len(runs) - int(len(still) > 0 and still[-1])
-        found, lasting, last = _longest(np.concatenate([found, runs[:done]])), runs[done:], counts[-1:]
-    found = _longest(np.concatenate([found, lasting]))
-    return RepeatedRows(found[:, 0], found[:, 1], found[:, 2])
+        longest, open_run, last = _longest(np.concatenate([longest, runs[:done]])), runs[done:], counts[-1:]
+    longest = _longest(np.concatenate([longest, open_run]))
+    return RepeatedRows(longest[:, 0], longest[:, 1], longest[:, 2])
 
 
 def _runs(time_ns: Integers, still: Booleans) -> Integers:
-    """(k, 3) rows, times of the first and of the last row of each stretch."""
+    """Rows, first and last time (k, 3) of each stretch."""
     change = np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
     begins, ends = np.flatnonzero(change > 0), np.flatnonzero(change < 0) - 1
     return np.stack([ends - begins + 1, time_ns[begins], time_ns[ends]], axis=1)
 
 
 def _longest(runs: Integers) -> Integers:
-    """The longest of stretches in the order of time; the earlier one of two that are as long."""
+    """The longest stretches in the order of time; the earlier of two equally long ones."""
     runs = runs[runs[:, 0] >= _LEAST]
     if len(runs) <= MOST:
         return runs

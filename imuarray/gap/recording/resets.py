@@ -1,5 +1,5 @@
-"""Stretches of a recorded log in which a chip was not set as it should be, as its recorder noticed: from which row on
-its readings show that, and what they were before.
+"""Stretches of a recorded log in which a chip had lost its configuration, as its recorder noticed: from which row on
+its readings show it, and the readings before.
 """
 
 from __future__ import annotations
@@ -15,22 +15,24 @@ from imuarray.log import SensorLog
 from imuarray.log.format import STALE, SUSPECT
 
 MOST = 64
-"""So many of a log are kept, the first."""
+"""The most resets of a log that are kept, the first."""
 
 _BEFORE, _WITHIN = 16, 4096
-"""Rows that are looked at."""
+"""Rows before and within a stretch that are used."""
 
 _FEWEST = 8
 _FAR = 6.0
-"""Standard deviations from the readings before, on some axis, of a chip that is set otherwise."""
+"""Distance from the readings before, in standard deviations on some axis, of a chip that is configured differently."""
 
 _ROUNDED_LSB = 0.5
 
 
 class Reset(NamedTuple):
-    """Rows that the recorder doubts, from `doubt_s` on; their readings are others from `moment_s` until `end_s`,
-    seconds since the log's epoch, between rows. `before` and `within` (3,) are readings in counts, with their
-    `noise_before` and `noise_within` (nan if they are too few). `blank_s`: for so long the chip gave zeros at first.
+    """A stretch of rows that the recorder doubts, from `doubt_s` on.
+
+    The readings differ from `moment_s` until `end_s`, seconds since the log's epoch, between rows. `before` and
+    `within` (3,) are readings in counts, with their `noise_before` and `noise_within` (nan if they are too few).
+    `blank_s`: for how long the chip gave zeros at first.
     """
 
     doubt_s: float
@@ -44,31 +46,33 @@ class Reset(NamedTuple):
 
 
 def resets_in(sensor: SensorLog) -> tuple[Reset, ...]:
-    """In the order of time. A stretch in which no reading changes, or before which there are none, is none."""
-    found: list[Reset] = []
-    for begin, end in _doubted(sensor):
+    """The resets of a sensor in the order of time. Stretches in which no reading changes, or before which there are
+    none, are left out.
+    """
+    resets: list[Reset] = []
+    for begin, end in _doubtful_stretches(sensor):
         reset = _reset(sensor, begin, end)
         if reset is not None:
-            found.append(reset)
-        if len(found) == MOST:
+            resets.append(reset)
+        if len(resets) == MOST:
             break
-    return tuple(found)
+    return tuple(resets)
 
 
-def _doubted(sensor: SensorLog) -> Iterator[tuple[int, int]]:
-    """Rows [begin, end) that are flagged, stretch by stretch."""
-    begun: int | None = None
+def _doubtful_stretches(sensor: SensorLog) -> Iterator[tuple[int, int]]:
+    """The stretches [begin, end) of flagged rows."""
+    first: int | None = None
     for block in sensor.blocks():
         flagged = (np.asarray(sensor.status[block]) & SUSPECT) != 0
-        edges = np.diff(flagged.astype(np.int8), prepend=np.int8(begun is not None))
+        edges = np.diff(flagged.astype(np.int8), prepend=np.int8(first is not None))
         for at in np.flatnonzero(edges).tolist():
             if edges[at] > 0:
-                begun = block.start + at
-            elif begun is not None:
-                yield begun, block.start + at
-                begun = None
-    if begun is not None:
-        yield begun, len(sensor)
+                first = block.start + at
+            elif first is not None:
+                yield first, block.start + at
+                first = None
+    if first is not None:
+        yield first, len(sensor)
 
 
 def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
@@ -93,28 +97,28 @@ def _reset(sensor: SensorLog, begin: int, end: int) -> Reset | None:
 
 
 def _onset(inside: Floats, level: Floats, noise: Floats) -> int | None:
-    """From which of the readings (n, 3) within the stretch on all are others than before; None if none are. A dip may
-    end after the first one.
+    """The first of the readings (n, 3) within the stretch from which on all differ from those before; None if none do.
+    A short dip may end after the first reading.
     """
     for last_rows in (_FEWEST // 2, 1) if len(inside) else ():
         last = np.median(inside[-last_rows:], axis=0) - level
         axis = int(np.abs(last / noise).argmax())
         if abs(last[axis]) > _FAR * noise[axis]:
-            usual = np.flatnonzero((inside[:, axis] - level[axis]) / last[axis] < 1 / 2)
-            onset = int(usual[-1]) + 1 if len(usual) else 0
+            unchanged = np.flatnonzero((inside[:, axis] - level[axis]) / last[axis] < 1 / 2)
+            onset = int(unchanged[-1]) + 1 if len(unchanged) else 0
             if onset < len(inside):
                 return onset
     return None
 
 
 def _is_blank(sensor: SensorLog, begin: int, inside: Floats) -> Booleans:
-    """Which rows hold no reading, but the zeros of a chip that has made none since it was reset."""
+    """Which rows hold the zeros of a chip that has made no reading since its reset."""
     stale = (np.asarray(sensor.status[begin : begin + len(inside)]) & STALE) != 0
     return np.asarray(stale & (inside == 0).all(axis=1))
 
 
 def _middle(counts: Floats) -> tuple[Floats, Floats]:
-    """(3,) median of readings (n, 3), and how they scatter, whatever few of them do."""
+    """Median (3,) and robust scatter of readings (n, 3)."""
     return np.asarray(np.median(counts, axis=0)), np.maximum(robust_std(counts), _ROUNDED_LSB)
 
 
@@ -123,7 +127,9 @@ def _counts(sensor: SensorLog, begin: int, end: int) -> Floats:
 
 
 def _between_s(sensor: SensorLog, row: int) -> float:
-    """Half an interval before a row, that of the two rows before it: it may come long after these."""
+    """The time half an interval before a row, from the interval of the two rows before it (the gap to the row may be
+    long).
+    """
     first = max(min(row, len(sensor)) - 2, 0)
     times = np.asarray(sensor.time[first : first + 2], np.int64)
     step_ns = int(times[-1] - times[0])

@@ -1,9 +1,9 @@
-"""How the rows of a recorded sensor follow each other in time: steadily, with stalls in between, or in bursts.
+"""Timing of the rows of a recorded sensor: steady, with stalls, or in bursts.
 
-A recorder that stalls reads nothing for a while, and goes on at the usual pace. A host that is late reads in a burst
-what a chip has kept for it, or stamps what a driver has kept: then times are those of arrival, and not those of the
-readings. The two are told apart by what follows a gap: a burst is as long as the gap before it calls for, what follows
-a stall is not.
+A recorder that stalls reads nothing for a while and goes on at the usual pace. A host that is late reads in a burst
+what a chip has buffered, or stamps what a driver has buffered: then the times are those of arrival and not of the
+readings. The rows after a gap distinguish the two: a burst is as long as the gap before it requires, the rows after a
+stall are not.
 """
 
 from __future__ import annotations
@@ -21,38 +21,41 @@ from imuarray.log import SensorLog
 Kind = Literal["steady", "stalls", "bursts"]
 
 GAP = 3.0
-"""An interval that is so many times the usual one (the median) is a gap: a row that was lost, or a poll loop that was
-kept waiting for one more period, is none."""
+"""Interval, in usual intervals (the median), from which on it is a gap; one lost row or one late poll is none."""
 
 LEAST_SHARE = 0.05
-"""Of the time that gaps take in all; with less, rows that come late are the ordinary jitter of a host."""
+"""Least share of the time that gaps take; with less, late rows are the ordinary jitter of a host."""
 
 LEAST_GAPS = 8
-"""Fewer have no pattern."""
+"""Fewest gaps that can show a pattern."""
 
 FOLLOWS = 0.5
-"""Correlation between the length of a gap and the number of rows behind it from which on these are a burst. Without a
-connection, `LEAST_GAPS` have that by chance in one of five logs, a hundred never."""
+"""Correlation between the length of a gap and the number of rows after it from which on these are a burst. Without a
+connection `LEAST_GAPS` gaps exceed it in one of five logs, a hundred gaps never.
+"""
 
 REGULAR = 0.05
-"""Gaps whose lengths scatter by a smaller share of their median are all as long as each other: then nothing can follow
-their length, and rows are a burst only if they come `HURRY` times as fast as on average."""
+"""Scatter of gap lengths, as a share of their median, below which nothing can follow their length: then rows are a
+burst only if they come `HURRY` times as fast as on average.
+"""
 
 HURRY = 10.0
 
 SAME = 0.8
-"""Share of the gaps that come after the same number of rows; with fewer, stalls are told without a period."""
+"""Least share of the gaps that follow after the same number of rows for stalls to have a period."""
 
 _KNOT_ROWS = 2048
-"""Rows from one mean of arrival times to the next: a host is late by some hundredths of a second, and the mean of so
-many rows by less than a thousandth; oscillators drift more slowly."""
+"""Rows between the knots of mean arrival times: a host is late by some hundredths of a second, the mean of so many rows
+by less than a thousandth, and oscillators drift more slowly.
+"""
 
 
 @dataclass(frozen=True)
 class RowTiming:
-    """`rows` over `seconds`, `usual_s` apart (the median). `gaps`: how many intervals are longer than `GAP` of it,
-    `gap_s` their median length, `gaps_s` that of all together; `period_rows`: after so many rows most of them come, 0
-    if the number is another each time.
+    """Timing of `rows` over `seconds`, usually `usual_s` apart (the median).
+
+    `gaps`: the number of intervals longer than `GAP` times that, `gap_s` their median length, `gaps_s` their total;
+    `period_rows`: the number of rows between most of them, 0 if it varies.
     """
 
     kind: Kind
@@ -66,29 +69,29 @@ class RowTiming:
 
     @property
     def rate_hz(self) -> float:
-        """Rows a second over the whole log."""
+        """Mean rate in rows per second over the whole log."""
         return (self.rows - 1) / self.seconds if self.seconds > 0 else 0.0
 
     @property
     def sentence(self) -> str:
-        """What it means for who reads the log; "" of a steady one."""
+        """Describes the timing for the reader of a log; "" if it is steady."""
         if self.kind == "stalls":
             after = f" after every {self.period_rows} rows" if self.period_rows else f", {self.gaps} times"
             return (
                 f"rows stall for {self.gap_s:.3g} s{after}: no rows in {self.gaps_s:.0f} of {self.seconds:.0f} s; "
-                f"between the stalls one comes every {1e3 * self.usual_s:.3g} ms ({1 / self.usual_s:.4g} Hz)"
+                f"between the stalls they are {1e3 * self.usual_s:.3g} ms apart ({1 / self.usual_s:.4g} Hz)"
             )
         if self.kind == "bursts":
             return (
-                f"rows arrive in bursts, {1e3 * self.usual_s:.3g} ms apart behind gaps of {1e3 * self.gap_s:.3g} ms "
-                f"for which they make up: the times are those of arrival at the host. The true rate is "
-                f"{self.rate_hz:.4g} Hz, and rows are taken to have been read at that pace"
+                f"rows arrive in bursts, {1e3 * self.usual_s:.3g} ms apart after gaps of {1e3 * self.gap_s:.3g} ms "
+                f"that the bursts make up for: the times are those of arrival at the host. The true rate is "
+                f"{self.rate_hz:.4g} Hz, and rows are assumed to have been read at that rate"
             )
         return ""
 
 
 def row_timing(sensor: SensorLog) -> RowTiming:
-    """Of all rows of a sensor; its times are read once."""
+    """Determines the timing of a sensor's rows; reads its times once."""
     rows = len(sensor)
     if rows < 2:
         return RowTiming("steady", rows, 0.0, 0.0)
@@ -100,12 +103,12 @@ def row_timing(sensor: SensorLog) -> RowTiming:
         steady = replace(steady, gaps=len(after), gap_s=float(np.median(length_s)), gaps_s=float(length_s.sum()))
     if len(after) < LEAST_GAPS or length_s.sum() < LEAST_SHARE * seconds:
         return steady
-    behind = np.diff(np.append(after, rows - 1))
+    rows_after = np.diff(np.append(after, rows - 1))
     before = np.diff(after)
     period_rows = int(np.median(before))
     is_periodic = np.mean(before == period_rows) >= SAME
     return RowTiming(
-        "bursts" if _make_up(length_s, behind, seconds / (rows - 1) / usual_s) else "stalls",
+        "bursts" if _is_burst(length_s, rows_after, seconds / (rows - 1) / usual_s) else "stalls",
         rows,
         seconds,
         usual_s,
@@ -117,7 +120,7 @@ def row_timing(sensor: SensorLog) -> RowTiming:
 
 
 def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats]:
-    """(k,) the row before each gap, and (k,) its length in s."""
+    """The row before each gap (k,), and its length (k,) in s."""
     after, length_s = [np.zeros(0, np.int64)], [np.zeros(0)]
     for block in sensor.blocks():
         first = max(block.start - 1, 0)
@@ -129,17 +132,19 @@ def _gaps(sensor: SensorLog, least_s: float) -> tuple[Integers, Floats]:
     return np.concatenate(after), np.concatenate(length_s)
 
 
-def _make_up(length_s: Floats, behind: Integers, hurry: float) -> bool:
-    """Whether the rows behind gaps (k,) make up for these; `hurry`: their usual pace over the mean one."""
-    if np.std(length_s) < REGULAR * np.median(length_s) or not behind.std() > 0:
+def _is_burst(length_s: Floats, rows_after: Integers, hurry: float) -> bool:
+    """Whether the rows after gaps (k,) make up for the gaps; `hurry` is their usual rate over the mean one."""
+    if np.std(length_s) < REGULAR * np.median(length_s) or not rows_after.std() > 0:
         return hurry > HURRY
-    return bool(np.corrcoef(length_s, behind)[0, 1] > FOLLOWS)
+    return bool(np.corrcoef(length_s, rows_after)[0, 1] > FOLLOWS)
 
 
 @dataclass(frozen=True, eq=False)
 class EvenRows:
-    """Rows that came in bursts, at the times at which they were read: evenly between `knots_ns` (k,), the mean times of
-    arrival of stretches whose middle rows are `knot_rows` (k,). A timeline (`imuarray.simulate.timeline`).
+    """Rows that arrived in bursts, at the times at which they were read; a timeline (`imuarray.simulate.timeline`).
+
+    The times are evenly spaced between `knots_ns` (k,), the mean arrival times of stretches whose middle rows are
+    `knot_rows` (k,).
     """
 
     rows: int
@@ -148,7 +153,7 @@ class EvenRows:
 
     @property
     def rows_per_s(self) -> float:
-        """Over the whole log."""
+        """Mean rate over the whole log."""
         return float(1e9 * (self.knot_rows[-1] - self.knot_rows[0]) / (self.knots_ns[-1] - self.knots_ns[0]))
 
     def stamps(self, start: int, stop: int) -> Times:
@@ -165,11 +170,11 @@ class EvenRows:
 
     @cached_property
     def _origin_ns(self) -> int:
-        """Subtracted first: a day in ns has more digits than a floating number has."""
+        """The first knot, subtracted before floating-point arithmetic: a day in ns has more digits than a float."""
         return int(self.knots_ns[0])
 
     def _at(self, rows: Floats) -> Floats:
-        """Beyond the first and the last knot as between the two next to it."""
+        """Times of rows in ns since the origin, extrapolated beyond the first and the last knot."""
         knots_ns = self.knots_ns - self._origin_ns
         piece = np.clip(np.searchsorted(self.knot_rows, rows, side="right") - 1, 0, len(self.knot_rows) - 2)
         slope = np.diff(knots_ns) / np.diff(self.knot_rows)
@@ -177,7 +182,7 @@ class EvenRows:
 
 
 def even_rows(sensor: SensorLog) -> EvenRows:
-    """Of a sensor whose rows come in bursts; its times are read once."""
+    """Evenly spaced times for a sensor whose rows arrive in bursts; reads its times once."""
     rows = len(sensor)
     stretches = max(2, rows // _KNOT_ROWS)
     edges = np.arange(stretches + 1) * rows // stretches
@@ -190,7 +195,7 @@ def even_rows(sensor: SensorLog) -> EvenRows:
 
 
 def notes_of(timings: Iterable[tuple[str, RowTiming]]) -> list[str]:
-    """A sentence for sensors whose rows are not steady; those that share it together."""
+    """One sentence for all sensors that share the same unsteady timing."""
     sensors: dict[str, list[str]] = {}
     for name, timing in timings:
         if timing.sentence:

@@ -1,7 +1,7 @@
-"""Rows of one sensor, out of a log or out of a simulation held in memory, in the same blocks either way.
+"""Rows of one sensor, from a log or from a simulation in memory, in the same blocks.
 
-What is recorded and what is simulated goes through the same statistics only if both come in the same shape: times,
-counts, flags as they are, nothing resampled, never a whole log at once.
+Recorded and simulated rows can go through the same statistics only if both come in the same form: times, counts and
+flags as they are, nothing resampled, never a whole log at once.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from imuarray.simulate.timeline import Timeline
 
 
 class Source(Protocol):
-    """One triad's rows."""
+    """The rows of one triad."""
 
     @property
     def header(self) -> SensorHeader:
-        """What is known of the sensor beforehand: nominal sensitivity, range, axes."""
+        """The description of the sensor: nominal sensitivity, range, axes."""
 
     @property
-    def known(self) -> dict[Hashable, Any]:
-        """What was worked out of its rows before, by what that is; kept as long as the source is."""
+    def cache(self) -> dict[Hashable, Any]:
+        """Results already computed from its rows, by what they are; they live as long as the source."""
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """How many rows were to come in [start_ns, end_ns); a simulation counts dropped ones too."""
+        """The number of rows that were due in [start_ns, end_ns); a simulation counts dropped ones too."""
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
         """The rows with times in [start_ns, end_ns), in order, in blocks of 1 to `CHUNK` rows."""
@@ -49,7 +49,7 @@ class RecordedSource:
 
     def __init__(self, sensor: SensorLog) -> None:
         self.header = _header_in(sensor)
-        self.known: dict[Hashable, Any] = {}
+        self.cache: dict[Hashable, Any] = {}
         self._columns = (sensor.time, sensor.counts, sensor.status, sensor.temperature_counts)
         self._row_at = lru_cache(maxsize=64)(partial(first_at, sensor.time))
 
@@ -78,7 +78,7 @@ class EvenSource:
 
     def __init__(self, sensor: SensorLog, line: EvenRows) -> None:
         self.header = _header_in(sensor)
-        self.known: dict[Hashable, Any] = {}
+        self.cache: dict[Hashable, Any] = {}
         self._source = RecordedSource(sensor)
         self._line = line
 
@@ -96,22 +96,22 @@ class EvenSource:
 
 
 class SimulatedSource:
-    """A simulated triad, whose rows are worked out when they are asked for; these `alone`, or whole chunks of them."""
+    """A simulated triad whose rows are computed on demand: just these (`alone`), or whole chunks."""
 
     def __init__(self, sensor: SimulatedSensor, flags: int = EVERY_FLAG, *, alone: bool = False) -> None:
         """`flags` are those that the recorder sets."""
         self.header, self._alone = sensor.header, alone
         self._flags = flags
-        self.known: dict[Hashable, Any] = {}
+        self.cache: dict[Hashable, Any] = {}
         self._sensor = sensor
         self._row_at = lru_cache(maxsize=64)(self._find_row)
 
     def rows(self, start_ns: int, end_ns: int) -> int:
-        """Rows that are read there, whether or not they arrive."""
+        """The number of rows that are read, whether or not they arrive."""
         return self._row_at(end_ns) - self._row_at(start_ns)
 
     def blocks(self, start_ns: int, end_ns: int) -> Iterator[Block]:
-        """The simulator's own chunks, so that none is worked out twice."""
+        """The simulator's own chunks, so that none is computed twice."""
         for first, stop in _parts(self._row_at(start_ns), self._row_at(end_ns)):
             block = self._sensor.block(first, stop, alone=self._alone)
             if len(block.time):
@@ -129,7 +129,7 @@ def recorded_source(sensor: SensorLog, line: Timeline) -> RecordedSource | EvenS
 
 
 def simulated_sources(simulation: Simulation, *, alone: bool = False) -> dict[str, Source]:
-    """The triads of a simulation, by name. `alone`: of the rows that are asked for the next ones aren't wanted."""
+    """The triads of a simulation, by name. `alone`: the rows after those asked for aren't needed."""
     triads = ((name, sensor) for name, sensor in simulation.sensors.items() if isinstance(sensor, SimulatedSensor))
     return {name: SimulatedSource(sensor, simulation.plan.flags, alone=alone) for name, sensor in triads}
 
@@ -143,7 +143,9 @@ def _parts(first: int, stop: int) -> Iterator[tuple[int, int]]:
 
 
 def _header_in(sensor: SensorLog) -> SensorHeader:
-    """What a log says of a triad, 1 count per unit where it knows no sensitivity; ValueError for another sensor."""
+    """The header of a triad in a log, with 1 count per unit where its sensitivity is unknown; ValueError for another
+    sensor.
+    """
     if not sensor.is_triad:
         raise ValueError(f"{sensor.where}: {sensor.quantity} has no three axes")
     header = recorded_header(sensor)

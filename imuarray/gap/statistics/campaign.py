@@ -148,12 +148,12 @@ def _together(
         for sources in replicates
     ]
     for name, grid in ((name, layout.grids[name]) for name in replicates[0]):
-        new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].known]
+        new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].cache]
         for some in _simultaneous([one[name] for one in blocks], new):
             header = replicates[0][name].header
             tallied = _tallied(header, phase, grid, [blocks[at][name] for at in some], temperature, recorded)
             for at, summary in zip(some, tallied, strict=True):
-                replicates[at][name].known[phase, grid] = summary
+                replicates[at][name].cache[phase, grid] = summary
     crosses: dict[int, Cross | None] = {}
     for some in _simultaneous([list(chain(*one.values())) for one in blocks], range(len(replicates))):
         crosses.update(
@@ -164,7 +164,7 @@ def _together(
             phase,
             number,
             layout,
-            {name: source.known[phase, layout.grids[name]] for name, source in sources.items()},
+            {name: source.cache[phase, layout.grids[name]] for name, source in sources.items()},
             crosses[at],
         )
         for at, sources in enumerate(replicates)

@@ -14,7 +14,7 @@ from imuarray.gap.inference.evidence import Evidence, ScoredStatistics, evidence
 from imuarray.gap.model.bench import Bench
 from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.recording.recordings import Recording, recording_of
-from imuarray.gap.recording.repeated_rows import held_in
+from imuarray.gap.recording.repeated_rows import repeated_rows_in
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.log import open_log
 from imuarray.log.format import LOST_BEFORE, STALE
@@ -84,7 +84,7 @@ def test_rows_that_are_held(made: Made, sensor: str, kind: str) -> None:
     _, recording, _, campaign = made
     simulated = again(made, sensor, effect).sensors[sensor]
     block = simulated.block(0, simulated.rows)
-    there, real = held_in([block]), campaign.logs[0].events[sensor].held
+    there, real = repeated_rows_in([block]), campaign.logs[0].events[sensor].repeated
     np.testing.assert_array_equal(there.begin_ns, real.begin_ns)
     np.testing.assert_array_equal(there.end_ns, real.end_ns)
     assert (_flagged(block.status, STALE) == _flagged(recording.log[sensor].status[:], STALE)).all()

@@ -81,7 +81,7 @@ def test_the_clock_of_the_host() -> None:
 def _of_the_host(evidence: Evidence, at_s: npt.NDArray[np.float64], lag_s: npt.NDArray[np.float64]) -> list[Hypothesis]:
     """What is guessed of lags that are known to 0.2 ms."""
     lags = tuple(HostLag(at, lag, 2e-4) for at, lag in zip(at_s.tolist(), lag_s.tolist(), strict=True))
-    return list(clock_error.guesses(replace(evidence, hosts=(Host(behind=lags),))))
+    return list(clock_error.guesses(replace(evidence, hosts=(Host(lags=lags),))))
 
 
 def test_a_clock_that_is_far_off_may_be_so_either_way() -> None:

@@ -53,7 +53,7 @@ def _of_the_host(evidence: Evidence) -> Iterator[Hypothesis]:
     """What is read by one clock is behind by the same, polled or not. Lags are of whole logs, and what they make of a
     phase shows where the motion begins or ends too soon for it: in either part, or in one.
     """
-    seen = [one for host in evidence.hosts for one in host.behind]
+    seen = [one for host in evidence.hosts for one in host.lags]
     if len(seen) < _FEWEST:
         return
     at_s, lag_s, error_s = np.array(seen).T

@@ -126,7 +126,7 @@ def _hits(seen: PhaseEvidence) -> Iterator[_Hit]:
     limits = np.fmax(_FAR * np.sqrt(1.5) * noise_lsb(seen.raw), _FEWEST_LSB)
     half_s = seen.raw.intervals.mean_s / 2
     lone = seen.raw.lone
-    for axis, time_ns, apart in zip(lone.axis.tolist(), lone.time_ns.tolist(), lone.apart.tolist(), strict=True):
+    for axis, time_ns, apart in zip(lone.axis.tolist(), lone.time_ns.tolist(), lone.deviation.tolist(), strict=True):
         if abs(apart) > limits[axis]:
             yield _Hit(seen.log, time_ns * 1e-9 - half_s, axis, apart)
 
@@ -149,8 +149,10 @@ def _torn_in_motion(evidence: Evidence) -> list[_Hit]:
     phases = [(seen.log, seen.raw.phase) for seen in evidence.seen if not seen.is_still]
     found = []
     for log, lone in evidence.lone:
-        nearest = [float(np.abs(lone.apart[lone.axis == axis]).min(initial=np.inf)) for axis in range(3)]
-        for axis, time_ns, apart in zip(lone.axis.tolist(), lone.time_ns.tolist(), lone.apart.tolist(), strict=True):
+        nearest = [float(np.abs(lone.deviation[lone.axis == axis]).min(initial=np.inf)) for axis in range(3)]
+        for axis, time_ns, apart in zip(
+            lone.axis.tolist(), lone.time_ns.tolist(), lone.deviation.tolist(), strict=True
+        ):
             bytes_off = round(apart / weight)
             is_torn = bytes_off and abs(apart / weight - bytes_off) < _NEAR and abs(apart) > _AMONG * nearest[axis]
             if is_torn and any(log == own and phase.start_ns <= time_ns < phase.end_ns for own, phase in phases):

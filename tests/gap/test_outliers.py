@@ -27,7 +27,7 @@ def test_a_spike_is_where_it_is_and_as_high(row: int, axis: int, height: int, si
     found = lone(apart)
     assert found.axis.tolist() == [axis]
     assert found.time_ns.tolist() == [row]
-    np.testing.assert_allclose(found.apart, [sign * height])
+    np.testing.assert_allclose(found.deviation, [sign * height])
 
 
 @given(st.integers(2, ROWS - 3), st.integers(2, 10))
@@ -35,7 +35,7 @@ def test_steps_and_pulses_do_not_stand_alone(row: int, length: int) -> None:
     step, pulse = np.zeros((2, ROWS, 3))
     step[row:] = 100
     pulse[row : row + length] = 100
-    assert len(lone(step).apart) == len(lone(pulse).apart) == 0
+    assert len(lone(step).deviation) == len(lone(pulse).deviation) == 0
 
 
 @settings(max_examples=20, deadline=None)
@@ -44,5 +44,5 @@ def test_in_pieces_as_in_one(cuts: list[int], seed: int) -> None:
     apart = np.random.default_rng(seed).integers(-9, 9, (ROWS, 3))
     whole, parts = lone(apart), lone(apart, tuple(sorted(cuts)))
     np.testing.assert_array_equal(whole.time_ns, parts.time_ns)
-    np.testing.assert_array_equal(whole.apart, parts.apart)
+    np.testing.assert_array_equal(whole.deviation, parts.deviation)
     assert np.bincount(whole.axis, minlength=3).max() <= MOST

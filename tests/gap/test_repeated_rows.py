@@ -8,14 +8,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.gap.recording.repeated_rows import MOST, held_in
+from imuarray.gap.recording.repeated_rows import MOST, repeated_rows_in
 from tests.gap.made import block
 
 
 def held(counts: list[int], cuts: tuple[int, ...] = ()) -> list[tuple[int, int, int]]:
     """Rows, first and last time of the stretches in counts (all axes alike), row n at n ns, in pieces."""
     pieces = np.split(np.arange(len(counts)), cuts)
-    found = held_in(block(np.array(counts)[rows], 1, int(rows[0])) for rows in pieces if len(rows))
+    found = repeated_rows_in(block(np.array(counts)[rows], 1, int(rows[0])) for rows in pieces if len(rows))
     return list(zip(found.rows.tolist(), found.begin_ns.tolist(), found.end_ns.tolist(), strict=True))
 
 
@@ -34,7 +34,7 @@ def test_in_pieces_as_in_a_loop(counts: list[int], cuts: list[int]) -> None:
 def test_all_axes_have_to_stand_still() -> None:
     rows = np.zeros((9, 3))
     rows[:, 1] = [0, 1, 2, 3, 3, 3, 3, 4, 5]
-    found = held_in([block(rows, 1)])
+    found = repeated_rows_in([block(rows, 1)])
     assert (found.rows.tolist(), found.begin_ns.tolist(), found.end_ns.tolist()) == ([3], [4], [6])
 
 

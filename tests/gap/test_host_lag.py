@@ -1,4 +1,4 @@
-"""How far all sensors are behind the track of a log."""
+"""The lag of all sensors of a log behind its track."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.gap.recording.host_lag import HostLag, behind
+from imuarray.gap.recording.host_lag import HostLag, host_lags
 from imuarray.log import open_log
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.clock_error import ClockError
@@ -22,11 +22,11 @@ SENSORS = ("A1", "A2", "G1", "G2")
 
 
 def lags(folder: Path, *effects: Effect) -> tuple[HostLag, ...]:
-    """Of sensors that all have these."""
+    """The lags of sensors that all have these effects."""
     path = folder / "log.h5"
     write_log(simulation(SHAKEN, dict.fromkeys(SENSORS, effects), seed=2), path)
     with open_log(path) as log:
-        return behind([log[name] for name in SENSORS], SHAKEN)
+        return host_lags([log[name] for name in SENSORS], SHAKEN)
 
 
 @pytest.mark.parametrize(
@@ -46,5 +46,5 @@ def test_nothing_moves(tmp_path: Path) -> None:
     path = tmp_path / "log.h5"
     write_log(simulation(Still(seconds=20), {}, seed=2), path)
     with open_log(path) as log:
-        assert not behind([log[name] for name in SENSORS], Still(seconds=20))
-        assert not behind([], Still(seconds=20))
+        assert not host_lags([log[name] for name in SENSORS], Still(seconds=20))
+        assert not host_lags([], Still(seconds=20))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imuarray.gap.recording.neighbours import lone_beside
+from imuarray.gap.recording.neighbours import outliers_in_motion
 from imuarray.gap.recording.outliers import OutlierTally
 from imuarray.log import Log, open_log
 from imuarray.log.format import Phase
@@ -39,22 +39,22 @@ def test_what_was_hit_is_furthest_off(shaken: Log) -> None:
     """Each reading came at the next hundredth of a second; 128 counts off, with noise of 8 of it and half of that of
     each neighbour, of both sensors: 14.
     """
-    found = lone_beside(shaken["A1"], [shaken["A2"]], MOVING)
+    found = outliers_in_motion(shaken["A1"], [shaken["A2"]], MOVING)
     own = found.axis == 0
-    order = np.argsort(-np.abs(found.apart[own]))[:3]
+    order = np.argsort(-np.abs(found.deviation[own]))[:3]
     times_s = np.sort(found.time_ns[own][order]) * 1e-9
     np.testing.assert_allclose(times_s, [8.01, 13.01, 21.01], atol=0.002)
-    np.testing.assert_allclose(found.apart[own][order], 128.0, atol=4 * 14)
+    np.testing.assert_allclose(found.deviation[own][order], 128.0, atol=4 * 14)
 
 
 def test_the_motion_itself_goes(shaken: Log) -> None:
     """On an axis that was not hit the furthest is off by noise, without the other sensor by a third more."""
     tally, span = OutlierTally(), shaken["A1"].between(MOVING.start_ns, MOVING.end_ns)
     tally.update(np.asarray(shaken["A1"].time[span]), np.asarray(shaken["A1"].counts[span], float).T)
-    alone, beside = tally.result(), lone_beside(shaken["A1"], [shaken["A2"]], MOVING)
-    furthest = [np.abs(found.apart[found.axis == 1]).max() for found in (alone, beside)]
+    alone, beside = tally.result(), outliers_in_motion(shaken["A1"], [shaken["A2"]], MOVING)
+    furthest = [np.abs(found.deviation[found.axis == 1]).max() for found in (alone, beside)]
     assert furthest[0] > 1.3 * furthest[1]
 
 
 def test_nobody_to_compare_with(shaken: Log) -> None:
-    assert len(lone_beside(shaken["A1"], [], MOVING).apart) == 0
+    assert len(outliers_in_motion(shaken["A1"], [], MOVING).deviation) == 0
