@@ -1,8 +1,8 @@
-"""Recordings made by other programs, turned into logs: known formats by name, any table of numbers by a map.
+"""Importers turn recordings of other programs into logs: known formats by name, any table of numbers with a map.
 
-Counts stay as the source holds them; nothing is resampled, filled in or repeated. Formats of one instrument are entries
-of `FORMATS`; everything that is a table needs no code but a map (`imuarray.importers.mapping`). What is doubtful in a
-recording is said of the log that was made of it (`imuarray.importers.plausibility`).
+Counts remain as in the source; nothing is resampled, interpolated or repeated. Formats of one instrument are entries of
+`FORMATS`; every table needs no code but a map (`imuarray.importers.mapping`). Doubts about a recording are reported
+from the log that was made of it (`imuarray.importers.plausibility`).
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from typing import BinaryIO, Protocol, cast
 from imuarray.errors import SourceError
 
 FORMATS: Mapping[str, str] = MappingProxyType({"mimu4444": "imuarray.importers.mimu4444"})
-"""Every format that has a name; the module (loaded when it is asked for) holds its importer as `import_file`."""
+"""The named formats and the module of each (loaded on demand), whose importer is `import_file`."""
 
 NO_WALL_TIME = "1970-01-01T00:00:00.000000Z"
-"""Epoch of a log whose source names no wall time; such a log says so in an event of kind "imported"."""
+"""Epoch of a log whose source has no wall time; such a log says so in an event of kind "imported"."""
 
 _GZIP = b"\x1f\x8b"
-"""First bytes of what gzip has packed (RFC 1952)."""
+"""First bytes of a gzip file (RFC 1952)."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What an import wrote: `rows` of each sensor over `seconds`; `lost` rows that the source shows to be missing
-    (None: it numbers nothing, so nobody knows); how often each kind of event happened. Without `same_rows`, `rows` are
-    those of the sensor that has most. `remarks` say what the importer left out, learnt or changed.
+    """The result of an import: `rows` of each sensor over `seconds`; `lost` rows that the source shows to be missing
+    (None if it does not number its rows); the number of events of each kind. Without `same_rows`, `rows` is that of the
+    sensor with most rows. `remarks` state what the importer left out, inferred or changed.
     """
 
     sensors: tuple[str, ...]
@@ -45,9 +45,9 @@ class Summary:
 
 
 class Importer(Protocol):
-    """Reads `source` and writes the log `output`; `progress` is told how many bytes of the source are done.
+    """Reads `source` and writes the log `output`; `progress` receives the number of bytes read.
 
-    Raises SourceError, OutputExistsError, LogError; leaves no half-written log behind.
+    Raises SourceError, OutputExistsError, LogError; leaves no incomplete log behind.
     """
 
     def __call__(
@@ -62,12 +62,12 @@ class Importer(Protocol):
 
 
 def importer(name: str) -> Importer:
-    """The importer of the format called `name`; KeyError unless it is one of `FORMATS`."""
+    """Return the importer of the format `name`; KeyError unless it is one of `FORMATS`."""
     return cast(Importer, import_module(FORMATS[name]).import_file)
 
 
 def open_source(source: str | PathLike[str], output: str | PathLike[str]) -> BinaryIO:
-    """Open a recording for reading; SourceError if it can't be, or if the log would replace it."""
+    """Open a recording for reading; SourceError if it is unreadable, or if the log would replace it."""
     path = Path(source)
     if path.is_dir():
         raise SourceError(f"{path}: is a folder; a recording is one file")
@@ -77,17 +77,17 @@ def open_source(source: str | PathLike[str], output: str | PathLike[str]) -> Bin
         raise unreadable(path, error) from None
     if Path(output).exists() and Path(output).samefile(path):
         file.close()
-        raise SourceError(f"{path}: is the output too; a log never replaces what it was made from")
+        raise SourceError(f"{path}: is also the output; a log never replaces its source")
     return file
 
 
-def unpacked(file: BinaryIO) -> BinaryIO:
-    """An open file, or what is in it if gzip (RFC 1952) has packed it."""
+def decompress(file: BinaryIO) -> BinaryIO:
+    """Return an open file, or its decompressed content if it is a gzip file (RFC 1952)."""
     begin = file.read(len(_GZIP))
     file.seek(0)
     return cast(BinaryIO, gzip.GzipFile(fileobj=file)) if begin == _GZIP else file
 
 
 def unreadable(path: Path, error: OSError) -> SourceError:
-    """What there is to say of a recording that can't be opened or read."""
+    """Return the error of a recording that cannot be opened or read."""
     return SourceError(f"{path}: {'no such file' if isinstance(error, FileNotFoundError) else error.strerror}")

@@ -1,8 +1,7 @@
 """Arrays as columns: NumPy's .npz, and MATLAB's .mat of versions 5 and 7.3 (HDF5).
 
-An array of one dimension is a column of its name; one of several columns, `acc`, is `acc[0]`, `acc[1]`, ...; fields of
-structs are `imu.acc`. A file that holds one array of several columns has these columns by index, too. Nothing is
-unpickled.
+A one-dimensional array is a column of its name; the columns of an array `acc` are `acc[0]`, `acc[1]`, ...; fields of
+structs are `imu.acc`. The columns of a file with a single table can also be selected by index. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ from imuarray.printable import printable
 Array = npt.NDArray[Any]
 
 MOST_COLUMNS = 64
-"""Of one array; a longer side is that of the rows."""
+"""Maximum number of columns of an array; a longer side is that of the rows."""
 
 MOST_BYTES = 1 << 33
-"""Of what is read of one file; an hour of fifty sensors at a kilohertz takes 4 GB."""
+"""Maximum size of the arrays of a file; an hour of fifty sensors at a kilohertz takes 4 GB."""
 
 _MATLAB73 = b"MATLAB 7.3 MAT-file"
 
 
 def open_rows(path: Path, progress: Callable[[int], None]) -> ArrayRows:
-    """The arrays of a file; SourceError."""
+    """Open the arrays of a file; SourceError."""
     with path.open("rb") as file:
         first = file.read(len(_MATLAB73))
     try:
@@ -54,7 +53,7 @@ def open_rows(path: Path, progress: Callable[[int], None]) -> ArrayRows:
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise SourceError(f"{path}: damaged, or no arrays that can be read: {printable(str(error))[:200]}") from None
+        raise SourceError(f"{path}: damaged, or without readable arrays: {printable(str(error))[:200]}") from None
     return ArrayRows(path, arrays, progress)
 
 
@@ -74,17 +73,19 @@ class ArrayRows:
         wide = [array for _, array in tables if array.ndim == 2]
         self._only = wide[0] if len(wide) == 1 else None
         if not self._columns:
-            raise SourceError(f"{path}: no array of numbers in it")
+            raise SourceError(f"{path}: contains no array of numbers")
 
     def names(self) -> Mapping[str, Sequence[str]]:
-        """Of all columns."""
+        """Return the names of all columns."""
         return {"": list(self._columns)}
 
     def _column(self, column: str | int) -> Array:
-        """SourceError for one that there is not."""
+        """Return a column; SourceError if there is none of that name or index."""
         if isinstance(column, int):
             if self._only is None or column >= self._only.shape[1]:
-                raise SourceError(f"{self._path}: no column {column}; by index are those of a single array of columns")
+                raise SourceError(
+                    f"{self._path}: no column {column}; an index selects a column only in a file with a single array"
+                )
             return np.asarray(self._only[:, column])
         if column not in self._columns:
             known = ", ".join(self._columns)
@@ -92,7 +93,7 @@ class ArrayRows:
         return self._columns[column]
 
     def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
-        """The rows of columns that are equally long; SourceError."""
+        """Yield the rows of columns of equal length; SourceError."""
         if kind is not None:
             raise SourceError(
                 f"{self._path}: kind {kind!r}: arrays have no kinds of rows; each sensor names its columns"
@@ -100,9 +101,9 @@ class ArrayRows:
         arrays = [self._column(column) for column in columns]
         lengths = {len(array) for array in arrays}
         if len(lengths) > 1:
-            told = ", ".join(f"{column} {len(array)}" for column, array in zip(columns, arrays, strict=True))
+            listed = ", ".join(f"{column} {len(array)}" for column, array in zip(columns, arrays, strict=True))
             raise SourceError(
-                f"{self._path}: columns of different lengths: {told}; has each sensor its own time_column?"
+                f"{self._path}: columns of different lengths: {listed}; does each sensor have its own time_column?"
             )
         (length,) = lengths
         for start in range(0, length, rows):
@@ -113,21 +114,21 @@ class ArrayRows:
 
 
 def _upright(array: Array) -> Array:
-    """With the rows along the first dimension: there are more of them than columns."""
+    """Return the array with rows along the first dimension: it has more rows than columns."""
     if array.ndim == 2 and array.shape[0] < array.shape[1] and array.shape[0] <= MOST_COLUMNS:
         array = array.T
     return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
 
 
 def _is_column(array: Any) -> bool:
-    """Whether it is an array of numbers of a shape that can be columns."""
+    """Return whether it is an array of numbers with the shape of columns."""
     if not isinstance(array, np.ndarray | h5py.Dataset) or array.dtype.kind not in "iufb":
         return False
     return array.size > 1 and (len(array.shape) == 1 or (len(array.shape) == 2 and min(array.shape) <= MOST_COLUMNS))
 
 
 def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
-    """Every array of numbers, and every field of a structured one."""
+    """Yield every array of numbers, and every field of a structured one."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if sum(member.file_size for member in members) > MOST_BYTES:
@@ -143,7 +144,7 @@ def _of_npz(path: Path) -> Iterator[tuple[str, Array]]:
 
 
 def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:
-    """Every array of a MATLAB file of version 5, those in structs too."""
+    """Yield every array of a MATLAB file of version 5, including those in structs."""
     from scipy.io import loadmat
 
     def inside(name: str, value: Any) -> Iterator[tuple[str, Array]]:
@@ -157,9 +158,11 @@ def _of_mat(path: Path) -> Iterator[tuple[str, Array]]:
 
 
 def _of_hdf5(path: Path) -> Iterator[tuple[str, Array]]:
-    """Every array of a MATLAB file of version 7.3, which is HDF5 with its dimensions the other way; or of any HDF5."""
+    """Yield every array of an HDF5 file, for example a MATLAB file of version 7.3, which has its dimensions
+    reversed.
+    """
     with h5py.File(path, "r") as file:
-        found: dict[str, Array] = {}
+        arrays: dict[str, Array] = {}
         names: list[str] = []
         file.visit(names.append)
         total = 0
@@ -171,5 +174,5 @@ def _of_hdf5(path: Path) -> Iterator[tuple[str, Array]]:
             if total > MOST_BYTES:
                 raise ValueError(f"more than {MOST_BYTES} bytes")
             values = np.asarray(item[()])
-            found[name.replace("/", ".")] = values[0] if values.ndim == 2 and values.shape[0] == 1 else values
-        yield from found.items()
+            arrays[name.replace("/", ".")] = values[0] if values.ndim == 2 and values.shape[0] == 1 else values
+        yield from arrays.items()

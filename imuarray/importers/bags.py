@@ -39,7 +39,7 @@ Message = tuple[int, int, tuple[float, ...]]
 
 
 def open_rows(path: Path, progress: Callable[[int], None]) -> BagRows:
-    """The topics of a bag; SourceError, MissingExtraError."""
+    """Open the topics of a bag; SourceError, MissingExtraError."""
     try:
         from rosbags.typesys import Stores, get_typestore
 
@@ -61,29 +61,29 @@ class BagRows:
         self._topics: dict[str, str] = self._guarded(bag.topics)
         if not self._topics:
             known = ", ".join(name.rsplit("/", 1)[-1] for name in VALUES)
-            raise SourceError(f"{path}: no topic of {known} in it")
+            raise SourceError(f"{path}: contains no topic of {known}")
 
     def _guarded(self, call: Callable[[], Any]) -> Any:
-        """What the readers of bags raise, as a SourceError."""
+        """Run a reader and turn its exceptions into SourceError."""
         try:
             return call()
         except SourceError:
             raise
         except Exception as error:  # rosbags, mcap, sqlite and zstd have no common one
-            raise SourceError(f"{self._path}: damaged, or no bag: {printable(str(error))[:200]}") from None
+            raise SourceError(f"{self._path}: damaged, or not a bag: {printable(str(error))[:200]}") from None
 
     def names(self) -> Mapping[str, Sequence[str]]:
-        """Of the columns of each topic."""
+        """Return the columns of each topic."""
         return {topic: (*TIMES, *VALUES[kind]) for topic, kind in self._topics.items()}
 
     def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
-        """The messages of a topic (`kind`; None where there is but one that has these columns); SourceError."""
+        """Yield the messages of a topic (`kind`; None if only one topic has these columns); SourceError."""
         wanted = ", ".join(map(str, columns))
         fitting = [topic for topic, names in self.names().items() if all(column in names for column in columns)]
         topics = ", ".join(f"{topic} ({name.rsplit('/', 1)[-1]})" for topic, name in self._topics.items())
         if kind is None and len(fitting) != 1:
             raise SourceError(
-                f"{self._path}: {len(fitting)} topics have columns {wanted}; the sensor says which by kind: {topics}"
+                f"{self._path}: {len(fitting)} topics have columns {wanted}; the sensor's kind selects one of {topics}"
             )
         topic = fitting[0] if kind is None else kind
         if topic not in fitting:
@@ -97,14 +97,14 @@ class BagRows:
 
 
 def _columns(part: Sequence[Message]) -> list[npt.NDArray[np.number]]:
-    """Times as whole numbers, values as they came."""
+    """Return the times as integers and the values as floats."""
     stamps, received, values = zip(*part, strict=True)
     triads = np.array(values, np.float64)
     return [np.array(stamps, np.int64), np.array(received, np.int64), *triads.T]
 
 
 def _row(message: Any, received_ns: int, kind: str) -> Message:
-    """One message."""
+    """Return one message as a row."""
     stamp = message.header.stamp
     nanoseconds = int(getattr(stamp, "nanosec", 0) or getattr(stamp, "nsec", 0))
     values = tuple(float(_inside(message, name)) for name in VALUES[kind])
@@ -122,7 +122,7 @@ def _inside(message: Any, name: str) -> Any:
 
 
 class _Bag:
-    """A ROS 1 bag, or the folder of a ROS 2 bag, by rosbags."""
+    """A ROS 1 bag, or the folder of a ROS 2 bag, read by rosbags."""
 
     def __init__(self, path: Path) -> None:
         self._path = path.parent if path.suffix == ".db3" else path
@@ -135,17 +135,21 @@ class _Bag:
 
     def topics(self) -> dict[str, str]:
         with self._reader() as reader:
-            return {one.topic: one.msgtype for one in reader.connections if one.msgtype in VALUES}
+            return {
+                connection.topic: connection.msgtype
+                for connection in reader.connections
+                if connection.msgtype in VALUES
+            }
 
     def messages(self, topic: str) -> Iterator[Message]:
         with self._reader() as reader:
-            chosen = [one for one in reader.connections if one.topic == topic]
+            chosen = [candidate for candidate in reader.connections if candidate.topic == topic]
             for connection, received_ns, raw in reader.messages(chosen):
                 yield _row(reader.deserialize(raw, connection.msgtype), int(received_ns), connection.msgtype)
 
 
 class _Mcap:
-    """An MCAP file by itself, by Foxglove's own reader; its messages by rosbags."""
+    """A single MCAP file, read by Foxglove's reader; its messages are decoded by rosbags."""
 
     def __init__(self, path: Path, decoders: Mapping[str, Callable[[bytes, str], Any]]) -> None:
         try:
@@ -158,14 +162,16 @@ class _Mcap:
         with self._path.open("rb") as file:
             summary = self._make(file).get_summary()
         if summary is None:
-            raise SourceError(f"{self._path}: has no summary: cut off, perhaps; `mcap recover` of Foxglove mends it")
-        found = {}
+            raise SourceError(
+                f"{self._path}: has no summary and may be truncated; Foxglove's `mcap recover` repairs it"
+            )
+        topics = {}
         for channel in summary.channels.values():
             schema = summary.schemas.get(channel.schema_id)
             kind = _type(schema.name) if schema is not None else ""
             if kind in VALUES and channel.message_encoding in self._decoders:
-                found[str(channel.topic)] = kind
-        return found
+                topics[str(channel.topic)] = kind
+        return topics
 
     def messages(self, topic: str) -> Iterator[Message]:
         with self._path.open("rb") as file:
@@ -176,6 +182,6 @@ class _Mcap:
 
 
 def _type(name: str) -> str:
-    """sensor_msgs/Imu, as ROS 1 calls it, by its name in ROS 2."""
+    """Return the ROS 2 name of a message type: sensor_msgs/Imu is its ROS 1 name."""
     parts = name.split("/")
     return f"{parts[0]}/msg/{parts[-1]}"

@@ -1,7 +1,7 @@
-"""A text table, read a block of rows at a time and turned into whole numbers; complaints name line, column and text.
+"""A text table, read in blocks of rows and converted to integers; errors name line, column and text.
 
-What recorders and power cuts leave in a text is left out where it can't be a reading, and counted (`Table.remarks`):
-lines with NUL bytes, a header that comes again, a last line that is cut off, a separator at the end of a line.
+Damage by recorders and power cuts that cannot be a reading is left out and counted (`Table.remarks`): lines with NUL
+bytes, a repeated header, an incomplete last line, a separator at the end of a line.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROWS = 4096
 """Rows per block."""
 
 LINE_CHARACTERS = 65536
-"""A longer line is no row of a table."""
+"""Maximum length of a line of a table."""
 
 INT16 = (-32768, 32767)
 
@@ -42,8 +42,8 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 class Column(NamedTuple):
-    """The cells of one column in one block, with the line that each stands in: texts, or numbers of a file that holds
-    such (`values`, with rows in the place of lines).
+    """The cells of one column in one block with their line numbers: texts, or numbers of a binary file (`values`, with
+    rows in the place of lines).
     """
 
     source: str
@@ -53,27 +53,27 @@ class Column(NamedTuple):
     values: npt.NDArray[np.number] | None = None
 
     def refuse(self, row: int, complaint: str) -> SourceError:
-        """The error that says what is wrong with one cell."""
+        """Return the error about one cell."""
         place = "line" if self.values is None else "row"
         return SourceError(f"{self.source}: {place} {self.lines[row]}, column {self.label}: {complaint}")
 
     def text(self, row: int) -> str:
-        """A cell as it stands there, cut where it gets too long for a message."""
+        """Return the text of a cell, shortened for messages."""
         return _shortened(self.texts[row] if self.values is None else str(self.values[row]))
 
     @property
     def rows(self) -> int:
-        """How many cells."""
+        """The number of cells."""
         return len(self.lines)
 
     def blank(self) -> npt.NDArray[np.bool_]:
-        """(n,) which cells hold no value: blank ones, NaN and what else stands for it (`MISSING`)."""
+        """Return (n,) which cells are empty."""
         if self.values is not None:
             return np.isnan(self.values) if self.values.dtype.kind == "f" else np.zeros(len(self.values), bool)
         return np.array([text.strip().lower() in MISSING for text in self.texts], bool)
 
     def where(self, kept: npt.NDArray[np.bool_]) -> Column:
-        """Some of the cells."""
+        """Return the selected cells."""
         if kept.all():
             return self
         rows = np.flatnonzero(kept).tolist()
@@ -84,10 +84,9 @@ class Column(NamedTuple):
 
 
 class Table:
-    """The rows of an open file, `[file]` applied. With `named` the first row holds the columns' names; where it holds
-    numbers, the last comment before it does, as numpy's savetxt and the EuRoC data sets write a header.
+    """The rows of an open file with `[file]` applied. With `named` the first row holds the columns' names.
 
-    `remarks` counts what was left out.
+    `remarks` lists what was left out.
     """
 
     def __init__(self, file: BinaryIO, source: str, layout: FileTable, named: bool) -> None:
@@ -106,7 +105,7 @@ class Table:
         self._blank_end = bool(self.names) and not self.names[-1]
 
     def _lines(self) -> Iterator[str]:
-        """The lines that hold cells."""
+        """Yield the lines with cells."""
         comment = self._layout.comment
         while line := self._read_line():
             self.line += 1
@@ -125,11 +124,11 @@ class Table:
                 yield line
 
     def _read_line(self) -> str:
-        """The next line, or its beginning if it is longer than any of a table; "" at the end of the file."""
+        """Return the next line, or its beginning if it is too long for a table; "" at the end of the file."""
         try:
             return self._text.readline(LINE_CHARACTERS + 1)
         except (BadGzipFile, EOFError, zlib.error) as error:
-            raise SourceError(f"{self.source}: behind line {self.line}: packed by gzip and damaged: {error}") from None
+            raise SourceError(f"{self.source}: after line {self.line}: damaged gzip data: {error}") from None
 
     def _names(self) -> list[str]:
         """The cells of the header; the first row of numbers is kept for `_row` if the header is a comment."""
@@ -141,7 +140,7 @@ class Table:
         return header
 
     def _row(self) -> list[str]:
-        """The next row; [] at the end of the file."""
+        """Return the next row; [] at the end of the file."""
         if self._first_row:
             row, self._first_row = self._first_row, []
             return row
@@ -151,8 +150,8 @@ class Table:
             raise SourceError(f"{self.source}: line {self.line}: {error}") from None
 
     def _rows(self, kind: str | None) -> Iterator[tuple[int, list[str]]]:
-        """Line number and cells of every row of a kind; all are equally long, or cells would change their column
-        unseen.
+        """Yield line number and cells of every row of a kind. All rows must be equally long, or cells would silently
+        change their column.
         """
         kinds = self._layout.kind_column
         while row := self._row():
@@ -175,7 +174,7 @@ class Table:
             yield self.line, row
 
     def index(self, column: str | int) -> int:
-        """Where a column is; SourceError if a header does not have it, or twice."""
+        """Return the index of a column; SourceError if the header does not have it, or has it twice."""
         if isinstance(column, int):
             return column
         if self.names.count(column) != 1:
@@ -185,7 +184,7 @@ class Table:
         return self.names.index(column)
 
     def blocks(self, rows: int = ROWS, kind: str | None = None) -> Iterator[Block]:
-        """All rows (of a kind, where the map tells kinds), `rows` at a time."""
+        """Yield all rows (of a kind, if the map distinguishes kinds), `rows` at a time."""
         remaining = self._rows(kind)
         while block := list(islice(remaining, rows)):
             lines, cells = zip(*block, strict=True)
@@ -195,7 +194,7 @@ class Table:
             yield Block(self.source, lines, columns)
 
     def remarks(self) -> list[str]:
-        """What was left out, in sentences."""
+        """Return what was left out, as sentences."""
         said = {
             "nul": "{} with NUL bytes left out, as a power cut leaves them",
             "header": "{} that repeat the header left out",
@@ -205,20 +204,20 @@ class Table:
 
 
 def _encoding(file: BinaryIO) -> str:
-    """Of a text, by its first two bytes: what Windows calls Unicode begins with a mark."""
+    """Return the encoding of a text from its byte order mark."""
     peek = getattr(file, "peek", None)
     return "utf-16" if peek is not None and peek(2)[:2] in _UTF16 else "utf-8-sig"
 
 
 class Block(NamedTuple):
-    """Some rows, column by column; of a file of numbers, `columns` are arrays."""
+    """Some rows by column; `columns` are arrays if the file holds numbers."""
 
     source: str
     lines: Sequence[int]
     columns: Sequence[Sequence[str] | npt.NDArray[np.number]]
 
     def column(self, index: int, label: str) -> Column:
-        """One column; SourceError if the rows are not that long."""
+        """Return one column; SourceError if the rows are too short."""
         if index >= len(self.columns):
             cells = f"{len(self.columns)} cells, so there is no column {label} (counted from 0)"
             cells += "; do they have another delimiter?" if len(self.columns) == 1 else ""
@@ -230,8 +229,8 @@ class Block(NamedTuple):
 
 
 class Codes(NamedTuple):
-    """How cells become counts: codes less `offset`, or of so many `bits` in two's complement; with a `sensitivity` they
-    are in a unit, of which so many counts are one.
+    """How cells become counts: minus `offset`, or as two's complement of `bits`; with a `sensitivity` (counts per unit)
+    they are in a unit.
     """
 
     sensitivity: float | None = None
@@ -244,7 +243,7 @@ CODES = Codes()
 
 
 def counts(column: Column, codes: Codes = CODES) -> npt.NDArray[np.int16]:
-    """(n,) counts; SourceError for a cell that is no number, no whole one, or no 16-bit count."""
+    """Return (n,) counts; SourceError for a cell that is not a number, not an integer, or not a 16-bit count."""
     values = numbers(column)
     whole = np.rint(values if codes.sensitivity is None else values * codes.sensitivity)
     if codes.sensitivity is None and (whole != values).any():
@@ -268,14 +267,14 @@ def counts(column: Column, codes: Codes = CODES) -> npt.NDArray[np.int16]:
 
 
 def _hint(codes: Codes) -> str:
-    """What a count that is too large may come from."""
+    """Return a likely reason for a count that is too large."""
     if codes.sensitivity is not None:
         return "; are unit and sensitivity those of the column?"
     return "" if codes.offset or codes.bits else "; of unsigned codes the map says their offset, or how many bits"
 
 
 class Clock:
-    """Turns the cells of a time column into ns, across blocks: exact, and through what a counter begins anew."""
+    """Turns the cells of a time column into ns across blocks: exactly, and across the wraps of a counter."""
 
     def __init__(
         self,
@@ -297,7 +296,7 @@ class Clock:
         self.tied = self.wrapped = 0
 
     def nanoseconds(self, column: Column) -> npt.NDArray[np.int64]:
-        """(n,) int64 ns; SourceError unless each is later than the one before."""
+        """Return (n,) int64 ns; SourceError unless each is later than the previous one."""
         if column.values is not None:
             times = self._of_numbers(column)
         else:
@@ -326,7 +325,7 @@ class Clock:
         return "" if self._span_ns else "; of a counter that begins anew the map says wraps_at"
 
     def _apart(self, times: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Equal times, 1 ns apart."""
+        """Separate equal times by 1 ns."""
         if len(times) == 0:
             return times
         before = int(times[0]) - 1 if self._untied_ns is None else self._untied_ns
@@ -338,7 +337,7 @@ class Clock:
         return np.asarray(times + place)
 
     def _of_numbers(self, column: Column) -> npt.NDArray[np.int64]:
-        """Times of a file that holds numbers: whole ones exactly, others to the digits that they have."""
+        """Return the times of a file that holds numbers: integers exactly, others to the digits that they have."""
         values = column.values
         assert values is not None  # noqa: S101, its caller asked
         if values.dtype.kind == "f":
@@ -364,7 +363,9 @@ class Clock:
         return f"numbers up to {_LAST_NS // self._tick_ns}"
 
     def _of_text(self, column: Column, row: int) -> int:
-        """One time; through decimal numbers, because a day count in floating seconds has no nanoseconds left."""
+        """Return one time, in decimal arithmetic, since a day count in floating seconds does not resolve
+        nanoseconds.
+        """
         text = column.texts[row].strip()
         if self._iso:
             return _date_ns(column, row, text)
@@ -380,7 +381,7 @@ class Clock:
 
 
 def _date_ns(column: Column, row: int, text: str) -> int:
-    """A date and time as ns since 1970, one without a zone taken for UTC."""
+    """Return a date and time as ns since 1970; without a zone it is UTC."""
     whole, point, rest = text.partition(".")
     digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]
     try:
@@ -392,7 +393,8 @@ def _date_ns(column: Column, row: int, text: str) -> int:
 
 
 def nanoseconds(column: Column, unit_ns: int, last_ns: int | None) -> npt.NDArray[np.int64]:
-    """(n,) int64 ns, exact, of cells in units of `unit_ns`; SourceError unless each is later than the one before.
+    """Return (n,) int64 ns, exact, of cells in units of `unit_ns`; SourceError unless each is later than the previous
+    one.
 
     `last_ns` is the time of the row before the first one here, None if there is none.
     """
@@ -400,7 +402,7 @@ def nanoseconds(column: Column, unit_ns: int, last_ns: int | None) -> npt.NDArra
 
 
 def numbers(column: Column) -> npt.NDArray[np.float64]:
-    """(n,) finite numbers; SourceError."""
+    """Return (n,) finite numbers; SourceError."""
     if column.values is not None:
         values = column.values.astype(np.float64)
         row = int(np.argmin(np.isfinite(values))) if not np.isfinite(values).all() else None
@@ -418,7 +420,7 @@ def numbers(column: Column) -> npt.NDArray[np.float64]:
 
 
 def _number_hint(column: Column, row: int) -> str:
-    """What a cell that is no number may be."""
+    """Return a likely reason for a cell that is not a number."""
     text = "" if column.values is not None else column.texts[row].strip()
     if text.count(",") == 1 and _is_number(text.replace(",", ".")):
         return "; of decimal commas the map says decimal = ','"
@@ -436,5 +438,5 @@ def _is_number(text: str) -> bool:
 
 
 def _shortened(text: str, length: int = 40) -> str:
-    """`text`, cut where it gets too long for a message."""
+    """Return the text, shortened for messages."""
     return text if len(text) <= length else text[:length] + "..."

@@ -1,4 +1,4 @@
-"""Flags on readings that clip, when all of a recording is known."""
+"""Flags on clipped readings, once the whole recording is known."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from imuarray.printable import counted
 
 
 def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
-    """Flag rows of triads that stand at a rail; which they are, in sentences, one for sensors that clip alike."""
-    told: dict[str, list[str]] = {}
+    """Flag the rows of triads that are at the end of the range. Returns which, as sentences, one for sensors that clip
+    alike.
+    """
+    clipping: dict[str, list[str]] = {}
     for header in headers:
         rails = find_rails(log[header.name])
         if not rails.rows.any():
@@ -25,10 +27,10 @@ def flag_clipped(log: LogWriter, headers: Sequence[SensorHeader]) -> list[str]:
         ends = ends[np.isfinite(ends)]
         if ((ends > SPAN[0]) & (ends < SPAN[1])).any():
             log.revise(header.name, "status", _flagging(rails))
-        told.setdefault(_where(header, rails), []).append(
+        clipping.setdefault(_where(header, rails), []).append(
             f"{header.name} ({counted(int(rails.rows.sum()), 'reading')})"
         )
-    return [f"{', '.join(names)}: {where}; flagged as saturated" for where, names in told.items()]
+    return [f"{', '.join(names)}: {where}; flagged as saturated" for where, names in clipping.items()]
 
 
 def _flagging(rails: Rails) -> Callable[[Columns], npt.NDArray[np.uint16]]:
@@ -40,7 +42,7 @@ def _flagging(rails: Rails) -> Callable[[Columns], npt.NDArray[np.uint16]]:
 
 
 def _where(header: SensorHeader, rails: Rails) -> str:
-    """Where axes clip."""
+    """Return at which counts the axes clip."""
     axes: dict[str, str] = {}
     for axis, name in enumerate("xyz"):
         ends = [int(code) for code in (rails.low[axis], rails.high[axis]) if np.isfinite(code)]

@@ -1,7 +1,7 @@
-"""What `imuarray export` wrote of a log's raw counts, read back: the same log again.
+"""Read back the raw counts of a log that `imuarray export` wrote: the result is the same log.
 
-Which format a file is of its first bytes say (`importer_of`). Nothing in it is believed before it is checked: its
-header as that of any log, its tables against the header. What this module has is common to all formats.
+The first bytes of a file determine its format (`importer_of`). Its content is validated before use: the header like
+that of any log, the tables against the header. This module is common to all formats.
 """
 
 from __future__ import annotations
@@ -32,29 +32,31 @@ from imuarray.printable import printable
 MAGICS: Mapping[bytes, str] = MappingProxyType(
     {b"PK\x03\x04": "imuarray.importers.exported_npz", CSV_MAGIC.encode(): "imuarray.importers.exported_csv"}
 )
-"""First bytes, and the module that reads what begins so."""
+"""First bytes, and the module that reads such a file."""
 
 MAX_HEADER_BYTES = 1 << 26
-"""Of a header of JSON, phases and events in it."""
+"""Maximum size of a JSON header with phases and events."""
 
 _FIELDS = tuple(field.name for field in fields(SensorHeader))
 _NOT_READABLE = (ValueError, TypeError, AttributeError, KeyError, RecursionError)
 
 Read = Callable[[Group, tuple[str, ...]], Iterator[Columns]]
-"""The rows of a group, stretch by stretch; the names are those of the cells of its tables of several columns."""
+"""Reads the rows of a group in blocks; the names are those of the cells of tables with several columns."""
 
 
 @dataclass(frozen=True)
 class Head:
-    """The checked header of an export: what the log begins with, and which groups it has beside its sensors."""
+    """The validated header of an export: the log's preamble, and the groups besides its sensors."""
 
     preamble: Preamble
-    beside: Mapping[str, tuple[str, ...]]
-    """Their columns; a track of a reference need not have all."""
+    groups: Mapping[str, tuple[str, ...]]
+    """The columns of the groups besides the sensors; a reference need not have all."""
 
 
 def importer_of(source: str | PathLike[str]) -> Importer | None:
-    """Who reads what `imuarray export` wrote; None for any other file. SourceError if it can't be read at all."""
+    """Return the importer of a file that `imuarray export` wrote; None for any other file. SourceError if it is
+    unreadable.
+    """
     path = Path(source)
     try:
         with path.open("rb") as file:
@@ -68,20 +70,20 @@ def importer_of(source: str | PathLike[str]) -> Importer | None:
 
 
 def parse_header(text: str | bytes, where: str) -> dict[str, Any]:
-    """A JSON object; SourceError."""
+    """Parse a JSON object; SourceError."""
     try:
         head = json.loads(text)
     except _NOT_READABLE:
         head = None
     if not isinstance(head, dict):
-        raise SourceError(f"{where}: no header that `imuarray export` writes")
+        raise SourceError(f"{where}: no header written by `imuarray export`")
     return head
 
 
 def checked_head(head: Mapping[str, Any], where: str) -> Head:
-    """SourceError unless it is the header of a log's raw counts."""
+    """Validate the header of a log's raw counts; SourceError."""
     if head.get("format") != FORMAT or head.get("format_version") != FORMAT_VERSION:
-        raise SourceError(f"{where}: what was exported is no log of format {FORMAT_VERSION}; only logs come back")
+        raise SourceError(f"{where}: not the export of a log of format {FORMAT_VERSION}; only logs can be read back")
     if head.get("units") != "counts":
         raise SourceError(f"{where}: has physical values; only raw counts make a log: export with --units counts")
     if head.get("source") not in SOURCES:
@@ -102,36 +104,36 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
     except LogError as error:
         raise SourceError(f"{where}: {error}") from None
     except _NOT_READABLE as error:
-        raise SourceError(f"{where}: its header can't be read: {printable(str(error))[:200]}") from None
-    beside = {name: _columns_of(name, tables[name].get("columns"), where) for name in BESIDE if name in tables}
-    return Head(preamble, beside)
+        raise SourceError(f"{where}: its header is unreadable: {printable(str(error))[:200]}") from None
+    groups = {name: _columns_of(name, tables[name].get("columns"), where) for name in BESIDE if name in tables}
+    return Head(preamble, groups)
 
 
 def _columns_of(name: str, said: Any, where: str) -> tuple[str, ...]:
-    """The columns of a group beside the sensors: those that are said, else all; SourceError."""
+    """Return the columns of a group besides the sensors: those listed, otherwise all; SourceError."""
     every = tuple(column for column, _, _ in BESIDE[name])
     if said is None:
         return every
     if not isinstance(said, list) or "time" not in said or (name not in STIMULI and len(said) < len(every)):
-        raise SourceError(f"{where}: its header can't be read: columns of {name}")
+        raise SourceError(f"{where}: its header is unreadable: columns of {name}")
     if unknown := [column for column in said if column not in every]:
         raise SourceError(f"{where}: {name} has no column {printable(str(unknown[0]))[:40]!r}")
     return tuple(column for column in every if column in said)
 
 
 def notes_of(phases: Any, events: Any, where: str) -> tuple[list[Phase], list[Event]]:
-    """Phases and events from lists of their fields; SourceError."""
+    """Return phases and events from lists of their fields; SourceError."""
     try:
         for row in phases:
             check_note(row, 2)
         for row in events:
             check_note(row, 1)
-        found = [Phase(*row) for row in phases], [Event(*row) for row in events]
-        if any("\0" in text for row in (*found[0], *found[1]) for text in row if isinstance(text, str)):
+        notes = [Phase(*row) for row in phases], [Event(*row) for row in events]
+        if any("\0" in text for row in (*notes[0], *notes[1]) for text in row if isinstance(text, str)):
             raise ValueError("a text with a NUL")
     except _NOT_READABLE as error:
-        raise SourceError(f"{where}: phases or events can't be read: {error}") from None
-    return found
+        raise SourceError(f"{where}: phases or events are unreadable: {error}") from None
+    return notes
 
 
 def write_log(
@@ -143,7 +145,7 @@ def write_log(
     *,
     force: bool,
 ) -> Summary:
-    """Write the log `output` again, table by table as `read` gives them; SourceError, OutputExistsError, LogError."""
+    """Write the log `output` table by table as `read` returns them; SourceError, OutputExistsError, LogError."""
     preamble, (phases, events) = head.preamble, notes
     rows: dict[str, int] = {}
     span = _Span()
@@ -163,8 +165,8 @@ def write_log(
                     log.append(header.name, _block(columns, header))
                     rows[header.name] += len(columns["time"])
                     span.add(columns["time"])
-            for name in head.beside:
-                there = tuple(column for column in BESIDE[name] if column[0] in head.beside[name])
+            for name in head.groups:
+                there = tuple(column for column in BESIDE[name] if column[0] in head.groups[name])
                 for columns in read(Group(name, there), ("x", "y", "z")):
                     _append_beside(log, name, columns)
             for phase in phases:
@@ -179,7 +181,7 @@ def write_log(
 
 
 class _Span:
-    """From the first row of all to the last."""
+    """The time from the first row of all sensors to the last."""
 
     def __init__(self) -> None:
         self._first: int | None = None

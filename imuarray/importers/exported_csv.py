@@ -1,5 +1,5 @@
-"""CSV files of `imuarray export`, read back: the list (run.csv) with the files that it names beside it, or the table of
-one sensor.
+"""Read back CSV files of `imuarray export`: the list (run.csv) with the files that it names, or the table of one
+sensor.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def import_file(
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Summary:
-    """Write the log that was exported to `source` again as `output`; SourceError, OutputExistsError, LogError."""
+    """Write the log that was exported to `source` as `output`; SourceError, OutputExistsError, LogError."""
     path = Path(source)
     with open_source(path, output) as file:
         size = file.seek(0, 2)
@@ -51,11 +51,11 @@ def import_file(
 
 
 Files = dict[str, tuple[Path, int | None]]
-"""By table its file, and how many rows it has to have."""
+"""The file of each table, and its required number of rows."""
 
 
 def _header(file: BinaryIO, path: Path) -> dict[str, Any]:
-    """The JSON of the second line; the file is then at the third. SourceError."""
+    """Return the JSON of the second line and leave the file at the third; SourceError."""
     first, second = file.readline(1 << 12), file.readline(MAX_HEADER_BYTES + 1)
     if not first.startswith(CSV_MAGIC.encode()) or not first.endswith(b"\n") or not second.startswith(b"# {"):
         raise SourceError(f"{path}: not begun as `imuarray export` begins a file: two lines of comment")
@@ -65,7 +65,7 @@ def _header(file: BinaryIO, path: Path) -> dict[str, Any]:
 
 
 def _texts(file: BinaryIO, path: Path, names: Sequence[str]) -> list[list[str]]:
-    """The rows of a short table of texts, whose first row are the `names`; SourceError."""
+    """Return the rows of a short table of texts whose first row are the `names`; SourceError."""
     data = file.read(MAX_TEXT_BYTES + 1)
     if len(data) > MAX_TEXT_BYTES:
         raise SourceError(f"{path}: more than {MAX_TEXT_BYTES} bytes of text")
@@ -79,13 +79,13 @@ def _texts(file: BinaryIO, path: Path, names: Sequence[str]) -> list[list[str]]:
 
 
 def _listed(file: BinaryIO, path: Path, head: Head) -> Files:
-    """The files of a list: beside it, and one for each table of the header; SourceError."""
+    """Return the files of a list, which are in the same folder, one for each table of the header; SourceError."""
     files: Files = {}
     for name, table, rows in _texts(file, path, CSV_INDEX):
         if Path(name).name != name or "\0" in name or "\\" in name or not rows.isascii() or not rows.isdigit():
             raise SourceError(f"{path}: {printable(name)[:80]!r}: its files are beside it, and have rows")
         files[table] = (path.with_name(name), int(rows[:18]))
-    wanted = {f"sensors/{header.name}" for header in head.preamble.sensors} | {*head.beside, "phases", "events"}
+    wanted = {f"sensors/{header.name}" for header in head.preamble.sensors} | {*head.groups, "phases", "events"}
     if set(files) != wanted:
         missing = ", ".join(sorted(wanted ^ set(files)))
         raise SourceError(f"{path}: its list and its header differ: {printable(missing)[:200]}")
@@ -93,7 +93,7 @@ def _listed(file: BinaryIO, path: Path, head: Head) -> Files:
 
 
 class _Tables:
-    """The tables of an export, each read from its file."""
+    """The tables of an export, each in a file of its own."""
 
     def __init__(
         self, files: Files, path: Path, output: str | PathLike[str], progress: Callable[[float], None]
@@ -103,7 +103,7 @@ class _Tables:
         self._done = 0
 
     def notes(self, table: str, names: Sequence[str], numbers: int) -> list[list[Any]]:
-        """Phases or events; none if there is no such file."""
+        """Return phases or events; none if there is no such file."""
         if table not in self._files:
             return []
         path, _ = self._files[table]
@@ -112,7 +112,7 @@ class _Tables:
         return [[*(_time(text, path) for text in row[:numbers]), *row[numbers:]] for row in rows]
 
     def _open(self, path: Path) -> BinaryIO:
-        """A file behind its two lines of comment; SourceError, for what is no plain file too."""
+        """Open a file after its two comment lines; SourceError, also if it is not a regular file."""
         if not path.is_file():
             raise SourceError(f"{path}: no such file, though {self._path.name} says so")
         file = open_source(path, self._output)
@@ -124,7 +124,7 @@ class _Tables:
         return file
 
     def rows(self, group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
-        """The rows of a group, stretch by stretch; SourceError."""
+        """Yield the rows of a group in blocks; SourceError."""
         if group.path not in self._files:
             raise SourceError(f"{self._path}: holds no {group.path}")
         path, wanted = self._files[group.path]
@@ -146,14 +146,14 @@ class _Tables:
 
 
 def _cells(name: str, tail: tuple[int, ...], cells: tuple[str, ...]) -> list[str]:
-    """What the columns of a table are called that a column of a log is written as."""
+    """Return the table's column names for a column of a log."""
     return csv_names(name, cells if tail else (), _UNITS.get(name, ""))
 
 
 def _columns(
     group: Group, block: Block, where: dict[str, list[int]], names: Sequence[str], last_ns: int | None
 ) -> dict[str, npt.NDArray[Any]]:
-    """A stretch of rows as numbers."""
+    """Return a block of rows as numbers."""
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, kind, tail in group.columns:
         cells = [block.column(index, names[index]) for index in where[name]]
@@ -166,7 +166,7 @@ def _columns(
 
 
 def _numbers(column: Column, kind: np.dtype[Any]) -> npt.NDArray[Any]:
-    """(n,) numbers of a kind; SourceError for a cell that is none."""
+    """Return (n,) numbers of a type; SourceError for a cell that is not one."""
     read = float if kind.kind == "f" else int
     try:
         return np.array([read(text) for text in column.texts], kind)
@@ -184,5 +184,5 @@ def _fits(text: str, kind: np.dtype[Any]) -> bool:
 
 
 def _time(text: str, path: Path) -> int:
-    """Seconds as nanoseconds, exactly; SourceError."""
+    """Convert seconds to nanoseconds exactly; SourceError."""
     return int(nanoseconds(Column(str(path), "time", [0], [text]), _S, None)[0])

@@ -1,7 +1,7 @@
-"""An npz file of `imuarray export`, read back a stretch of rows at a time.
+"""Read back an npz file of `imuarray export` in blocks of rows.
 
-What an array declares is compared with what the header says and with what the archive can hold, before a row of it is
-read; nothing is unpickled, and nothing is unpacked onto the disk.
+The declared type, shape and size of an array are validated against the header and the archive before a row is read.
+Nothing is unpickled, and nothing is unpacked onto the disk.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from imuarray.printable import printable
 MAX_MEMBERS = 4096
 _ROWS = 1 << 14
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError, struct.error)
-"""What zipfile raises on an archive that it can't make sense of."""
+"""The exceptions of zipfile for a damaged archive."""
 _ENCRYPTED = 1
 _OVERHEAD = 1 << 12
-"""Bytes by which a short array may be longer than its data deflated say."""
+"""Bytes by which a short array may exceed the limit from its compressed size."""
 
 
 def import_file(
@@ -43,7 +43,7 @@ def import_file(
     force: bool = False,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Summary:
-    """Write the log that was exported to `source` again as `output`; SourceError, OutputExistsError, LogError."""
+    """Write the log that was exported to `source` as `output`; SourceError, OutputExistsError, LogError."""
     with open_source(source, output) as file:
         size = file.seek(0, 2)
         file.seek(0)
@@ -56,42 +56,42 @@ def import_file(
                 notes = notes_of(head.get("phases"), head.get("events"), str(source))
                 return write_log(checked, arrays.rows, notes, output, str(source), force=force)
         except _DAMAGED as error:
-            raise SourceError(f"{source}: damaged, or no npz file: {printable(str(error))[:200]}") from None
+            raise SourceError(f"{source}: damaged, or not an npz file: {printable(str(error))[:200]}") from None
 
 
 class _Arrays:
-    """The arrays of an archive; `names` says by table and column what they are called."""
+    """The arrays of an archive; `names` maps table and column to the name of the array."""
 
     def __init__(self, archive: zipfile.ZipFile, where: str, size: int, progress: Callable[[int], None]) -> None:
-        """Look the archive's list through; SourceError."""
+        """Validate the archive's directory; SourceError."""
         self._archive, self._where, self._size, self._progress = archive, where, size, progress
         self.names: Any = {}
         self._done = 0
         members = archive.infolist()
-        if len(members) > MAX_MEMBERS or len({one.filename for one in members}) < len(members):
+        if len(members) > MAX_MEMBERS or len({member.filename for member in members}) < len(members):
             raise SourceError(f"{where}: {len(members)} arrays, or one of them twice; at most {MAX_MEMBERS}")
-        self._members: Mapping[str, zipfile.ZipInfo] = {one.filename: one for one in members}
-        self._total = sum(one.file_size for one in members) or 1
-        for one in members:
-            self._look_at(one)
+        self._members: Mapping[str, zipfile.ZipInfo] = {member.filename: member for member in members}
+        self._total = sum(member.file_size for member in members) or 1
+        for member in members:
+            self._validate(member)
 
-    def _look_at(self, one: zipfile.ZipInfo) -> None:
-        """SourceError for a packing that numpy has not, or that promises more than there can be."""
-        place = f"{self._where}: {printable(one.filename)[:80]}"
-        if one.flag_bits & _ENCRYPTED or one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+    def _validate(self, member: zipfile.ZipInfo) -> None:
+        """Raise SourceError for a compression that numpy does not use, or for an impossible size."""
+        place = f"{self._where}: {printable(member.filename)[:80]}"
+        if member.flag_bits & _ENCRYPTED or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise SourceError(f"{place}: encrypted, or packed in a way that numpy does not")
-        if one.compress_size > self._size or one.file_size > one.compress_size * MOST_DEFLATED + _OVERHEAD:
-            raise SourceError(f"{place}: declares {one.file_size} bytes, more than {one.compress_size} can hold")
+        if member.compress_size > self._size or member.file_size > member.compress_size * MOST_DEFLATED + _OVERHEAD:
+            raise SourceError(f"{place}: declares {member.file_size} bytes, more than {member.compress_size} can hold")
 
     def header(self) -> bytes:
-        """The bytes of the JSON header."""
+        """Return the bytes of the JSON header."""
         info = self._member(f"{NPZ_HEADER}.npy")
         if info.file_size > MAX_HEADER_BYTES:
             raise SourceError(f"{self._where}: a header of {info.file_size} bytes; at most {MAX_HEADER_BYTES}")
         with self._archive.open(info) as file:
             dtype, shape = self._declared(file, NPZ_HEADER)
             if dtype.kind != "S" or shape != ():
-                raise SourceError(f"{self._where}: its array {NPZ_HEADER!r} is no header that `imuarray export` writes")
+                raise SourceError(f"{self._where}: its array {NPZ_HEADER!r} is no header written by `imuarray export`")
             return file.read(dtype.itemsize)
 
     def _member(self, name: str) -> zipfile.ZipInfo:
@@ -101,7 +101,7 @@ class _Arrays:
         return info
 
     def _declared(self, file: IO[bytes], name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
-        """Type and shape that an array declares; SourceError."""
+        """Return the declared type and shape of an array; SourceError."""
         try:
             version = npy.read_magic(file)
             if version != (1, 0):
@@ -114,7 +114,7 @@ class _Arrays:
         return dtype, shape
 
     def rows(self, group: Group, cells: tuple[str, ...]) -> Iterator[Columns]:
-        """The rows of a group, stretch by stretch, from all its arrays at once; SourceError."""
+        """Yield the rows of a group in blocks, from all its arrays in parallel; SourceError."""
         del cells
         with ExitStack() as stack:
             files: dict[str, IO[bytes]] = {}
@@ -133,7 +133,7 @@ class _Arrays:
                 }
 
     def _called(self, table: str, column: str) -> str:
-        """What the array of a column is called."""
+        """Return the name of the array of a column."""
         names = self.names.get(table) if isinstance(self.names, dict) else None
         name = names.get(column) if isinstance(names, dict) else None
         if not isinstance(name, str):
@@ -141,12 +141,12 @@ class _Arrays:
         return name
 
     def _checked(self, file: IO[bytes], info: zipfile.ZipInfo, kind: np.dtype[Any], tail: tuple[int, ...]) -> int:
-        """The rows of an array that has this type and rows of this shape, and bytes for all of them; SourceError."""
+        """Return the number of rows of an array after validating its type, row shape and size; SourceError."""
         dtype, shape = self._declared(file, info.filename)
         if dtype != kind or shape[1:] != tail or not shape:
-            came = f"{dtype.str} {shape}"
+            declared = f"{dtype.str} {shape}"
             raise SourceError(
-                f"{self._where}: {printable(info.filename)}: {came}; wanted are rows of {kind.str} {tail}"
+                f"{self._where}: {printable(info.filename)}: {declared}; wanted are rows of {kind.str} {tail}"
             )
         bytes_declared = kind.itemsize * math.prod(shape)
         if shape[0] < 0 or file.tell() + bytes_declared != info.file_size:
@@ -154,7 +154,7 @@ class _Arrays:
         return int(shape[0])
 
     def _read(self, file: IO[bytes], kind: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
-        """The next rows of an array; SourceError if it ends before."""
+        """Return the next rows of an array; SourceError if it is too short."""
         wanted = kind.itemsize * math.prod(shape)
         data = file.read(wanted)
         if len(data) != wanted:

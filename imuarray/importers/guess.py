@@ -1,8 +1,8 @@
-"""A proposed map of a recording, with its doubts as comments, for a person to edit.
+"""Propose a map of a recording, with doubts as comments, for a person to edit.
 
-Cells are told apart as a text shows them; columns get their meaning by their names and, where these say nothing, by
-what their numbers are like: time increases, three columns that differ in x, y and z are a triad, gravity is 1 g. The
-proposal is then tried (`imuarray.importers.table`), and what the report of that import doubts goes into the comments.
+The layout is inferred from the text; the meaning of columns from their names and, if these do not help, from their
+values: time increases, three columns whose names differ in x, y and z are a triad, gravity is 1 g. The proposal is then
+tested by an import (`imuarray.importers.table`), and the doubts in its report become comments.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Floats
 from imuarray.errors import ImuArrayError, SourceError
-from imuarray.importers import open_source, unpacked
+from imuarray.importers import decompress, open_source
 from imuarray.importers.mapping import parse_map
 from imuarray.importers.plausibility import report_of, turns_of
 from imuarray.importers.resolution import SENSITIVITIES
@@ -32,7 +32,7 @@ from imuarray.printable import counted, printable
 from imuarray.units import STANDARD_GRAVITY, UNITS_OF
 
 LOOKED_AT_ROWS = 20_000
-"""Rows that tell what columns are like."""
+"""Number of rows from which the columns are inferred."""
 
 _WIDTH = 110
 _HEAD_BYTES = 1 << 18
@@ -60,17 +60,17 @@ _NAMES = {"specific_force": "Acc", "angular_rate": "Gyro", "magnetic_field": "Ma
 _TIME = re.compile(r"time|stamp|millis|micros|elapsed|^t$|^t[_ \[(]|^(ms|us|sec|seconds)$", re.IGNORECASE)
 _TEMPERATURE = re.compile(r"temp|^t_?(die|chip|c)$|degc", re.IGNORECASE)
 _COUNTS_OF_MAGNETOMETER = 1090.0
-"""Counts per gauss of an HMC5883L as it wakes up (HMC-21), the commonest of its kind."""
+"""Counts per gauss of an HMC5883L after power-up (HMC-21), the most common magnetometer."""
 _COUNTS_OF_GYROSCOPE = 131.0
 _PART = re.compile(r"(.*)\[\d+\]")
 _TRIAD_AND_TIME = 4
-"""Columns of an array up to which it is one triad, perhaps with its time."""
+"""Maximum number of columns of an array that is one triad, perhaps with its time."""
 _WRAPS = (2.0**32, 2.0**24, 2.0**16)
 
 
 @dataclass
 class _Layout:
-    """How a text is cut into cells."""
+    """How a text is split into cells."""
 
     delimiter: str = ","
     decimal: str = "."
@@ -80,7 +80,7 @@ class _Layout:
     kind_column: int | None = None
 
     def lines(self) -> list[str]:
-        """What `[file]` has to say."""
+        """Return the lines of `[file]`."""
         said = []
         if self.delimiter != ",":
             said.append(f"delimiter = {_quoted(self.delimiter)}")
@@ -97,7 +97,7 @@ class _Layout:
 
 @dataclass
 class _Proposal:
-    """A map in the making: its lines, and what is doubtful."""
+    """A map under construction: its lines and its doubts."""
 
     layout: _Layout
     time: list[str] = field(default_factory=list)
@@ -105,7 +105,7 @@ class _Proposal:
     doubts: list[str] = field(default_factory=list)
 
     def text(self, head: Sequence[str]) -> str:
-        """As TOML."""
+        """Return the map as TOML."""
         comments = [f"# {line}" for line in head]
         for doubt in self.doubts:
             comments += textwrap.wrap(printable(doubt), _WIDTH, initial_indent="# ? ", subsequent_indent="#   ")
@@ -116,19 +116,21 @@ class _Proposal:
 
 
 def guess_map(source: str | Path) -> str:
-    """A map of the recording `source` as TOML text; SourceError where there is nothing that a map could describe."""
+    """Return a map of the recording `source` as TOML text; SourceError if it contains nothing that a map
+    can describe.
+    """
     path = Path(source)
-    proposal = _proposed(path)
-    head = [f"A guess at {path.name}: read it, mend it, and say chips, axes and ranges as they were."]
-    remarks, factor = _tried(proposal.text([]), path)
-    if factor is not None and _mended(proposal, factor):
-        remarks, _ = _tried(proposal.text([]), path)
+    proposal = _propose_map(path)
+    head = [f"Proposed map of {path.name}: check and correct it, and enter chips, axes and ranges."]
+    remarks, factor = _try_import(proposal.text([]), path)
+    if factor is not None and _correct_scale(proposal, factor):
+        remarks, _ = _try_import(proposal.text([]), path)
     proposal.doubts += [text for text in remarks if text not in proposal.doubts]
     return proposal.text(head)
 
 
-def _tried(text: str, path: Path) -> tuple[list[str], float | None]:
-    """What an import by this map says, and by how much the gyroscope's scale is off (None if nothing tells)."""
+def _try_import(text: str, path: Path) -> tuple[list[str], float | None]:
+    """Import with this map and return the remarks, and the error factor of the gyroscope's scale (None if unknown)."""
     with TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "map.toml").write_text(text, encoding="utf-8")
@@ -138,35 +140,35 @@ def _tried(text: str, path: Path) -> tuple[list[str], float | None]:
                 report = report_of(log)
                 return [*summary.remarks, *report.quirks, *report.doubts], turns_of(log)
         except ImuArrayError as error:
-            return [f"as it is, it can't be imported: {str(error).replace(folder, '').lstrip('/')}"], None
+            return [f"cannot be imported as it is: {str(error).replace(folder, '').lstrip('/')}"], None
 
 
-def _mended(proposal: _Proposal, factor: float) -> bool:
-    """Put the sensitivity of a data sheet in the place of a gyroscope's that was guessed, if a known one fits."""
+def _correct_scale(proposal: _Proposal, factor: float) -> bool:
+    """Replace the guessed sensitivity of a gyroscope by that of a data sheet, if a known one fits."""
     for item in proposal.items:
         line = next((line for line in item if line.startswith("sensitivity") and "# ?" in line), None)
         if line is None or 'quantity = "angular_rate"' not in item or factor <= 0:
             continue
         wanted = _COUNTS_OF_GYROSCOPE / factor
-        nearest = min(SENSITIVITIES["angular_rate"], key=lambda one: abs(ln(one / wanted)))
+        nearest = min(SENSITIVITIES["angular_rate"], key=lambda scale: abs(ln(scale / wanted)))
         if nearest == _COUNTS_OF_GYROSCOPE:
             return False
-        item[item.index(line)] = f"sensitivity = {nearest:.6g}   # ? by how gravity turned in the accelerometer"
+        item[item.index(line)] = f"sensitivity = {nearest:.6g}   # ? from the rotation of gravity in the accelerometer"
         at = next(number for number, text in enumerate(item) if text.startswith("range"))
         item[at] = f"range = {round(32768 / nearest / 5) * 5}   # ? of 16 bits"
         return True
     return False
 
 
-def _proposed(path: Path) -> _Proposal:
-    """By names and numbers."""
+def _propose_map(path: Path) -> _Proposal:
+    """Propose a map from names and numbers."""
     if reader_of(path) is None:
         layout, names, rows = _read_text(path)
         if layout.kind_column is not None:
             kinds = sorted({row[layout.kind_column] for row in rows})
             proposal = _Proposal(layout, ["column = 1   # ?", 'unit = "ms"   # ?'])
             proposal.doubts.append(
-                f"rows of several kinds: {', '.join(kinds)[:100]}; each sensor says kind and columns"
+                f"rows of several kinds: {', '.join(kinds)[:100]}; each sensor needs kind and columns"
             )
             for kind in kinds:
                 of_kind = [row for row in rows if row[layout.kind_column] == kind and len(row) >= 5]
@@ -186,15 +188,15 @@ def _proposed(path: Path) -> _Proposal:
                 (block.column(at[0], name) for block, at in source.blocks([name], kind or None, LOOKED_AT_ROWS)), None
             )
             columns.append(np.zeros(0) if block is None else _finite(block.values))
-        found = _propose(_Layout(), list(listed), columns, set())
-        for item in found.items:
+        partial = _propose(_Layout(), list(listed), columns, set())
+        for item in partial.items:
             if kind:
                 item.insert(2, f"kind = {_quoted(kind)}")
                 if any(item[1] == other[1] for other in proposal.items):
                     item[1] = item[1][:-1] + f'{len(proposal.items) + 1}"'
-        proposal.time = proposal.time or found.time
-        proposal.items += found.items
-        proposal.doubts += [f"{kind}: {text}" if kind else text for text in found.doubts]
+        proposal.time = proposal.time or partial.time
+        proposal.items += partial.items
+        proposal.doubts += [f"{kind}: {text}" if kind else text for text in partial.doubts]
     return proposal
 
 
@@ -202,7 +204,7 @@ _PROBE = """
 time = { rate_hz = 1 }
 sensor = [{ name = "A", chip = "a", quantity = "angular_rate", columns = [0, 1, 2], unit = "dps" }]
 """
-"""A map of nothing, to open what is no text with."""
+"""A dummy map with which binary files are opened."""
 
 
 def _finite(values: npt.NDArray[np.number] | None) -> Floats:
@@ -210,9 +212,9 @@ def _finite(values: npt.NDArray[np.number] | None) -> Floats:
 
 
 def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
-    """How a text is cut, its columns' names ([] of a table without a header), and some rows; SourceError."""
+    """Return the layout of a text, its columns' names ([] of a table without a header), and some rows; SourceError."""
     with open_source(path, path.with_suffix(".guess")) as file:
-        data = unpacked(file).read(_HEAD_BYTES)
+        data = decompress(file).read(_HEAD_BYTES)
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     whole = data.decode(encoding, "replace").split("\n")
     whole = whole[:-1] if len(data) == _HEAD_BYTES else whole
@@ -222,7 +224,7 @@ def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
     remarks = [(number, line.removeprefix(comment)) for number, line in lines if line.startswith(comment)]
     lines = [(number, line) for number, line in lines if not line.startswith(comment)]
     if not lines:
-        raise SourceError(f"{path}: no line of text in it that could be a row")
+        raise SourceError(f"{path}: contains no line of text that could be a row")
     layout = _Layout(comment=comment)
     tail = [line for _, line in lines[len(lines) // 2 :]][:200]
     layout.delimiter = max(_DELIMITERS, key=lambda mark: _fitness(tail, mark))
@@ -251,7 +253,7 @@ def _read_text(path: Path) -> tuple[_Layout, list[str], list[list[str]]]:
 
 
 def _fitness(lines: Sequence[str], delimiter: str) -> float:
-    """How well a delimiter cuts lines into as many numbers each."""
+    """Rate how well a delimiter splits the lines into equal numbers of numeric cells."""
     rows = [_cells(line, delimiter) for line in lines]
     widths = [len(row) for row in rows]
     usual = max(set(widths), key=widths.count)
@@ -274,7 +276,7 @@ def _is_number(cell: str, layout: _Layout) -> bool:
 
 
 def _columns(rows: Sequence[Sequence[str]], layout: _Layout) -> list[Floats]:
-    """The numbers of each column, nan for what is none."""
+    """Return the numbers of each column, nan for other cells."""
     width = min(len(row) for row in rows)
     columns = []
     for index in range(width):
@@ -285,7 +287,7 @@ def _columns(rows: Sequence[Sequence[str]], layout: _Layout) -> list[Floats]:
 
 
 def _dates(rows: Sequence[Sequence[str]], names: Sequence[str]) -> set[int]:
-    """Which columns hold dates and times."""
+    """Return the columns of dates and times."""
     return {index for index, cell in enumerate(rows[0]) if re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:", cell.strip())}
 
 
@@ -294,7 +296,7 @@ def _quoted(text: str) -> str:
 
 
 def _unit_in(name: str) -> str:
-    """A unit that a column's name says; "" if it says none."""
+    """Return the unit in a column's name; "" without one."""
     match = _UNIT_IN_NAME.search(name)
     if match is None:
         return ""
@@ -303,7 +305,7 @@ def _unit_in(name: str) -> str:
 
 
 def _without_padding(columns: Sequence[Floats]) -> list[Floats]:
-    """Without the rows of zeros that a program has reserved at the end and not filled."""
+    """Remove the rows of zeros at the end, which a program reserved and did not fill."""
     if not columns or len({len(column) for column in columns}) > 1 or not len(columns[0]):
         return list(columns)
     filled = np.flatnonzero(np.any([column != 0 for column in columns], axis=0))
@@ -313,27 +315,28 @@ def _without_padding(columns: Sequence[Floats]) -> list[Floats]:
 def _propose(
     layout: _Layout, names: list[str], columns: Sequence[Floats], dates: set[int], stem: str = ""
 ) -> _Proposal:
-    """A map of a table whose columns have names, or none."""
+    """Propose a map of a table whose columns may have names."""
     proposal = _Proposal(layout)
-    labels: list[str | int] = list(names) if names else list(range(len(columns)))
     if names and any(names.count(name) > 1 for name in names):
-        proposal.doubts.append("columns have the same names: sensors of one name can't be told apart by it")
+        proposal.doubts.append("some columns have the same name and cannot be distinguished by it")
     columns = _without_padding(columns)
     time = _time_index(names, columns, dates)
     taken = set() if time is None else {time}
     triads = sorted(_triads(names, columns, taken, stem), key=lambda triad: triad[0] != "specific_force")
     if time is None:
-        proposal.time.append("rate_hz = 100   # ? no column increases as time does")
+        proposal.time.append("rate_hz = 100   # ? no column increases like time")
     else:
-        proposal.time += _time_lines(names, labels, columns, time, dates, proposal)
+        proposal.time += _time_lines(names, columns, time, dates, proposal)
     force_unit = ""
     for quantity, indices in triads:
-        item, unit = _sensor(quantity, names, labels, columns, indices, force_unit, proposal)
+        item, unit = _sensor(quantity, names, columns, indices, force_unit, proposal)
         force_unit = unit if quantity == "specific_force" else force_unit
         proposal.items.append(item)
         taken |= set(indices)
     if not triads:
-        proposal.doubts.append("no three columns that differ in x, y and z, or in 0, 1 and 2: which are a triad?")
+        proposal.doubts.append(
+            "no three columns whose names differ only in x, y and z, or in 0, 1 and 2: which form a triad?"
+        )
     for index, name in enumerate(names):
         if index not in taken and index < len(columns) and _TEMPERATURE.search(name):
             _propose_thermometer(proposal, name, columns[index])
@@ -341,10 +344,9 @@ def _propose(
 
 
 def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Floats]) -> None:
-    """Rows of a kind: time, and three columns behind it."""
+    """Propose the sensor of a kind of rows: time, and the three columns after it."""
     quantity = next((what for what, words in _QUANTITIES if words.search(kind)), "specific_force")
-    labels: list[str | int] = list(range(len(columns)))
-    item, _ = _sensor(quantity, [], labels, columns, (2, 3, 4), "", proposal)
+    item, _ = _sensor(quantity, [], columns, (2, 3, 4), "", proposal)
     number = sum(other[1].startswith(f'name = "{_NAMES[quantity]}') for other in proposal.items)
     item[1] = f'name = "{_NAMES[quantity]}{number + 1 if number else ""}"'
     item.insert(2, f"kind = {_quoted(kind)}")
@@ -352,7 +354,7 @@ def _propose_kind(proposal: _Proposal, kind: str, columns: Sequence[Floats]) -> 
 
 
 def _time_index(names: Sequence[str], columns: Sequence[Floats], dates: set[int]) -> int | None:
-    """The column of time: called so, and increasing (a counter may begin anew)."""
+    """Return the column of time: named so, and increasing (a counter may wrap)."""
     if dates:
         return min(dates)
     increasing = [index for index, values in enumerate(columns) if _increases(values)]
@@ -367,14 +369,13 @@ def _increases(values: Floats) -> bool:
 
 def _time_lines(
     names: Sequence[str],
-    labels: Sequence[str | int],
     columns: Sequence[Floats],
     index: int,
     dates: set[int],
     proposal: _Proposal,
 ) -> list[str]:
-    label = labels[index]
-    lines = [f"column = {_quoted(label) if isinstance(label, str) else label}"]
+    label = names[index] if names else index
+    lines = [f"column = {_quoted(names[index]) if names else index}"]
     if index in dates:
         return [*lines, 'unit = "iso8601"']
     if index < len(names) and names[index].lower() == "sampletimefine":
@@ -388,28 +389,28 @@ def _time_lines(
         (unit for unit, most in (("s", 0.2), ("ms", 200.0), ("us", 2e5)) if step < most), "ns"
     )  # fmt: skip
     factor = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
-    sure = "" if said == unit else "   # ?"
-    lines.append(f'unit = "{unit}"{sure or "   #"} {1 / max(step * factor, 1e-12):.4g} rows a second, if so')
+    mark = "" if said == unit else "   # ?"
+    lines.append(f'unit = "{unit}"{mark or "   #"} {1 / max(step * factor, 1e-12):.4g} rows a second, if so')
     if (steps < 0).any():
         most = float(columns[index].max())
-        wraps = [one for one in _WRAPS if 0.9 * one < most <= one]
+        wraps = [period for period in _WRAPS if 0.9 * period < most <= period]
         if wraps:
             lines.append(f"wraps_at = {wraps[0]:.0f}")
         else:
             times = counted(int(np.count_nonzero(steps < 0)), "time")
             proposal.doubts.append(
-                f"column {label!r} goes back {times}: a counter that begins anew (wraps_at), or several recordings,"
-                " which are imported one by one"
+                f"column {label!r} decreases {times}: a wrapping counter (wraps_at), or several recordings,"
+                " which must be imported separately"
             )
     if (steps == 0).any():
-        lines.append("ties = true   # rows of one and the same time")
+        lines.append("ties = true   # rows with equal times")
     return lines
 
 
 def _triads(
     names: Sequence[str], columns: Sequence[Floats], taken: set[int], stem_of_file: str
 ) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Quantity and columns of each triad."""
+    """Yield quantity and columns of each triad."""
     if not names:
         free = [index for index in range(len(columns)) if index not in taken]
         yield from _nameless(columns, free)
@@ -437,7 +438,9 @@ def _triads(
 
 
 def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Threes in order: force, rate, field; of the first two, the force is the one that is as long as gravity."""
+    """Yield consecutive threes of columns; the magnitude of specific force is constant under rotation, so the first is
+    taken for a force.
+    """
     triads = [(free[start], free[start + 1], free[start + 2]) for start in range(0, len(free) - 2, 3)][:3]
     order = ["specific_force", "angular_rate", "magnetic_field"]
     if len(triads) > 1 and [_is_gravity(columns, triad) for triad in triads[:2]] == [False, True]:
@@ -446,7 +449,7 @@ def _nameless(columns: Sequence[Floats], free: Sequence[int]) -> Iterator[tuple[
 
 
 def _is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
-    """Whether the median length of a triad is 1 g in some unit."""
+    """Return whether the median length of a triad is 1 g in some unit."""
     length = float(np.nanmedian(np.sqrt(sum(columns[index] ** 2 for index in triad))))
     return any(abs(length / gravity - 1) < _NEAR_GRAVITY for gravity in _GRAVITIES)
 
@@ -454,21 +457,18 @@ def _is_gravity(columns: Sequence[Floats], triad: tuple[int, int, int]) -> bool:
 def _sensor(
     quantity: str,
     names: Sequence[str],
-    labels: Sequence[str | int],
     columns: Sequence[Floats],
     indices: tuple[int, int, int],
     force_unit: str,
     proposal: _Proposal,
 ) -> tuple[list[str], str]:
-    """The lines of a sensor, and the unit that was chosen."""
+    """Return the lines of a sensor, and the chosen unit."""
     values = np.stack([columns[index][: min(map(len, columns))] for index in indices], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
     length = float(np.median(np.linalg.norm(values, axis=1))) if len(values) else 0.0
     said = _unit_in(names[indices[0]]) if names else ""
     whole = bool(len(values)) and bool((values == np.rint(values)).all()) and length > 5
-    listed = ", ".join(
-        _quoted(label) if isinstance(label, str) else str(label) for label in (labels[i] for i in indices)
-    )
+    listed = ", ".join(_quoted(names[index]) if names else str(index) for index in indices)
     name = _NAMES[quantity]
     number = sum(item[1].startswith(f'name = "{name}') for item in proposal.items)
     item = [
@@ -485,43 +485,43 @@ def _sensor(
 
 
 def _counted(quantity: str, length: float) -> tuple[str, list[str]]:
-    """Unit and scale of columns of whole numbers."""
+    """Return unit and scale of columns of integers."""
     if quantity == "specific_force":
         per_g = 2.0 ** round(ln(length) / ln(2))
         return "g", [
             'unit = "g"',
             f"range = {32768 / per_g:g}   # ? of 16 bits",
-            f"sensitivity = {per_g:g}   # ? by gravity: {length:.5g} counts",
+            f"sensitivity = {per_g:g}   # ? from gravity: {length:.5g} counts",
         ]
     if quantity == "angular_rate":
         known = ", ".join(f"{131 / (1 << power):.4g} ({250 << power} dps)" for power in range(4))
         return "dps", [
             'unit = "dps"',
             "range = 250   # ?",
-            f"sensitivity = {_COUNTS_OF_GYROSCOPE:g}   # ? nothing at rest tells it; common are {known}",
+            f"sensitivity = {_COUNTS_OF_GYROSCOPE:g}   # ? not determined at rest; common are {known}",
         ]
     return "gauss", [
         'unit = "gauss"',
         "range = 1.3   # ?",
-        f"sensitivity = {_COUNTS_OF_MAGNETOMETER:g}   # ? the earth has 0.2 to 0.7 gauss, here are {length:.4g} counts",
+        f"sensitivity = {_COUNTS_OF_MAGNETOMETER:g}   # ? {length:.4g} counts for the earth's 0.2 to 0.7 gauss",
     ]
 
 
 def _measured(quantity: str, length: float, force_unit: str) -> tuple[str, list[str]]:
-    """Unit of columns that are in one."""
+    """Return the unit of columns of physical values."""
     if quantity == "angular_rate":
         unit = "rad/s" if force_unit == "m/s2" else "dps"
-        return unit, [f'unit = "{unit}"   # ? dps or rad/s: the report after the import compares turns, if it turned']
+        return unit, [f'unit = "{unit}"   # ? dps or rad/s: the import report compares rotations, if there are any']
     if quantity == "specific_force":
         sizes = {"g": 1.0, "m/s2": STANDARD_GRAVITY, "mg": 1000.0}
     else:
         sizes = {"gauss": 0.45, "uT": 45.0, "mgauss": 450.0, "T": 4.5e-5, "nT": 4.5e4}
-    unit = min(sizes, key=lambda one: abs(ln(max(length, 1e-12) / sizes[one])))
-    return unit, [f'unit = "{unit}"   # ? by its size: {length:.4g}']
+    unit = min(sizes, key=lambda scale: abs(ln(max(length, 1e-12) / sizes[scale])))
+    return unit, [f'unit = "{unit}"   # ? from the size of the values: {length:.4g}']
 
 
 def _propose_thermometer(proposal: _Proposal, name: str, values: Floats) -> None:
-    """A column of temperatures: degrees, or counts of which nobody knows what they mean."""
+    """Propose a column of temperatures: in degrees, or as counts with unknown scale."""
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return
@@ -529,11 +529,16 @@ def _propose_thermometer(proposal: _Proposal, name: str, values: Floats) -> None
         number = sum(item[0] == "[[thermometer]]" for item in proposal.items)
         called = f"Thermometer{number + 1 if number else ''}"
         proposal.items.append(
-            ["[[thermometer]]", f'name = "{called}"', f"column = {_quoted(name)}", 'unit = "degC"   # ? by its size']
+            [
+                "[[thermometer]]",
+                f'name = "{called}"',
+                f"column = {_quoted(name)}",
+                'unit = "degC"   # ? from the size of the values',
+            ]
         )
         return
     span = f"{known.min():g} to {known.max():g}"
     proposal.doubts.append(
-        f"column {name!r} may be a chip's thermometer ({span} counts): of its sensor say temperature_column ="
-        f" {_quoted(name)} and thermometer = {{ zero_degc, lsb_per_degc }}, by its data sheet"
+        f"column {name!r} may be a chip's thermometer ({span} counts): set temperature_column ="
+        f" {_quoted(name)} and thermometer = {{ zero_degc, lsb_per_degc }} of its sensor from its data sheet"
     )

@@ -39,15 +39,16 @@ ISO = "iso8601"
 NS_PER_UNIT = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
 TEMPERATURE_LSB_PER_DEGC = 100.0
-"""Counts per degree of a log's thermometer whose recording gives degrees and says nothing of its step: a hundredth of a
-degree is finer than any of these thermometers, and 16 bits then hold -327 to 327 degC."""
+"""Counts per degree of a log's thermometer if the recording gives degrees and no resolution: a hundredth of a degree is
+finer than any of these thermometers, and 16 bits then hold -327 to 327 degC.
+"""
 
 ZERO_OF_UNIT = {"degC": 0.0, "K": -273.15}
 """Degrees Celsius at 0 of each unit of temperature."""
 
 
 def _column(value: Any) -> str | int:
-    """A column's name or index; ValueError."""
+    """Validate a column's name or index; ValueError."""
     if (isinstance(value, str) and value) or (isinstance(value, int) and not isinstance(value, bool) and value >= 0):
         return value
     raise ValueError(f"{value!r}: allowed are a column's name or its index, counted from 0")
@@ -61,8 +62,8 @@ Degrees = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class FileTable(BaseModel):
-    """`[file]`: how a text is cut into cells. Where rows of several tables stand among each other, `kind_column` (its
-    index) says which table a row is of. `format`: a format that needs no map, so that the map adds phases only.
+    """`[file]`: how a text is split into cells. If rows of several tables are mixed, `kind_column` (an index) names the
+    table of a row. `format`: a format that needs no map, so that the map adds phases only.
     """
 
     model_config = _STRICT
@@ -81,12 +82,11 @@ class FileTable(BaseModel):
 
 
 class TimeTable(BaseModel):
-    """`[time]`: a column of times in a unit, or a rate at which the rows follow each other.
+    """`[time]`: a column of times in a unit, or the rate of the rows.
 
-    A column counts `ticks` of its unit (0.5: half a unit each), and begins anew at `wraps_at` where it does. With
-    `ties`, rows of one and the same time are put 1 ns apart. `stamps = "arrival"`: they are those at which rows
-    arrived, in bursts; the log's times are then counted out (`imuarray.importers.arrival`), and those of arrival stand
-    beside.
+    A column counts `ticks` of its unit (0.5: half a unit each) and wraps at `wraps_at`. With `ties`, rows of equal time
+    are separated by 1 ns. `stamps = "arrival"`: the times are those at which rows arrived in bursts; the log's times
+    are then reconstructed (`imuarray.importers.arrival`), and the delays are stored.
     """
 
     model_config = _STRICT
@@ -112,8 +112,8 @@ class TimeTable(BaseModel):
 
 
 class ThermometerTable(BaseModel):
-    """What the cells of `temperature_column` mean: counts, `zero_degc` + counts / `lsb_per_degc`, or a `unit`, in which
-    they become counts of `lsb_per_degc`.
+    """The meaning of `temperature_column`: counts, `zero_degc` + counts / `lsb_per_degc`, or a `unit`, in which the
+    values become counts of `lsb_per_degc`.
     """
 
     model_config = _STRICT
@@ -131,13 +131,13 @@ class ThermometerTable(BaseModel):
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Degrees at count 0 of the log's thermometer, and its counts per degree."""
+        """The temperature at count 0 of the log's thermometer in degC, and its counts per degC."""
         return self.zero_degc or 0.0, self.lsb_per_degc or TEMPERATURE_LSB_PER_DEGC
 
 
-class Streamed(BaseModel):
-    """Which rows, and whose time: the table's (`[time]`) unless `time_column` names another; those of `kind` alone
-    where `[file] kind_column` tells kinds of rows, or where a recording holds several tables (the topics of a bag).
+class RowSource(BaseModel):
+    """The rows and the time of an item: those of `[time]` unless `time_column` names another column; rows of `kind`
+    only, if `[file] kind_column` distinguishes kinds or a recording holds several tables (the topics of a bag).
     """
 
     model_config = _STRICT
@@ -145,27 +145,27 @@ class Streamed(BaseModel):
     kind: str | None = None
 
 
-class Recorded(Streamed):
-    """What becomes a sensor of the log."""
+class LogColumn(RowSource):
+    """An item that becomes a sensor of the log."""
 
     name: Name
 
 
-class OwnThermometer(Recorded, ThermometerTable):
-    """`[[thermometer]]`: one that is of no sensor's chip."""
+class OwnThermometer(LogColumn, ThermometerTable):
+    """`[[thermometer]]`: a thermometer that is not part of a sensor's chip."""
 
     chip: str = "thermometer"
     column: Column
 
 
-class SensorTable(Recorded):
-    """`[[sensor]]`: three columns that are one triad.
+class SensorTable(LogColumn):
+    """`[[sensor]]`: three columns that form a triad.
 
-    `values` says whether they hold counts or numbers in `unit`, which are turned into counts; without `sensitivity` and
-    `scale` they are in `unit`. `range`, `sensitivity` (counts per `unit`) and `scale` (`unit` per count) are in `unit`
-    too; of numbers in `unit` they may be left out, and are then learnt from these. A code is `offset` more than the
-    count that it stands for; with `bits` it is two's complement that was read as unsigned. `thermometer` is said where
-    a chip's data sheet is not known to this package, or a unit has been calibrated.
+    `values` says whether they hold counts or numbers in `unit`, which are converted to counts; without `sensitivity`
+    and `scale` they are in `unit`. `range`, `sensitivity` (counts per `unit`) and `scale` (`unit` per count) are in
+    `unit` too; for numbers in `unit` they are optional and inferred from the values. `offset` is subtracted from codes;
+    with `bits` they are two's complement that was read as unsigned. `thermometer` is given if a chip's data sheet is
+    not known to this package, or a unit was calibrated.
     """
 
     chip: Annotated[str, Field(min_length=1)]
@@ -204,22 +204,22 @@ class SensorTable(Recorded):
 
     @property
     def is_physical(self) -> bool:
-        """Whether the columns are in `unit`."""
+        """True if the columns are in `unit`."""
         return self.counts_per_unit is None if self.values is None else self.values == "physical"
 
     @property
     def counts_per_unit(self) -> float | None:
-        """Counts per `unit`; None if the map does not say it."""
+        """Counts per `unit`; None if the map does not state it."""
         return self.sensitivity if self.scale is None else 1 / self.scale
 
     @property
     def log_units(self) -> float:
-        """How many of the log's unit (g, dps, gauss) are one `unit`."""
+        """The size of one `unit` in the log's unit (g, dps, gauss)."""
         return UNITS_OF[self.quantity][self.unit]
 
 
 def _check_unit(unit: str, quantity: str) -> None:
-    """ValueError for a unit that the quantity hasn't."""
+    """Raise ValueError for a unit that the quantity does not have."""
     if unit not in UNITS_OF[quantity]:  # type: ignore[index]
         raise ValueError(f"unit {unit!r}: allowed for {quantity} are {', '.join(UNITS_OF[quantity])}")  # type: ignore[index]
 
@@ -240,8 +240,8 @@ class ReferenceTemperature(BaseModel):
     unit: Literal["degC", "K"] = "degC"
 
 
-class ReferenceTable(Streamed):
-    """`[reference]`: what a reference instrument saw, in the box frame; it goes to `/reference`."""
+class ReferenceTable(RowSource):
+    """`[reference]`: readings of a reference instrument, in the box frame; they go to `/reference`."""
 
     specific_force: ReferenceForce | None = None
     angular_rate: ReferenceForce | None = None
@@ -258,7 +258,7 @@ class ReferenceTable(Streamed):
 
 
 class PhaseTable(BaseModel):
-    """`[[phase]]`: a named stretch: of data rows, first and last included, or of seconds from the first row."""
+    """`[[phase]]`: a named stretch of data rows, first and last included, or of seconds from the first row."""
 
     model_config = _STRICT
     name: Annotated[str, Field(min_length=1)]
@@ -281,12 +281,12 @@ class PhaseTable(BaseModel):
 
     @property
     def box_up(self) -> str:
-        """The box axis that points up: as said, or as a name like z_up, x_down, y_up_check says; else ""."""
+        """The box axis that points up: as stated, or from a name such as z_up, x_down, y_up_check; otherwise ""."""
         return self.up or face_up(self.name)
 
 
 class TableMap(BaseModel):
-    """The whole map."""
+    """The complete map."""
 
     model_config = _STRICT
     file: FileTable = FileTable()
@@ -306,7 +306,7 @@ class TableMap(BaseModel):
             raise ValueError("time: is missing")
         if not self.sensor:
             raise ValueError("sensor: is missing")
-        recorded: list[Recorded] = [*self.sensor, *self.thermometer]
+        recorded: list[LogColumn] = [*self.sensor, *self.thermometer]
         names = [item.name for item in recorded]
         for name, count in Counter(names).items():
             if count > 1:
@@ -315,21 +315,21 @@ class TableMap(BaseModel):
 
     @property
     def clock(self) -> TimeTable:
-        """`time` of a map that has sensors."""
+        """The `time` of a map with sensors."""
         assert self.time is not None  # noqa: S101, checked above
         return self.time
 
     def columns(self) -> Iterator[str | int]:
-        """Every column that the map names, some more than once."""
+        """Every column in the map; some occur more than once."""
         if self.time is not None and self.time.column is not None:
             yield self.time.column
-        streamed: list[Streamed] = [*self.sensor, *self.thermometer, *([self.reference] if self.reference else [])]
+        streamed: list[RowSource] = [*self.sensor, *self.thermometer, *([self.reference] if self.reference else [])]
         for item in streamed:
             yield from columns_of(item)
 
 
-def columns_of(item: Streamed) -> Iterator[str | int]:
-    """The columns of one sensor, thermometer or reference."""
+def columns_of(item: RowSource) -> Iterator[str | int]:
+    """Return the columns of one sensor, thermometer or reference."""
     if item.time_column is not None:
         yield item.time_column
     if isinstance(item, SensorTable):
@@ -351,12 +351,12 @@ def load_map(path: str | PathLike[str]) -> TableMap:
 
 
 def parse_map(text: str, where: str) -> TableMap:
-    """A map from its TOML text; ConfigError, which begins with `where`."""
+    """Parse a map's TOML text; ConfigError, which begins with `where`."""
     return parse_toml(text, TableMap, where)
 
 
 def face_name(up: str) -> str:
-    """What a phase is called in which a box axis ("+Z") points up: z_up."""
+    """Return the name of a phase in which a box axis ("+Z") points up: z_up."""
     if up not in UP_AXES:
         raise ValueError(f"up {up!r}: allowed are {', '.join(UP_AXES)}")
     return f"{up[1].lower()}_{'up' if up[0] == '+' else 'down'}"

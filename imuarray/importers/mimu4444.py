@@ -30,10 +30,10 @@ COUNTER_HZ = 64_000_000
 TICKS_PER_PACKET = round(COUNTER_HZ / RATE_HZ)
 
 JUMP_S = 0.5
-"""The counter and the packet numbers may differ by this and 1 % of a gap; beyond that an event says that one jumped."""
+"""Allowed difference between the counter and the packet numbers, plus 1 % of a gap; a greater one is an event."""
 
 EVENTS_PER_KIND = 100
-"""Events of one kind that are written out; the rest is one event with their count."""
+"""Maximum number of events of one kind; the rest is one event with their number."""
 
 _POSITIONS_MM = (
     (-9.45, 9.45, 1.0),
@@ -49,12 +49,12 @@ _AXES = ("+X+Y+Z", "-Y-X-Z")
 
 
 def sensors() -> list[SensorHeader]:
-    """The sixteen sensors of a board: `IMU1_acc`, `IMU1_gyro`, ..., `IMU8_gyro`."""
+    """Return the sixteen sensors of a board: `IMU1_acc`, `IMU1_gyro`, ..., `IMU8_gyro`."""
     return [header for unit in range(len(_POSITIONS_MM)) for header in (_header(unit, "acc"), _header(unit, "gyro"))]
 
 
 def _header(unit: int, part: str) -> SensorHeader:
-    """The accelerometer ("acc") or gyroscope ("gyro") of one unit, counted from 0."""
+    """Return the header of the accelerometer ("acc") or gyroscope ("gyro") of one unit, counted from 0."""
     gyro = part == "gyro"
     return SensorHeader(
         name=f"IMU{unit + 1}_{part}",
@@ -77,7 +77,7 @@ def import_file(
     progress: Callable[[int], None] = lambda done: None,
     block_bytes: int = BLOCK_BYTES,
 ) -> Summary:
-    """Write the recording `source` to the log `output`; SourceError if no packet in it is sound."""
+    """Write the recording `source` to the log `output`; SourceError if it contains no valid packet."""
     headers = sensors()
     with (
         open_source(source, output) as file,
@@ -92,7 +92,7 @@ def import_file(
 
 
 class _Recording:
-    """The state of one import: the last packet's number and counter, the time so far, what was noted."""
+    """The state of one import: the last packet's number and counter, the elapsed time, events."""
 
     def __init__(self, log: LogWriter, names: list[str], source: str) -> None:
         self.log = log
@@ -105,7 +105,7 @@ class _Recording:
         log.event(Event(0, "", "imported", note))
 
     def add(self, piece: Piece) -> None:
-        """Write the rows of one piece and note what is wrong with it."""
+        """Write the rows of one piece and report its errors as events."""
         number = piece.packets["number"].astype(np.int64)
         ticks = piece.packets["ticks"].astype(np.int64)
         if len(number) and not self.rows:
@@ -127,7 +127,7 @@ class _Recording:
             self.number, self.ticks, self.elapsed = int(number[-1]), int(ticks[-1]), int(elapsed[-1])
 
     def _write(self, piece: Piece, time: Integers, steps: Integers, fresh: npt.NDArray[np.bool_]) -> None:
-        """Append the fresh packets of `piece` to all sensors."""
+        """Append the new packets of `piece` to all sensors."""
         gap = np.where(steps > 1, LOST_BEFORE, 0)[fresh]
         axes = piece.packets["axes"].astype(np.int16)[fresh].reshape(-1, len(self.names), 3)
         for index, name in enumerate(self.names):
@@ -138,7 +138,7 @@ class _Recording:
         self.lost += int(np.maximum(steps - 1, 0).sum())
 
     def _note(self, piece: Piece, number: Integers, time: Integers, steps: Integers, passed: Integers) -> None:
-        """One event for each thing that is wrong with `piece`."""
+        """Write an event for each error in `piece`."""
         at = np.append(time, (self.elapsed * 125 + 4) // 8 if len(time) == 0 else time[-1])
         odd = piece.skipped - SIZE * piece.broken
         apart = np.abs(passed - steps * TICKS_PER_PACKET)
@@ -165,14 +165,14 @@ class _Recording:
         )
 
     def _tell(self, kind: str, where: Iterable[int], at: Integers, message: Callable[[int], str]) -> None:
-        """Note events of one kind at rows `where`, written out up to a bound."""
+        """Write events of one kind at rows `where`, up to a limit."""
         for index in where:
             self.happened[kind] += 1
             if self.happened[kind] <= EVENTS_PER_KIND:
                 self.log.event(Event(max(0, int(at[index])), "", kind, message(index)))
 
     def finish(self) -> Summary:
-        """The last events and the summary; SourceError if there was no packet."""
+        """Write the last events and return the summary; SourceError if there was no packet."""
         if self.rows == 0:
             raise SourceError(
                 f"{self.source}: no MIMU4444 packet in it; expected packets of {SIZE} bytes: 0xaa, number, "
@@ -186,15 +186,16 @@ class _Recording:
 
 
 def _jump(passed: int, steps: int) -> str:
-    """How far the counter and the packet numbers disagree, in words."""
+    """Describe how far the counter and the packet numbers disagree."""
     return f"{passed / COUNTER_HZ:.3f} s by the counter, {steps / RATE_HZ:.3f} s by the packet numbers,"
 
 
 def _advance(number: Integers, ticks: Integers) -> tuple[Integers, Integers]:
-    """From raw numbers and counters (n + 1,): by how many packets each follows the one before, and ticks passed (n,).
+    """Return, from raw numbers and counters (n + 1,), by how many packets each follows the previous one, and the ticks
+    (n,).
 
-    Both wrap: the number after 65536 packets, the counter after 2**32 ticks; in a gap the number says how often the
-    counter did. A packet that repeats the one before is 0 packets and 0 ticks on; no other step is 0.
+    Both wrap: the number after 65536 packets, the counter after 2**32 ticks; in a gap the number determines how often
+    the counter did. A repeated packet is 0 packets and 0 ticks on; no other step is 0.
     """
     steps = (np.diff(number) - 1) % 65536 + 1
     passed = np.diff(ticks) % 2**32

@@ -1,4 +1,4 @@
-"""Packets of a MIMU4444 board in a byte stream: found, checked and cut out a block at a time, whatever lies between.
+"""Packets of a MIMU4444 board in a byte stream, found and validated block by block between other bytes.
 
 A packet is 106 bytes, big endian: 0xAA, packet number (16 bits), payload length (100), time stamp (32 bits), eight
 times ax ay az gx gy gz (16 bits, signed), and the sum of the first 104 bytes (16 bits). Sources: the recordings that
@@ -40,7 +40,7 @@ _ACKNOWLEDGE = 0xA0
 
 class Piece(NamedTuple):
     """Packets (n,) in stream order. `skipped` (n + 1,): bytes before each packet, and after the last, that belong to no
-    sound packet. `broken` (n + 1,): packets of wrong checksum among them.
+    valid packet. `broken` (n + 1,): packets of wrong checksum among them.
     """
 
     packets: npt.NDArray[Any]
@@ -49,7 +49,9 @@ class Piece(NamedTuple):
 
 
 def read_packets(file: BinaryIO, block_bytes: int = BLOCK_BYTES) -> Iterator[Piece]:
-    """The packets of `file` in pieces of about `block_bytes`, without a command's acknowledge at its head."""
+    """Yield the packets of `file` in pieces of about `block_bytes`, without a command's acknowledge at the
+    beginning.
+    """
     cutter = _Cutter()
     head = file.read(4)
     block = (b"" if _is_acknowledge(head) else head) + file.read(block_bytes)
@@ -60,13 +62,13 @@ def read_packets(file: BinaryIO, block_bytes: int = BLOCK_BYTES) -> Iterator[Pie
 
 
 def _is_acknowledge(head: bytes) -> bool:
-    """0xA0, the command, and the sum of the two: the board's answer to the command that started it."""
+    """Return whether these bytes are the board's answer to the start command: 0xA0, the command, and their sum."""
     return len(head) == 4 and head[0] == _ACKNOWLEDGE and int.from_bytes(head[2:], "big") == head[0] + head[1]
 
 
 class _Cutter:
-    """What one block leaves to the next: undecided bytes, what was skipped since the last packet, and how much of the
-    rest belongs to a packet that is already counted as broken.
+    """The state between two blocks: undecided bytes, bytes skipped since the last packet, and how many of the rest
+    belong to a packet that is already counted as broken.
     """
 
     def __init__(self) -> None:
@@ -76,7 +78,7 @@ class _Cutter:
         self.counted = 0
 
     def cut(self, block: bytes, last: bool = False) -> Piece:
-        """The packets of the rest and `block`. Bytes that may be part of a packet to come wait, unless `last`."""
+        """Return the packets of the rest and `block`. Bytes that may begin a packet are kept, unless `last`."""
         data = np.frombuffer(self.rest + block, np.uint8)
         good, bad = _find(data)
         done = int(good[-1]) + SIZE if len(good) else 0
@@ -97,7 +99,7 @@ class _Cutter:
 
 
 def _find(data: npt.NDArray[np.uint8]) -> tuple[Integers, Integers]:
-    """Where sound packets begin in `data`, and where something framed as one begins whose checksum is wrong."""
+    """Return where valid packets begin in `data`, and where framed packets with a wrong checksum begin."""
     count = max(0, len(data) - SIZE + 1)
     framed = np.flatnonzero((data[:count] == HEAD) & (data[3 : 3 + count] == PAYLOAD))
     total = np.concatenate([[0], np.cumsum(data, dtype=np.int64)])
@@ -108,7 +110,7 @@ def _find(data: npt.NDArray[np.uint8]) -> tuple[Integers, Integers]:
 
 
 def _apart(starts: Integers) -> Integers:
-    """`starts` without those that lie within the packet of an earlier one."""
+    """Return `starts` without those within the packet of an earlier one."""
     if (np.diff(starts) >= SIZE).all():
         return starts
     kept: list[int] = []
@@ -119,7 +121,7 @@ def _apart(starts: Integers) -> Integers:
 
 
 def _clear_of(good: Integers, bad: Integers) -> Integers:
-    """`bad` without those that share a byte with a packet of `good`."""
+    """Return `bad` without those that overlap a packet of `good`."""
     if len(good) == 0:
         return bad
     after = np.searchsorted(good, bad)
@@ -130,7 +132,7 @@ def _clear_of(good: Integers, bad: Integers) -> Integers:
 
 
 def _packets_at(data: npt.NDArray[np.uint8], starts: Integers) -> npt.NDArray[Any]:
-    """The packets (n,) that begin at `starts`."""
+    """Return the packets (n,) that begin at `starts`."""
     if len(starts) == 0:
         return np.empty(0, PACKET)
     if len(starts) == 1 or (np.diff(starts) == SIZE).all():

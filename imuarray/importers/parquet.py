@@ -1,4 +1,4 @@
-"""Parquet files, by pyarrow: columns of numbers by name; times of a type of their own are ns since 1970, UTC."""
+"""Parquet files, read by pyarrow: columns of numbers by name; times of a temporal type are ns since 1970, UTC."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from imuarray.printable import printable
 
 
 def open_rows(path: Path, progress: Callable[[int], None]) -> ParquetRows:
-    """The columns of a file; SourceError, MissingExtraError without pyarrow."""
+    """Open the columns of a file; SourceError, MissingExtraError without pyarrow."""
     try:
         import pyarrow
         from pyarrow import parquet
@@ -24,7 +24,7 @@ def open_rows(path: Path, progress: Callable[[int], None]) -> ParquetRows:
     try:
         return ParquetRows(path, parquet.ParquetFile(path), progress)
     except (pyarrow.ArrowException, OSError, ValueError) as error:
-        raise SourceError(f"{path}: damaged, or no Parquet file: {printable(str(error))[:200]}") from None
+        raise SourceError(f"{path}: damaged, or not a Parquet file: {printable(str(error))[:200]}") from None
 
 
 class ParquetRows:
@@ -36,11 +36,11 @@ class ParquetRows:
         self._names = [str(name) for name in file.schema_arrow.names]
 
     def names(self) -> Mapping[str, Sequence[str]]:
-        """Of all columns."""
+        """Return the names of all columns."""
         return {"": self._names}
 
     def _name(self, column: str | int) -> str:
-        """SourceError for one that there is not."""
+        """Return a column's name; SourceError if there is none."""
         if isinstance(column, int) and column < len(self._names):
             return self._names[column]
         if isinstance(column, str) and column in self._names:
@@ -48,7 +48,7 @@ class ParquetRows:
         raise SourceError(f"{self._path}: no column {column!r}; it has {printable(', '.join(self._names))[:200]}")
 
     def blocks(self, columns: Sequence[str | int], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
-        """The rows, batch by batch; SourceError."""
+        """Yield the rows in batches; SourceError."""
         import pyarrow
 
         if kind is not None:
@@ -61,16 +61,16 @@ class ParquetRows:
                 yield Block(str(self._path), range(start, start + batch.num_rows), arrays), list(range(len(names)))
                 start += batch.num_rows
         except (pyarrow.ArrowException, OSError) as error:
-            raise SourceError(f"{self._path}: damaged behind row {start}: {printable(str(error))[:200]}") from None
+            raise SourceError(f"{self._path}: damaged after row {start}: {printable(str(error))[:200]}") from None
         self._progress(self._path.stat().st_size)
 
     def _numbers(self, array: Any, name: str) -> npt.NDArray[np.number]:
-        """(n,) numbers, nan for what is absent; SourceError for a column of something else."""
+        """Return (n,) numbers, nan for missing values; SourceError for a column of another type."""
         import pyarrow
 
         kind = array.type
         if pyarrow.types.is_timestamp(kind):
             array = array.cast(pyarrow.timestamp("ns"), safe=False).cast(pyarrow.int64())
         elif not (pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind)):
-            raise SourceError(f"{self._path}: column {name!r} is of type {kind}; numbers are wanted")
+            raise SourceError(f"{self._path}: column {name!r} has type {kind} instead of numbers")
         return np.asarray(array.to_numpy(zero_copy_only=False))

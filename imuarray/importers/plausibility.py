@@ -1,9 +1,9 @@
-"""What a log that was just imported says of itself, and what in it is doubtful: the report after every import.
+"""The report after every import: facts about the new log, and doubts about its map.
 
-Most mistakes of an import are of units, and they contradict something that is known: gravity is 1 g, the earth's field
-some half a gauss, and what a gyroscope turns an accelerometer's gravity turns too. Others show in the times (a unit of
-time, rows in bursts, stalls) or in the codes (axes that are always the same, only even codes, a range that is
-exceeded). Nothing is changed here; a doubt is for a person.
+Most mistakes of an import are wrong units, and they contradict something known: gravity is 1 g, the earth's field about
+half a gauss, and a rotation seen by a gyroscope also rotates gravity in an accelerometer. Others show in the times (a
+unit of time, rows in bursts, stalls) or in the codes (constant axes, only even codes, an exceeded range). Nothing is
+changed here; a person decides about doubts.
 """
 
 from __future__ import annotations
@@ -26,83 +26,84 @@ from imuarray.printable import counted
 from imuarray.units import INERTIAL, STANDARD_GRAVITY
 
 WINDOW_S = 0.5
-"""Means of so long windows tell rest and turns: gravity changes little in it, noise averages out."""
+"""Length of the windows in which rest and rotation are detected: gravity changes little, noise averages out."""
 
 FEWEST_ROWS = 32
-"""A recording with fewer rows is an extract, of which nothing is doubted."""
+"""Minimum length of a recording for doubts; a shorter one is an excerpt."""
 
 GRAVITY_OFF = 0.12
-"""Share by which the force felt at rest may differ from 1 g before it is doubted: an offset of 50 mg on each axis and a
-scale that is off by 3 % make a tenth."""
+"""Greatest plausible relative difference of the force at rest from 1 g: an offset of 50 mg on each axis and a scale
+error of 3 % make a tenth.
+"""
 
 NEAR_FACTOR = 0.1
-"""A force is explained by a wrong unit if it is so near (log ratio) to 1 g times the units' ratio."""
+"""Greatest log ratio between a force and 1 g times the ratio of two units at which the unit explains it."""
 
 EARTH_GAUSS = (0.15, 1.0)
-"""Field of the earth (0.22 to 0.67 gauss, IGRF) with what iron near a sensor adds or takes."""
+"""Field of the earth (0.22 to 0.67 gauss, IGRF) with the influence of iron near a sensor."""
 
 RATES_HZ = (1.0, 20_000.0)
-"""Rows a second of inertial and magnetic sensors: no chip gives more, and slower ones are of a wrong unit of time."""
+"""Plausible rates of inertial and magnetic sensors: no chip is faster, and slower ones have a wrong unit of time."""
 
 USUAL_RATES_HZ = (5.0, 5000.0)
-"""In these a corrected unit of time has to bring them."""
+"""Rates to which a corrected unit of time must lead."""
 
 OVER_RANGE = 1.05
-"""Readings this much beyond the range: chips go a few per cent beyond what they promise."""
+"""Tolerance beyond the range: chips exceed their nominal range by a few per cent."""
 
 STILL = 2.5
-"""A window is at rest if it scatters at most this many times as much as the quiet quarter does."""
+"""A window is at rest if its standard deviation is at most this multiple of the quiet quarter's."""
 
 TURNED = 0.02
-"""Direction of gravity between windows has to change by so much (rad) for that to say something of a gyroscope."""
+"""Rotation of gravity between windows (rad) from which on a gyroscope can be compared."""
 
 FEWEST_TURNS = 20
 FOLLOWS = 0.8
-"""Correlation of turns felt by the accelerometers and by a gyroscope from which on their ratio is believed."""
+"""Correlation between the rotations of accelerometers and gyroscope above which their ratio is used."""
 
 SAME_SCALE = 1.4
-"""Ratio of turns up to which nothing is doubted: forces of motion disturb it."""
+"""Ratio of rotations that is not doubted: forces of motion disturb it."""
 
 LISTED = 3
-"""So many sensors of a quantity are reported one by one."""
+"""Maximum number of sensors of a quantity that are reported one by one."""
 
 STALE_SHARE = 0.015
-"""Share of rows that repeat the one before, beyond chance, that is worth saying."""
+"""Share of repeated rows, beyond chance, that is reported."""
 
 DEGC = (-45.0, 130.0)
-"""Temperatures of chips that work."""
+"""Temperatures of working chips."""
 
 _FORCE_UNITS: Mapping[float, str] = MappingProxyType(
     {
-        STANDARD_GRAVITY: "m/s2 that were taken for g",
-        1 / STANDARD_GRAVITY: "g that were taken for m/s2",
-        1000.0: "mg that were taken for g",
-        0.001: "g that were taken for mg",
+        STANDARD_GRAVITY: "m/s2, not g",
+        1 / STANDARD_GRAVITY: "g, not m/s2",
+        1000.0: "mg, not g",
+        0.001: "g, not mg",
     }
 )
 _FIELD_UNITS: Mapping[float, str] = MappingProxyType(
     {
-        100.0: "uT that were taken for gauss",
-        0.01: "gauss that were taken for uT",
-        1000.0: "mgauss that were taken for gauss",
-        1e-3: "gauss that were taken for mgauss",
-        1e-4: "T that were taken for gauss",
-        1e5: "nT that were taken for gauss",
+        100.0: "uT, not gauss",
+        0.01: "gauss, not uT",
+        1000.0: "mgauss, not gauss",
+        1e-3: "gauss, not mgauss",
+        1e-4: "T, not gauss",
+        1e5: "nT, not gauss",
     }
 )
 _TURN_UNITS: Mapping[float, str] = MappingProxyType(
     {
-        180 / np.pi: "rad/s that were taken for dps",
-        np.pi / 180: "dps that were taken for rad/s",
-        1e-3: "mdps that were taken for dps",
-        1e3: "dps that were taken for mdps",
+        180 / np.pi: "rad/s, not dps",
+        np.pi / 180: "dps, not rad/s",
+        1e-3: "mdps, not dps",
+        1e3: "dps, not mdps",
     }
 )
 
 
 @dataclass(frozen=True)
 class Report:
-    """Sentences: `facts` of a recording, `quirks` that its analysis meets, `doubts`: what of its map may be wrong."""
+    """Sentences: `facts` of a recording, `quirks` that concern its analysis, `doubts` about its map."""
 
     facts: tuple[str, ...] = ()
     quirks: tuple[str, ...] = ()
@@ -110,23 +111,23 @@ class Report:
 
 
 @dataclass
-class _Told:
-    """Sentences with the sensors of which each is true."""
+class _Sentences:
+    """Sentences, each with the sensors to which it applies."""
 
     sentences: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, name: str, sentence: str) -> None:
-        """One more."""
+        """Add a sentence for a sensor."""
         self.sentences.setdefault(sentence, []).append(name)
 
     def all(self) -> tuple[str, ...]:
-        """Sensors of which the same is true share it."""
+        """Return the sentences; sensors with the same sentence share it."""
         return tuple(f"{', '.join(names)}: {sentence}" for sentence, names in self.sentences.items())
 
 
 def report_of(log: Log) -> Report:
-    """Of all triads and thermometers of a log."""
-    quirks, doubts = _Told(), _Told()
+    """Return the report on all triads and thermometers of a log."""
+    quirks, doubts = _Sentences(), _Sentences()
     levels: dict[str, dict[str, float]] = {}
     windows: dict[str, _Windows] = {}
     for sensor in log.sensors.values():
@@ -141,7 +142,7 @@ def report_of(log: Log) -> Report:
             continue
         timing = row_timing(sensor)
         if timing.sentence:
-            hint = "; the map says stamps = 'arrival' for times that are counted out" if timing.kind == "bursts" else ""
+            hint = "; stamps = 'arrival' in the map reconstructs the reading times" if timing.kind == "bursts" else ""
             quirks.add(sensor.name, timing.sentence + hint)
         elif timing.gaps:
             quirks.add(sensor.name, _missing_rows(timing))
@@ -154,9 +155,9 @@ def report_of(log: Log) -> Report:
             doubts.add(sensor.name, text)
         if sensor.sensitivity and not codes.is_constant:
             windows[sensor.name] = _Windows(sensor, timing)
-            told, doubted = _level(sensor, windows[sensor.name])
-            if told is not None:
-                levels.setdefault(told[0], {})[sensor.name] = told[1]
+            level, doubted = _level(sensor, windows[sensor.name])
+            if level is not None:
+                levels.setdefault(level[0], {})[sensor.name] = level[1]
             for text in doubted:
                 doubts.add(sensor.name, text)
     for name, text in [*_turns(log, windows), *_twins(log)]:
@@ -165,7 +166,7 @@ def report_of(log: Log) -> Report:
 
 
 def _facts(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
-    """What sensors read at rest; of many, from the least to the most."""
+    """Yield what sensors read at rest; for many sensors the least and the greatest value."""
     for wording, values in levels.items():
         if len(values) <= LISTED:
             yield from (f"{name}: {wording.format(f'{value:.4g}')}" for name, value in values.items())
@@ -175,7 +176,7 @@ def _facts(levels: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
 
 
 class _Windows:
-    """Means (w, 3) and largest standard deviation (w,) of a sensor's windows that have rows, in its unit, box frame."""
+    """Means (w, 3) and largest standard deviation (w,) of a sensor's windows with rows, in its unit, box frame."""
 
     def __init__(self, sensor: SensorLog, timing: RowTiming) -> None:
         begin = int(sensor.time[0])
@@ -197,45 +198,45 @@ class _Windows:
         self.offset_ns = begin % self.width_ns
 
     def still(self) -> npt.NDArray[np.bool_]:
-        """(w,) windows at rest, as far as the quiet quarter was."""
+        """Return (w,) windows at rest, judged by the quietest quarter."""
         if len(self.spread) == 0:
             return np.zeros(0, bool)
         return np.asarray(self.spread <= STILL * np.quantile(self.spread, 0.25))
 
 
 def _level(sensor: SensorLog, windows: _Windows) -> tuple[tuple[str, float] | None, list[str]]:
-    """What a sensor reads at rest (wording and value), and whether that can be."""
+    """Return what a sensor reads at rest (wording and value), and doubts about it."""
     still = windows.still()
     if not still.any():
         return None, []
     length = float(np.median(np.linalg.norm(windows.mean[still], axis=1)))
     if sensor.quantity == "specific_force":
         if abs(length - 1) <= GRAVITY_OFF:
-            return ("feels {} g at rest", length), []
+            return ("measures {} g at rest", length), []
         guess = _explained(length, _FORCE_UNITS) or _doubled(length)
         if not guess and length < 0.3:
-            guess = "gravity may have been taken out (linear acceleration), or the unit is another"
+            guess = "gravity may have been removed (linear acceleration), or the unit may be wrong"
         guess = guess or "unit, range, sensitivity or offset may be wrong"
-        return None, [f"feels {length:.4g} g at rest, where 1 g is there: {guess}"]
+        return None, [f"measures {length:.4g} g at rest instead of 1 g: {guess}"]
     if sensor.quantity == "magnetic_field":
         if EARTH_GAUSS[0] <= length <= EARTH_GAUSS[1]:
-            return ("feels {} gauss", length), []
+            return ("measures {} gauss", length), []
         middle = (EARTH_GAUSS[0] * EARTH_GAUSS[1]) ** 0.5
         guess = next((what for factor, what in _FIELD_UNITS.items() if 0.4 < length / factor / middle < 2.5), "")
         guess = f"the columns may be in {guess}" if guess else "unit or sensitivity may be wrong"
-        return None, [f"feels {length:.4g} gauss, where the earth has 0.2 to 0.7: {guess}"]
-    return ("reads {} dps where it is quietest, its bias", length), []
+        return None, [f"measures {length:.4g} gauss instead of the earth's 0.2 to 0.7: {guess}"]
+    return ("reads {} dps at its quietest, which is its bias", length), []
 
 
 def _explained(ratio: float, units: Mapping[float, str]) -> str:
-    """The unit whose ratio is the nearest, if any is near."""
-    factor = min(units, key=lambda one: abs(ln(ratio / one))) if ratio > 0 else 1.0
+    """Name the unit with the closest ratio, if any is close."""
+    factor = min(units, key=lambda factor: abs(ln(ratio / factor))) if ratio > 0 else 1.0
     near = ratio > 0 and abs(ln(ratio / factor)) < NEAR_FACTOR
     return f"the columns may be in {units[factor]}" if near else ""
 
 
 def _doubled(ratio: float) -> str:
-    """Ranges of chips are powers of two apart."""
+    """Explain a power of two: ranges of chips differ by powers of two."""
     if ratio <= 0:
         return ""
     power = round(ln(ratio) / ln(2))
@@ -263,7 +264,7 @@ def _rate(timing: RowTiming) -> Iterator[str]:
 
 
 class _Codes:
-    """The codes of a triad's axes, and how rows repeat."""
+    """The codes of a triad's axes, and the repeated rows."""
 
     def __init__(self, sensor: SensorLog) -> None:
         seen: list[Histogram] = [NOTHING] * 3
@@ -276,11 +277,11 @@ class _Codes:
 
     @property
     def is_constant(self) -> bool:
-        """All axes always the same."""
+        """True if no axis changes."""
         return all(len(codes.codes) == 1 for codes in self.seen)
 
     def quirks(self) -> Iterator[str]:
-        """What of the codes is unusual and no mistake."""
+        """Yield what is unusual in the codes without being an error."""
         steps = Counter(usual_step(codes) for codes in self.seen if len(codes.codes) > 2)
         step = next(iter(steps)) if len(steps) == 1 else 1
         on_zero = (
@@ -289,20 +290,24 @@ class _Codes:
         if step > 1:
             yield "only even codes" if step == 2 and on_zero else f"only every {step}th code"
         if self.repeats.new_share < 1 - STALE_SHARE:
-            yield f"{1 - self.repeats.new_share:.1%} of its rows repeat the one before, no new readings"
+            yield f"{1 - self.repeats.new_share:.1%} of its rows repeat the previous row without new readings"
 
     def doubts(self, sensor: SensorLog) -> Iterator[str]:
-        """What of the codes can't be."""
+        """Yield what is impossible in the codes."""
         constant = "".join(axis for axis, codes in zip("xyz", self.seen, strict=True) if len(codes.codes) == 1)
         if constant:
             codes = ", ".join(str(int(codes.codes[0])) for codes in self.seen if len(codes.codes) == 1)
-            zero = " (rounded away, of a smaller unit than said, or not connected?)" if codes.strip("0, ") == "" else ""
+            zero = (
+                " (rounded to zero, in a smaller unit than stated, or not connected?)"
+                if codes.strip("0, ") == ""
+                else ""
+            )
             yield f"{constant} is always {codes}{zero}"
         limit = OVER_RANGE * sensor.range * sensor.sensitivity
         most = max(int(np.abs(codes.codes[[0, -1]]).max()) for codes in self.seen)
         if limit and most > limit:
             value = most / sensor.sensitivity
-            yield f"reads up to {value:.4g} {sensor.unit}, beyond its range of {sensor.range:g}: is the unit another?"
+            yield f"reads up to {value:.4g} {sensor.unit}, beyond its range of {sensor.range:g}: is the unit wrong?"
         if all(_is_unsigned(codes) for codes in self.seen) and sensor.quantity in INERTIAL:
             yield "all codes are positive on every axis: are they unsigned, with an offset?"
 
@@ -312,28 +317,26 @@ def _is_unsigned(seen: Histogram) -> bool:
 
 
 def _degrees(sensor: SensorLog) -> tuple[list[str], list[str]]:
-    """What a thermometer read, and what of it is missing or can't be."""
+    """Return what a thermometer read, and doubts about it."""
     column = sensor.temperature_counts
     if column is None:
         return [], []
     seen = histogram(np.asarray(column[:], np.int64))
     scale = degc_of(sensor)
     if scale is None:
-        return [], [
-            "nobody knows what its thermometer's counts mean: the map says thermometer = { zero_degc, lsb_per_degc }"
-        ]
+        return [], ["the scale of its thermometer is unknown: state thermometer = { zero_degc, lsb_per_degc }"]
     ends = sorted(scale[0] + scale[1] * float(code) for code in seen.codes[[0, -1]])
     whose = "" if sensor.quantity == "temperature" else "its thermometer "
     span = f"{whose}reads {ends[0]:.4g} to {ends[1]:.4g} degC"
     if has_zero(sensor) and not DEGC[0] <= ends[0] <= ends[1] <= DEGC[1]:
-        return [], [f"{span}: is its scale another?"]
+        return [], [f"{span}: is its scale wrong?"]
     step = usual_step(seen)
     return [f"{span}, in steps of {step} counts ({abs(step * scale[1]):.2g} degC)" if step > 1 else span], []
 
 
 def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str]]:
-    """Gyroscopes that turn otherwise than gravity does in an accelerometer."""
-    forces = [windows[one.name] for one in log.of("specific_force") if one.name in windows]
+    """Yield gyroscopes that disagree with the rotation of gravity in an accelerometer."""
+    forces = [windows[sensor.name] for sensor in log.of("specific_force") if sensor.name in windows]
     for gyroscope in log.of("angular_rate"):
         if gyroscope.name not in windows or not forces:
             continue
@@ -341,27 +344,31 @@ def _turns(log: Log, windows: Mapping[str, _Windows]) -> Iterator[tuple[str, str
         if factor is None or 1 / SAME_SCALE < factor < SAME_SCALE:
             continue
         if factor < 0:
-            yield gyroscope.name, "turns against the accelerometers: axes of one of them are mirrored or exchanged"
+            yield (
+                gyroscope.name,
+                "rotates opposite to the accelerometers: axes of one of them are mirrored or exchanged",
+            )
             continue
         guess = _explained(factor, _TURN_UNITS) or "range and sensitivity may be those of another setting"
-        yield gyroscope.name, f"turns {1 / factor:.3g} times as fast as gravity does in the accelerometers: {guess}"
+        yield gyroscope.name, f"measures {1 / factor:.3g} times the rotation of gravity in the accelerometers: {guess}"
 
 
 def turns_of(log: Log) -> float | None:
-    """By what a log's first gyroscope has to be multiplied to turn as gravity does in its first accelerometer; None if
-    nothing tells.
+    """Return the factor by which a log's first gyroscope must be multiplied to agree with the rotation of gravity in
+    its first accelerometer; None if it cannot be determined.
     """
     pair = [next(iter(log.of(quantity)), None) for quantity in INERTIAL]
-    if any(one is None or len(one) < FEWEST_ROWS or not one.sensitivity for one in pair):
+    if any(sensor is None or len(sensor) < FEWEST_ROWS or not sensor.sensitivity for sensor in pair):
         return None
-    force, rate = (_Windows(one, row_timing(one)) for one in pair if one is not None)
+    force, rate = (_Windows(sensor, row_timing(sensor)) for sensor in pair if sensor is not None)
     return _turn_ratio(force, rate)
 
 
 def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:
-    """By what a gyroscope's turns have to be multiplied to be those of gravity; None if too little turned.
+    """Return the factor by which a gyroscope's rates must be multiplied to agree with the rotation of gravity; None
+    without sufficient rotation.
 
-    A direction that is constant outside turns by -omega x f in a frame that turns with omega.
+    A direction f that is constant in an inertial frame changes by -omega x f in a frame that rotates with omega.
     """
     if force.width_ns != rate.width_ns:
         return None
@@ -391,11 +398,11 @@ def _turn_ratio(force: _Windows, rate: _Windows) -> float | None:
 
 
 def _twins(log: Log) -> Iterator[tuple[str, str]]:
-    """Sensors and axes that have the same readings."""
+    """Yield sensors and axes with the same readings."""
     heads = {
-        one.name: np.asarray(one.counts[:FEWEST_ROWS], np.int64)
-        for one in log.sensors.values()
-        if one.is_triad and len(one) >= FEWEST_ROWS
+        sensor.name: np.asarray(sensor.counts[:FEWEST_ROWS], np.int64)
+        for sensor in log.sensors.values()
+        if sensor.is_triad and len(sensor) >= FEWEST_ROWS
     }
     names = list(heads)
     for number, name in enumerate(names):
@@ -415,11 +422,11 @@ def _twins(log: Log) -> Iterator[tuple[str, str]]:
                 and len(log[other]) == len(sensor)
                 and all(_same(sensor, log[other], axis, axis) for axis in range(3))
             ):
-                yield name, f"has the readings of {other}: are its columns named twice?"
+                yield name, f"has the same readings as {other}: are its columns named twice?"
 
 
 def _same(sensor: SensorLog, other: SensorLog, first: int, second: int) -> bool:
-    """Whether two columns are equal in all rows."""
+    """Return whether two columns are equal in all rows."""
     return all(
         np.array_equal(np.asarray(sensor.counts[block])[:, first], np.asarray(other.counts[block])[:, second])
         for block in sensor.blocks()

@@ -1,7 +1,7 @@
-"""Counts per unit of columns that are in a unit: learnt from the grid on which the values lie, or from their size.
+"""Counts per unit of columns in physical units: inferred from the grid of their values, or from their size.
 
-Most recordings in units are counts that a driver has multiplied: then the values lie on a grid, whose step is the
-scale, and the counts come back as they were. Other values are rounded to counts as fine as 16 bits allow.
+Most such recordings are counts that a driver has multiplied: the values lie on a grid whose step is the scale, and the
+original counts are recovered. Other values are rounded to counts as fine as 16 bits allow.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ RANGES = {
     "angular_rate": (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0),
     "magnetic_field": (1.3, 4.0, 8.0, 16.0, 50.0),
 }
-"""Measuring ranges that chips have, in the unit of a log (g, dps, gauss)."""
+"""Measuring ranges of chips in the unit of a log (g, dps, gauss)."""
 
 SENSITIVITIES = {
     "specific_force": tuple(float(1 << power) for power in range(5, 16)),
@@ -26,29 +26,30 @@ SENSITIVITIES = {
     + tuple(1000 / step for step in (4.375, 8.75, 17.5, 35.0, 70.0)),
     "magnetic_field": (),
 }
-"""Counts per unit that data sheets have: a grid that is within `NEAR` of one is that."""
+"""Counts per unit in data sheets: a grid that is within `NEAR` of one is taken for it."""
 
 NEAR = 3e-4
-"""By how much a step that is read off rounded values differs from the data sheet's, as a share."""
+"""Greatest relative difference between a step found from rounded values and that of the data sheet."""
 
 FULL_SPAN = 1.05 * 32768
-"""Counts of a chip of 16 bits over its range, which may be a little less than what it gives. A finer grid is that of
-the digits of a text."""
+"""Counts of a 16-bit chip over its range, which may be slightly less than its output. A finer grid is that of the
+digits of a text.
+"""
 
 SAMPLE_ROWS = 20_000
-"""So many rows tell the grid."""
+"""Number of rows from which the grid is found."""
 
 _FEWEST_VALUES = 8
 _OFF_GRID = 0.1
-"""Share of a step by which values may miss the grid: digits of a text are rounded."""
+"""Share of a step by which values may miss the grid, since digits of a text are rounded."""
 
 _ON_GRID = 0.98
 _DIVISORS = (1, 2, 3)
-"""The nearest two values may lie so many steps apart."""
+"""Maximum distance of the two closest values in steps."""
 
 
 def grid_step(values: Floats) -> float | None:
-    """The step of a grid through zero on which the values (n,) lie; None if they lie on none."""
+    """Return the step of a grid through zero on which the values (n,) lie; None without one."""
     distinct = np.unique(values[np.isfinite(values)])
     if len(distinct) < _FEWEST_VALUES:
         return None
@@ -62,7 +63,7 @@ def grid_step(values: Floats) -> float | None:
 
 
 def _refined(distinct: Floats, step: float) -> float:
-    """A step that fits near zero, fitted to values further and further away."""
+    """Refine a step that fits near zero with values further and further away."""
     base = float(distinct[np.abs(distinct).argmin()])
     away = distinct - base
     reach = 8.0
@@ -90,15 +91,15 @@ class Resolution:
 def resolution_of(
     quantity: str, sample: Floats, largest: float, range_: float | None, sensitivity: float | None
 ) -> Resolution:
-    """Of values in the log's unit, of which `sample` (n,) are some and `largest` is the largest; `range_` and
-    `sensitivity` where they are known.
+    """Return the resolution of values in the log's unit, of which `sample` (n,) are some and `largest` is the largest;
+    `range_` and `sensitivity` if they are known.
     """
     if range_ is None:
-        range_ = next((one for one in RANGES[quantity] if largest <= one), largest)
+        range_ = next((value for value in RANGES[quantity] if largest <= value), largest)
     if sensitivity is None:
         step = grid_step(sample)
         if step is not None:
-            sensitivity = next((one for one in SENSITIVITIES[quantity] if abs(one * step - 1) < NEAR), 1 / step)
+            sensitivity = next((value for value in SENSITIVITIES[quantity] if abs(value * step - 1) < NEAR), 1 / step)
             if largest * sensitivity <= INT16[1] and range_ * sensitivity <= FULL_SPAN:
                 return Resolution(sensitivity, range_, True)
         return Resolution(INT16[1] / max(range_, largest), range_, False)

@@ -1,7 +1,7 @@
-"""Where the rows of a recording come from: a text, arrays in a file (.npz, .mat, .parquet), messages in a bag.
+"""The rows of a recording: a text, arrays in a file (.npz, .mat, .parquet), messages in a bag.
 
-What kind of file it is its first bytes say (`open_rows`). A text is read as it streams; so are bags and Parquet files.
-The arrays of .npz and .mat files are read whole, as these formats hold them.
+The first bytes determine the kind of file (`open_rows`). Texts, bags and Parquet files are streamed. The arrays of .npz
+and .mat files are read completely, because of their format.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from imuarray.errors import SourceError
-from imuarray.importers import open_source, unpacked, unreadable
+from imuarray.importers import decompress, open_source, unreadable
 from imuarray.importers.cells import Block, Table
 from imuarray.importers.mapping import TableMap
 
 Reference = str | int
-"""A column, by its name or its index."""
+"""A column by its name or its index."""
 
 Progress = Callable[[int], None]
 
 
 class Rows(Protocol):
-    """A recording's rows. SourceError where they can't be had."""
+    """A recording's rows. SourceError if they are unreadable."""
 
     remarks: list[str]
-    """What was left out, and what is worth saying of the file, in sentences."""
+    """Remarks about the file and what was left out, as sentences."""
 
     def names(self) -> Mapping[str, Sequence[str]]:
-        """The columns' names, by kind of rows ("" where there is but one kind)."""
+        """Return the columns' names by kind of rows ("" if there is only one kind)."""
 
     def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
-        """The rows (of a kind), `rows` at a time, and where in a block each of the `columns` is."""
+        """Yield the rows (of a kind), `rows` at a time, with the index of each of the `columns` in the block."""
 
 
 class TextRows:
-    """The rows of a text, packed by gzip or not."""
+    """The rows of a text, compressed by gzip or not."""
 
     def __init__(
         self, source: str | PathLike[str], output: str | PathLike[str], table_map: TableMap, progress: Progress
@@ -46,15 +46,15 @@ class TextRows:
         self.remarks: list[str] = []
 
     def names(self) -> Mapping[str, Sequence[str]]:
-        """As its first row has them."""
+        """Return the names in the first row."""
         with open_source(self._source, self._output) as file:
-            return {"": Table(unpacked(file), str(self._source), self._map.file, named=True).names}
+            return {"": Table(decompress(file), str(self._source), self._map.file, named=True).names}
 
     def blocks(self, columns: Sequence[Reference], kind: str | None, rows: int) -> Iterator[tuple[Block, list[int]]]:
-        """The rows from the beginning of the file."""
+        """Yield the rows from the beginning of the file."""
         named = any(isinstance(column, str) for column in self._map.columns())
         with open_source(self._source, self._output) as file:
-            table = Table(unpacked(file), str(self._source), self._map.file, named)
+            table = Table(decompress(file), str(self._source), self._map.file, named)
             where = [table.index(column) for column in columns]
             for block in table.blocks(rows, kind):
                 yield block, where
@@ -72,11 +72,11 @@ READERS: Mapping[bytes, str] = {
     b"\x89MCAP0\r\n": "bags",
     b"SQLite format 3\0": "bags",
 }
-"""First bytes of a file that is no text, and the module that reads it as `open_rows(source, output, progress)`."""
+"""First bytes of a binary file, and the module that reads it as `open_rows(source, output, progress)`."""
 
 
 def reader_of(source: str | PathLike[str]) -> str | None:
-    """The module that reads what is no text; None for a text. A folder is taken for a ROS 2 bag."""
+    """Return the module that reads a binary file; None for a text. A folder is taken for a ROS 2 bag."""
     path = Path(source)
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
@@ -93,7 +93,7 @@ def reader_of(source: str | PathLike[str]) -> str | None:
 def open_rows(
     source: str | PathLike[str], output: str | PathLike[str], table_map: TableMap, progress: Progress
 ) -> Rows:
-    """The rows of any recording that a map can describe; SourceError, MissingExtraError."""
+    """Open the rows of any recording that a map can describe; SourceError, MissingExtraError."""
     reader = reader_of(source)
     if reader is None:
         return TextRows(source, output, table_map, progress)

@@ -1,4 +1,4 @@
-"""Any recording whose columns a map names (`imuarray.importers.mapping`), streamed into a log."""
+"""Import any recording with a map that names its columns (`imuarray.importers.mapping`), streamed into a log."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from imuarray.importers.clipped import flag_clipped
 from imuarray.importers.mapping import (
     ISO,
     ZERO_OF_UNIT,
+    LogColumn,
     OwnThermometer,
     PhaseTable,
-    Recorded,
     ReferenceTable,
+    RowSource,
     SensorTable,
-    Streamed,
     TableMap,
     ThermometerTable,
     columns_of,
@@ -43,7 +43,7 @@ from imuarray.printable import counted
 from imuarray.units import SI_PER_UNIT, UNITS_OF
 
 VANISHED = 0.3
-"""A column whose neighbouring values differ by less than so many counts (rms) has lost its noise in rounding."""
+"""Difference of neighbouring values (rms, counts) below which the noise of a column is lost in rounding."""
 
 
 def import_table(
@@ -56,8 +56,8 @@ def import_table(
     block_rows: int = ROWS,
     up: str = "",
 ) -> Summary:
-    """Write the recording `source` (a text table, packed by gzip or not, .npz, .mat, .parquet, a bag) as the map at
-    `map_path` describes it to the log `output`. `up`: the box axis that pointed up all the time ("+Z"), "" if not said.
+    """Import the recording `source` (a text table, compressed by gzip or not, .npz, .mat, .parquet, a bag) with the map
+    at `map_path` into the log `output`. `up`: the box axis that pointed up all the time ("+Z"), "" if unknown.
 
     Raises ConfigError for the map, SourceError for the recording (file, line, column), OutputExistsError, LogError.
     """
@@ -75,7 +75,7 @@ def import_table(
     learnt = {
         sensor.name: resolution
         for stream in streams
-        for sensor, resolution in _learnt(stream, rows, table_map, block_rows)
+        for sensor, resolution in _inferred(stream, rows, table_map, block_rows)
     }
     headers = [_header(sensor, table_map, learnt.get(sensor.name)) for sensor in table_map.sensor]
     headers += [_thermometer_header(item) for item in table_map.thermometer]
@@ -106,7 +106,7 @@ def _import_format(
     force: bool,
     progress: Callable[[int], None],
 ) -> Summary:
-    """A recording of a format that has a name; ConfigError for what a map can't add to it."""
+    """Import a recording of a named format; ConfigError for entries that are not allowed with it."""
     name = str(table_map.file.format)
     try:
         read = importer(name)
@@ -122,29 +122,29 @@ class Plan(NamedTuple):
 
     time_column: Reference | None
     kind: str | None
-    items: tuple[Streamed, ...]
+    items: tuple[RowSource, ...]
 
     @property
     def columns(self) -> list[Reference]:
-        """Every column once; that of time first."""
+        """Every column once, that of time first."""
         named = [] if self.time_column is None else [self.time_column]
         return list(dict.fromkeys([*named, *(column for item in self.items for column in columns_of(item))]))
 
 
 def _streams(table_map: TableMap) -> list[Plan]:
-    """What shares its rows, together."""
-    items: list[Streamed] = [*table_map.sensor, *table_map.thermometer]
+    """Group the items that share their rows."""
+    items: list[RowSource] = [*table_map.sensor, *table_map.thermometer]
     items += [table_map.reference] if table_map.reference is not None else []
-    together: dict[tuple[Reference | None, str | None], list[Streamed]] = {}
+    together: dict[tuple[Reference | None, str | None], list[RowSource]] = {}
     for item in items:
         column = table_map.clock.column if item.time_column is None else item.time_column
         together.setdefault((column, item.kind), []).append(item)
     return [Plan(column, kind, tuple(those)) for (column, kind), those in together.items()]
 
 
-def _learnt(plan: Plan, rows: Rows, table_map: TableMap, block_rows: int) -> Iterator[tuple[SensorTable, Resolution]]:
-    """Range and sensitivity of sensors whose columns are in a unit and of which the map leaves something open: what it
-    says, and the rest from the values, for which the recording is read once more.
+def _inferred(plan: Plan, rows: Rows, table_map: TableMap, block_rows: int) -> Iterator[tuple[SensorTable, Resolution]]:
+    """Infer range and sensitivity of sensors with columns in a unit that the map leaves open; the recording is read
+    once more for this.
     """
     sensors = [item for item in plan.items if isinstance(item, SensorTable) and item.is_physical]
     largest = dict.fromkeys((sensor.name for sensor in sensors), 0.0)
@@ -206,17 +206,17 @@ def _thermometer_header(item: OwnThermometer) -> SensorHeader:
 
 
 def _missing(cells: Sequence[Column]) -> Booleans:
-    """(n,) rows in which a cell of a sensor holds no value: a triad with two axes is no reading."""
+    """Return (n,) rows in which a cell of a sensor holds no value: a triad with two axes is not a reading."""
     return np.asarray(np.any([cell.blank() for cell in cells], axis=0), bool)
 
 
 def _blank(cells: Sequence[Column]) -> Booleans:
-    """(n,) rows in which no cell of a sensor holds a value: they belong to other sensors of the table."""
+    """Return (n,) rows in which no cell of a sensor holds a value: they belong to other sensors of the table."""
     return np.asarray(np.all([cell.blank() for cell in cells], axis=0), bool)
 
 
 class _Rounding:
-    """What became of values in a unit when they were rounded to counts."""
+    """Statistics of values in a unit that were rounded to counts."""
 
     def __init__(self, is_learnt: bool) -> None:
         self.is_learnt = is_learnt
@@ -224,13 +224,13 @@ class _Rounding:
         self._off = self._steps = np.zeros(3)
 
     def add(self, values: npt.NDArray[np.float64], whole: npt.NDArray[np.int16]) -> None:
-        """Values (n, 3) in counts, and the counts."""
+        """Add values (n, 3) in counts, and the counts."""
         self.rows += len(values)
         self._off = self._off + ((values - whole) ** 2).sum(axis=0)
         self._steps = self._steps + (np.diff(values, axis=0) ** 2).sum(axis=0) / 2
 
     def remark(self, name: str, unit: str, sensitivity: float) -> str:
-        """A sentence, if anything is worth saying."""
+        """Return a sentence if the rounding matters, otherwise ""."""
         if self.rows < 2:
             return ""
         off, noise = np.sqrt(self._off / self.rows), np.sqrt(self._steps / (self.rows - 1))
@@ -246,7 +246,7 @@ class _Rounding:
 
 
 class _Stream:
-    """Sensors that share their rows, on the way into a log."""
+    """Sensors that share their rows, written into a log."""
 
     def __init__(
         self, log: LogWriter, plan: Plan, table_map: TableMap, headers: dict[str, SensorHeader], wanted: set[int]
@@ -258,7 +258,7 @@ class _Stream:
         self.time_of: dict[int, int] = {}
         self.count = self.padding = 0
         self.first_ns = self.last_ns = 0
-        names = [item.name for item in plan.items if isinstance(item, Recorded)]
+        names = [item.name for item in plan.items if isinstance(item, LogColumn)]
         self.rows_of = dict.fromkeys(names, 0)
         self._incomplete: Counter[str] = Counter()
         self._flagged_losses: Counter[str] = Counter()
@@ -290,8 +290,8 @@ class _Stream:
                 self._add_reference(item, cells, time)
 
     def _without_padding(self, cells: dict[Reference, Column]) -> dict[Reference, Column]:
-        """Without rows of zeros, time too, behind others: what a program has reserved and not filled; and without those
-        that have no time because none of the sensors that share it read anything.
+        """Remove trailing rows of zeros, including time, which a program reserved and did not fill; and rows without
+        time, in which no sensor has a reading.
         """
         column = self.plan.time_column
         if column is None:
@@ -309,7 +309,7 @@ class _Stream:
         return cells if kept.all() else {name: cell.where(kept) for name, cell in cells.items()}
 
     def _times(self, cells: dict[Reference, Column], length: int) -> Times:
-        """(n,) ns from the time column, or from the rate."""
+        """Return (n,) ns from the time column, or from the rate."""
         if self.plan.time_column is not None:
             return self._clock.nanoseconds(cells[self.plan.time_column])
         period_ns = 1_000_000_000 / Fraction(self._time.rate_hz or 1.0).limit_denominator(1_000_000)
@@ -373,7 +373,7 @@ class _Stream:
         self.log.stimulus("reference", Stimulus(time[kept], triads[0], triads[1], warm))
 
     def remarks(self) -> Iterator[str]:
-        """What was changed or left out, in sentences."""
+        """Return what was changed or left out, as sentences."""
         if self.padding:
             yield f"{counted(self.padding, 'row')} of nothing but zeros, time too, left out: padding"
         if self._clock.tied:
@@ -394,14 +394,14 @@ class _Stream:
 
 
 def _zeros(cell: Column) -> Booleans:
-    """(n,) cells that are zero."""
+    """Return (n,) cells that are zero."""
     if cell.values is not None:
         return np.asarray(cell.values == 0, bool)
     return np.array([text != "" and not text.strip("0.+- ") for text in cell.texts], bool)
 
 
 def _degrees(cell: Column, thermometer: ThermometerTable | None) -> npt.NDArray[np.int16]:
-    """(n,) counts of a thermometer."""
+    """Return (n,) counts of a thermometer."""
     if thermometer is None or thermometer.unit == "counts":
         return counts(cell)
     zero_degc, lsb_per_degc = thermometer.scale
@@ -410,7 +410,7 @@ def _degrees(cell: Column, thermometer: ThermometerTable | None) -> npt.NDArray[
 
 
 class _Recording:
-    """All streams of one import, and what is said of the whole."""
+    """All streams of one import, and remarks on the whole."""
 
     def __init__(
         self, log: LogWriter, table_map: TableMap, headers: dict[str, SensorHeader], plans: Sequence[Plan]
@@ -422,14 +422,14 @@ class _Recording:
 
     @property
     def seconds(self) -> float:
-        """From the first row of all to the last."""
+        """The time from the first row of all sensors to the last."""
         with_rows = [stream for stream in self.streams if stream.count]
-        first, last = min(one.first_ns for one in with_rows), max(one.last_ns for one in with_rows)
+        first, last = min(stream.first_ns for stream in with_rows), max(stream.last_ns for stream in with_rows)
         return (last - first) * 1e-9
 
     def finish(self, source: str, map_path: str, up: str) -> None:
-        """The clock, the phases, and where the log came from; SourceError without rows, ConfigError for a phase beyond
-        them.
+        """Write the clock, the phases, and the source; SourceError without rows, ConfigError for a phase
+        beyond them.
         """
         for stream in self.streams:
             empty = next((name for name, count in stream.rows_of.items() if not count), None)
@@ -472,19 +472,21 @@ class _Recording:
         return [*(text for stream in self.streams for text in stream.remarks()), *self._counted_out]
 
     def remarks(self, learnt: dict[str, Resolution]) -> list[str]:
-        """What was learnt, changed and left out, in sentences."""
-        told = []
-        for name, found in learnt.items():
+        """Return what was inferred, changed and left out, as sentences."""
+        remarks = []
+        for name, resolution in learnt.items():
             unit = self._headers[name].unit
             how = "as the grid of its values says"
-            if not found.is_exact:
+            if not resolution.is_exact:
                 how = "so that 16 bits hold its values, rounded; of several files of one array the map says both"
-            told.append(f"{name}: {found.sensitivity:.6g} counts per {unit}, range {found.range:g} {unit}, {how}")
-        return [*told, *self._changes()]
+            remarks.append(
+                f"{name}: {resolution.sensitivity:.6g} counts per {unit}, range {resolution.range:g} {unit}, {how}"
+            )
+        return [*remarks, *self._changes()]
 
 
 def _phase(phase: PhaseTable, time_of: dict[int, int], first_ns: int) -> Phase:
-    """The stretch that holds both its first and its last row; a log's phases end before `end_ns`."""
+    """Return the stretch with its first and last row; a log's phases end before `end_ns`."""
     if phase.rows is not None:
         first, last = phase.rows
         return Phase(time_of[first], time_of[last] + 1, phase.name, phase.box_up)

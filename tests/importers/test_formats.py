@@ -225,7 +225,9 @@ def test_arrays_of_several_columns(tmp_path: Path) -> None:
         for name, quantity, unit in (("acc", "specific_force", "g"), ("gyro", "angular_rate", "dps"))
     )
     (tmp_path / "map.toml").write_text(table_map)
-    with pytest.raises(SourceError, match=r"columns of different lengths: .*; has each sensor its own time_column"):
+    with pytest.raises(
+        SourceError, match=r"columns of different lengths: .*; does each sensor have its own time_column"
+    ):
         import_table(tmp_path / "data.mat", tmp_path / "map.toml", tmp_path / "run.h5")
     (tmp_path / "map.toml").write_text(table_map + 'time_column = "imu.tg"\n')
     import_table(tmp_path / "data.mat", tmp_path / "map.toml", tmp_path / "run.h5")

@@ -66,7 +66,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
     ),
     "another range of the gyroscope": (
         text_of("t,ax,ay,az,gx,gy,gz", COUNTS // np.array([1, 1, 1, 8, 8, 8]), form="{:d}"),
-        ["sensitivity = 16.375   # ? by how gravity turned in the accelerometer", "range = 2000"],
+        ["sensitivity = 16.375   # ? from the rotation of gravity in the accelerometer", "range = 2000"],
     ),
     "a temperature in degrees": (
         text_of("t,ax,ay,az,gx,gy,gz,Temp", np.hstack([COUNTS, 20 + np.arange(2000)[:, None] / 997])),
@@ -125,7 +125,7 @@ def test_a_file_that_is_called_as_its_sensor(tmp_path: Path) -> None:
 
 def test_recordings_one_after_the_other(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text(text_of("t,ax,ay,az,gx,gy,gz", COUNTS, walk().time_s % 7, "{:d}"))
-    assert "goes back 2 times: a counter that begins anew (wraps_at)" in guess_map(tmp_path / "data.csv")
+    assert "decreases 2 times: a wrapping counter (wraps_at)" in guess_map(tmp_path / "data.csv")
 
 
 def test_rows_of_several_kinds_are_told_apart(tmp_path: Path) -> None:

@@ -182,7 +182,7 @@ def test_sources_that_cannot_be_read(tmp_path: Path, out: Path) -> None:
     with pytest.raises(SourceError, match="is a folder"):
         import_file(tmp_path, out)
     path = source(tmp_path, run([1]))
-    with pytest.raises(SourceError, match="is the output too"):
+    with pytest.raises(SourceError, match="is also the output"):
         import_file(path, path, force=True)
     assert path.read_bytes() == run([1])
 

@@ -173,7 +173,7 @@ def insert(at: int, *lines: str) -> Callable[[list[str]], list[str]]:
 
 
 CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
-    "sound": (joined(plain()), MAP, 0, ["~ Acc: feels 0.9998 g at rest", "~ Gyro: reads 0.5"]),
+    "sound": (joined(plain()), MAP, 0, ["~ Acc: measures 0.9998 g at rest", "~ Gyro: reads 0.5"]),
     "m/s2 and rad/s as g and dps": (
         units_taken_for_others(),
         MAP.replace("4096", "2048")
@@ -181,9 +181,9 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         .replace("range = ", 'values = "physical"\nrange = '),
         0,
         [
-            "? Acc: feels 9.8",
-            "the columns may be in m/s2 that were taken for g",
-            "? Gyro: turns 0.0164 times as fast as gravity does in the accelerometers: the columns may be in rad/s",
+            "? Acc: measures 9.8",
+            "the columns may be in m/s2, not g",
+            "? Gyro: measures 0.0164 times the rotation of gravity in the accelerometers: the columns may be in rad/s",
         ],
     ),
     "rad/s as dps, of a coarse gyroscope": (
@@ -197,7 +197,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         si_units(),
         0,
         [
-            "~ Acc: feels 0.9998 g at rest",
+            "~ Acc: measures 0.9998 g at rest",
             "Acc: 4096 counts per g, range 2 g, as the grid of its values says",
             "Gyro: 131 counts per dps",
         ],
@@ -206,13 +206,13 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) / [4.096, 4.096, 4.096, 1, 1, 1])]),
         MAP.replace('unit = "g"\nrange = 8\nsensitivity = 4096', 'unit = "g"'),
         0,
-        ["g at rest, where 1 g is there: the columns may be in mg that were taken for g"],
+        ["g at rest, where 1 g is there: the columns may be in mg, not g"],
     ),
     "another range's sensitivity": (
         joined(plain()),
         MAP.replace("4096", "16384").replace("range = 8", "range = 2"),
         0,
-        ["? Acc: feels 0.25 g at rest, where 1 g is there", "the counts per g 4 times too large"],
+        ["? Acc: measures 0.25 g at rest instead of 1 g", "the counts per g 4 times too large"],
     ),
     "milliseconds as seconds": (
         joined([HEAD, *lines_of(walk().time_s * 1000, counts_of(walk()), "{:d}")]),
@@ -230,7 +230,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined(plain()),
         MAP + GYRO.replace("Gyro", "Gyro2"),
         0,
-        ["? Gyro2: has the readings of Gyro: are its columns named twice?"],
+        ["? Gyro2: has the same readings as Gyro: are its columns named twice?"],
     ),
     "clipping at the range": (clipped(8.0), MAP, 0, ["Acc (", "clips at -32768 (-8 g) and 32767 (8 g)"]),
     "clipping below the range": (
@@ -244,7 +244,7 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         bursts(),
         MAP.replace('unit = "s"', 'unit = "s"\nstamps = "arrival"', 1),
         0,
-        ["Acc: times counted out at 10", "rows arrived up to"],
+        ["Acc: reading times reconstructed at 10", "rows arrived up to"],
     ),
     "stalls": (stalls(), MAP, 0, ["rows stall for 2.51 s after every 50 rows"]),
     "unsigned codes": (
@@ -257,13 +257,13 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) + 32768, "{:d}")]),
         MAP.replace("range", "offset = 32768\nrange"),
         0,
-        ["~ Acc: feels 0.9998 g at rest"],
+        ["~ Acc: measures 0.9998 g at rest"],
     ),
     "two's complement read as unsigned": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) % 65536, "{:d}")]),
         MAP.replace("range", "bits = 16\nrange"),
         0,
-        ["~ Acc: feels 0.9998 g at rest"],
+        ["~ Acc: measures 0.9998 g at rest"],
     ),
     "12 bits with an offset that nobody says": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) // 16 + 2048, "{:d}")]),
@@ -357,13 +357,13 @@ CASES: dict[str, tuple[bytes, str, int, list[str]]] = {
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()._replace(force_g=walk().force_g * 0.05)), "{:d}")]),
         MAP,
         0,
-        ["? Acc: feels 0.0", "gravity may have been taken out (linear acceleration), or the unit is another"],
+        ["? Acc: measures 0.0", "gravity may have been removed (linear acceleration), or the unit may be wrong"],
     ),
     "exchanged signs": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) * [1, 1, 1, -1, -1, -1], "{:d}")]),
         MAP,
         0,
-        ["? Gyro: turns against the accelerometers: axes of one of them are mirrored or exchanged"],
+        ["? Gyro: rotates opposite to the accelerometers: axes of one of them are mirrored or exchanged"],
     ),
     "only even codes": (
         joined([HEAD, *lines_of(walk().time_s, counts_of(walk()) // 2 * 2, "{:d}")]),

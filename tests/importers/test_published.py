@@ -50,7 +50,7 @@ def test_an_extract_of_the_thermal_ramp(tmp_path: Path, capsys: Capture) -> None
     text = said_of(source, "freeimu_thermal", tmp_path / "run.h5", capsys)
     assert "Acc, Gyro: rows stall for 2.83 s after every 51 rows" in text
     assert "Acc: only even codes" in text
-    assert "Acc: feels 0.99" in text
+    assert "Acc: measures 0.99" in text
     assert "Acc: its thermometer reads 10.38 to 16.49 degC" in text
     assert "?" not in text
 
@@ -86,9 +86,9 @@ def test_ten_minutes_at_rest(name: str, rate: str, tmp_path: Path, capsys: Captu
     if name == "sunsided_mpu":
         assert "Acc: only every 4th code" in text
         assert "in steps of 32 counts (0.094 degC)" in text
-        assert "Acc: feels 1.037 g at rest" in text
+        assert "Acc: measures 1.037 g at rest" in text
     else:
-        assert "Mag: 2.7% of its rows repeat the one before" in text
+        assert "Mag: 2.7% of its rows repeat the previous row" in text
     assert "?" not in text
 
 
@@ -132,7 +132,9 @@ def test_the_compass_counted_out(tmp_path: Path, capsys: Capture) -> None:
     text = (MAPS / "sunsided_mag.toml").read_text().replace('unit = "s"', 'unit = "s", stamps = "arrival"')
     (tmp_path / "map.toml").write_text(text)
     said_of(source, "sunsided_mag", tmp_path / "raw.h5", capsys)
-    assert "Mag: times counted out at 76.9" in said_of(source, str(tmp_path / "map.toml"), tmp_path / "even.h5", capsys)
+    assert "Mag: reading times reconstructed at 76.9" in said_of(
+        source, str(tmp_path / "map.toml"), tmp_path / "even.h5", capsys
+    )
     with open_log(tmp_path / "raw.h5") as raw, open_log(tmp_path / "even.h5") as even:
         time = np.asarray(even["Mag"].time)
         assert np.std(np.diff(time)) < 1e-4 * 1e9

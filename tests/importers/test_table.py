@@ -93,7 +93,7 @@ def test_a_table_packed_by_gzip(tmp_path: Path) -> None:
     assert write(tmp_path, packed, NAMED).rows == 5000
     (tmp_path / "out.h5").unlink()
     message = refused(tmp_path, packed[:-20], NAMED)
-    assert message.startswith("data.csv: behind line ") and "packed by gzip and damaged" in message
+    assert message.startswith("data.csv: after line ") and "damaged gzip data" in message
 
 
 @pytest.mark.parametrize(
@@ -307,7 +307,7 @@ def test_time_increases_across_blocks(tmp_path: Path) -> None:
 
 def test_the_source_is_never_the_output(tmp_path: Path) -> None:
     write(tmp_path, "0,1,2,3\n", NUMBERED)
-    with pytest.raises(SourceError, match="is the output too"):
+    with pytest.raises(SourceError, match="is also the output"):
         import_table(tmp_path / "data.csv", tmp_path / "map.toml", tmp_path / "data.csv", force=True)
 
 
