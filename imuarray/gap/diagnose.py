@@ -322,7 +322,7 @@ def _verify(case: GapCase, search: SearchResult, causes: Sequence[Cause]) -> Ver
     replicates: Sequence[StatisticValues] = observed(comparison.bench, search.models, numbers, case.run)
     if comparison.earlier is not None:
         replicates = comparison.earlier.with_scatter(replicates, numbers)
-    floor = np.fmax(comparison.bench.resolutions, least_scale(comparison.judged.likeness))
+    floor = np.fmax(comparison.bench.resolutions, least_scale(comparison.judged.likelihood))
     values = np.array([replicate.values for replicate in replicates])
     return Verification(replicates, assess(comparison.pairs, comparison.real.values, values, floor))
 
@@ -390,7 +390,7 @@ def _judge(case: GapCase, verification: Verification, remainder: Remainder, susp
     if needs_both_parts(suspected):
         counted = deviating_in_either(pairs, before.parts, after.parts)
     else:
-        counted = deviating(pairs, before.parts, after.parts, before.likeness.is_silent)
+        counted = deviating(pairs, before.parts, after.parts, before.likelihood.is_silent)
     gap = gap_of(counted, floor_of(counted, before, case.as_noted.chance), case.seed)
     unknown = unknown_probability(gap.closed, after, remainder.one_sidedness)
     return judge(

@@ -48,9 +48,9 @@ def standing(bench: Bench, sensor: str, score: float) -> UnitState:
     """All statistics of a sensor have this score."""
     count = len(bench.columns([sensor], cross=False))
     nothing, always = np.zeros(count, bool), np.ones(count, bool)
-    likeness = SyntheticLikelihood(np.zeros(count), np.ones(count), always, nothing)
+    likelihood = SyntheticLikelihood(np.zeros(count), np.ones(count), always, nothing)
     models = {sensor: bench.models()[sensor]}
-    return UnitState((sensor,), models, np.full(count, score), likeness, np.zeros((0, count)), {}, 1.0)
+    return UnitState((sensor,), models, np.full(count, score), likelihood, np.zeros((0, count)), {}, 1.0)
 
 
 def confirmed(bench: Bench, sensor: str, trial: Hypothesis | Effect, gain: float, score: float = 1.0) -> Evaluation:
@@ -201,8 +201,8 @@ def test_a_cause_of_one_sensor_in_the_place_of_a_family(bench: Bench) -> None:
     trial = Hypothesis((ChannelSwap("G2"),), shared=True, sensor="G1", others=("G2",))
     columns = bench.columns(["G1", "G2"], cross=True)
     count = len(columns)
-    likeness = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
-    both = UnitState(("G1", "G2"), {}, np.full(count, 9.0), likeness, np.zeros((0, count)), {}, 1.0)
+    likelihood = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
+    both = UnitState(("G1", "G2"), {}, np.full(count, 9.0), likelihood, np.zeros((0, count)), {}, 1.0)
     one = Evaluation(FittedHypothesis(trial), replace(both, real=np.zeros(count)), 9.0, 9.0)
     (found,) = causes_of(bench, {("G1", "G2"): [Round(both, (one,), 0.0, one)]}, 1)
     assert found.sensors == ("G1",)
@@ -214,8 +214,8 @@ def test_an_exchange_is_one_cause_of_two_sensors(bench: Bench) -> None:
     one, other = ChannelSwap("G2", "place"), ChannelSwap("G1", "place")
     trial = Hypothesis((one,), shared=True, sensor="G1", others=("G2",), opposite=(other,))
     count = len(bench.columns(["G1", "G2"], cross=True))
-    likeness = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
-    both = UnitState(("G1", "G2"), {}, np.full(count, 9.0), likeness, np.zeros((0, count)), {}, 1.0)
+    likelihood = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
+    both = UnitState(("G1", "G2"), {}, np.full(count, 9.0), likelihood, np.zeros((0, count)), {}, 1.0)
     taken = Evaluation(FittedHypothesis(trial), replace(both, real=np.zeros(count)), 9.0, 9.0)
     (found,) = causes_of(bench, {("G1", "G2"): [Round(both, (taken,), 0.0, taken)]}, 1)
     assert (found.effect, found.sensors, found.origin) == ("channel_swap", ("G1", "G2"), "metadata")

@@ -19,7 +19,7 @@ from imuarray.gap.findings.closure import (
     deviating_in_either,
 )
 from imuarray.gap.statistics.catalogue import Key
-from imuarray.gap.statistics.pairs import NOWHERE, Pairs, pairs_of
+from imuarray.gap.statistics.pairs import ABSENT, Pairs, pairs_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def test_too_little_to_close() -> None:
 def test_what_counts_is_chosen_on_the_training_part() -> None:
     """The last is there on the training part alone; what the fourth has there is zero for the fit, and little here."""
     keys = [key(number=number) for number in range(5)]
-    pairs = Pairs(tuple(keys), np.arange(5), np.array([5, 6, 7, 8, NOWHERE]))
+    pairs = Pairs(tuple(keys), np.arange(5), np.array([5, 6, 7, 8, ABSENT]))
     before = np.array([9.0, -9.0, 1.0, 9.0, 9.0, 2.0, NAN, 50.0, 4.0])
     found = deviating(pairs, before, before / 2, np.arange(9) == 3)
     assert found.keys == (keys[0],)
@@ -109,7 +109,7 @@ def test_what_counts_is_chosen_on_the_training_part() -> None:
 def test_what_only_the_held_out_part_shows_is_chosen_there() -> None:
     """Where the training part says nothing, or the fit makes it zero there: farther off than what is seen in both."""
     keys = [key(number=number) for number in range(5)]
-    pairs = Pairs(tuple(keys), np.array([NOWHERE, NOWHERE, 0, 1, 2]), np.arange(3, 8))
+    pairs = Pairs(tuple(keys), np.array([ABSENT, ABSENT, 0, 1, 2]), np.arange(3, 8))
     train, held_out = [NAN, 0.0, 0.0], [BY_ITSELF + 0.1, BY_ITSELF - 0.1, 8.0, 8.0, 8.0]
     found = deviating(pairs, np.array([*train, *held_out]), np.full(8, NAN), np.arange(8) == 1)
     assert found.keys == (keys[0], keys[2], keys[3])

@@ -24,7 +24,7 @@ from imuarray.gap.model.workers import processes, runner
 from imuarray.gap.statistics.campaign import Campaign
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, pairs_of
-from imuarray.gap.statistics.synthetic_likelihood import likeness_of
+from imuarray.gap.statistics.synthetic_likelihood import likelihood_of
 from imuarray.simulate import parse_model
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.misalignment import Misalignment
@@ -105,9 +105,11 @@ def test_scores_are_standard(nothing: Comparison) -> None:
     """About normal in the middle: 68 % within one, of 40 x 700 scores that hang together, by the other 40; scales of 40
     replicates scatter by 11 %, which makes tails a little longer. Statistics that count things are not normal.
     """
-    likeness = likeness_of(nothing.chance[1::2], nothing.bench.resolutions)
+    likelihood = likelihood_of(nothing.chance[1::2], nothing.bench.resolutions)
     chosen = np.array([key.domain in ("level", "spread", "spectrum", "allan") for key in nothing.bench.keys])
-    scores = likeness.scores(nothing.chance[::2])[:, chosen & np.isfinite(likeness.location) & ~likeness.is_silent]
+    scores = likelihood.scores(nothing.chance[::2])[
+        :, chosen & np.isfinite(likelihood.location) & ~likelihood.is_silent
+    ]
     assert np.nanmedian(scores) == pytest.approx(0.0, abs=0.1)
     assert np.nanmean(np.abs(scores) < 1) == pytest.approx(0.68, abs=0.05)
 
@@ -117,7 +119,7 @@ def test_another_seed_draws_others(nothing: Comparison) -> None:
     bench = replace(nothing.bench, base=replace(nothing.bench.base, seed=77))
     other = compared_with_base(bench, nothing.campaign, Run(bench), 40)
     assert not np.array_equal(other.chance, nothing.chance[:40], equal_nan=True)
-    one, two = nothing.judged.likeness, other.judged.likeness
+    one, two = nothing.judged.likelihood, other.judged.likelihood
     held = np.isfinite(one.location) & np.isfinite(two.location) & ~one.is_silent & ~two.is_silent
     apart = (two.location - one.location)[held] / one.scale[held]
     assert np.abs(np.median(apart)) < 0.2  # medians of 40 and 80 replicates scatter by 0.2 and 0.14

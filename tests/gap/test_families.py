@@ -132,7 +132,7 @@ def test_members_stand_with_the_familys_models(
         for at, place in enumerate(columns):
             (where,) = np.flatnonzero(family == place)
             np.testing.assert_array_equal(one.values[:, at], pair.values[:, where])
-            np.testing.assert_array_equal(one.likeness.location[at], pair.likeness.location[where])
+            np.testing.assert_array_equal(one.likelihood.location[at], pair.likelihood.location[where])
 
 
 def test_causes_of_members_together(swapped: tuple[Bench, UnitState, dict[tuple[str, ...], UnitState]]) -> None:
@@ -155,12 +155,12 @@ def test_what_is_told_twice(swapped: tuple[Bench, UnitState, dict[tuple[str, ...
     """
     bench, pair, alone = swapped
     member, mine = alone[("A1",)], bench.among(("A1",), BOTH)
-    places = np.flatnonzero(np.isfinite(member.likeness.location) & ~member.likeness.is_silent)[:12]
+    places = np.flatnonzero(np.isfinite(member.likelihood.location) & ~member.likelihood.is_silent)[:12]
 
     def moved(standing: UnitState, at: np.ndarray, by: float) -> UnitState:
-        location = standing.likeness.location.copy()
-        location[at] = standing.real[at] + by * standing.likeness.scale[at]
-        return replace(standing, likeness=replace(standing.likeness, location=location))
+        location = standing.likelihood.location.copy()
+        location[at] = standing.real[at] + by * standing.likelihood.scale[at]
+        return replace(standing, likelihood=replace(standing.likelihood, location=location))
 
     inside = np.flatnonzero(mine)[places]
     before = moved(pair, inside, 5.0)

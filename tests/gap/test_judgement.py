@@ -22,7 +22,7 @@ from imuarray.gap.findings.verdict import DOUBT, EVEN, EXPLAINED, PARTLY, Judgem
 from imuarray.gap.inference.assessment import Assessment, assess
 from imuarray.gap.statistics.catalogue import Key
 from imuarray.gap.statistics.pairs import Pairs, pairs_of
-from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likeness_of
+from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.still import Still, turn_on_run
 from imuarray.simulate.motion.tumble import Tumble
@@ -285,7 +285,9 @@ def test_the_floor_is_that_of_chance() -> None:
     """About 1 for standard scores of many statistics; 1 where nothing is counted."""
     pairs, rows = PAIRS, chance(200, 5)
     scores = np.full(2 * COUNT, 9.0)
-    before = Assessment(scores[:COUNT], scores, np.zeros(2 * COUNT), likeness_of(rows, np.zeros(2 * COUNT)), 0.01, 4.0)
+    before = Assessment(
+        scores[:COUNT], scores, np.zeros(2 * COUNT), likelihood_of(rows, np.zeros(2 * COUNT)), 0.01, 4.0
+    )
     counted = deviating(pairs, scores, scores, np.zeros(2 * COUNT, bool))
     assert floor_of(counted, before, rows) == pytest.approx(1.0, abs=0.1)
     nothing = deviating(pairs, 0 * scores, scores, np.zeros(2 * COUNT, bool))

@@ -48,8 +48,8 @@ _NOTHING = np.zeros(0)
 def standing(models: Mapping[str, SensorModel], independent: float = 0.3) -> UnitState:
     """A standing of which only models and share matter."""
     never = np.zeros(0, bool)
-    likeness = SyntheticLikelihood(_NOTHING, _NOTHING, never, never)
-    return UnitState(tuple(models), models, _NOTHING, likeness, np.zeros((0, 0)), {}, independent)
+    likelihood = SyntheticLikelihood(_NOTHING, _NOTHING, never, never)
+    return UnitState(tuple(models), models, _NOTHING, likelihood, np.zeros((0, 0)), {}, independent)
 
 
 def confirmed(bench: Bench, effect: Effect, sensor: str, gain: float = 9.0) -> Evaluation:

@@ -8,7 +8,7 @@ import pytest
 
 from imuarray.gap.inference.residuals import LEAST, GroupResidual, overall
 from imuarray.gap.statistics.catalogue import Key
-from imuarray.gap.statistics.synthetic_likelihood import FORM, likeness_of
+from imuarray.gap.statistics.synthetic_likelihood import FORM, likelihood_of
 
 Floats = npt.NDArray[np.float64]
 
@@ -32,8 +32,8 @@ def of(sensor: str, probe: str, axis: str = "") -> npt.NDArray[np.bool_]:
 
 def told(real: Floats, replicates: Floats, moved_from: float = 0.0) -> list[GroupResidual]:
     floor = np.zeros(len(KEYS))
-    before = likeness_of(replicates - moved_from, floor)
-    return overall(KEYS, before, likeness_of(replicates, floor), real, replicates)
+    before = likelihood_of(replicates - moved_from, floor)
+    return overall(KEYS, before, likelihood_of(replicates, floor), real, replicates)
 
 
 def test_where_nothing_is_left_it_goes_no_further_than_chance() -> None:
@@ -90,12 +90,12 @@ def test_one_wild_statistic_stands_for_one() -> None:
 def test_few_statistics_say_nothing_together() -> None:
     real, replicates = chance(1, 9)[0], chance(REPLICATES, 10)
     few = LEAST - 1
-    before = likeness_of(replicates[:, :few], np.zeros(few))
+    before = likelihood_of(replicates[:, :few], np.zeros(few))
     assert overall(KEYS[:few], before, before, real[:few], replicates[:, :few]) == []
 
 
 def test_how_axes_hang_together_is_left_aside() -> None:
     keys = [key._replace(domain="cross_sensor", probe="slow_own_axes") for key in KEYS]
     real, replicates = chance(1, 11)[0] + 5.0, chance(REPLICATES, 12)
-    before = likeness_of(replicates, np.zeros(len(KEYS)))
+    before = likelihood_of(replicates, np.zeros(len(KEYS)))
     assert overall(keys, before, before, real, replicates) == []

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.gap.statistics.catalogue import Key
-from imuarray.gap.statistics.pairs import LEAST, NOWHERE, Pairs, pairs_of, spread_of
+from imuarray.gap.statistics.pairs import ABSENT, LEAST, Pairs, pairs_of, spread_of
 
 NAN = math.nan
 
-BOTH = Pairs((), np.array([0, 1, NOWHERE]), np.array([2, NOWHERE, 3]))
+BOTH = Pairs((), np.array([0, 1, ABSENT]), np.array([2, ABSENT, 3]))
 """Of four statistics: one in both parts, one in each alone."""
 
 
@@ -52,10 +52,10 @@ def test_pairs_are_of_the_same_key(train: set[str], held_out: set[str]) -> None:
     assert set(pairs.keys) == set(keys)
     assert len(pairs.keys) == len(set(keys))
     for one, first, second in zip(pairs.keys, pairs.train, pairs.held_out, strict=True):
-        assert (first != NOWHERE) == (one.sensor in train)
-        assert (second != NOWHERE) == (one.sensor in held_out)
-        assert first == NOWHERE or (keys[first] == one and first < len(train))
-        assert second == NOWHERE or (keys[second] == one and second >= len(train))
+        assert (first != ABSENT) == (one.sensor in train)
+        assert (second != ABSENT) == (one.sensor in held_out)
+        assert first == ABSENT or (keys[first] == one and first < len(train))
+        assert second == ABSENT or (keys[second] == one and second >= len(train))
 
 
 def test_the_spread_of_standard_sums() -> None:

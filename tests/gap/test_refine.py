@@ -15,7 +15,7 @@ from imuarray.gap.inference.parameters import Factor, factors_of
 from imuarray.gap.inference.refinement import look, refine, regressed
 from imuarray.gap.inference.unit_state import UnitState
 from imuarray.gap.model.bench import Bench
-from imuarray.gap.statistics.synthetic_likelihood import independent_share, likeness_of
+from imuarray.gap.statistics.synthetic_likelihood import independent_share, likelihood_of
 from imuarray.simulate.effect import Effect
 from imuarray.simulate.effects.bias import Bias
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -43,11 +43,11 @@ def standing_of(found: Comparison, unit: tuple[str, ...] = ("G1",)) -> UnitState
     bench = found.bench
     columns = bench.columns(unit, cross=len(unit) > 1)
     chance = found.chance[:, columns]
-    likeness = likeness_of(chance, bench.resolutions[columns])
+    likelihood = likelihood_of(chance, bench.resolutions[columns])
     models = {name: bench.models()[name] for name in unit}
     wanted = {name: found.real.fitted[name] for name in unit}
-    share = independent_share(likeness.scores(chance))
-    first = UnitState(unit, models, found.real.values[columns], likeness, np.zeros((0, 0)), wanted, share)
+    share = independent_share(likelihood.scores(chance))
+    first = UnitState(unit, models, found.real.values[columns], likelihood, np.zeros((0, 0)), wanted, share)
     return replicated(bench, first)
 
 

@@ -34,7 +34,7 @@ LINE, OTHER = Tone(1.0, 5.0), Tone(1.0, 9.0)
 def standing(
     real: list[float],
     values: Floats,
-    likeness: SyntheticLikelihood | None = None,
+    likelihood: SyntheticLikelihood | None = None,
     models: Mapping[str, SensorModel] | None = None,
     independent: float = 1.0,
 ) -> UnitState:
@@ -43,7 +43,7 @@ def standing(
     usual = SyntheticLikelihood(np.zeros(count), np.ones(count), np.ones(count, bool), np.zeros(count, bool))
     known = models or {"G1": SensorModel(FITTED)}
     wanted = dict.fromkeys(known, FITTED)
-    return UnitState(tuple(known), known, np.array(real), likeness or usual, values, wanted, independent)
+    return UnitState(tuple(known), known, np.array(real), likelihood or usual, values, wanted, independent)
 
 
 def drawn(count: int, seed: int = 1, rows: int = REPLICATES) -> Floats:
@@ -102,20 +102,20 @@ def test_ordinary_parameters_make_up_for_what_is_missing() -> None:
 def test_a_shift_moves_the_middle_and_not_the_scatter(count: int, shift: float) -> None:
     """Draws are the same with and without the change, so that two replicates tell it exactly."""
     without = drawn(3)
-    likeness, moved = compared(standing([0.0] * 3, without), without[:count] + np.array([shift, 0.0, -shift]))
+    likelihood, moved = compared(standing([0.0] * 3, without), without[:count] + np.array([shift, 0.0, -shift]))
     np.testing.assert_allclose(moved, [shift, 0.0, -shift], atol=1e-9)
-    np.testing.assert_allclose(likeness.location, moved, atol=1e-9)
-    np.testing.assert_allclose(likeness.scale, 1.0, rtol=1e-6)
-    assert likeness.always.all()
-    assert not likeness.never.any()
+    np.testing.assert_allclose(likelihood.location, moved, atol=1e-9)
+    np.testing.assert_allclose(likelihood.scale, 1.0, rtol=1e-6)
+    assert likelihood.always.all()
+    assert not likelihood.never.any()
 
 
 @given(st.floats(0.05, 20))
 def test_a_scatter_that_is_scaled_is_told_by_many(factor: float) -> None:
     """All replicates are the same draws, so that the ratio is exact however few there are."""
     without = drawn(4, seed=2)
-    likeness, _ = compared(standing([0.0] * 4, without), factor * without)
-    np.testing.assert_allclose(likeness.scale, factor, rtol=1e-3)
+    likelihood, _ = compared(standing([0.0] * 4, without), factor * without)
+    np.testing.assert_allclose(likelihood.scale, factor, rtol=1e-3)
 
 
 def test_what_no_longer_scatters_is_where_it_is_now() -> None:
@@ -124,10 +124,10 @@ def test_what_no_longer_scatters_is_where_it_is_now() -> None:
     """
     without = drawn(2) + np.array([2.0, 2.0])
     after = np.column_stack([3.0 + 1e-4 * drawn(1, seed=2)[:, 0], without[:, 1]])
-    likeness, _ = compared(standing([3.0, 0.0], without), after)
-    assert likeness.location[0] == pytest.approx(3.0, abs=1e-3)
-    assert likeness.location[1] == pytest.approx(0.0, abs=1e-9)
-    assert likeness.scale[0] == pytest.approx(0.05)  # of what it was: nothing is known better than the model's form
+    likelihood, _ = compared(standing([3.0, 0.0], without), after)
+    assert likelihood.location[0] == pytest.approx(3.0, abs=1e-3)
+    assert likelihood.location[1] == pytest.approx(0.0, abs=1e-9)
+    assert likelihood.scale[0] == pytest.approx(0.05)  # of what it was: nothing is known better than the model's form
 
 
 def test_a_scatter_of_other_draws_is_believed_only_in_part() -> None:
@@ -135,8 +135,8 @@ def test_a_scatter_of_other_draws_is_believed_only_in_part() -> None:
     of sqrt(2 / 30) = 0.26; shrunk by its own uncertainty it is a third of that or less in the middle.
     """
     without, anew = drawn(200, 3), drawn(200, 4)
-    likeness, _ = compared(standing([0.0] * 200, without), anew)
-    assert np.median(np.abs(np.log(likeness.scale))) < 0.26 / 3
+    likelihood, _ = compared(standing([0.0] * 200, without), anew)
+    assert np.median(np.abs(np.log(likelihood.scale))) < 0.26 / 3
     wider, _ = compared(standing([0.0] * 200, without), 10 * anew)
     assert np.median(wider.scale) == pytest.approx(10, rel=0.15)
 
@@ -144,25 +144,25 @@ def test_a_scatter_of_other_draws_is_believed_only_in_part() -> None:
 def test_two_replicates_only_widen() -> None:
     """By the scatter of what the change makes: +3 and -3."""
     without = drawn(1)
-    likeness, moved = compared(standing([0.0], without), without[:2] + np.array([[3.0], [-3.0]]))
+    likelihood, moved = compared(standing([0.0], without), without[:2] + np.array([[3.0], [-3.0]]))
     assert moved[0] == pytest.approx(0.0, abs=1e-12)
-    assert likeness.scale[0] >= math.hypot(1, 3) * (1 - 1e-9)
+    assert likelihood.scale[0] >= math.hypot(1, 3) * (1 - 1e-9)
 
 
 def test_a_single_pair_says_nothing_of_the_scatter() -> None:
     """Of two replicates with the change one is silent: the scatter is what it was."""
     unit = standing([0.0], drawn(1))
-    likeness, moved = compared(unit, np.array([unit.values[0] + 3.0, [NAN]]))
+    likelihood, moved = compared(unit, np.array([unit.values[0] + 3.0, [NAN]]))
     assert moved[0] == pytest.approx(3.0)
-    assert likeness.scale[0] == pytest.approx(1.0)
+    assert likelihood.scale[0] == pytest.approx(1.0)
 
 
 def test_an_event_makes_nothing_surer_than_its_form_is() -> None:
     """What is nearly the same in all replicates, since the event drowns the noise, is off by a twentieth of that."""
     without = drawn(2)
-    likeness, _ = compared(standing([0.0] * 2, without), 7 + 1e-3 * without)
-    np.testing.assert_allclose(likeness.location, 7.0, atol=0.01)
-    np.testing.assert_allclose(likeness.scale, 0.05, rtol=1e-6)
+    likelihood, _ = compared(standing([0.0] * 2, without), 7 + 1e-3 * without)
+    np.testing.assert_allclose(likelihood.location, 7.0, atol=0.01)
+    np.testing.assert_allclose(likelihood.scale, 0.05, rtol=1e-6)
 
 
 def test_what_speaks_only_since_the_change() -> None:
@@ -170,28 +170,28 @@ def test_what_speaks_only_since_the_change() -> None:
     nothing = np.full((REPLICATES, 1), NAN)
     never = SyntheticLikelihood(np.array([NAN]), np.array([NAN]), np.array([False]), np.array([True]))
     unit = standing([20.0], nothing, never)
-    likeness, moved = compared(unit, np.array([[20.01], [19.99]]))
-    assert likeness.location[0] == pytest.approx(20.0)
-    assert likeness.scale[0] == pytest.approx(2.1)
-    assert (likeness.always[0], likeness.never[0]) == (True, False)
-    assert gains_of(unit, likeness, moved).sum() > 10  # the recording speaks too
+    likelihood, moved = compared(unit, np.array([[20.01], [19.99]]))
+    assert likelihood.location[0] == pytest.approx(20.0)
+    assert likelihood.scale[0] == pytest.approx(2.1)
+    assert (likelihood.always[0], likelihood.never[0]) == (True, False)
+    assert gains_of(unit, likelihood, moved).sum() > 10  # the recording speaks too
 
 
 def test_what_the_recording_lacks_gains_nothing() -> None:
     """What is missing is no evidence: neither for a model that has it nor for one that lacks it too."""
     unit = standing([NAN], drawn(1))
-    likeness, moved = compared(unit, np.full((REPLICATES, 1), NAN))
-    assert np.isnan(likeness.location[0])
-    assert not likeness.always[0]
-    assert gains_of(unit, likeness, moved).sum() == 0.0
+    likelihood, moved = compared(unit, np.full((REPLICATES, 1), NAN))
+    assert np.isnan(likelihood.location[0])
+    assert not likelihood.always[0]
+    assert gains_of(unit, likelihood, moved).sum() == 0.0
 
 
 def test_what_hangs_together_with_nothing_else_counts_by_itself() -> None:
     """Ten that are one and the same, and one apart: of that the gain is whole."""
     unit = standing([3.0] * 11, drawn(11), independent=0.1)
-    likeness, moved = compared(unit, unit.values + 3.0)
-    alike = gains_of(unit, likeness, moved)
-    apart = gains_of(replace(unit, apart=np.append(np.zeros(10), 1.0)), likeness, moved)
+    likelihood, moved = compared(unit, unit.values + 3.0)
+    alike = gains_of(unit, likelihood, moved)
+    apart = gains_of(replace(unit, apart=np.append(np.zeros(10), 1.0)), likelihood, moved)
     np.testing.assert_allclose(apart[:10], alike[:10])
     assert apart[10] == pytest.approx(10 * alike[10])
 
@@ -203,10 +203,10 @@ def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
     unit = standing([1.0, 1.0], drawn(2))
     unit.values[:, 1] = NAN
     after = unit.values + np.array([1.0, 0.0])
-    likeness, moved = compared(unit, after)
-    assert (likeness.location[1], likeness.scale[1], moved[1]) == (0.0, 1.0, 0.0)
-    assert (bool(likeness.always[1]), bool(likeness.never[1])) == (True, False)
-    gains = gains_of(unit, likeness, moved)
+    likelihood, moved = compared(unit, after)
+    assert (likelihood.location[1], likelihood.scale[1], moved[1]) == (0.0, 1.0, 0.0)
+    assert (bool(likelihood.always[1]), bool(likelihood.never[1])) == (True, False)
+    gains = gains_of(unit, likelihood, moved)
     assert gains[0] > 0
     assert gains[1] == pytest.approx(0.0, abs=1e-9)
 
@@ -214,8 +214,8 @@ def test_what_is_not_simulated_says_nothing_of_a_change() -> None:
 def test_silence_is_no_excuse() -> None:
     """The recording says 5, the model 0: a change after which it never says anything is no better."""
     unit = standing([5.0], drawn(1))
-    likeness, moved = compared(unit, np.full((REPLICATES, 1), NAN))
-    assert gains_of(unit, likeness, moved).sum() <= 0
+    likelihood, moved = compared(unit, np.full((REPLICATES, 1), NAN))
+    assert gains_of(unit, likelihood, moved).sum() <= 0
 
 
 def test_what_a_change_makes_the_same_every_time_is_that() -> None:
@@ -223,27 +223,27 @@ def test_what_a_change_makes_the_same_every_time_is_that() -> None:
     what rounding makes of it.
     """
     unit = standing([0.0], drawn(1))
-    likeness, moved = compared(unit, 1e-16 * drawn(1, seed=2))
-    assert abs(likeness.scores(unit.real)[0]) < 1
-    assert gains_of(unit, likeness, moved).sum() > -0.1
+    likelihood, moved = compared(unit, 1e-16 * drawn(1, seed=2))
+    assert abs(likelihood.scores(unit.real)[0]) < 1
+    assert gains_of(unit, likelihood, moved).sum() > -0.1
 
 
 @given(st.floats(-30, 30), st.floats(-30, 30), st.floats(0.05, 1.0))
 def test_a_gain_is_a_ratio_of_densities(real: float, shift: float, independent: float) -> None:
     """Of the t distribution, tempered by the share that is independent; the shift may be off by its share."""
     unit = standing([real, 0.0], drawn(2), independent=independent)
-    likeness, moved = compared(unit, unit.values + np.array([shift, 0.0]))
+    likelihood, moved = compared(unit, unit.values + np.array([shift, 0.0]))
     width = math.hypot(1.0, FORM * shift)
     expected = stats.t.logpdf(real, FREEDOM, shift, width) - stats.t.logpdf(real, FREEDOM)
-    assert gains_of(unit, likeness, moved).sum() == pytest.approx(independent * expected, abs=1e-6)
-    assert gains_of(unit, likeness, moved)[1] == pytest.approx(0.0, abs=1e-6)
+    assert gains_of(unit, likelihood, moved).sum() == pytest.approx(independent * expected, abs=1e-6)
+    assert gains_of(unit, likelihood, moved)[1] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_no_change_gains_nothing() -> None:
     unit = standing([1.0, -3.0, NAN], drawn(3))
-    likeness, moved = compared(unit, unit.values)
-    assert gains_of(unit, likeness, moved).sum() == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(likeness.scores(unit.real), unit.scores)
+    likelihood, moved = compared(unit, unit.values)
+    assert gains_of(unit, likelihood, moved).sum() == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(likelihood.scores(unit.real), unit.scores)
 
 
 def test_noise_that_falls_otherwise_is_no_shift() -> None:
@@ -255,11 +255,11 @@ def test_noise_that_falls_otherwise_is_no_shift() -> None:
     unit = standing([0.0] * 600, without)
     _, all_moved = compared(unit, anew)
     assert all_moved[:300].std() == pytest.approx(0.5, rel=0.15)
-    likeness, moved = compared(replace(unit, probes=np.repeat([0, 1], 300)), anew)
+    likelihood, moved = compared(replace(unit, probes=np.repeat([0, 1], 300)), anew)
     assert moved[:300].std() < 0.15
     np.testing.assert_allclose(moved[300:], 0.4, rtol=1e-9)
-    assert likeness.branches is not None
-    np.testing.assert_allclose(likeness.branches[0, 300:], 0.4, rtol=1e-9)
+    assert likelihood.branches is not None
+    np.testing.assert_allclose(likelihood.branches[0, 300:], 0.4, rtol=1e-9)
 
 
 def test_a_scatter_is_told_by_all_that_are_alike() -> None:
@@ -295,9 +295,9 @@ def test_where_an_earlier_effect_takes_a_statistic_it_still_does(count: int) -> 
     states = without + np.array([0.0, 10.0] * (REPLICATES // 2))[:, None]
     unit = standing([10.0], without)
     first, _ = compared(unit, states)
-    after = replace(unit, likeness=first, values=states)
-    likeness, moved = compared(after, states[:count].copy())
-    np.testing.assert_allclose(gains_of(after, likeness, moved), 0.0, atol=1e-6)
+    after = replace(unit, likelihood=first, values=states)
+    likelihood, moved = compared(after, states[:count].copy())
+    np.testing.assert_allclose(gains_of(after, likelihood, moved), 0.0, atol=1e-6)
     later, moved = compared(after, states[:count] + 1.0)
     assert gains_of(replace(after, real=np.array([11.0])), later, moved) > 0.1
 
@@ -321,9 +321,9 @@ def test_what_hangs_together_with_little_counts_more() -> None:
     values = np.concatenate([np.repeat(np.resize(alone, (REPLICATES, 1)), 90, axis=1), own], axis=1)
     unit = standing([0.0] * 93, values, independent=0.25)
     moved = np.zeros(93)
-    assert counts_of(unit, unit.likeness, moved) == 1.0
+    assert counts_of(unit, unit.likelihood, moved) == 1.0
     moved[90:] = 9.0
-    assert counts_of(unit, unit.likeness, moved) == pytest.approx(4.0)
-    assert counts_of(unit, unit.likeness, 9.0 - moved) == 1.0
+    assert counts_of(unit, unit.likelihood, moved) == pytest.approx(4.0)
+    assert counts_of(unit, unit.likelihood, 9.0 - moved) == 1.0
     few = replace(unit, values=values[:LOOKS])  # which tell nothing of what hangs together
-    assert counts_of(few, unit.likeness, moved) == 1.0
+    assert counts_of(few, unit.likelihood, moved) == 1.0

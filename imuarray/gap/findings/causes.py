@@ -171,7 +171,7 @@ def _deviating(bench: Bench, first: UnitState, then: UnitState, in_either: bool)
     pairs = bench.pairs(bench.own(first.unit))
     if in_either:
         return deviating_in_either(pairs, first.scores, then.scores)
-    return deviating(pairs, first.scores, then.scores, first.likeness.is_silent)
+    return deviating(pairs, first.scores, then.scores, first.likelihood.is_silent)
 
 
 def _axes(effect: Effect | None) -> tuple[str, ...]:

@@ -135,7 +135,7 @@ def floor_of(counted: DeviatingStatistics, before: Assessment, replicates: Float
     """Root mean square score of the same statistics where nothing is wrong: the median of replicates."""
     if len(counted.places) == 0:
         return 1.0
-    squares = np.nan_to_num(before.likeness.scores(replicates)[:, counted.places]) ** 2
+    squares = np.nan_to_num(before.likelihood.scores(replicates)[:, counted.places]) ** 2
     return float(np.sqrt(np.median(squares @ counted.weights / counted.weights.sum())))
 
 

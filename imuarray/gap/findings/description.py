@@ -122,9 +122,9 @@ def beyond_form(pairs: Pairs, before: Assessment, after: Assessment, real: Float
     """(m,) scores of the recording under the model with its causes in, as `after` has them by these `replicates`; but
     causes may miss what they have moved since `before` by the share by which the form of the right ones may be wrong.
     """
-    moved = np.nan_to_num(np.abs(after.likeness.location - before.likeness.location))
-    wider = replace(after.likeness, scale=np.hypot(after.likeness.scale, FORM * moved))
-    return np.asarray(pairs.sums(wider.scores(real)) / spread_of(pairs.sums(after.likeness.scores(replicates))))
+    moved = np.nan_to_num(np.abs(after.likelihood.location - before.likelihood.location))
+    wider = replace(after.likelihood, scale=np.hypot(after.likelihood.scale, FORM * moved))
+    return np.asarray(pairs.sums(wider.scores(real)) / spread_of(pairs.sums(after.likelihood.scores(replicates))))
 
 
 def _one_sided(
@@ -133,7 +133,7 @@ def _one_sided(
     """What sensors with a cause keep to one side of it in all their phases, well beyond any replicate."""
     concerned = {name for cause in causes for name in cause.sensors}
     real = comparison.real.values
-    groups = overall(comparison.bench.keys, comparison.judged.likeness, after.likeness, real, repaired)
+    groups = overall(comparison.bench.keys, comparison.judged.likelihood, after.likelihood, real, repaired)
     return tuple(one for one in groups if one.sensor in concerned and abs(one.score) > ONE_SIDED * one.furthest)
 
 

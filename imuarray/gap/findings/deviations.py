@@ -331,7 +331,7 @@ class StatisticReport:
 
     def scale(self, at: int, assessment: Assessment) -> float:
         """Standard error of a statistic's difference, of both parts together."""
-        scales = assessment.likeness.scale[self._parts(at)]
+        scales = assessment.likelihood.scale[self._parts(at)]
         known = scales[np.isfinite(scales)]
         return float(np.sqrt((known**2).sum()) / len(known)) if len(known) else math.nan
 

@@ -26,7 +26,7 @@ from imuarray.gap.recording.recordings import Experiment
 from imuarray.gap.recording.source import simulated_sources
 from imuarray.gap.statistics.campaign import Layout, layout_of
 from imuarray.gap.statistics.split import split_of
-from imuarray.gap.statistics.synthetic_likelihood import FORM, FREEDOM, STRANGE
+from imuarray.gap.statistics.synthetic_likelihood import FORM, FREEDOM, LARGEST_SCORE
 from imuarray.log.format import Phase
 from imuarray.simulate.motion.felt import Motion
 from imuarray.simulate.motion.hand_shake import HandShake
@@ -178,7 +178,7 @@ def nats_between(first: Floats, second: Floats, floor: Floats, independent: floa
     chance = apart.var(axis=0, ddof=1) / len(first) * freedom / (freedom - 2)  # 1 over the scatter is so much too large
     square = (distance**2 - chance) / (np.maximum(scatter, least**2) + (FORM * distance) ** 2)
     bounded = np.sign(square) * np.log1p(np.abs(square) / FREEDOM)
-    total = bounded.sum() + np.count_nonzero(strange) * math.log1p(STRANGE**2 / FREEDOM)
+    total = bounded.sum() + np.count_nonzero(strange) * math.log1p(LARGEST_SCORE**2 / FREEDOM)
     return max(independent * (FREEDOM + 1) / 2 * float(total), 0.0)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from imuarray.arrays import Floats
 from imuarray.gap.findings.diagnosis import Cause
-from imuarray.gap.statistics.environment import ALIKE, OF_WANDER, Pace, SharedSignal
+from imuarray.gap.statistics.environment import AMPLITUDE_RATIO, LEAST_COMMON_SHARE, Pace, SharedSignal
 from imuarray.log.format import SensorHeader
 
 SAME_HZ = 0.01
@@ -131,7 +131,7 @@ def _is_one_line(one: _Tone, other: _Tone) -> bool:
 def _alike(one: Floats, other: Floats) -> bool:
     """Whether the axes on which there is much agree; small amplitudes may be lost in one chip's noise."""
     much = np.maximum(one, other) > max(one.max(), other.max()) / 3
-    return bool((np.maximum(one, other)[much] <= ALIKE * np.minimum(one, other)[much]).all())
+    return bool((np.maximum(one, other)[much] <= AMPLITUDE_RATIO * np.minimum(one, other)[much]).all())
 
 
 def _reaches(tones: Sequence[_Tone], headers: Mapping[str, SensorHeader]) -> bool:
@@ -160,7 +160,7 @@ def _wanders_with(cause: Cause, header: SensorHeader, shared: Collection[SharedS
     axes = {
         one.axis
         for one in shared
-        if cause.effect in WANDER[one.pace] and header.name in one.sensors and one.correlation >= OF_WANDER
+        if cause.effect in WANDER[one.pace] and header.name in one.sensors and one.correlation >= LEAST_COMMON_SHARE
     }
     table = cause.each.get(header.name) or cause.parameters
     own = _sizes(table, f"rms_{header.unit}", f"amplitude_{header.unit}", f"density_{header.unit}_per_sqrt_s")

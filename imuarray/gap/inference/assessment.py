@@ -10,7 +10,7 @@ import numpy as np
 from imuarray.arrays import Floats
 from imuarray.gap.inference.localisation import p_value
 from imuarray.gap.statistics.pairs import Pairs, scorer_of, scores_by_others
-from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likeness_of
+from imuarray.gap.statistics.synthetic_likelihood import SyntheticLikelihood, likelihood_of
 
 MORE = 1.25
 """What is left has to be so much beyond chance to be something else: no effect has exactly the form of the real one."""
@@ -26,7 +26,7 @@ class Assessment:
     scores: Floats
     parts: Floats
     apart: Floats
-    likeness: SyntheticLikelihood
+    likelihood: SyntheticLikelihood
     p: float
     limit: float
     furthest: float = math.nan
@@ -36,11 +36,11 @@ def assess(pairs: Pairs, real: Floats, replicates: Floats, floor: Floats, chance
     """By replicates (b, n) of the model; how far chance goes is said by `chance` (b, m), scores of theirs, each by the
     others if there are none yet.
     """
-    likeness = likeness_of(replicates, floor)
-    scores, parts = scorer_of(pairs, likeness, replicates)(real), likeness.scores(real)
+    likelihood = likelihood_of(replicates, floor)
+    scores, parts = scorer_of(pairs, likelihood, replicates)(real), likelihood.scores(real)
     largest = largest_of(scores_by_others(pairs, replicates, floor) if chance is None else chance)
     p, furthest = p_value(float(largest_of(scores)), largest), float(largest.max())
-    return Assessment(scores, parts, real - likeness.location, likeness, p, _high(largest), furthest)
+    return Assessment(scores, parts, real - likelihood.location, likelihood, p, _high(largest), furthest)
 
 
 def largest_of(scores: Floats) -> Floats:

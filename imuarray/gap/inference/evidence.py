@@ -25,7 +25,7 @@ from imuarray.gap.statistics.probes import PROBES, PhaseProbe
 from imuarray.gap.statistics.runs import Runs
 from imuarray.gap.statistics.split import Side
 from imuarray.gap.statistics.summary import Summary
-from imuarray.gap.statistics.synthetic_likelihood import STRANGE
+from imuarray.gap.statistics.synthetic_likelihood import LARGEST_SCORE
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effect import Effect
 
@@ -245,7 +245,7 @@ _SURE = 0.01
 def _usual(evidence: Evidence, probe: str) -> tuple[Floats, Floats]:
     """(k,) what the model makes of a probe, and how wide that scatters, in the median over rows."""
     values, expected, scores = (table[probe] for table in (evidence.values, evidence.expected, evidence.scores))
-    sure = (np.abs(scores) > _SURE) & (np.abs(scores) < STRANGE)
+    sure = (np.abs(scores) > _SURE) & (np.abs(scores) < LARGEST_SCORE)
     with np.errstate(divide="ignore", invalid="ignore"):
         scatter = np.where(sure, (values - expected) / scores, np.nan)
     known = np.isfinite(expected).any(axis=0), np.isfinite(scatter).any(axis=0)

@@ -178,17 +178,17 @@ def confirmed(bench: Bench, standing: UnitState, tried: FittedHypothesis) -> Eva
     models = standing.models if tried.models is None else tried.models
     changed = replicated(bench, replace(standing, models=models))
     values, lost = changed.values, changed.misfit - standing.misfit
-    likeness, moved = compared(standing, values)
-    columns, before = bench.own(standing.unit), standing.likeness
+    likelihood, moved = compared(standing, values)
+    columns, before = bench.own(standing.unit), standing.likelihood
     out = bench.held_out[columns]
-    gains = gains_of(standing, likeness, moved)
+    gains = gains_of(standing, likelihood, moved)
     train_gain, gain = (float(gains[part].sum()) - lost for part in (~out, out))
     if tried.trial.needs_both:
         gain = (train_gain + gain) / 2 - _BRIEF
     share = float(gains[~bench.is_of_motion[columns]].sum()) / max(float(gains.sum()), 1e-9)
-    touched = touched_by(before, likeness, moved)
-    independent = independent_share(likeness.scores(values)[:, touched]) if touched.any() else standing.independent
-    stands = replace(changed, likeness=likeness)
+    touched = touched_by(before, likelihood, moved)
+    independent = independent_share(likelihood.scores(values)[:, touched]) if touched.any() else standing.independent
+    stands = replace(changed, likelihood=likelihood)
     counted = np.ones_like(out) if tried.trial.needs_both else out
     left = _squares(stands.scores[counted])
     closes = left <= _squares(standing.scores[counted])

@@ -128,7 +128,7 @@ class _Seen(NamedTuple):
     """
 
     values: Floats
-    likeness: SyntheticLikelihood
+    likelihood: SyntheticLikelihood
     moved: Floats
     came: Came
     settled: Models
@@ -148,7 +148,7 @@ def _gained(one: _Simulated) -> float:
 
 def _widens(standing: UnitState, seen: _Seen) -> bool:
     """Whether the change leaves much to chance: then two draws of it say little."""
-    return bool(np.mean(seen.likeness.scale > _WIDER * standing.likeness.scale) > _MUCH)
+    return bool(np.mean(seen.likelihood.scale > _WIDER * standing.likelihood.scale) > _MUCH)
 
 
 def _simulated(bench: Bench, standing: UnitState, trial: Hypothesis, models: Models, looks: int) -> _Simulated | None:
@@ -191,28 +191,28 @@ def _seen_in(bench: Bench, standing: UnitState, models: Models, found: Sequence[
     if not whole:
         out = bench.held_out[bench.own(standing.unit)]
         values[:, out] = standing.values[: len(values), out]
-    likeness, moved = compared(standing, values)
+    likelihood, moved = compared(standing, values)
     came = [one.fitted for one in found]
     settled, misfit = standing.settled(models, came), standing.misfit_of(bench.base.headers, came)
-    return _Seen(values, likeness, moved, came, settled, misfit)
+    return _Seen(values, likelihood, moved, came, settled, misfit)
 
 
 def _gain(standing: UnitState, seen: _Seen, trial: Hypothesis) -> float:
     """Of the training part, the rest stands as it was; of a trial that needs both parts the mean of what they gain,
     unless it is brief, and seen in one.
     """
-    gain = float(gains_of(standing, seen.likeness, seen.moved).sum())
+    gain = float(gains_of(standing, seen.likelihood, seen.moved).sum())
     return gain / 2 if trial.needs_both and not trial.is_brief else gain
 
 
 def _by_log(bench: Bench, standing: UnitState, seen: _Seen) -> dict[int, float]:
     """What statistics of single logs gain."""
-    gains, logs = gains_of(standing, seen.likeness, seen.moved), bench.logs[bench.own(standing.unit)]
+    gains, logs = gains_of(standing, seen.likelihood, seen.moved), bench.logs[bench.own(standing.unit)]
     return {log: float(gains[logs == log].sum()) for log in np.unique(logs[logs >= 0]).tolist()}
 
 
 def _counts(standing: UnitState, seen: _Seen) -> float:
-    return counts_of(standing, seen.likeness, seen.moved)
+    return counts_of(standing, seen.likelihood, seen.moved)
 
 
 def _slopes(bench: Bench, standing: UnitState, trial: Hypothesis, factors: Sequence[Factor], seen: _Seen) -> Floats:
@@ -265,10 +265,10 @@ def _nudged(
 
 def _step(standing: UnitState, seen: _Seen, slopes: Floats) -> Floats:
     """(k,) best changes of the logs of the factors."""
-    likeness = seen.likeness
-    known = np.isfinite(likeness.location) & np.isfinite(standing.real) & np.isfinite(likeness.scale)
-    apart = np.where(known, standing.real - likeness.location, 0.0)
-    scale = np.where(known, likeness.scale, 1.0)
+    likelihood = seen.likelihood
+    known = np.isfinite(likelihood.location) & np.isfinite(standing.real) & np.isfinite(likelihood.scale)
+    apart = np.where(known, standing.real - likelihood.location, 0.0)
+    scale = np.where(known, likelihood.scale, 1.0)
     scores = apart / scale
     weight = np.where(known, (FREEDOM + 1) / (FREEDOM + scores**2), 0.0) * standing.weight
     design = slopes / scale[:, None]
@@ -297,8 +297,8 @@ def _pruned(bench: Bench, standing: UnitState, found: _Simulated) -> _Simulated:
     active = active_axes(found.tried.trial)
     if len(active) < 2:
         return found
-    gains = gains_of(standing, found.seen.likeness, found.seen.moved) * found.tried.counts
-    told = touched_by(standing.likeness, found.seen.likeness, found.seen.moved)
+    gains = gains_of(standing, found.seen.likelihood, found.seen.moved) * found.tried.counts
+    told = touched_by(standing.likelihood, found.seen.likelihood, found.seen.moved)
     idle = {axis for axis in active if _most_of(gains, told, _of_axis(bench, standing, axis)) < _AXIS_GAIN}
     if not idle or len(idle) == len(active):
         return found

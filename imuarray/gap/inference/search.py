@@ -27,7 +27,7 @@ from imuarray.gap.model.replication import SensorModel
 from imuarray.gap.model.workers import Run
 from imuarray.gap.statistics.pairs import scorer_of
 from imuarray.gap.statistics.split import Side
-from imuarray.gap.statistics.synthetic_likelihood import independent_share, likeness_of
+from imuarray.gap.statistics.synthetic_likelihood import independent_share, likelihood_of
 from imuarray.log.format import SensorHeader
 
 ROUNDS = 6
@@ -125,7 +125,7 @@ def _in_company(
     ]
     changed = [one for one in asked if one.company != standings[one.unit].company]
     again = {
-        one.unit: replace(made, likeness=compared(one, made.values)[0])
+        one.unit: replace(made, likelihood=compared(one, made.values)[0])
         for one, made in zip(changed, run(replicated, changed), strict=True)
     }
     return {**units, **again}
@@ -229,15 +229,15 @@ def _bare(found: Comparison, unit: Unit) -> UnitState:
     """Without replicates to compare changes by."""
     bench, columns = found.bench, found.bench.own(unit)
     chance = found.chance[:, columns]
-    likeness = likeness_of(chance, bench.resolutions[columns])
-    scores = likeness.scores(chance)
+    likelihood = likelihood_of(chance, bench.resolutions[columns])
+    scores = likelihood.scores(chance)
     in_time = np.array([bench.keys[at].probe in _IN_TIME for at in columns], bool)
     apart = np.where(in_time, independent_share(scores[:, in_time]), 0.0) if in_time.any() else None
     return UnitState(
         unit,
         {name: model for name, model in bench.models().items() if name in unit},
         found.real.values[columns],
-        likeness,
+        likelihood,
         np.zeros((0, len(columns))),
         {name: found.real.fitted[name] for name in unit},
         independent_share(scores),
@@ -256,7 +256,7 @@ def _is_open(found: Comparison, standing: UnitState, rounds: Sequence[Round]) ->
     if rounds[-1].taken is None:
         return False
     pairs = found.bench.pairs(found.bench.own(standing.unit))
-    scores = scorer_of(pairs, standing.likeness, standing.values)(standing.real)
+    scores = scorer_of(pairs, standing.likelihood, standing.values)(standing.real)
     return bool(np.nanmax(np.abs(scores)) > MORE * found.located.limit)
 
 
@@ -295,8 +295,8 @@ def _evidence(found: Comparison, side: Side, standing: UnitState, whole: bool) -
     """What a lone sensor shows, on the training part or on both; what it shares with others is as under the base."""
     bench, (name,) = found.bench, standing.unit
     every, mine = bench.columns(standing.unit, cross=True), bench.among(standing.unit, standing.unit)
-    expected, scores = found.judged.likeness.location[every], found.judged.parts[every]
-    expected[mine], scores[mine] = standing.likeness.location, standing.scores
+    expected, scores = found.judged.likelihood.location[every], found.judged.parts[every]
+    expected[mine], scores[mine] = standing.likelihood.location, standing.scores
     chosen = np.ones(len(every), bool) if whole else ~bench.held_out[every]
     keys = [bench.keys[at] for at in every[chosen]]
     parts = bench.held_out[every][chosen].tolist()

@@ -65,8 +65,8 @@ def is_told_twice(bench: Bench, family: Round, member: Evaluation) -> bool:
     if family.taken is None:
         return False
     own, real = bench.among(member.standing.unit, family.taken.standing.unit), member.standing.real
-    before, shared = (one.likeness.of(own).log_density(real) for one in (family.before, family.taken.standing))
-    gains = np.maximum(member.standing.likeness.log_density(real) - before, 0.0)
+    before, shared = (one.likelihood.of(own).log_density(real) for one in (family.before, family.taken.standing))
+    gains = np.maximum(member.standing.likelihood.log_density(real) - before, 0.0)
     return bool(np.minimum(gains, np.maximum(shared - before, 0.0)).sum() > _MOST * gains.sum())
 
 
@@ -79,7 +79,7 @@ def members_of(bench: Bench, family: UnitState, standings: Mapping[Unit, UnitSta
         found[unit] = replace(
             standings[unit],
             models={name: family.models[name]},
-            likeness=family.likeness.of(own),
+            likelihood=family.likelihood.of(own),
             values=family.values[:, own],
         )
     return found

@@ -16,7 +16,7 @@ from imuarray.gap.statistics.synthetic_likelihood import (
     FREEDOM,
     SyntheticLikelihood,
     independent_share,
-    likeness_of,
+    likelihood_of,
 )
 from imuarray.log.format import SensorHeader
 from imuarray.simulate.effects.channel_swap import ChannelSwap
@@ -40,7 +40,7 @@ NUMBERS = range(1_000_000, 1_000_000 + REPLICATES)
 @dataclass(frozen=True)
 class UnitState:
     """A unit: its `models`, what n statistics are in the recording (`real`) and what the models make of them, in
-    general (`likeness`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
+    general (`likelihood`) and in the replicates `NUMBERS` (`values` (r, n)), by which changes are compared; `wanted` is
     what the fit of the recording gave, `independent` the share of the statistics that is. `company` are the models of
     other sensors, which statistics of motion are told by. `probes` (n,) numbers the probes, of which statistics move
     alike, and `alike` (n,) those of each axis and kind of log, which scatter alike when they do (none: nothing is known
@@ -51,7 +51,7 @@ class UnitState:
     unit: Unit
     models: Models
     real: Floats
-    likeness: SyntheticLikelihood
+    likelihood: SyntheticLikelihood
     values: Floats
     wanted: Mapping[str, FittedParameters]
     independent: float
@@ -71,7 +71,7 @@ class UnitState:
     @property
     def scores(self) -> Floats:
         """(n,) of the recording under the present models."""
-        return self.likeness.scores(self.real)
+        return self.likelihood.scores(self.real)
 
     def changed(self, trial: Hypothesis) -> Models:
         """The models with the trial's change made to each sensor, or to its own, and the opposite to the others."""
@@ -130,7 +130,7 @@ def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, 
     """What a change makes, from its replicates (r, n) beside the first r of those without it: the likeness under it,
     and (n,) how far it moved each statistic. Draws are the same in both, so that a few replicates do.
     """
-    before, without = standing.likeness, standing.values[: len(values)]
+    before, without = standing.likelihood, standing.values[: len(values)]
     moved, came = values - without, np.isfinite(values)
     if standing.probes is not None:
         moved = moved * _kept(moved / before.scale, standing.probes)
@@ -152,7 +152,7 @@ def compared(standing: UnitState, values: Floats) -> tuple[SyntheticLikelihood, 
         location[same] = values[:, same].mean(axis=0)
     scale = np.fmax(np.fmax(scale, _SAME * (1 + np.abs(location))), least_scale(before))
     fresh = came.all(axis=0) & ~np.isfinite(before.location)  # says something only since the change
-    alone = likeness_of(values[:, fresh], np.zeros(int(fresh.sum())))
+    alone = likelihood_of(values[:, fresh], np.zeros(int(fresh.sum())))
     location[fresh] = alone.location
     scale[fresh] = np.fmax(alone.scale, _UNSURE * (1 + np.abs(alone.location)))
     untold = ~came.any(axis=0) & ~np.isfinite(without).any(axis=0)  # as what is shared with sensors beside the unit
@@ -180,28 +180,28 @@ def least_scale(before: SyntheticLikelihood) -> Floats:
     return FORM * before.scale
 
 
-def gains_of(standing: UnitState, likeness: SyntheticLikelihood, moved: Floats) -> Floats:
+def gains_of(standing: UnitState, likelihood: SyntheticLikelihood, moved: Floats) -> Floats:
     """(n,) nats by which a change makes each of the recording's statistics likelier; they add up."""
-    before = standing.likeness.log_density(standing.real)
-    return standing.weight * (likeness.log_density(standing.real, moved) - before)
+    before = standing.likelihood.log_density(standing.real)
+    return standing.weight * (likelihood.log_density(standing.real, moved) - before)
 
 
-def touched_by(before: SyntheticLikelihood, likeness: SyntheticLikelihood, moved: Floats) -> Booleans:
+def touched_by(before: SyntheticLikelihood, likelihood: SyntheticLikelihood, moved: Floats) -> Booleans:
     """(n,) which statistics a change moved, or made wider or narrower, beyond chance."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        widened = np.abs(np.log(likeness.scale / before.scale)) > _WIDER
+        widened = np.abs(np.log(likelihood.scale / before.scale)) > _WIDER
     return np.asarray((np.abs(moved) > before.scale) | widened)
 
 
-def counts_of(standing: UnitState, likeness: SyntheticLikelihood, moved: Floats) -> float:
+def counts_of(standing: UnitState, likelihood: SyntheticLikelihood, moved: Floats) -> float:
     """How much more a gain counts whose statistics are more independent than all of the unit's are: few of those that
     a curved response moves say the same, whatever hundreds of levels do. Never less: that a change moves many of them
     for one reason is told when it is judged.
     """
-    touched = touched_by(standing.likeness, likeness, moved)
+    touched = touched_by(standing.likelihood, likelihood, moved)
     if not touched.any() or len(standing.values) < _PAIRS:
         return 1.0
-    share = independent_share(standing.likeness.scores(standing.values)[:, touched])
+    share = independent_share(standing.likelihood.scores(standing.values)[:, touched])
     return max(share / standing.independent, 1.0)
 
 

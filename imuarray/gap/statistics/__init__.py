@@ -1,1 +1,3 @@
-"""Summaries of a campaign in one pass over its rows, the statistics that probes make of them, and their likelihood."""
+"""Summaries of a campaign from one pass over its rows, the statistics that probes compute from them, and their
+likelihood.
+"""

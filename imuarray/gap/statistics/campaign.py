@@ -1,4 +1,4 @@
-"""All logs of an array that are diagnosed together, recorded or simulated, summarised."""
+"""Summaries of all logs of an array that are diagnosed together, recorded or simulated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from imuarray.units import INERTIAL
 
 @dataclass(frozen=True)
 class Layout:
-    """The grid of every sensor in a phase, and the common windows; simulations take those of the recorded phase."""
+    """The resolution at which a phase is summarised: the grid of every sensor and the common windows. Simulations take
+    that of the recorded phase.
+    """
 
     grids: Mapping[str, Grid]
     window_ns: int
@@ -32,7 +34,9 @@ class Layout:
 
 @dataclass(frozen=True)
 class PhaseSummary:
-    """One phase: its number in the log, a summary per sensor, and what inertial ones have in common (None: no two)."""
+    """Summary of one phase: its number in the log, a summary for each sensor, and the moments that inertial sensors
+    have in common (None for fewer than two).
+    """
 
     phase: Phase
     number: int
@@ -42,15 +46,17 @@ class PhaseSummary:
 
     @property
     def is_still(self) -> bool:
-        """Whether the box is at rest in it, by its name."""
+        """Whether the box is at rest in the phase, by its name."""
         return is_at_rest(self.phase)
 
 
 @dataclass(frozen=True)
 class LogSummary:
-    """One log: what was done in it (`kind`: static, tumble, heating, turn-on, motion), its phases in order, and of a
-    recorded one what happened to single rows of each sensor (`events`), and its `spells`: stretches in which a sensor
-    reads otherwise than in the rest, and what it shows in these.
+    """Summary of one log.
+
+    `kind` is what was done (static, tumble, heating, turn-on, motion), `phases` in order. Of a recorded log also the
+    `events` of single rows of each sensor and its `spells`: stretches in which a sensor reads differently from the
+    rest, each with the summary of the log in these stretches.
     """
 
     kind: str
@@ -70,10 +76,10 @@ class Campaign:
     logs: tuple[LogSummary, ...]
 
     def series(self) -> dict[str, tuple[LogSummary, ...]]:
-        """The logs by kind, of the kinds that there are several of."""
+        """The logs by kind, for kinds with several logs."""
         kinds = dict.fromkeys(log.kind for log in self.logs)
-        found = {kind: tuple(log for log in self.logs if log.kind == kind) for kind in kinds}
-        return {kind: logs for kind, logs in found.items() if len(logs) > 1}
+        by_kind = {kind: tuple(log for log in self.logs if log.kind == kind) for kind in kinds}
+        return {kind: logs for kind, logs in by_kind.items() if len(logs) > 1}
 
 
 def summarise_log(
@@ -83,9 +89,11 @@ def summarise_log(
     temperature: Temperature,
     layouts: Sequence[Layout] | None = None,
 ) -> LogSummary:
-    """Every triad in every phase, in one pass; `layouts`, one per phase, are those of the log to compare with."""
-    (found,) = summarise_logs(kind, [sources], phases, temperature, layouts)
-    return found
+    """Summarises every triad in every phase, in one pass. `layouts`, one for each phase, are those of the log to
+    compare with.
+    """
+    (summary,) = summarise_logs(kind, [sources], phases, temperature, layouts)
+    return summary
 
 
 def summarise_logs(
@@ -95,20 +103,20 @@ def summarise_logs(
     temperature: Temperature,
     layouts: Sequence[Layout] | None = None,
 ) -> list[LogSummary]:
-    """`summarise_log` of several replicates of one log, which have the same sensors."""
-    found = [
+    """Summarises several replicates of one log, which have the same sensors, as `summarise_log` does."""
+    phases_of_replicates = [
         _summarise_phases(replicates, phase, number, temperature, None if layouts is None else layouts[number])
         for number, phase in enumerate(phases)
     ]
-    return [LogSummary(kind, tuple(phase[at] for phase in found)) for at in range(len(replicates))]
+    return [LogSummary(kind, tuple(phase[at] for phase in phases_of_replicates)) for at in range(len(replicates))]
 
 
 def summarise_phase(
     sources: Mapping[str, Source], phase: Phase, number: int, temperature: Temperature, layout: Layout | None = None
 ) -> PhaseSummary:
-    """One phase of one log."""
-    (found,) = _summarise_phases([sources], phase, number, temperature, layout)
-    return found
+    """Summarises one phase of one log."""
+    (summary,) = _summarise_phases([sources], phase, number, temperature, layout)
+    return summary
 
 
 def _summarise_phases(
@@ -118,23 +126,24 @@ def _summarise_phases(
     temperature: Temperature,
     layout: Layout | None,
 ) -> list[PhaseSummary]:
-    """Of each replicate: short phases together, long ones one after the other, of which little has to be kept. Phases
-    with a `layout` are simulated ones, of which only what statistics need is worked out.
+    """Summarises one phase of each replicate: short phases jointly, long ones one after the other, to bound the memory.
+
+    Phases with a `layout` are simulated ones, for which only what statistics need is computed.
     """
     chosen, recorded = layout or layout_of(replicates[0], phase), layout is None
     rows = max((source.rows(phase.start_ns, phase.end_ns) for source in replicates[0].values()), default=0)
     at_once = max(CHUNK // max(rows, 1), 1)
-    found: list[PhaseSummary] = []
+    summaries: list[PhaseSummary] = []
     for first in range(0, len(replicates), at_once):
         some = replicates[first : first + at_once]
         if len(some) > 1:
-            found += _together(some, phase, number, temperature, chosen, recorded)
+            summaries += _summarise_jointly(some, phase, number, temperature, chosen, recorded)
         else:
-            found.append(_in_one_pass(some[0], phase, number, temperature, chosen, recorded))
-    return found
+            summaries.append(_summarise_in_one_pass(some[0], phase, number, temperature, chosen, recorded))
+    return summaries
 
 
-def _together(
+def _summarise_jointly(
     replicates: Sequence[Mapping[str, Source]],
     phase: Phase,
     number: int,
@@ -142,7 +151,7 @@ def _together(
     layout: Layout,
     recorded: bool,
 ) -> list[PhaseSummary]:
-    """Sensor by sensor, all replicates side by side where their rows have the same times."""
+    """Summarises sensor by sensor, with replicates whose rows have the same times side by side."""
     blocks = [
         {name: list(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
         for sources in replicates
@@ -151,13 +160,13 @@ def _together(
         new = [at for at, sources in enumerate(replicates) if (phase, grid) not in sources[name].cache]
         for some in _simultaneous([one[name] for one in blocks], new):
             header = replicates[0][name].header
-            tallied = _tallied(header, phase, grid, [blocks[at][name] for at in some], temperature, recorded)
+            tallied = _summaries(header, phase, grid, [blocks[at][name] for at in some], temperature, recorded)
             for at, summary in zip(some, tallied, strict=True):
                 replicates[at][name].cache[phase, grid] = summary
     crosses: dict[int, Cross | None] = {}
     for some in _simultaneous([list(chain(*one.values())) for one in blocks], range(len(replicates))):
         crosses.update(
-            zip(some, _crossed(replicates[some[0]], [blocks[at] for at in some], phase, layout, recorded), strict=True)
+            zip(some, _crosses(replicates[some[0]], [blocks[at] for at in some], phase, layout, recorded), strict=True)
         )
     return [
         PhaseSummary(
@@ -172,25 +181,25 @@ def _together(
 
 
 def _simultaneous(replicates: Sequence[Sequence[Block]], places: Iterable[int]) -> list[list[int]]:
-    """The places of replicates, those together whose blocks have the same times."""
-    found: list[list[int]] = []
+    """Groups the places of replicates whose blocks have the same times."""
+    groups: list[list[int]] = []
     for at in places:
         own = replicates[at]
-        for some in found:
+        for some in groups:
             others = replicates[some[0]]
             if len(own) == len(others) and all(map(_have_same_times, own, others)):
                 some.append(at)
                 break
         else:
-            found.append([at])
-    return found
+            groups.append([at])
+    return groups
 
 
-def _have_same_times(one: Block, other: Block) -> bool:
-    return np.array_equal(one.time, other.time)
+def _have_same_times(first: Block, other: Block) -> bool:
+    return np.array_equal(first.time, other.time)
 
 
-def _tallied(
+def _summaries(
     header: SensorHeader,
     phase: Phase,
     grid: Grid,
@@ -198,33 +207,33 @@ def _tallied(
     temperature: Temperature,
     recorded: bool,
 ) -> list[Summary]:
-    """Summaries of replicates whose blocks have the same times."""
-    tally = Tally(header, phase, grid, len(replicates), lone=recorded)
+    """Summaries of one sensor in replicates whose blocks have the same times."""
+    tally = Tally(header, phase, grid, len(replicates), outliers=recorded)
     for blocks in zip(*replicates, strict=True):
         tally.update(*blocks)
     return tally.results(temperature)
 
 
-def _crossed(
+def _crosses(
     sources: Mapping[str, Source],
     blocks: Sequence[Mapping[str, Sequence[Block]]],
     phase: Phase,
     layout: Layout,
     recorded: bool,
 ) -> Sequence[Cross | None]:
-    """What inertial sensors have in common, of replicates whose blocks have the same times."""
+    """Common moments of the inertial sensors in replicates whose blocks have the same times."""
     cross = _cross(sources, phase, layout.window_ns, len(blocks), recorded=recorded)
     if cross is None:
         return [None] * len(blocks)
     waiting = {
         name: list(zip(*(one[name] for one in blocks), strict=True)) for name in sources if name in cross.sensors
     }
-    for name, several in _in_turn({name: iter(own) for name, own in waiting.items()}, phase):
-        cross.take(name, several)
+    for name, several in _interleaved({name: iter(own) for name, own in waiting.items()}, phase):
+        cross.accept(name, several)
     return cross.results()
 
 
-def _in_one_pass(
+def _summarise_in_one_pass(
     sources: Mapping[str, Source],
     phase: Phase,
     number: int,
@@ -232,24 +241,26 @@ def _in_one_pass(
     layout: Layout,
     recorded: bool,
 ) -> PhaseSummary:
-    """All sensors side by side, a block at a time."""
-    tallies = {name: Tally(source.header, phase, layout.grids[name], lone=recorded) for name, source in sources.items()}
+    """Summarises all sensors together, one block at a time."""
+    tallies = {
+        name: Tally(source.header, phase, layout.grids[name], outliers=recorded) for name, source in sources.items()
+    }
     cross = _cross(sources, phase, layout.window_ns, recorded=recorded)
     waiting = {name: zip(source.blocks(phase.start_ns, phase.end_ns)) for name, source in sources.items()}
-    for name, blocks in _in_turn(waiting, phase):
+    for name, blocks in _interleaved(waiting, phase):
         if blocks is not None:
             tallies[name].update(*blocks)
         if cross is not None and name in cross.sensors:
-            cross.take(name, blocks)
+            cross.accept(name, blocks)
     sensors = {name: tally.result(temperature) for name, tally in tallies.items()}
     return PhaseSummary(phase, number, layout, sensors, None if cross is None else cross.result())
 
 
-def _in_turn(
+def _interleaved(
     blocks: Mapping[str, Iterator[tuple[Block, ...]]], phase: Phase
 ) -> Iterator[tuple[str, tuple[Block, ...] | None]]:
-    """The blocks of all sensors, None behind a sensor's last: always the one that is furthest behind goes on, so that
-    little has to be kept.
+    """The blocks of all sensors, None after a sensor's last: the sensor that is furthest behind in time comes next, so
+    that little has to be kept.
     """
     waiting, reached = dict(blocks), dict.fromkeys(blocks, phase.start_ns)
     while waiting:
@@ -263,7 +274,7 @@ def _in_turn(
 
 
 def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
-    """How finely a phase can be looked at."""
+    """The layout for a phase: how finely it can be resolved."""
     rows = {name: source.rows(phase.start_ns, phase.end_ns) for name, source in sources.items()}
     seconds = (phase.end_ns - phase.start_ns) * 1e-9
     rates = [rows[name] / seconds for name, source in sources.items() if source.header.quantity in INERTIAL]
@@ -272,7 +283,7 @@ def layout_of(sources: Mapping[str, Source], phase: Phase) -> Layout:
 
 
 def runs_in(logs: Sequence[LogSummary], sensor: str) -> Runs | None:
-    """A sensor's runs, each log's first phase at rest; None if it isn't in all of them."""
+    """The runs of a sensor, each the first phase at rest of a log; None if it isn't in all logs."""
     phases = [log.still(sensor)[:1] for log in logs]
     return runs_of([phase for (phase,) in phases]) if all(phases) else None
 

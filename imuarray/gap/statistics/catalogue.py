@@ -1,4 +1,4 @@
-"""All statistics of a campaign under keys that say where they are from, in an order that never changes."""
+"""All statistics of a campaign under keys that say where they come from, in a fixed order."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from imuarray.gap.statistics.probes.probe import ArrayProbe, CrossProbe, Domain,
 from imuarray.gap.statistics.summary import Summary, side_by_side
 
 ALL_LOGS = -1
-"""The log's index of a statistic of several logs; their kind stands where others have their phase."""
+"""Log number of a statistic of several logs; the kind of the logs takes the place of the phase's name."""
 
 WHOLE_LOG = -1
-"""The phase's number of a statistic of several phases; its phase's name is empty."""
+"""Phase number of a statistic of several phases; its phase's name is empty."""
 
 AXES = ("x", "y", "z")
 
@@ -32,7 +32,7 @@ _OF_RUNS = {name: probe for name, probe in PROBES.items() if isinstance(probe, R
 
 
 class Key(NamedTuple):
-    """Where a statistic is from; `axis` is "" for the whole sensor."""
+    """The place, domain and probe of a statistic; `axis` is "" for the whole sensor."""
 
     log: int
     sensor: str
@@ -45,8 +45,8 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True)
 class Statistics:
-    """`values` (n,) of the `keys`, nan where a probe says nothing, and the least difference that means anything in each
-    (`resolutions`, (n,), 0: any).
+    """Statistics of a campaign: `values` (n,) of the `keys`, nan where a probe has none, and the least meaningful
+    difference of each (`resolutions` (n,), 0 for any).
     """
 
     keys: tuple[Key, ...]
@@ -54,7 +54,7 @@ class Statistics:
     resolutions: Floats
 
     def __getitem__(self, key: Key) -> float:
-        """One value; KeyError."""
+        """The value under a key; KeyError for another key."""
         return float(self.values[self._places[key]])
 
     @cached_property
@@ -63,7 +63,7 @@ class Statistics:
 
 
 class _Place(NamedTuple):
-    """Where statistics are from, but for their axes."""
+    """The place of statistics, without their axes."""
 
     log: int
     sensor: str
@@ -71,9 +71,9 @@ class _Place(NamedTuple):
     phase_number: int
 
 
-class _Said(NamedTuple):
-    """What one probe says at one place in each replicate, `values` (r, k) on three axes or one, and how small a
-    difference of them means anything.
+class _ProbeValues(NamedTuple):
+    """Values of one probe at one place: `values` (r, k) of r replicates on three axes or one, and their least
+    meaningful difference.
     """
 
     probe: str
@@ -82,38 +82,40 @@ class _Said(NamedTuple):
 
 
 class ReplicateStatistics(NamedTuple):
-    """`values` (r, n) of r replicates under the `keys`."""
+    """Statistics of r replicates: `values` (r, n) under the `keys`."""
 
     keys: tuple[Key, ...]
     values: Floats
 
 
 def statistics(campaign: Campaign) -> Statistics:
-    """Every probe wherever it applies: phase by phase, log by log, then the logs of one kind together."""
-    said = list(_all([campaign]))
-    keys, (values,) = _table(said, 1)
-    least = [np.full(one.values.shape[1], one.resolution()) for _, several in said for one in several]
+    """Computes every probe wherever it applies: phase by phase, log by log, then the logs of one kind together."""
+    by_place = list(_by_place([campaign]))
+    keys, (values,) = _table(by_place, 1)
+    least = [np.full(probe.values.shape[1], probe.resolution()) for _, several in by_place for probe in several]
     return Statistics(keys, values, np.concatenate([np.zeros(0), *least]))
 
 
 def replicate_statistics(campaigns: Sequence[Campaign], sensors: Collection[str]) -> ReplicateStatistics:
-    """The same of these sensors in several replicates, which were looked at alike."""
-    return _table(_all(campaigns, sensors), len(campaigns))
+    """Computes the statistics of some sensors in several replicates that were summarised in the same way."""
+    return _table(_by_place(campaigns, sensors), len(campaigns))
 
 
-def _table(said: Iterable[tuple[_Place, list[_Said]]], replicates: int) -> ReplicateStatistics:
-    """One row for each replicate."""
+def _table(by_place: Iterable[tuple[_Place, list[_ProbeValues]]], replicates: int) -> ReplicateStatistics:
+    """The values as a table with one row for each replicate."""
     keys: list[Key] = []
     values = [np.zeros((replicates, 0))]
-    for place, several in said:
-        keys += _keys(place, tuple([one.probe for one in several]), tuple([one.values.shape[1] for one in several]))
-        values += [one.values for one in several]
+    for place, several in by_place:
+        keys += _keys(
+            place, tuple([probe.probe for probe in several]), tuple([probe.values.shape[1] for probe in several])
+        )
+        values += [probe.values for probe in several]
     return ReplicateStatistics(tuple(keys), np.concatenate(values, axis=1))
 
 
 @lru_cache(maxsize=1 << 12)
 def _keys(place: _Place, probes: tuple[str, ...], sizes: tuple[int, ...]) -> tuple[Key, ...]:
-    """Of these probes at one place; every replicate has the same."""
+    """The keys of probes at one place, the same for every replicate."""
     log, sensor, phase, number = place
     return tuple(
         Key(log, sensor, axis, phase, number, PROBES[probe].domain, probe)
@@ -122,61 +124,67 @@ def _keys(place: _Place, probes: tuple[str, ...], sizes: tuple[int, ...]) -> tup
     )
 
 
-def _all(campaigns: Sequence[Campaign], sensors: Collection[str] | None = None) -> Iterator[tuple[_Place, list[_Said]]]:
-    """Of replicates of one campaign, place by place."""
+def _by_place(
+    campaigns: Sequence[Campaign], sensors: Collection[str] | None = None
+) -> Iterator[tuple[_Place, list[_ProbeValues]]]:
+    """Values of all probes in replicates of one campaign, place by place."""
     logs = zip(*(campaign.logs for campaign in campaigns), strict=True)
     for number, replicates in enumerate(logs):
         for phases in zip(*(log.phases for log in replicates), strict=True):
-            for sensor, said in _of_phase(phases, sensors).items():
-                yield _Place(number, sensor, phases[0].phase.name, phases[0].number), said
+            for sensor, values in _of_phase(phases, sensors).items():
+                yield _Place(number, sensor, phases[0].phase.name, phases[0].number), values
         for sensor in _sensors(replicates[0].phases, sensors):
             yield _Place(number, sensor, "", WHOLE_LOG), _of_log(replicates, sensor)
     series = [campaign.series() for campaign in campaigns]
     for kind, own in series[0].items() if series else ():
         for sensor in _sensors(own[0].phases, sensors):
-            yield _Place(ALL_LOGS, sensor, kind, WHOLE_LOG), _of_runs([one[kind] for one in series], sensor)
+            yield _Place(ALL_LOGS, sensor, kind, WHOLE_LOG), _of_runs([by_kind[kind] for by_kind in series], sensor)
 
 
 def _sensors(phases: Sequence[PhaseSummary], wanted: Collection[str] | None) -> list[str]:
-    """Those that these phases have and that are wanted, each once."""
+    """The sensors of these phases that are wanted, each once."""
     there = dict.fromkeys(sensor for phase in phases for sensor in phase.sensors)
     return [sensor for sensor in there if wanted is None or sensor in wanted]
 
 
-def _of_phase(replicates: Sequence[PhaseSummary], wanted: Collection[str] | None) -> dict[str, list[_Said]]:
-    """By sensor; one probe after the other of all sensors is faster than one sensor after the other."""
+def _of_phase(replicates: Sequence[PhaseSummary], wanted: Collection[str] | None) -> dict[str, list[_ProbeValues]]:
+    """Values of the probes of a phase by sensor. One probe of all sensors after the other is faster than one sensor
+    after the other.
+    """
     first = replicates[0]
     sensors = _sensors([first], wanted)
     single = {sensor: [phase.sensors[sensor] for phase in replicates] for sensor in sensors}
-    together = {sensor: _together(several) for sensor, several in single.items()}
+    together = {sensor: _grouped(several) for sensor, several in single.items()}
     crosses = [phase.cross for phase in replicates if phase.cross is not None]
     crossed = [item.name for item in crosses[0].sensors if item.name in single] if crosses else []
-    said: dict[str, list[_Said]] = {sensor: [] for sensor in sensors}
+    by_sensor: dict[str, list[_ProbeValues]] = {sensor: [] for sensor in sensors}
     for name, probe in (_AT_REST if first.is_still else _IN_MOTION).items():
         if isinstance(probe, PhaseProbe):
             for sensor, several in single.items():
                 values = _by_phase(probe, several, together[sensor])
-                said[sensor].append(_Said(name, values, partial(probe.resolution, several[0])))
+                by_sensor[sensor].append(_ProbeValues(name, values, partial(probe.resolution, several[0])))
         elif isinstance(probe, CrossProbe):
             for sensor in crossed:
-                found = np.array([probe.statistic(cross, sensor) for cross in crosses])
-                said[sensor].append(_Said(name, found, _any))
-    return said
+                values = np.array([probe.statistic(cross, sensor) for cross in crosses])
+                by_sensor[sensor].append(_ProbeValues(name, values, _any_difference))
+    return by_sensor
 
 
-def _together(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
-    """Those whose rows have the same times, by their places, side by side."""
+def _grouped(replicates: Sequence[Summary]) -> list[tuple[list[int], Summary]]:
+    """Replicates whose rows have the same times, as places and their joint summary."""
     sets: dict[tuple[int, bytes, bytes], list[int]] = {}
-    for at, one in enumerate(replicates):
-        part = one.segments
-        sets.setdefault((one.rows, part.rows.tobytes(), part.time_s.tobytes()), []).append(at)
+    for at, summary in enumerate(replicates):
+        part = summary.segments
+        sets.setdefault((summary.rows, part.rows.tobytes(), part.time_s.tobytes()), []).append(at)
     return [(places, side_by_side([replicates[at] for at in places])) for places in sets.values()]
 
 
 def _by_phase(
     probe: PhaseProbe, replicates: Sequence[Summary], together: Sequence[tuple[list[int], Summary]]
 ) -> Floats:
-    """(r, k) of each replicate, of those `together` at once if that will do."""
+    """Values (r, k) of a probe in each replicate, at once for those that are grouped, where the probe works column by
+    column.
+    """
     if not probe.by_column:
         return _rows([probe.statistic(summary) for summary in replicates])
     values = np.empty((len(replicates), len(AXES)))
@@ -185,30 +193,35 @@ def _by_phase(
     return values
 
 
-def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_Said]:
+def _of_log(replicates: Sequence[LogSummary], sensor: str) -> list[_ProbeValues]:
     still = [log.still(sensor) for log in replicates]
-    said: list[_Said] = []
+    values: list[_ProbeValues] = []
     for name, probe in _OF_LOGS.items() if still[0] else ():
         if isinstance(probe, LogProbe):
-            found = [probe.statistic(phases) for phases in still]
-            said.append(_Said(name, _rows(found), partial(float, probe.resolution)))
+            by_replicate = [probe.statistic(phases) for phases in still]
+            values.append(_ProbeValues(name, _rows(by_replicate), partial(float, probe.resolution)))
         else:
-            said.append(_Said(name, _rows([probe.statistic(log, sensor) for log in replicates]), _any))
-    return said
+            values.append(
+                _ProbeValues(name, _rows([probe.statistic(log, sensor) for log in replicates]), _any_difference)
+            )
+    return values
 
 
-def _of_runs(replicates: Sequence[tuple[LogSummary, ...]], sensor: str) -> list[_Said]:
+def _of_runs(replicates: Sequence[tuple[LogSummary, ...]], sensor: str) -> list[_ProbeValues]:
     runs = [own for logs in replicates if (own := runs_in(logs, sensor)) is not None]
     if not runs or runs[0].header.quantity == "magnetic_field":  # nobody knows the field of another day
         return []
-    return [_Said(name, _rows([probe.statistic(one) for one in runs]), _any) for name, probe in _OF_RUNS.items()]
+    return [
+        _ProbeValues(name, _rows([probe.statistic(of_replicate) for of_replicate in runs]), _any_difference)
+        for name, probe in _OF_RUNS.items()
+    ]
 
 
-def _rows(found: Sequence[Floats]) -> Floats:
-    """(r, k) of what r replicates say on three axes or one."""
-    return np.array(found).reshape(len(found), -1)
+def _rows(values: Sequence[Floats]) -> Floats:
+    """Values of r replicates on three axes or one as a table (r, k)."""
+    return np.array(values).reshape(len(values), -1)
 
 
-def _any() -> float:
-    """Any difference means something."""
+def _any_difference() -> float:
+    """The resolution of a statistic in which any difference is meaningful."""
     return 0.0

@@ -1,11 +1,11 @@
-"""What the sensors of one phase have in common: means over common windows of time, and how they vary together.
+"""Common moments of the sensors of one phase: means over common windows of time, and their covariances.
 
-A window's mean is taken of the rows that lie in it; nothing is interpolated. Windows make up segments: what varies from
-segment to segment is slow, what varies from window to window within one is fast. All is kept along the sensors' own
-axes, where errors of one design are alike; the sensors' mounting turns it into the box's, where motion is.
+A window's mean is that of the rows in it; nothing is interpolated. Windows make up segments: variation between segments
+is slow, variation between windows within a segment is fast. Moments are kept along the sensors' own axes, where errors
+of one design have the same sign; the mounting turns them into the box's axes, where motion is.
 
-Products of the mean angular rate and its change stand beside the readings: what a sensor feels through its distance
-from the origin is linear in them.
+Products of the mean angular rate and its derivative are further columns: the lever-arm acceleration of a sensor is
+linear in them.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class Cross:
     """Second moments of window means of m sensors, in their units, along their own axes, three columns each, and of the
     `KINEMATIC` columns (rad^2/s^2).
 
-    `slow` (s, p) means of the segments (nan for one without enough windows in which all sensors read); `fast` (p, p)
-    mean product of two columns less their segments' means, over `windows` windows. `turning` (p, p) is the mean product
-    of the first column and the change of the second, half of that from the window before to the one after less
-    its mean in the segment, and `changes` (p, p) that of two changes; without these (`CrossTally`) both are nan, and
-    the `KINEMATIC` columns 0.
+    `slow` (s, p) are means of the segments (nan for one without enough windows in which all sensors read); `fast` (p,
+    p) is the mean product of two columns less their segments' means, over `windows` windows. `turning` (p, p) is the
+    mean product of the first column and the change of the second, half of that from the window before to the one after
+    less its mean in the segment, and `changes` (p, p) that of two changes. Without changes (`CrossTally`) both are nan
+    and the `KINEMATIC` columns 0.
     """
 
     sensors: tuple[SensorHeader, ...]
@@ -55,16 +55,16 @@ class Cross:
     changes: Floats
 
     def columns(self, sensor: str) -> slice:
-        """Where its three axes stand; KeyError for a sensor that isn't there."""
+        """The columns of a sensor's three axes; KeyError for a sensor that isn't there."""
         return slice(3 * self._places[sensor], 3 * self._places[sensor] + 3)
 
     @property
     def kinematic(self) -> slice:
-        """Where the products of rates and the angular accelerations stand."""
+        """The columns of the products of rates and the angular accelerations."""
         return slice(3 * len(self.sensors), None)
 
     def header(self, sensor: str) -> SensorHeader:
-        """What is known of it."""
+        """The header of a sensor."""
         return self.sensors[self._places[sensor]]
 
     def others(self, sensor: str, *, family: bool) -> tuple[str, ...]:
@@ -73,19 +73,19 @@ class Cross:
 
     @cached_property
     def slow_covariance(self) -> Floats:
-        """(p, p) of the segments' means; nan for fewer than three."""
+        """Covariance (p, p) of the segments' means; nan for fewer than three segments."""
         known = self.slow[np.isfinite(self.slow).all(axis=1)]
         columns = self.slow.shape[1]
         return np.cov(known.T) if len(known) > 2 else np.full((columns, columns), np.nan)
 
     @cached_property
     def _others(self) -> dict[tuple[str, bool], tuple[str, ...]]:
-        found: dict[tuple[str, bool], tuple[str, ...]] = {}
+        names: dict[tuple[str, bool], tuple[str, ...]] = {}
         for own in self.sensors:
             same = [item for item in self.sensors if item.quantity == own.quantity and item.name != own.name]
-            found[own.name, False] = tuple(item.name for item in same)
-            found[own.name, True] = tuple(item.name for item in same if item.chip == own.chip)
-        return found
+            names[own.name, False] = tuple(item.name for item in same)
+            names[own.name, True] = tuple(item.name for item in same if item.chip == own.chip)
+        return names
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -99,9 +99,11 @@ def window_ns(rates_hz: Sequence[float]) -> int:
 
 
 class CrossTally:
-    """Takes the blocks of several sensors of one phase, of each in order; keeps what not all have reached. Of so many
-    `replicates` at once, whose rows have the same times. `changes`: with what statistics of a moving box are made of;
-    those of a box at rest do without, for half of the time.
+    """Accumulates the blocks of several sensors of one phase, of each in order; rows are kept until all sensors have
+    reached their window.
+
+    Handles so many `replicates` at once, whose rows have the same times. `changes`: with the moments for statistics of
+    a moving box; without them it takes half of the time.
     """
 
     def __init__(
@@ -138,12 +140,12 @@ class CrossTally:
         return self._places.keys()
 
     def update(self, sensor: str, *blocks: Block) -> None:
-        """The next rows of one sensor in each replicate, at least one."""
+        """Adds rows of one sensor in each replicate, at least one row."""
         place, since_ns = self._places[sensor], blocks[0].time - self._phase.start_ns
         first, last = int(since_ns[0]) // self._window_ns, int(since_ns[-1]) // self._window_ns
         windows = since_ns // self._window_ns
         starts = np.concatenate([[0], (windows[1:] != windows[:-1]).nonzero()[0] + 1])
-        self._make_room(last)
+        self._extend(last)
         at: Any = windows[starts] - self._base
         if len(at) == last - first + 1:
             at = slice(first - self._base, last - self._base + 1)  # no window is empty
@@ -152,28 +154,28 @@ class CrossTally:
         sums[:, :, at] += np.add.reduceat(counts, starts, axis=2)
         self._rows[place, at] += np.concatenate([starts[1:], [len(since_ns)]]) - starts
         self._reached[place] = last
-        self._work(int(self._reached.min()))
+        self._finish_segments(int(self._reached.min()))
 
-    def take(self, sensor: str, blocks: Sequence[Block] | None) -> None:
-        """The next rows of one sensor in each replicate, or (None) word that there are no more."""
+    def accept(self, sensor: str, blocks: Sequence[Block] | None) -> None:
+        """Adds rows of one sensor in each replicate; None means that there are no more."""
         if blocks is None:
             self.end(sensor)
         else:
             self.update(sensor, *blocks)
 
     def end(self, sensor: str) -> None:
-        """No more rows of this sensor."""
+        """Marks a sensor as complete."""
         self._reached[self._places[sensor]] = self._last
-        self._work(int(self._reached.min()))
+        self._finish_segments(int(self._reached.min()))
 
     def result(self) -> Cross:
-        """All segments that are whole, of the only replicate."""
-        (found,) = self.results()
-        return found
+        """The moments of all complete segments, of the only replicate."""
+        (cross,) = self.results()
+        return cross
 
     def results(self) -> list[Cross]:
-        """All segments that are whole, of each replicate."""
-        self._work(self._last)
+        """The moments of all complete segments, of each replicate."""
+        self._finish_segments(self._last)
         with np.errstate(invalid="ignore"):
             fast = self._fast / np.float64(self._windows)
             turning, changes = np.array([self._turning, self._changes]) / np.float64(self._inner_windows)
@@ -186,37 +188,37 @@ class CrossTally:
             for own in zip(slow, fast, turning, changes, strict=True)
         ]
 
-    def _make_room(self, window: int) -> None:
+    def _extend(self, window: int) -> None:
         missing = window - self._base + 1 - self._rows.shape[1]
         if missing > 0:
             more = max(missing, self._rows.shape[1])
             self._sums = np.concatenate([self._sums, np.zeros((*self._sums.shape[:3], more))], axis=3)
             self._rows = np.concatenate([self._rows, np.zeros((len(self._rows), more))], axis=1)
 
-    def _work(self, reached: int) -> None:
-        """Adds up the segments that end up to window `reached`, which isn't complete itself."""
+    def _finish_segments(self, reached: int) -> None:
+        """Adds up the segments that end before window `reached`, which isn't complete itself."""
         count = (reached - self._base) // self._length
         if count < 1:
             return
         done = count * self._length
-        self._make_room(self._base + done - 1)
-        self._add(*(held[..., :done].reshape(*held.shape[:-1], count, -1) for held in (self._sums, self._rows)))
-        for held in (self._sums, self._rows):
-            held[..., :-done] = held[..., done:].copy()
-            held[..., -done:] = 0
+        self._extend(self._base + done - 1)
+        self._add(*(kept[..., :done].reshape(*kept.shape[:-1], count, -1) for kept in (self._sums, self._rows)))
+        for kept in (self._sums, self._rows):
+            kept[..., :-done] = kept[..., done:].copy()
+            kept[..., -done:] = 0
         self._base += done
 
     def _add(self, sums: Floats, rows: Floats) -> None:
-        """Segments: sums (r, m, 3, s, w), rows (m, s, w). Windows in which not all sensors read count for nothing."""
+        """Adds segments: sums (r, m, 3, s, w), rows (m, s, w). Windows in which not all sensors read do not count."""
         full = np.asarray((rows > 0).all(axis=0))
-        told = np.count_nonzero(full, axis=1) >= _SEGMENT_WINDOWS // 2
+        is_known = np.count_nonzero(full, axis=1) >= _SEGMENT_WINDOWS // 2
         columns = self._fast.shape[2]
         slow = np.full((len(self._fast), len(full), columns), np.nan)
         self._slow.append(slow)
-        if not told.any():
+        if not is_known.any():
             return
-        if not told.all():
-            sums, rows, full = sums[..., told, :], rows[:, told], full[told]
+        if not is_known.all():
+            sums, rows, full = sums[..., is_known, :], rows[:, is_known], full[is_known]
         with np.errstate(invalid="ignore"):
             readings = sums / rows[:, None]
         readings *= self._scale[:, None, None, None]
@@ -225,8 +227,8 @@ class CrossTally:
         if self._with_changes:
             line = np.concatenate([line, self._kinematic(readings)], axis=1)
         line, means = _centred(line, full)
-        slow[:, told, : means.shape[1]] = means.swapaxes(1, 2)
-        slow[:, told, means.shape[1] :] = 0.0
+        slow[:, is_known, : means.shape[1]] = means.swapaxes(1, 2)
+        slow[:, is_known, means.shape[1] :] = 0.0
         flat = line.reshape(*line.shape[:2], -1)
         self._fast[:, : flat.shape[1], : flat.shape[1]] += flat @ flat.swapaxes(1, 2)
         self._windows += int(np.count_nonzero(full))
@@ -240,7 +242,7 @@ class CrossTally:
         self._inner_windows += int(np.count_nonzero(inner))
 
     def _kinematic(self, readings: Floats) -> Floats:
-        """(r, 9, s, w) products xx, xy, xz, yy, yz, zz of the mean rate in the box, and its change per second."""
+        """Products xx, xy, xz, yy, yz, zz of the mean rate in the box and its change per second (r, 9, s, w)."""
         if not self._gyroscopes:
             return np.zeros((len(readings), KINEMATIC, *readings.shape[3:]))
         turned = [np.einsum("ab,rasw->rbsw", turn, unit * readings[:, at]) for at, unit, turn in self._gyroscopes]
@@ -251,20 +253,20 @@ class CrossTally:
 
 
 def _filled(readings: Floats, full: Booleans) -> Floats:
-    """Readings (r, m, 3, s, w) with the segment's mean in windows that aren't full (s, w)."""
+    """Readings (r, m, 3, s, w) with the segment's mean in place of windows that aren't full (s, w)."""
     if full.all():
         return readings
     mean = np.mean(readings, axis=4, where=full, keepdims=True)
     return np.where(full, readings, mean)
 
 
-def _centred(line: Floats, held: Booleans) -> tuple[Floats, Floats]:
-    """Columns (r, p, s, w) less their means (r, p, s) over the windows that are held (s, w), and these; 0 in the
-    others.
+def _centred(line: Floats, counts: Booleans) -> tuple[Floats, Floats]:
+    """Columns (r, p, s, w) less their means (r, p, s) over the windows that count (s, w), 0 in the others; and these
+    means.
     """
-    if held.all():
+    if counts.all():
         mean = line.mean(axis=3)
         return line - mean[..., None], mean
-    count = np.maximum(np.count_nonzero(held, axis=1), 1)
-    mean = (line * held).sum(axis=3) / count
-    return (line - mean[..., None]) * held, mean
+    count = np.maximum(np.count_nonzero(counts, axis=1), 1)
+    mean = (line * counts).sum(axis=3) / count
+    return (line - mean[..., None]) * counts, mean

@@ -1,9 +1,8 @@
-"""Allan variances at octaves, and how long the tails of differences of means are, for a fixed price: four starts in an
-averaging time, three axes at once. Sums over two, four, ... rows are sums of pairs of those before: whole numbers stay
-exact.
+"""Allan variances at octaves, and the kurtosis of differences of means, at a fixed cost: four starts in an averaging
+time, three axes at once. Sums over two, four, ... rows are sums of pairs of those before, so whole numbers stay exact.
 
-As `imuarray.characterise.allan_stream`, which also says how sure its values are; here nothing but the values is wanted,
-thousands of times, and a curve's identification of noise types would cost more than short series themselves.
+`imuarray.characterise.allan_stream` also gives confidence limits. Here only the values are needed, thousands of times,
+and its identification of noise types would cost more than short series themselves.
 """
 
 from __future__ import annotations
@@ -16,13 +15,14 @@ import numpy as np
 from imuarray.arrays import Floats, Integers
 
 _FINE = 4
-"""At so many octaves sums of 1 and 2 rows are looked at, block by block; at the others sums of 4."""
+"""Octaves at which sums of 1 and 2 rows are used, block by block; at the others sums of 4."""
 
 
 class Haar(NamedTuple):
-    """Allan variances (o, k) of k columns at averaging factors 1, 2, 4, ...; `terms` (o,) squares were averaged, nan
-    where none was. `kurtosis` (o, k) of the differences of neighbouring means about 0, nan at the first octaves
-    (`FINEST`), too.
+    """Allan variances (o, k) of k columns at averaging factors 1, 2, 4, ...
+
+    `terms` (o,): the number of squares that were averaged (the variance is nan without any). `kurtosis` (o, k) of the
+    differences of neighbouring means about 0, nan also at the octaves before `FINEST`.
     """
 
     variance: Floats
@@ -31,11 +31,11 @@ class Haar(NamedTuple):
 
 
 FINEST = 3
-"""Fourth powers are added up from that octave on; those of more differences would cost as much as all else."""
+"""First octave at which fourth powers are added up; those of more differences would cost as much as all else."""
 
 
 class HaarTally:
-    """Adds up squared differences of neighbouring means of `columns` series, at the first `octaves` octaves (4 or
+    """Accumulates squared differences of neighbouring means of `columns` series, at the first `octaves` octaves (4 or
     more).
     """
 
@@ -45,7 +45,7 @@ class HaarTally:
         self._squares, self._fourths, self._terms = *np.zeros((2, octaves, columns)), [0] * octaves
 
     def update(self, values: Floats) -> None:
-        """The next values (k, n), best about an origin near them."""
+        """Adds values (k, n), best about an origin near them."""
         sums = values
         for number, level in enumerate((self._rows, self._twos)):
             line = level.line(sums)
@@ -76,8 +76,8 @@ class HaarTally:
 
 
 class _Level:
-    """Sums over so many rows, one after the other: those before that differences reach back to, and where the next pair
-    of them begins.
+    """Sums over a number of rows: the last ones, which the next differences reach back to, and where the next pair
+    begins.
     """
 
     def __init__(self, columns: int, distances: tuple[int, ...]) -> None:
@@ -85,14 +85,14 @@ class _Level:
         self._kept: Floats = np.zeros((columns, 0))
 
     def line(self, sums: Floats) -> Floats:
-        """What is kept, and the next sums (k, n)."""
+        """The kept sums followed by the next sums (k, n)."""
         self._new, reach = self._kept.shape[1], 2 * self._distances[-1] - 1
         line = np.concatenate([self._kept, sums], axis=1) if self._new else sums
         self._kept = line[:, -reach:].copy()
         return line
 
     def differences(self, line: Floats) -> Iterator[tuple[int, Floats]]:
-        """Of each distance (k, m) those of the sums of as many neighbours that end in what is new of a line."""
+        """Differences (k, m) of the sums of neighbours at each distance, those that end in the new part of a line."""
         window, length = line, 1
         for distance in (1, 2, 4):
             if distance > length:
@@ -103,7 +103,7 @@ class _Level:
                     yield distance, window[:, first + distance :] - window[:, first:-distance]
 
     def coarser(self, line: Floats) -> Floats:
-        """The sums of pairs, over all blocks."""
+        """The sums of pairs, continued over blocks."""
         begin = self._new - self._paired
         pairs = (line.shape[1] - begin) // 2
         self._paired = line.shape[1] - begin - 2 * pairs
@@ -112,16 +112,14 @@ class _Level:
 
 
 class _Coarse:
-    """Sums over 4 rows, of which so many octaves have windows of 4, 8, 16, ...: few values, which a running sum of all
-    serves with fewer calls than sums of pairs.
-    """
+    """Sums over 4 rows at octaves with windows of 4, 8, 16, ... A running sum needs fewer calls than sums of pairs."""
 
     def __init__(self, columns: int, octaves: int) -> None:
         self._running: Floats = np.zeros((columns, 1))
         self._next = [0] * octaves
 
     def differences(self, sums: Floats) -> Iterator[tuple[int, Floats]]:
-        """Of each octave (k, m) those of windows that end in the next sums (k, n); they begin at every quarter."""
+        """Differences (k, m) of each octave whose windows end in the next sums (k, n); they begin at every quarter."""
         own = np.cumsum(sums, axis=1)
         own += self._running[:, -1:]
         line = np.concatenate([self._running, own], axis=1)

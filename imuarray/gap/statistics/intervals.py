@@ -1,4 +1,4 @@
-"""What a log says about its rows beside their values: times, flags, and words that no sensor gives."""
+"""What a log records about its rows apart from the values: times, flags, and words that no sensor sends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from imuarray.log.format import FLAGS
 Counts = npt.NDArray[np.int16]
 
 WORDS = (-1, 0)
-"""All axes alike: a bus that floats high, or is held low (UM10204, 3.1.1)."""
+"""Readings of all axes on a bus that floats high, or is held low (UM10204, 3.1.1)."""
 
 _QUARTILE = 0.75
 _TYPICAL = 1024
@@ -23,8 +23,10 @@ _TYPICAL = 1024
 
 @dataclass(frozen=True)
 class Intervals:
-    """Intervals between `count + gaps` neighbouring rows: `mean_s` and `std_s` of the `count` that are no gap,
-    `longest_s` of all; nan without any. A gap is longer than 1.5 times the upper quartile of the first 1024.
+    """Intervals between `count + gaps` neighbouring rows: `mean_s` and `std_s` of the `count` that are no gap, and the
+    `longest_s` of all; nan without any.
+
+    A gap is longer than 1.5 times the upper quartile of the first 1024 intervals.
     """
 
     count: int
@@ -35,8 +37,8 @@ class Intervals:
 
 
 class IntervalMoments:
-    """First and second moment of intervals; `imuarray.characterise.IntervalTally` has their medians too, for 5 times
-    the time and 4 MB.
+    """Accumulates the first and second moments of intervals. `imuarray.characterise.IntervalTally` has their medians
+    too, for 5 times the time and 4 MB.
     """
 
     def __init__(self) -> None:
@@ -47,7 +49,7 @@ class IntervalMoments:
         self._sum_ns = self._squares_ns2 = 0.0
 
     def update(self, time_ns: Times) -> None:
-        """The next times (n,), ascending."""
+        """Adds times (n,), ascending."""
         times = time_ns if self._last_ns is None else np.concatenate([[self._last_ns], time_ns])
         intervals = (times[1:] - times[:-1]).astype(float)
         self._last_ns = int(time_ns[-1])
@@ -56,7 +58,7 @@ class IntervalMoments:
             self._add()
 
     def result(self) -> Intervals:
-        """Of all times so far."""
+        """The moments of all intervals so far."""
         self._add()
         if self._count == 0:
             return Intervals(0, np.nan, np.nan, self._gaps, np.nan)
@@ -66,20 +68,20 @@ class IntervalMoments:
         return Intervals(self._count, *seconds, self._gaps, self._longest_ns * 1e-9)
 
     def _add(self) -> None:
-        """What waits is told from gaps and added up."""
+        """Separates the pending intervals from gaps and adds them up."""
         intervals = np.concatenate([np.zeros(0), *self._waiting])
         self._waiting = []
         if len(intervals) == 0:
             return
         self._typical_ns = self._typical_ns or _quartile(intervals[:_TYPICAL])
         self._longest_ns = max(self._longest_ns, float(intervals.max()))
-        apart = intervals - self._typical_ns
+        from_typical = intervals - self._typical_ns
         if self._longest_ns > GAP * self._typical_ns:
-            apart = apart[intervals <= GAP * self._typical_ns]
-        self._count += len(apart)
-        self._gaps += len(intervals) - len(apart)
-        self._sum_ns += float(apart.sum())
-        self._squares_ns2 += float(apart @ apart)
+            from_typical = from_typical[intervals <= GAP * self._typical_ns]
+        self._count += len(from_typical)
+        self._gaps += len(intervals) - len(from_typical)
+        self._sum_ns += float(from_typical.sum())
+        self._squares_ns2 += float(from_typical @ from_typical)
 
 
 def _quartile(values: Floats) -> float:
@@ -91,7 +93,7 @@ def _quartile(values: Floats) -> float:
 
 
 class StatusTally:
-    """Counts flags and words."""
+    """Counts flags, and rows that are words of `WORDS`."""
 
     def __init__(self) -> None:
         self._flags = dict.fromkeys(FLAGS, 0)
@@ -99,20 +101,20 @@ class StatusTally:
 
     @property
     def flags(self) -> Mapping[str, int]:
-        """Rows so far that have a flag, by its name."""
+        """Number of rows so far with each flag, by its name."""
         return dict(self._flags)
 
     @property
     def words(self) -> int:
-        """Rows so far whose three axes all read one of `WORDS`."""
+        """Number of rows so far whose three axes all read one of `WORDS`."""
         return self._words
 
     def update(self, status: npt.NDArray[np.uint16], counts: Counts) -> None:
-        """The next flags (n,) and counts (n, 3)."""
+        """Adds flags (n,) and counts (n, 3)."""
         if status.any():
             for name, flag in FLAGS.items():
                 self._flags[name] += int(np.count_nonzero(status & flag))
         x, y, z = counts.T
-        alike = (x == y) & (y == z)
-        if alike.any():
-            self._words += int(np.isin(x[alike], WORDS).sum())
+        is_equal = (x == y) & (y == z)
+        if is_equal.any():
+            self._words += int(np.isin(x[is_equal], WORDS).sum())

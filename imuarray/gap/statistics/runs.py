@@ -1,5 +1,5 @@
-"""The same sensor in several logs of one kind, such as a turn-on series: what changes from run to run, and what every
-run has in common.
+"""The same sensor in several logs of one kind, such as a turn-on series: variation from run to run, and the common
+profile.
 """
 
 from __future__ import annotations
@@ -16,15 +16,17 @@ from imuarray.gap.statistics.summary import Summary
 from imuarray.log.format import SensorHeader
 
 PARTS = 16
-"""A run's profile has so many points."""
+"""Points of a run's profile."""
 
 _LEAST_SPREAD = 0.2
 
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs of one sensor, in its unit, along its own axes: `means` (r, 3); `errors` (r, 3) the standard errors of these
-    if readings in a run are independent; `profiles` (r, 16, 3) how the mean went in each run, less the run's mean.
+    """Runs of one sensor, in its unit, along its own axes.
+
+    `means` (r, 3); `errors` (r, 3), their standard errors if readings in a run are independent; `profiles` (r, 16, 3),
+    the mean over parts of each run less the run's mean.
     """
 
     header: SensorHeader
@@ -40,8 +42,8 @@ class Runs:
 
     @cached_property
     def spread(self) -> Floats:
-        """(3,) robust standard deviation of the means, at least a fifth of what independent readings make it: means of
-        the same few hundred integers are often equal.
+        """Robust standard deviation (3,) of the means, at least a fifth of that of independent readings: means of the
+        same few hundred integers are often equal.
         """
         least = _LEAST_SPREAD * np.sqrt((self.errors**2).mean(axis=0))
         return np.asarray(np.maximum(robust_std(self.means), least))
@@ -53,17 +55,17 @@ class Runs:
 
     @property
     def gaps(self) -> Floats:
-        """(r - 1, 3) distances of neighbours among the sorted means."""
+        """Distances (r - 1, 3) of neighbours among the sorted means."""
         return np.diff(np.sort(self.means, axis=0), axis=0)
 
     @cached_property
     def mean_profile(self) -> Floats:
-        """(16, 3) what the runs have in common from beginning to end: the mean of their profiles."""
+        """Mean profile (16, 3) of the runs."""
         return np.asarray(self.profiles.mean(axis=0))
 
 
 def runs_of(summaries: Sequence[Summary]) -> Runs:
-    """The runs of one sensor, each in the phase that stands for it, in the order in which they were made."""
+    """The runs of one sensor, each by the phase that represents it, in the order of recording."""
     scale = 1 / summaries[0].header.sensitivity
     known = [summary for summary in summaries if summary.rows]
     means, errors, profiles = zip(*(_of_run(summary) for summary in known), strict=True) if known else ((), (), ())
@@ -76,7 +78,7 @@ def runs_of(summaries: Sequence[Summary]) -> Runs:
 
 
 def _of_run(summary: Summary) -> tuple[Floats, Floats, Floats]:
-    """Mean, its error and profile, in counts."""
+    """Mean, its error and profile of one run, in counts."""
     part = summary.segments
     held, total = part.rows > 0, part.rows.sum()
     sums = np.where(held[:, None], part.rows[:, None] * part.mean, 0.0)
@@ -88,7 +90,7 @@ def _of_run(summary: Summary) -> tuple[Floats, Floats, Floats]:
 
 @cache
 def _spans(segments: int) -> list[tuple[int, int]]:
-    """(first, stop) of the segments in each of the parts; at least one, the nearest."""
+    """Segments [first, stop) of each part of the profile; at least one, the nearest."""
     edges = np.linspace(0, segments, PARTS + 1)
     middles = np.floor((edges[:-1] + edges[1:]) / 2).astype(int).tolist()
     bounds = np.rint(edges).astype(int).tolist()

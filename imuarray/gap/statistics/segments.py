@@ -1,4 +1,4 @@
-"""A phase in equal parts of time: the moments of the readings in each, and how warm it was."""
+"""Moments of the readings and temperatures in equal parts of a phase."""
 
 from __future__ import annotations
 
@@ -38,9 +38,10 @@ class Segments:
 
     @cached_property
     def steady_variance(self) -> Floats:
-        """(s, 3) the variance without that of a straight line through the part, as steep as the means of the parts
-        beside it say: a change by c in equal steps has a variance of c^2 / 12. Rounding, 1/12,
-        is left.
+        """Variance (s, 3) less that of a straight line through the part, at least that of rounding, 1/12.
+
+        The slope of the line follows from the means of the neighbouring parts: a change by c in equal steps has a
+        variance of c^2 / 12.
         """
         change = np.zeros_like(self.mean)
         if len(change) > 1:
@@ -51,7 +52,7 @@ class Segments:
 
 
 class SegmentTally:
-    """Adds up powers of the readings of [start_ns, end_ns) in `count` parts; of so many `replicates` at once, whose
+    """Accumulates powers of the readings of [start_ns, end_ns) in `count` parts; of so many `replicates` at once, whose
     rows have the same times.
     """
 
@@ -64,8 +65,8 @@ class SegmentTally:
         self._has_thermometer = False
 
     def update(self, time_ns: Times, apart: Floats, thermometers: npt.NDArray[np.int16] | None) -> None:
-        """The next rows: times (n,), distances (3 r, n) of counts from an origin, and the thermometers' counts (r, n);
-        of the only replicate (n,).
+        """Adds rows: times (n,), deviations (3 r, n) of counts from an origin, and the thermometers' counts (r, n), or
+        (n,) for a single replicate.
         """
         part, starts, rows = self._parts(time_ns)
         self._rows[part] += rows
@@ -82,9 +83,9 @@ class SegmentTally:
             self._thermometer[1][:, part] += np.add.reduceat(values * values, starts, axis=1)
 
     def result(self, origin: Floats, temperature: Temperature) -> Segments:
-        """The parts of the only replicate; `origin` (3,) counts is what all distances were taken from."""
-        (found,) = self.results(origin, temperature)
-        return found
+        """The parts of the only replicate; `origin` (3,) in counts is what deviations were taken from."""
+        (segments,) = self.results(origin, temperature)
+        return segments
 
     def results(self, origin: Floats, temperature: Temperature) -> list[Segments]:
         """The parts of each replicate; `origin` (3 r,)."""
@@ -101,15 +102,15 @@ class SegmentTally:
             np.asarray(temperature(at_ns), float),
             (ends_degc[1:] - ends_degc[:-1]) / widths_s,
         )
-        mean, variance, third, fourth = (apart_again(one, replicates) for one in self._moments(origin, rows))
-        degc, noise = self._warmth(rows)
+        mean, variance, third, fourth = (split_replicates(one, replicates) for one in self._moments(origin, rows))
+        degc, noise = self._thermometer_moments(rows)
         return [
             Segments(*times, mean[at], variance[at], third[at], fourth[at], degc[at], noise[at])
             for at in range(replicates)
         ]
 
     def _moments(self, origin: Floats, rows: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """(s, 3 r) means, and central moments."""
+        """Means (s, 3 r), and central moments."""
         first, second, third, fourth = self._powers / rows[:, None]
         square = first * first
         return (
@@ -119,15 +120,15 @@ class SegmentTally:
             fourth - (4 * third - (6 * second - 3 * square) * first) * first,
         )
 
-    def _warmth(self, rows: Floats) -> tuple[Floats, Floats]:
-        """(r, s) mean and variance of each thermometer."""
+    def _thermometer_moments(self, rows: Floats) -> tuple[Floats, Floats]:
+        """Mean and variance (r, s) of each thermometer."""
         if not self._has_thermometer:
             return (np.full(self._thermometer.shape[1:], np.nan),) * 2
         means, squares = self._thermometer / rows
         return means, np.maximum(squares - means**2, 0.0)
 
     def _parts(self, time_ns: Times) -> tuple[Indices, Indices, Indices]:
-        """The parts that the times lie in, where each begins and how many rows of these it has."""
+        """The parts that the times lie in, the first row of each and its number of rows."""
         ends = np.searchsorted(self._edges, time_ns[[0, -1]], side="right") - 1
         part = np.arange(ends[0], ends[1] + 1)
         starts = np.searchsorted(time_ns, self._edges[part])
@@ -136,6 +137,6 @@ class SegmentTally:
         return part[rows > 0], starts[rows > 0], rows[rows > 0]
 
 
-def apart_again(columns: Floats, replicates: int) -> Floats:
-    """(r, n, 3) of replicates that have the columns (n, 3 r) together."""
+def split_replicates(columns: Floats, replicates: int) -> Floats:
+    """Splits joint columns (n, 3 r) into those of each replicate (r, n, 3)."""
     return np.ascontiguousarray(columns.reshape(len(columns), replicates, 3).swapaxes(0, 1))

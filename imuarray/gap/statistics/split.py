@@ -1,7 +1,7 @@
-"""Which part of a campaign parameters are fitted to, and which is held out to judge by.
+"""The split of a campaign into a training part, to which parameters are fitted, and a held-out part.
 
-Of several logs of one kind every second one is held out; of a log that is the only one of its kind the second half of
-every phase. So both parts hold the same faces and phases, and what was fitted to the one has not seen the other.
+Of several logs of one kind every second one is held out; of a log that is the only one of its kind, the second half of
+every phase. Both parts thus have the same faces and phases, and the fit to one has not seen the other.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from imuarray.log.format import Phase
 
 @dataclass(frozen=True)
 class Share:
-    """What is looked at of one log: `phases`, the `numbers` that these have in the log, and whether each is held out;
-    `half` tells that they are halves.
+    """The part of one log that is used: `phases`, their `numbers` in the log, and whether each is held out; `half` if
+    they are halves.
     """
 
     phases: tuple[Phase, ...]
@@ -28,7 +28,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Side:
-    """One part of a campaign: its logs that have anything in this part, and which logs of the whole these are."""
+    """One part of a campaign: its logs that have phases in this part, and their numbers in the whole campaign."""
 
     campaign: Campaign
     logs: tuple[int, ...]
@@ -36,7 +36,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Split:
-    """What is looked at of every log of a campaign, in order."""
+    """The shares of every log of a campaign, in order."""
 
     shares: tuple[Share, ...]
 
@@ -53,12 +53,12 @@ class Split:
         return Side(campaign, tuple(range(len(campaign.logs))))
 
     def phases(self, held_out: bool | None = None) -> tuple[tuple[Phase, ...], ...]:
-        """What is looked at of each log: both parts (None), or one."""
+        """The phases that are used of each log: of both parts (None), or of one."""
         return tuple(tuple(share.phases[at] for at in _places(share, held_out)) for share in self.shares)
 
     @property
     def words(self) -> str:
-        """How it was done, in one sentence."""
+        """Describes the split in one sentence."""
         halved = sum(share.half for share in self.shares)
         whole = sum(all(share.held_out) for share in self.shares if share.phases and not share.half)
         parts = [f"{whole} of {len(self.shares)} logs (every second of a kind)"] if whole else []
@@ -98,7 +98,7 @@ def _places(share: Share, held_out: bool | None) -> list[int]:
 
 
 def _part(log: LogSummary, share: Share, held_out: bool) -> LogSummary:
-    """Of a log summarised in all phases of its share, or in those of one part."""
+    """The phases of one part of a log that was summarised in all phases of its share, or in those of this part only."""
     places = _places(share, held_out)
     chosen = places if len(log.phases) == len(share.phases) else range(len(log.phases))
     parts = [replace(log.phases[at], number=share.numbers[place]) for at, place in zip(chosen, places, strict=False)]

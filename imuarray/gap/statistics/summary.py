@@ -1,8 +1,8 @@
-"""Everything that is kept of one sensor in one phase: one pass over its rows, in memory that does not grow with them.
+"""Summary of one sensor in one phase, from one pass over its rows in bounded memory.
 
-Rows are taken as they come, flagged ones too: a simulation of the same plan flags and misses the same, so that nothing
-has to be cleaned before real and simulated rows are compared. Correlations, spectra and Allan variances count in rows,
-not in seconds; neighbours in the log are neighbours, whatever lies between.
+Rows are taken as they come, flagged ones too: a simulation of the same plan flags and misses the same rows, so that
+nothing has to be cleaned before the comparison. Correlations, spectra and Allan variances count in rows, not in
+seconds: neighbours in the log are neighbours, whatever time lies between.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from imuarray.gap.recording.outliers import Outliers, OutlierTally
 from imuarray.gap.recording.recordings import Temperature
 from imuarray.gap.statistics.haar import Haar, HaarTally
 from imuarray.gap.statistics.intervals import IntervalMoments, Intervals, StatusTally
-from imuarray.gap.statistics.segments import Segments, SegmentTally, apart_again
+from imuarray.gap.statistics.segments import Segments, SegmentTally, split_replicates
 from imuarray.log.format import Phase, SensorHeader
 from imuarray.log.writer import Block
 
@@ -34,14 +34,14 @@ OCTAVES = 14
 
 _SEGMENTS = 64
 _SEGMENT_ROWS = 16
-"""A part of a phase has at least so many rows, or there are fewer parts."""
+"""Fewest rows of a part of a phase; a short phase has fewer parts."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """How finely a phase is looked at: rows of a spectrum's segment, parts of the phase.
+    """Resolution at which a phase is summarised: rows of a spectrum's segment, parts of the phase.
 
-    Statistics can be compared between grids that are the same: what a recorded phase has, its simulations get too.
+    Statistics can be compared between equal grids, so simulations get that of the recorded phase.
     """
 
     spectrum_rows: int
@@ -55,13 +55,13 @@ class Grid:
 
 @dataclass(frozen=True)
 class Summary:
-    """One sensor in one phase; arrays have a column for each axis, counts are raw.
+    """Summary of one sensor in one phase; arrays have a column for each axis, counts are raw.
 
-    `segments` of time; `codes` and `steps` (sizes of the differences of neighbours), a histogram per axis; `spectrum`
-    in squared counts per cycle per row; `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared
-    differences of neighbours at lags 0 ... 3; `allan` at octaves; `intervals` of time, joint `repeats` of all axes,
-    rows with each of the log's `flags`, `words`: rows in which all axes read -1, or all 0, and of a recording its
-    `lone` readings.
+    `segments` of time; `codes` and `steps` (sizes of the differences of neighbours), a histogram for each axis;
+    `spectrum` in squared counts per cycle per row; `alternating`, the mean of the readings with alternating signs;
+    `correlation` (6, 3) at lags 0 ... 5 and `arch` (4, 3) that of the squared differences of neighbours at lags 0 ...
+    3; `allan` at octaves; `intervals` of time, joint `repeats` of all axes, rows with each of the log's `flags`,
+    `words`: rows in which all axes read -1, or all 0, and of a recording its isolated readings `outliers`.
     """
 
     header: SensorHeader
@@ -80,17 +80,18 @@ class Summary:
     repeats: Repeats
     flags: Mapping[str, int]
     words: int
-    lone: Outliers
+    outliers: Outliers
 
 
 class Tally:
-    """Takes the blocks of one sensor in one phase; of so many `replicates` at once, whose rows have the same times:
-    most of the time that few rows take is what every call of NumPy costs. `lone`: with lone readings, which no
-    statistic is made of.
+    """Accumulates the blocks of one sensor in one phase; of so many `replicates` at once, whose rows have the same
+    times, since calls of NumPy dominate for few rows.
+
+    `outliers`: also collects isolated readings, of which no statistic is made.
     """
 
     def __init__(
-        self, header: SensorHeader, phase: Phase, grid: Grid, replicates: int = 1, *, lone: bool = True
+        self, header: SensorHeader, phase: Phase, grid: Grid, replicates: int = 1, *, outliers: bool = True
     ) -> None:
         self._header, self._phase, self._grid = header, phase, grid
         columns = 3 * replicates
@@ -102,51 +103,51 @@ class Tally:
         self._intervals = IntervalMoments()
         self._repeats = [RepeatTally() for _ in range(replicates)]
         self._status = [StatusTally() for _ in range(replicates)]
-        self._lone = [OutlierTally() for _ in range(replicates)]
-        self._with_lone = lone
+        self._outliers = [OutlierTally() for _ in range(replicates)]
+        self._with_outliers = outliers
         self._origin, self._rows = np.zeros(columns), 0
         self._alternating = np.zeros(columns)
         self._last = np.zeros((columns, 0))
 
     def update(self, *blocks: Block) -> None:
-        """The next rows of each replicate, at least one."""
+        """Adds rows of each replicate, at least one."""
         time = blocks[0].time
         counts = np.ascontiguousarray(np.concatenate([block.counts.T for block in blocks]))
-        apart = counts.astype(np.float64)
+        deviations = counts.astype(np.float64)
         if self._rows == 0:
-            self._origin = np.rint(apart.mean(axis=1))
-        apart -= self._origin[:, None]
-        even, odd = (apart[:, (self._rows + first) % 2 :: 2].sum(axis=1) for first in (0, 1))
+            self._origin = np.rint(deviations.mean(axis=1))
+        deviations -= self._origin[:, None]
+        even, odd = (deviations[:, (self._rows + first) % 2 :: 2].sum(axis=1) for first in (0, 1))
         self._alternating += even - odd
         self._rows += len(time)
-        line = np.concatenate([self._last, apart], axis=1)
+        line = np.concatenate([self._last, deviations], axis=1)
         steps = line[:, 1:] - line[:, :-1]
-        self._last = apart[:, -1:].copy()
-        self._segments.update(time, apart, _thermometers(blocks))
+        self._last = deviations[:, -1:].copy()
+        self._segments.update(time, deviations, _thermometers(blocks))
         self._count(counts, steps)
-        self._welch.update(apart.T)
-        self._covariance.update(apart.T)
+        self._welch.update(deviations.T)
+        self._covariance.update(deviations.T)
         self._arch.update((steps * steps).T)
-        self._haar.update(apart)
+        self._haar.update(deviations)
         self._intervals.update(time)
         columns = counts.reshape(len(blocks), 3, -1).swapaxes(1, 2)
         for block, own, repeats, status in zip(blocks, columns, self._repeats, self._status, strict=True):
             repeats.update(own)
             status.update(block.status, own)
-        for at, lone in enumerate(self._lone if self._with_lone else ()):
-            lone.update(time, apart[3 * at : 3 * at + 3])
+        for at, outliers in enumerate(self._outliers if self._with_outliers else ()):
+            outliers.update(time, deviations[3 * at : 3 * at + 3])
 
     def result(self, temperature: Temperature) -> Summary:
-        """All that came so far of the only replicate."""
-        (found,) = self.results(temperature)
-        return found
+        """The summary of the rows so far, of the only replicate."""
+        (summary,) = self.results(temperature)
+        return summary
 
     def results(self, temperature: Temperature) -> list[Summary]:
-        """All that came so far of each replicate."""
+        """The summaries of the rows so far, of each replicate."""
         replicates = len(self._repeats)
         spectrum, haar, intervals = self._welch.result(), self._haar.result(), self._intervals.result()
         tables = (self._covariance.correlation(), self._arch.correlation(), haar.variance, haar.kurtosis)
-        correlation, arch, variance, kurtosis = (apart_again(table, replicates) for table in tables)
+        correlation, arch, variance, kurtosis = (split_replicates(table, replicates) for table in tables)
         alternating = self._alternating.reshape(replicates, 3) / max(self._rows, 1)
         segments = self._segments.results(self._origin, temperature)
         return [
@@ -167,7 +168,7 @@ class Tally:
                 self._repeats[at].result(),
                 self._status[at].flags,
                 self._status[at].words,
-                self._lone[at].result(),
+                self._outliers[at].result(),
             )
             for at in range(replicates)
         ]
@@ -175,46 +176,46 @@ class Tally:
     def _count(self, counts: npt.NDArray[np.int16], steps: Floats) -> None:
         codes = histograms(counts.astype(np.int64))
         sizes = histograms(np.abs(steps).astype(np.int64))
-        self._codes = [seen.merge(more) for seen, more in zip(self._codes, codes, strict=True)]
-        self._steps = [seen.merge(more) for seen, more in zip(self._steps, sizes, strict=True)]
+        self._codes = [histogram.merge(more) for histogram, more in zip(self._codes, codes, strict=True)]
+        self._steps = [histogram.merge(more) for histogram, more in zip(self._steps, sizes, strict=True)]
 
 
 def _thermometers(blocks: Sequence[Block]) -> npt.NDArray[np.int16] | None:
-    """(r, n) counts, if the chip gives any."""
+    """Counts (r, n) of the chip's thermometer, if it has one."""
     counts = [block.temperature_counts for block in blocks if block.temperature_counts is not None]
     return np.array(counts) if counts else None
 
 
 def side_by_side(replicates: Sequence[Summary]) -> Summary:
-    """Replicates whose rows have the same times as one summary, with three columns of each one after the other, for who
-    looks at every column alone; what has no columns is the first one's.
+    """Joins replicates whose rows have the same times into one summary with three columns for each, for statistics that
+    are computed column by column; the rest is that of the first replicate.
     """
     first = replicates[0]
     if len(replicates) == 1:
         return first
-    parts = [one.segments for one in replicates]
-    spectrum = replace(first.spectrum, density=_beside([one.spectrum.density for one in replicates]))
+    parts = [summary.segments for summary in replicates]
+    spectrum = replace(first.spectrum, density=_columns_together([summary.spectrum.density for summary in replicates]))
     return replace(
         first,
         segments=replace(
             first.segments,
-            mean=_beside([part.mean for part in parts]),
-            variance=_beside([part.variance for part in parts]),
-            third=_beside([part.third for part in parts]),
-            fourth=_beside([part.fourth for part in parts]),
+            mean=_columns_together([part.mean for part in parts]),
+            variance=_columns_together([part.variance for part in parts]),
+            third=_columns_together([part.third for part in parts]),
+            fourth=_columns_together([part.fourth for part in parts]),
         ),
-        codes=tuple(chain.from_iterable(one.codes for one in replicates)),
-        steps=tuple(chain.from_iterable(one.steps for one in replicates)),
+        codes=tuple(chain.from_iterable(summary.codes for summary in replicates)),
+        steps=tuple(chain.from_iterable(summary.steps for summary in replicates)),
         spectrum=spectrum,
-        alternating=np.concatenate([one.alternating for one in replicates]),
-        correlation=_beside([one.correlation for one in replicates]),
-        arch=_beside([one.arch for one in replicates]),
+        alternating=np.concatenate([summary.alternating for summary in replicates]),
+        correlation=_columns_together([summary.correlation for summary in replicates]),
+        arch=_columns_together([summary.arch for summary in replicates]),
         allan=first.allan._replace(
-            variance=_beside([one.allan.variance for one in replicates]),
-            kurtosis=_beside([one.allan.kurtosis for one in replicates]),
+            variance=_columns_together([summary.allan.variance for summary in replicates]),
+            kurtosis=_columns_together([summary.allan.kurtosis for summary in replicates]),
         ),
     )
 
 
-def _beside(tables: Sequence[Floats]) -> Floats:
+def _columns_together(tables: Sequence[Floats]) -> Floats:
     return np.concatenate(tables, axis=1)

@@ -125,7 +125,7 @@ def _hits(seen: PhaseEvidence) -> Iterator[_Hit]:
     """Lone readings beyond what noise makes, each due half a row before it came."""
     limits = np.fmax(_FAR * np.sqrt(1.5) * noise_lsb(seen.raw), _FEWEST_LSB)
     half_s = seen.raw.intervals.mean_s / 2
-    lone = seen.raw.lone
+    lone = seen.raw.outliers
     for axis, time_ns, apart in zip(lone.axis.tolist(), lone.time_ns.tolist(), lone.deviation.tolist(), strict=True):
         if abs(apart) > limits[axis]:
             yield _Hit(seen.log, time_ns * 1e-9 - half_s, axis, apart)

@@ -13,16 +13,16 @@ from scipy import stats
 from imuarray.gap.statistics.synthetic_likelihood import (
     FORM,
     FREEDOM,
-    STRANGE,
+    LARGEST_SCORE,
     SyntheticLikelihood,
     independent_share,
-    likeness_of,
+    likelihood_of,
 )
 
 NAN = math.nan
 
 
-def likeness(
+def likelihood(
     location: list[float], scale: list[float], always: object = None, never: object = None
 ) -> SyntheticLikelihood:
     nothing = np.zeros(len(location), bool)
@@ -33,7 +33,7 @@ def likeness(
 @given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3), st.floats(-90, 90), st.floats(-90, 90))
 def test_density_is_students(location: float, scale: float, one: float, other: float) -> None:
     """Up to a constant: differences are those of the t distribution."""
-    model = likeness([location] * 2, [scale] * 2)
+    model = likelihood([location] * 2, [scale] * 2)
     values = location + scale * np.array([one, other])
     found = model.log_density(values)
     expected = stats.t.logpdf(values, FREEDOM, location, scale)
@@ -44,14 +44,14 @@ def test_density_is_students(location: float, scale: float, one: float, other: f
 
 def test_what_a_score_costs() -> None:
     """z = 3, 10, 100 cost 3.1, 9.1 and 22.8 nats, and nothing costs more."""
-    model = likeness([0.0] * 4, [1.0] * 4)
+    model = likelihood([0.0] * 4, [1.0] * 4)
     found = model.log_density(np.array([3.0, 10.0, 100.0, 1e9]))
     np.testing.assert_allclose(-found, [3.09, 9.13, 22.81, 22.81], atol=0.01)
 
 
 def test_what_an_effect_moves_may_be_off_by_a_share() -> None:
     """Moved by 20 standard deviations, it may be 1 standard deviation off: variances add."""
-    model = likeness([20.0], [1.0])
+    model = likelihood([20.0], [1.0])
     found = model.log_density(np.array([23.0]), np.array([20.0]))
     width = math.sqrt(1 + (20 * FORM) ** 2)
     expected = stats.t.logpdf(3.0, FREEDOM, 0.0, width) - stats.t.logpdf(0.0, FREEDOM)
@@ -62,7 +62,7 @@ def test_what_an_effect_moves_may_be_off_by_a_share() -> None:
 
 def test_silence_says_nothing_where_it_is_usual() -> None:
     """Neither what is now there and now not, nor what is never there, nor what the fit makes the same every time."""
-    model = likeness([0.0, NAN, 5.0], [2.0, NAN, 1e-9], never=[False, True, False])
+    model = likelihood([0.0, NAN, 5.0], [2.0, NAN, 1e-9], never=[False, True, False])
     np.testing.assert_array_equal(model.log_density(np.array([NAN, NAN, 5.0 + 1e-8])), 0.0)
     np.testing.assert_array_equal(model.scores(np.array([NAN, NAN, 5.0])), [NAN, NAN, 0.0])
     apart = model.log_density(np.array([NAN, NAN, 5.1]))
@@ -71,18 +71,18 @@ def test_silence_says_nothing_where_it_is_usual() -> None:
 
 def test_what_one_side_lacks_is_missing() -> None:
     """It has no score; a model under which a recorded statistic vanishes pays for it as for the largest score."""
-    model = likeness([1.0, NAN], [2.0, NAN], always=[True, False], never=[False, True])
+    model = likelihood([1.0, NAN], [2.0, NAN], always=[True, False], never=[False, True])
     np.testing.assert_array_equal(model.scores(np.array([NAN, 3.0])), NAN)
-    cost = stats.t.logpdf(0.0, FREEDOM) - stats.t.logpdf(STRANGE, FREEDOM)
+    cost = stats.t.logpdf(0.0, FREEDOM) - stats.t.logpdf(LARGEST_SCORE, FREEDOM)
     np.testing.assert_allclose(model.log_density(np.array([NAN, 3.0])), [0.0, -cost])
-    assert model.scores(np.array([1e9, NAN]))[0] == STRANGE
+    assert model.scores(np.array([1e9, NAN]))[0] == LARGEST_SCORE
 
 
 def test_replicates_tell_middle_and_scatter() -> None:
     """Of 4000 normal ones within 5 standard errors: 1.25 sigma / sqrt(n) of a median, sigma / sqrt(2 n)."""
     random = np.random.default_rng(2)
     replicates = random.normal([3.0, -7.0], [0.1, 10.0], (4000, 2))
-    found = likeness_of(replicates, np.zeros(2))
+    found = likelihood_of(replicates, np.zeros(2))
     assert abs(found.location[0] - 3.0) < 5 * 1.25 * 0.1 / 4000**0.5
     assert abs(found.location[1] + 7.0) < 5 * 1.25 * 10 / 4000**0.5
     np.testing.assert_allclose(found.scale, [0.1, 10.0], rtol=5 / 8000**0.5)
@@ -95,7 +95,7 @@ def test_one_wild_replicate_does_little() -> None:
     values = np.random.default_rng(3).normal(size=(60, 1))
     wild = values.copy()
     wild[7] = 1e6
-    before, after = (likeness_of(one, np.zeros(1)) for one in (values, wild))
+    before, after = (likelihood_of(one, np.zeros(1)) for one in (values, wild))
     assert after.scale[0] < math.sqrt(before.scale[0] ** 2 + 40 / 60)
     assert after.location[0] == pytest.approx(before.location[0], abs=0.2)
 
@@ -103,7 +103,7 @@ def test_one_wild_replicate_does_little() -> None:
 def test_what_is_seldom_said_has_no_scatter() -> None:
     replicates = np.full((10, 4), NAN)
     replicates[:4, 1], replicates[:6, 2], replicates[:, 3] = 1.0, 1.0, 1.0
-    found = likeness_of(replicates, np.full(4, 0.5))
+    found = likelihood_of(replicates, np.full(4, 0.5))
     np.testing.assert_array_equal(np.isfinite(found.location), [False, False, True, True])
     np.testing.assert_array_equal(found.always, [False, False, False, True])
     np.testing.assert_array_equal(found.never, [True, False, False, False])
@@ -153,7 +153,7 @@ def test_what_says_nothing_is_no_statistic() -> None:
 def test_the_middle_is_the_median(replicates: int) -> None:
     values = np.random.default_rng(1).normal(size=(replicates, 5))
     values[0, 1] = np.nan
-    np.testing.assert_array_equal(likeness_of(values, np.zeros(5)).location, np.nanmedian(values, axis=0))
+    np.testing.assert_array_equal(likelihood_of(values, np.zeros(5)).location, np.nanmedian(values, axis=0))
 
 
 @given(
@@ -165,8 +165,8 @@ def test_dropping_columns_changes_no_other_score(seed: int, lost_here: list[bool
     """Whatever columns the recording or the replicates lack: these have no score, all others the one they had."""
     random = np.random.default_rng(seed)
     replicates, recording = random.normal(size=(30, 12)), random.normal(size=12)
-    whole = likeness_of(replicates, np.zeros(12)).scores(recording)
+    whole = likelihood_of(replicates, np.zeros(12)).scores(recording)
     here, there = np.array(lost_here), np.array(lost_there)
-    found = likeness_of(np.where(there, NAN, replicates), np.zeros(12)).scores(np.where(here, NAN, recording))
+    found = likelihood_of(np.where(there, NAN, replicates), np.zeros(12)).scores(np.where(here, NAN, recording))
     assert np.array_equal(np.isnan(found), here | there)
     np.testing.assert_array_equal(found[~(here | there)], whole[~(here | there)])
