@@ -16,13 +16,13 @@ from imuarray.facts import pca9544a
 from imuarray.facts.registers import Setting
 
 if TYPE_CHECKING:
-    from imuarray.acquire.stations import Station
+    from imuarray.acquire.sensor_routes import SensorRoute
 
 
 class Witness(NamedTuple):
     """One register of one chip, and what it would read on the other channels: nothing where the chip has no twin."""
 
-    station: Station
+    route: SensorRoute
     setting: Setting
     others: frozenset[int]
 
@@ -34,11 +34,13 @@ class Channel:
     are as configured: `seen` is the one that was right last time, `doubted` one that answered and was not.
     """
 
-    def __init__(self, bus: MuxChannel, here: Sequence[Station], everywhere: Sequence[Station], limit: int) -> None:
+    def __init__(
+        self, bus: MuxChannel, here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int
+    ) -> None:
         self._mux = bus.mux
         self._order = (pca9544a.ENABLE(1) | pca9544a.CHANNEL(bus.number)).value
-        self.twins = [station for station in here if twins_of(station, everywhere)]
-        found = [witness for station in here for witness in _witnesses(station, everywhere)]
+        self.twins = [route for route in here if twins_of(route, everywhere)]
+        found = [witness for route in here for witness in _witnesses(route, everywhere)]
         self.witnesses = sorted(found, key=lambda witness: not witness.others)[:limit]  # a register tells most
         self.seen: Witness | None = None
         self.doubted: Witness | None = None
@@ -64,7 +66,7 @@ class Channel:
 
     def _hear(self, witness: Witness) -> bool | None:
         """Yes, no, or None from a chip that is silent or reads neither what it should nor what its twin does."""
-        registers, setting = witness.station.driver.registers, witness.setting
+        registers, setting = witness.route.driver.registers, witness.setting
         try:
             register = setting.register
             block = self._mux.bus.transfer(registers.address, bytes([register.address]), register.readback_bytes)
@@ -92,50 +94,50 @@ class Channel:
         self._mux.selected = None
 
 
-def channel_of(here: Sequence[Station], everywhere: Sequence[Station], limit: int) -> Channel | None:
-    """The channel of these stations, if anybody on it could be taken for somebody else."""
+def channel_of(here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int) -> Channel | None:
+    """The channel of these routes, if anybody on it could be taken for somebody else."""
     bus = here[0].driver.registers.bus
     channel = Channel(bus, here, everywhere, limit) if isinstance(bus, MuxChannel) else None
     return channel if channel is not None and channel.twins else None
 
 
-def twins_of(station: Station, everywhere: Iterable[Station]) -> list[Station]:
+def twins_of(route: SensorRoute, everywhere: Iterable[SensorRoute]) -> list[SensorRoute]:
     """Stations at the same address of other channels."""
-    if not isinstance(station.driver.registers.bus, MuxChannel):
+    if not isinstance(route.driver.registers.bus, MuxChannel):
         return []
     return [
         other
         for other in everywhere
-        if other.segment != station.segment
+        if other.segment != route.segment
         and isinstance(other.driver.registers.bus, MuxChannel)
-        and other.sensor.address == station.sensor.address
+        and other.sensor.address == route.sensor.address
     ]
 
 
-def mark_twins(stations: Sequence[Station]) -> None:
+def mark_twins(routes: Sequence[SensorRoute]) -> None:
     """Make twins that are configured alike differ in a register on which nothing depends; before they are set up."""
-    alike: dict[int, Station] = {}
-    for station in stations:
-        twins = twins_of(station, stations)
-        if twins and not _witnesses(station, stations):
-            alike.update((id(one), one) for one in (station, *twins))
-    for station in alike.values():
-        station.driver.mark(int(station.segment or 0) + 1)
+    alike: dict[int, SensorRoute] = {}
+    for route in routes:
+        twins = twins_of(route, routes)
+        if twins and not _witnesses(route, routes):
+            alike.update((id(one), one) for one in (route, *twins))
+    for route in alike.values():
+        route.driver.mark(int(route.segment or 0) + 1)
 
 
-def _witnesses(station: Station, everywhere: Sequence[Station]) -> list[Witness]:
+def _witnesses(route: SensorRoute, everywhere: Sequence[SensorRoute]) -> list[Witness]:
     """The watched registers in which this chip differs from all its twins, also after one of them was reset; all of
     them if it has none.
     """
-    twins = twins_of(station, everywhere)
+    twins = twins_of(route, everywhere)
     found = []
-    for setting in station.driver.watched:
+    for setting in route.driver.watched:
         theirs = [
             {other.value for other in twin.driver.watched if other.register == setting.register}
             for twin in twins
-            if twin.sensor.chip == station.sensor.chip
+            if twin.sensor.chip == route.sensor.chip
         ]
         mine = {setting.value, setting.register.reset & setting.mask}
         if len(theirs) == len(twins) and all(values and not values & mine for values in theirs):
-            found.append(Witness(station, setting, frozenset().union(*theirs)))
+            found.append(Witness(route, setting, frozenset().union(*theirs)))
     return found

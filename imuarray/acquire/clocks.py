@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from datetime import datetime
 
-from imuarray.acquire.trouble import Tell
+from imuarray.acquire.fault_episode import Tell
 from imuarray.clock import Clock, MonotonicClock
 from imuarray.log.format import ClockRow
 

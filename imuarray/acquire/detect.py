@@ -11,7 +11,7 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from imuarray.acquire.stations import Station, route
+from imuarray.acquire.sensor_routes import SensorRoute, routes_of
 from imuarray.array import ArrayConfig
 from imuarray.bus.mux import Pca9544a
 from imuarray.bus.protocol import Bus, OpenBus
@@ -86,12 +86,12 @@ def detect(array: ArrayConfig, bus: OpenBus, *, self_test: bool = False) -> list
     mux = array.mux.address if array.mux else None
     owner = "" if mux is None else owner_of(mux, bus)
     found = [] if mux is None else [_ask_mux(mux, owner, bus)]
-    for station in route(array, bus):
-        if owner and station.sensor.channel is not None:
-            sensor, text = station.sensor, "not asked: the multiplexer before it belongs to the kernel"
+    for route in routes_of(array, bus):
+        if owner and route.sensor.channel is not None:
+            sensor, text = route.sensor, "not asked: the multiplexer before it belongs to the kernel"
             found.append(Found(sensor.place, sensor.name, sensor.chip, text, False))
         else:
-            found.append(_ask(station, self_test))
+            found.append(_ask(route, self_test))
     taken = {(sensor.channel, sensor.address) for sensor in array.sensors if sensor.bus is None}
     owned = _owned(bus)
     taken |= {(None, line.address) for line in owned if line.address is not None}
@@ -113,19 +113,19 @@ def _owned(bus: OpenBus) -> list[Found]:
     ]
 
 
-def _ask(station: Station, self_test: bool) -> Found:
+def _ask(route: SensorRoute, self_test: bool) -> Found:
     """Is it the chip that the configuration says, is it free, and does it pass its self-test?"""
-    sensor = station.sensor
+    sensor = route.sensor
     try:
-        station.claim()
+        route.claim()
     except SensorError as error:
         owner = str(error).partition(": ")[2]
         return Found(sensor.place, sensor.name, sensor.chip, owner, False, owner=owner)
     except OSError as error:
         return Found(sensor.place, sensor.name, sensor.chip, f"the bus fails: {error.strerror or error}", False)
     try:
-        station.driver.identify()
-        result = station.driver.self_test() if self_test else SelfTest(True, "")
+        route.driver.identify()
+        result = route.driver.self_test() if self_test else SelfTest(True, "")
     except SensorError as error:
         return Found(sensor.place, sensor.name, sensor.chip, str(error).partition(": ")[2], False)
     except OSError as error:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from imuarray.acquire.doctor_machine import Check, Machine
 from imuarray.array import ArrayConfig
+from imuarray.log.disk_space import RESERVE, WATERMARK
 from imuarray.log.headers import header_of
 from imuarray.log.journal import is_running
 from imuarray.log.layout import sensor_group
-from imuarray.log.room import RESERVE, WATERMARK
 
 NIGHT_S = 12 * 3600.0
 _LIVE = 2.0

@@ -3,7 +3,8 @@
 A chip's flag says whether there is a new reading since it was last read. Two reads may follow each other closely (a
 frame that began late, a burst of frames after a stall), and then an old reading is nothing wrong. It is wrong when more
 time has passed since the last new reading was fetched than the chip takes for one at the slow end of its oscillator. A
-chip without such a flag can't be judged so: that two of its readings are equal may be chance (`Pending.frozen_since`).
+chip without such a flag can't be judged so: that two of its readings are equal may be chance.
+`SampleBuffer.frozen_since` looks for those.
 """
 
 from __future__ import annotations

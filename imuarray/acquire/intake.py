@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.acquire.pending import Pending
-from imuarray.acquire.trouble import Troubles
+from imuarray.acquire.fault_episode import FaultEpisodes
+from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED
 from imuarray.log.rotate import Writer
 from imuarray.log.writer import Block
@@ -28,7 +28,7 @@ _INHERITED = np.uint16(LOST_BEFORE | OVERRUN | RECONFIGURED)
 
 
 class Intake:
-    """Writes blocks of rows into `log`; `observe` sees each as it was written, `troubles` tell of refused rows, which
+    """Writes blocks of rows into `log`; `observe` sees each as it was written, `faults` tell of refused rows, which
     are counted in `lost` by sensor.
     """
 
@@ -37,24 +37,24 @@ class Intake:
         log: Writer,
         epoch_ns: int,
         observe: Callable[[str, Block], None],
-        troubles: Troubles,
+        faults: FaultEpisodes,
         lost: dict[str, int],
     ) -> None:
-        self._log, self._epoch_ns, self._observe, self._troubles, self._lost = log, epoch_ns, observe, troubles, lost
+        self._log, self._epoch_ns, self._observe, self._faults, self._lost = log, epoch_ns, observe, faults, lost
         self._newest_ns: dict[str, int] = {}
         self._inherited: dict[str, np.uint16] = {}
 
-    def write(self, pending: Pending, count: int, now_ns: int) -> Block:
+    def write(self, buffer: SampleBuffer, count: int, now_ns: int) -> Block:
         """Take the oldest `count` rows that wait, and write those that are in order; what was written, maybe no row.
 
         DiskFullError, LogError.
         """
-        name = pending.station.sensor.name
-        block = pending.take(count, self._epoch_ns)
+        name = buffer.route.sensor.name
+        block = buffer.take(count, self._epoch_ns)
         kept = in_order(block.time, self._newest_ns.get(name), now_ns - self._epoch_ns + AHEAD_NS)
         if not kept.all():
             self._refuse(name, int(np.count_nonzero(~kept)), now_ns)
-            pending.doubtful_rows = pending.doubtful_rows[kept]
+            buffer.doubtful_rows = buffer.doubtful_rows[kept]
         block, self._inherited[name] = selected(block, kept, self._inherited.get(name, np.uint16(0)))
         if len(block.time):
             self._newest_ns[name] = int(block.time[-1])
@@ -65,7 +65,7 @@ class Intake:
     def _refuse(self, name: str, count: int, now_ns: int) -> None:
         self._lost[name] += count
         text = f"{counted(count, 'reading')} refused: not later than the reading before, or ahead of the clock"
-        self._troubles.of(name, "refused").happened(now_ns, text, count)
+        self._faults.of(name, "refused").happened(now_ns, text, count)
 
 
 def in_order(times: npt.NDArray[np.int64], newest_ns: int | None, latest_ns: int) -> npt.NDArray[np.bool_]:

@@ -1,7 +1,7 @@
 """The poll loop: frame after frame at a steady rate, bursts kept raw, decoded and written many at a time.
 
 A sensor that does not answer, has lost its configuration or stands still gets well in its own place of the frame
-(`imuarray.acquire.care`); the others are read as ever.
+(`imuarray.acquire.sensor_health`); the others are read as ever.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from typing import Any
 import numpy as np
 
 from imuarray.acquire.adapter import REMOVED, Adapter
-from imuarray.acquire.care import Care
+from imuarray.acquire.bus_segment import BusSegment
 from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.configuration_readback import ConfigurationReadback
+from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.intake import Intake
-from imuarray.acquire.pending import Pending
-from imuarray.acquire.segments import Segment
+from imuarray.acquire.sample_buffer import SampleBuffer
+from imuarray.acquire.sensor_health import SensorHealth
+from imuarray.acquire.sensor_routes import SensorRoute, there_and_back
 from imuarray.acquire.start_up import Judge, StartUp
-from imuarray.acquire.stations import Station, there_and_back
 from imuarray.acquire.summary import Summary
-from imuarray.acquire.trouble import Troubles
-from imuarray.acquire.watch import Watch
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event
-from imuarray.log.pace import frames_in
+from imuarray.log.missed_frames import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, Stimulus
 from imuarray.printable import counted
@@ -48,7 +48,7 @@ class Poll:
 
     def __init__(
         self,
-        stations: Sequence[Station],
+        routes: Sequence[SensorRoute],
         bus: OpenBus,
         log: Writer,
         rate_hz: float,
@@ -66,56 +66,56 @@ class Poll:
         self.epoch_ns = epoch_ns
         self.progress = progress
         self.tell = tell
-        self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
-        self.pending = {id(station): Pending(station, rate_hz) for station in stations}
-        items = list(self.pending.values())
-        self.troubles = Troubles(self.event)
-        self.intake = Intake(log, epoch_ns, observe, self.troubles, self.summary.lost)
-        forth = self._segments(stations)
+        self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
+        self.buffers = {id(route): SampleBuffer(route, rate_hz) for route in routes}
+        items = list(self.buffers.values())
+        self.faults = FaultEpisodes(self.event)
+        self.intake = Intake(log, epoch_ns, observe, self.faults, self.summary.lost)
+        forth = self._segments(routes)
         self.orders = forth, forth[::-1]
         self.places = [(segment, item) for segment in forth for item in segment.items]
         start_ns = self.clock.now_ns()
         self.start_up = StartUp(items, judge, start_ns) if judge else None
-        self.watch = Watch(
+        self.readback = ConfigurationReadback(
             [item for segment in forth for item in segment.items],
             rate_hz,
-            lambda pending, kind, text: self.care.not_as_it_was(pending, self.clock.now_ns(), kind, text),
+            lambda buffer, kind, text: self.health.not_as_it_was(buffer, self.clock.now_ns(), kind, text),
             [witness for segment in forth if segment.channel for witness in segment.channel.witnesses],
         )
-        self.care = Care(items, self.watch, self.start_up, self.troubles, self.summary.lost)
+        self.health = SensorHealth(items, self.readback, self.start_up, self.faults, self.summary.lost)
         read = clocks_beside(self.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
         self.clocks = Clocks(read, epoch_ns, log.clocks, self.note)
-        self.missed = self.troubles.of("", "late")
+        self.missed = self.faults.of("", "late")
         self.part = 0
         self.tick_frames = max(1, round(TICK_S * rate_hz))
         self.batch_frames = min(BATCH, max(1, round(BATCH_S * rate_hz)))
         self.truth: Callable[[int], Any] | None = getattr(bus, "truth", None)
         self.truth_rows: list[tuple[int, Any]] = []
 
-    def _segments(self, stations: Sequence[Station]) -> list[Segment]:
+    def _segments(self, routes: Sequence[SensorRoute]) -> list[BusSegment]:
         """In the order of the configuration. Channels of one multiplexer, and its trunk, are one adapter; a bus of its
         own is another.
         """
-        shared, everybody = Adapter(), list(self.pending.values())
+        shared, everybody = Adapter(), list(self.buffers.values())
         return [
-            Segment(
-                [self.pending[id(station)] for station in part],
+            BusSegment(
+                [self.buffers[id(route)] for route in part],
                 everybody,
                 Adapter() if isinstance(part[0].segment, str) else shared,
                 self.clock,
                 self.rate_hz,
-                self.troubles,
+                self.faults,
                 self.lose,
             )
-            for part in there_and_back(stations)[0]
+            for part in there_and_back(routes)[0]
         ]
 
     def lose(self, adapter: Adapter, at_ns: int) -> None:
         """An adapter was removed: what is behind it is set up when it is there again."""
         for segment in self.orders[0]:
             if segment.adapter is adapter:
-                for pending in segment.items:
-                    self.care.set_up_later(pending, at_ns)
+                for buffer in segment.items:
+                    self.health.set_up_later(buffer, at_ns)
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Frame after frame on a grid of their times: one that begins late is counted late, one whose time has passed
@@ -127,10 +127,10 @@ class Poll:
         end_ns = None if seconds is None else due_ns + frames_in(seconds, self.rate_hz) * period_ns
         if isinstance(self.log, RotatingWriter):
             self.log.starts(due_ns - self.epoch_ns)
-        for pending in self.pending.values():
-            if pending.queue is not None:  # its queue ran over while the others were configured
+        for buffer in self.buffers.values():
+            if buffer.queue is not None:  # its queue ran over while the others were configured
                 with contextlib.suppress(OSError):
-                    pending.driver.fetch()
+                    buffer.driver.fetch()
         try:
             while (end_ns is None or due_ns < end_ns) and not stopped():
                 self.frame()
@@ -157,8 +157,8 @@ class Poll:
                     self.missed.close(now_ns)
                 self.part = part
             self.missed.happened(now_ns, text, frames)
-            for pending in self.pending.values():
-                pending.missing |= pending.queue is None and not pending.station.sensor.spec.on_demand
+            for buffer in self.buffers.values():
+                buffer.missing |= buffer.queue is None and not buffer.route.sensor.spec.on_demand
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
@@ -172,11 +172,11 @@ class Poll:
             now_ns = self.clock.now_ns()
             if at_ns <= now_ns < due_ns:
                 tried.add((place, at_ns))
-                segment, pending = self.places[place]
-                if pending.recovery is None:
-                    self.group(segment, pending)
+                segment, buffer = self.places[place]
+                if buffer.recovery is None:
+                    self.group(segment, buffer)
                 else:
-                    pending.recovery.go_on(now_ns)
+                    buffer.recovery.go_on(now_ns)
             if now_ns < due_ns and stopped():
                 return
 
@@ -189,11 +189,11 @@ class Poll:
         visits: list[tuple[int, int]] = []
         if self.rate_hz * _FAR_NS >= 1e9:
             return due_ns, 0
-        for place, (segment, pending) in enumerate(self.places):
+        for place, (segment, buffer) in enumerate(self.places):
             if segment.adapter.removed:
                 continue
-            at_ns = pending.conversion_before(due_ns)
-            if pending.recovery is not None and (goes_on_ns := pending.recovery.goes_on_ns) is not None:
+            at_ns = buffer.conversion_before(due_ns)
+            if buffer.recovery is not None and (goes_on_ns := buffer.recovery.goes_on_ns) is not None:
                 at_ns = goes_on_ns if due_ns - goes_on_ns > _FAR_NS else None
             if at_ns is not None and (place, at_ns) not in tried:
                 visits.append((at_ns, place))
@@ -204,20 +204,20 @@ class Poll:
         if self.truth is not None:
             now_ns = self.clock.now_ns()
             self.truth_rows.append((now_ns, self.truth(now_ns)))
-        due = self.watch.due()
+        due = self.readback.due()
         frames = self.summary.frames
         for segment in self.orders[frames % 2]:
             if self.group(segment):
                 for check in due:
-                    if check.pending.station.segment == segment.key:
-                        self.watch.run(check)
+                    if check.buffer.route.segment == segment.key:
+                        self.readback.run(check)
         self.summary.frames = frames = frames + 1
         if frames % self.tick_frames == 0:
             self.tick()
         if frames % self.batch_frames == 0:
             self.write()
 
-    def group(self, segment: Segment, only: Pending | None = None) -> bool:
+    def group(self, segment: BusSegment, only: SampleBuffer | None = None) -> bool:
         """Read one segment's sensors, or one of them, one after the other; whether it was the right segment, so that
         checks make sense.
 
@@ -225,22 +225,22 @@ class Poll:
         """
         adapter = segment.adapter
         now_ns = segment.begin()
-        for pending in segment.items:
-            if only not in (None, pending) or not (pending.always_due or pending.due(now_ns)):
+        for buffer in segment.items:
+            if only not in (None, buffer) or not (buffer.always_due or buffer.due(now_ns)):
                 continue
-            if now_ns < adapter.silent_until_ns or (adapter.removed and not segment.has_returned(pending)):
-                self.care.lost(pending, now_ns, None)
+            if now_ns < adapter.silent_until_ns or (adapter.removed and not segment.has_returned(buffer)):
+                self.health.lost(buffer, now_ns, None)
                 continue
-            if pending.recovery is not None:
-                error = self.care.step(pending, now_ns)
+            if buffer.recovery is not None:
+                error = self.health.step(buffer, now_ns)
                 if error is not None:
                     segment.failed(error)
             else:
-                self.visit(pending, segment, now_ns)
+                self.visit(buffer, segment, now_ns)
             now_ns = self.clock.now_ns()
-        return segment.confirm(self.watch, self.summary.lost)
+        return segment.confirm(self.readback, self.summary.lost)
 
-    def visit(self, pending: Pending, segment: Segment, now_ns: int) -> None:
+    def visit(self, buffer: SampleBuffer, segment: BusSegment, now_ns: int) -> None:
         """Fetch; once more if nobody acknowledged; then the reading is missing: no row, an event when silence begins.
 
         Before anything is sent again it is asked which channel is connected: a silent address may be a wrong channel,
@@ -248,46 +248,46 @@ class Poll:
         """
         again = False
         try:
-            burst = pending.driver.fetch()
+            burst = buffer.driver.fetch()
         except OSError as error:
             segment.failed(error)
             if error.errno in REMOVED:  # told once for all of its sensors
-                self.care.lost(pending, now_ns, None)
+                self.health.lost(buffer, now_ns, None)
                 return
             if error.errno == errno.ETIMEDOUT:  # to ask again would cost as much time again
-                self.care.lost(pending, now_ns, error)
+                self.health.lost(buffer, now_ns, error)
                 return
             if segment.channel is not None:
-                segment.confirm(self.watch, self.summary.lost)
+                segment.confirm(self.readback, self.summary.lost)
             now_ns, again = self.clock.now_ns(), True
             try:
-                burst = pending.driver.fetch()
+                burst = buffer.driver.fetch()
             except OSError as second:
                 segment.failed(second)
-                self.care.lost(pending, now_ns, second)
+                self.health.lost(buffer, now_ns, second)
                 return
         if not burst:  # nothing to give yet; maybe it was not even asked
             return
         adapter = segment.adapter
         if adapter.time_outs:
             segment.answered()
-        start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), pending.clocks)
+        start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), buffer.clocks)
         self.summary.uncertain += not certain
-        pending.silent_since_ns = None
-        if pending.failed:
-            self.care.arrived(pending, start_ns)
-        pending.add(burst, start_ns, doubtful=again or not certain)
+        buffer.silent_since_ns = None
+        if buffer.failed:
+            self.health.arrived(buffer, start_ns)
+        buffer.add(burst, start_ns, doubtful=again or not certain)
 
     def tick(self) -> None:
         """What need not be looked at every frame."""
         now_ns = self.clock.now_ns()
         self.clocks.tick(now_ns)
-        self.care.tick(now_ns)
-        self.troubles.settle(now_ns)
+        self.health.tick(now_ns)
+        self.faults.settle(now_ns)
 
     def note(self, at_ns: int, kind: str, text: str) -> None:
         """Something happened to the array as a whole."""
-        self.troubles.of("", kind).happened(at_ns, text)
+        self.faults.of("", kind).happened(at_ns, text)
 
     def event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
         """Note that something happened to a sensor, or to the array."""
@@ -297,23 +297,23 @@ class Poll:
 
     def finish(self) -> None:
         """Vouch for what was read, or flag it; write it; tell the end of what events began."""
-        self.watch.finish()
-        self.care.finish(self.clock.now_ns())
+        self.readback.finish()
+        self.health.finish(self.clock.now_ns())
         self.write(last=True)
         now_ns = self.clock.now_ns()
-        self.troubles.close(now_ns)
-        self.summary.silent = [item.station.sensor.name for item in self.pending.values() if item.silent(now_ns)]
+        self.faults.close(now_ns)
+        self.summary.silent = [item.route.sensor.name for item in self.buffers.values() if item.silent(now_ns)]
 
     def write(self, *, last: bool = False) -> None:
         """Decode and write what waits and is trusted."""
         now_ns = self.clock.now_ns()
-        for pending in self.pending.values():
-            count = len(pending.times_ns) if last else self.care.trusted_rows(pending, now_ns)
+        for buffer in self.buffers.values():
+            count = len(buffer.times_ns) if last else self.health.trusted_rows(buffer, now_ns)
             if count > 0:
-                block = self.intake.write(pending, count, now_ns)
-                self.watch.taken(pending, count)
+                block = self.intake.write(buffer, count, now_ns)
+                self.readback.taken(buffer, count)
                 if len(block.time):
-                    self.care.written(pending, block, self.epoch_ns)
+                    self.health.written(buffer, block, self.epoch_ns)
         if self.truth_rows:
             self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))
             self.truth_rows = []

@@ -8,16 +8,16 @@ from os import PathLike
 from typing import Any
 
 from imuarray.acquire.poll import Poll
+from imuarray.acquire.sensor_routes import connect
 from imuarray.acquire.service import Service
 from imuarray.acquire.start_up import Judge
-from imuarray.acquire.stations import connect
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.acquire.summary import Summary
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.headers import header_of
-from imuarray.log.pace import duration_s
+from imuarray.log.missed_frames import duration_s
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, LogWriter
 
@@ -60,28 +60,26 @@ def record(
     Raises SensorError before the first frame if a sensor is missing or wrong, OutputExistsError if the log exists,
     LogBusyError if it is being written, DiskFullError if it had to be ended early.
     """
-    stations = connect(array, bus)
+    routes = connect(array, bus)
     start_ns = bus.clock.now_ns()
     epoch = wall_time or getattr(bus, "epoch", None) or datetime.now(UTC)
     if hasattr(bus, "begins"):  # a transcript notes when it was, and when it ends
         bus.begins(epoch)
     if hasattr(bus, "stopping"):
         stopped = bus.stopping(stopped)
-    headers = [header_of(station.sensor, station.driver.header()) for station in stations]
+    headers = [header_of(route.sensor, route.driver.header()) for route in routes]
     told = service or Service()
     begun(_iso(epoch), headers)
     about = {"source": bus.source, "epoch": _iso(epoch), "config": array.text, "frame_rate_hz": rate_hz, "force": force}
     with _writer(path, headers, rotate_s, started, **about) as log:
-        loop = Streaming if streams(bus, stations) else Poll
+        loop = Streaming if streams(bus, routes) else Poll
 
         def written(frames: int) -> None:
             progress(frames)
             counted(recording.summary)
             told.stored(sum(log.acknowledged.values()))
 
-        recording = loop(
-            stations, bus, log, rate_hz, start_ns, written, observe, wall_time=epoch, judge=judge, tell=tell
-        )
+        recording = loop(routes, bus, log, rate_hz, start_ns, written, observe, wall_time=epoch, judge=judge, tell=tell)
         named = [*([Phase(0, _OPEN_END_NS, phase, up)] if phase else []), *_since(phases, start_ns)]
         for part in named:  # at once: a log that is cut short has them too
             log.begins(part)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from imuarray.acquire.stations import Station
+from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.errors import SensorError
 
 FIRST_PAUSE_NS = 100_000_000
@@ -22,8 +22,8 @@ class Recovery:
     `look` tries for that; without it the chip is set up anew whatever it says.
     """
 
-    def __init__(self, station: Station, now_ns: int, *, look: bool) -> None:
-        self.station = station
+    def __init__(self, route: SensorRoute, now_ns: int, *, look: bool) -> None:
+        self.route = route
         self.since_ns = now_ns
         self.intact = False
         self.done = False
@@ -60,7 +60,7 @@ class Recovery:
             self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
 
     def _steps(self) -> Iterator[float]:
-        driver = self.station.driver
+        driver = self.route.driver
         self._claim()
         driver.identify()
         if self._look and driver.watched:
@@ -74,7 +74,7 @@ class Recovery:
 
     def _claim(self) -> None:
         try:
-            self.station.claim()
+            self.route.claim()
         except SensorError as error:
             self.refusal = str(error)
             raise

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
-from imuarray.acquire.pending import Pending
+from imuarray.acquire.sample_buffer import SampleBuffer
 
 SECONDS = 10.0
 FEWEST_READINGS = 10
@@ -34,42 +34,42 @@ Judge = Callable[[Mapping[str, npt.NDArray[Any]]], Mapping[str, Verdict]]
 class StartUp:
     """The sensors that are still to be judged. `tell` hears each verdict that says something."""
 
-    def __init__(self, pending: Sequence[Pending], judge: Judge, now_ns: int) -> None:
+    def __init__(self, buffers: Sequence[SampleBuffer], judge: Judge, now_ns: int) -> None:
         self._judge = judge
-        self._since_ns = {id(item): now_ns for item in pending if item.station.sensor.sensitivity}
+        self._since_ns = {id(item): now_ns for item in buffers if item.route.sensor.sensitivity}
         self._attempts: dict[int, int] = {}
-        self._pending = [item for item in pending if id(item) in self._since_ns]
+        self._buffers = [item for item in buffers if id(item) in self._since_ns]
 
-    def holds(self, pending: Pending) -> bool:
+    def holds(self, buffer: SampleBuffer) -> bool:
         """Whether nothing of this sensor may be written yet."""
-        return id(pending) in self._since_ns
+        return id(buffer) in self._since_ns
 
-    def again(self, pending: Pending, now_ns: int) -> None:
+    def again(self, buffer: SampleBuffer, now_ns: int) -> None:
         """It was set up anew because it had come up wrong: so it is judged again."""
-        if id(pending) in self._attempts:
-            self._since_ns[id(pending)] = now_ns
+        if id(buffer) in self._attempts:
+            self._since_ns[id(buffer)] = now_ns
 
-    def verdicts(self, now_ns: int, *, last: bool = False) -> list[tuple[Pending, Verdict]]:
+    def verdicts(self, now_ns: int, *, last: bool = False) -> list[tuple[SampleBuffer, Verdict]]:
         """Who came up how, of those whose first seconds are over (or at the end of the log, `last`)."""
         ripe = [
             item
-            for item in self._pending
+            for item in self._buffers
             if self.holds(item)
             and (last or now_ns - self._since_ns[id(item)] >= SECONDS * 1e9)
             and (last or item.recovery is None)
         ]
-        heard = {item.station.sensor.name: item.counts() for item in ripe if item.times_ns}
+        heard = {item.route.sensor.name: item.counts() for item in ripe if item.times_ns}
         readings = {name: counts for name, counts in heard.items() if len(counts) >= FEWEST_READINGS}
         said = dict(self._judge(readings)) if readings else {}
         for name in heard.keys() - readings.keys():
             said[name] = Verdict(False, f"not judged: {len(heard[name])} readings of at least {FEWEST_READINGS}")
-        found = [(item, said.get(item.station.sensor.name, Verdict(False))) for item in ripe]
+        found = [(item, said.get(item.route.sensor.name, Verdict(False))) for item in ripe]
         for item, verdict in found:
             del self._since_ns[id(item)]
             if verdict.fault:
                 self._attempts[id(item)] = self._attempts.get(id(item), 0) + 1
         return found
 
-    def hopeless(self, pending: Pending) -> bool:
+    def hopeless(self, buffer: SampleBuffer) -> bool:
         """Whether it was set up often enough."""
-        return self._attempts.get(id(pending), 0) >= ATTEMPTS
+        return self._attempts.get(id(buffer), 0) >= ATTEMPTS

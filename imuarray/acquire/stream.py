@@ -13,22 +13,22 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 
 from imuarray.acquire.clocks import Clocks, clocks_beside
+from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.intake import Intake
-from imuarray.acquire.pending import Pending
+from imuarray.acquire.sample_buffer import SampleBuffer
+from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.acquire.start_up import Judge, StartUp
-from imuarray.acquire.stations import Station
-from imuarray.acquire.stream_health import Health
+from imuarray.acquire.stream_health import StreamHealth
 from imuarray.acquire.stream_plan import plan
 from imuarray.acquire.stream_rows import LINK, Rows
 from imuarray.acquire.summary import Summary
-from imuarray.acquire.trouble import Troubles
 from imuarray.bus.mux import MuxChannel
 from imuarray.bus.protocol import OpenBus
 from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import LinkError
 from imuarray.errors import BusUrlError
 from imuarray.log.format import Event
-from imuarray.log.pace import frames_in
+from imuarray.log.missed_frames import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block
 from imuarray.printable import counted
@@ -44,19 +44,19 @@ PAUSE_NS = 3_000_000_000
 """Between two attempts to set chips up again, or to find the microcontroller."""
 
 
-def streams(bus: OpenBus, stations: Sequence[Station]) -> bool:
-    """Whether `Streaming` records these stations: on a microcontroller, and no queue among them, whose chip keeps the
+def streams(bus: OpenBus, routes: Sequence[SensorRoute]) -> bool:
+    """Whether `Streaming` records these routes: on a microcontroller, and no queue among them, whose chip keeps the
     time itself and can be polled through the link.
     """
-    return isinstance(bus, SerialBus) and not any(station.sensor.fifo for station in stations)
+    return isinstance(bus, SerialBus) and not any(route.sensor.fifo for route in routes)
 
 
 class Streaming:
-    """One recording of `stations` on `bus` into `log`: `run` it, then read its `summary`. Arguments as of `Poll`."""
+    """One recording of `routes` on `bus` into `log`: `run` it, then read its `summary`. Arguments as of `Poll`."""
 
     def __init__(
         self,
-        stations: Sequence[Station],
+        routes: Sequence[SensorRoute],
         bus: OpenBus,
         log: Writer,
         rate_hz: float,
@@ -72,18 +72,18 @@ class Streaming:
             raise TypeError(f"{type(bus).__name__} can't stream")
         self._bus, self._log, self._epoch_ns, self._rate_hz = bus, log, epoch_ns, rate_hz
         self._progress, self._tell = progress, tell
-        self.summary = Summary(lost={station.sensor.name: 0 for station in stations})
-        self._troubles = Troubles(self._event)
-        self._intake = Intake(log, epoch_ns, observe, self._troubles, self.summary.lost)
-        self._plan = plan(stations, rate_hz)
+        self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
+        self._faults = FaultEpisodes(self._event)
+        self._intake = Intake(log, epoch_ns, observe, self._faults, self.summary.lost)
+        self._plan = plan(routes, rate_hz)
         self._rows = [
-            Rows(Pending(station, rate_hz), places) for station, places in zip(stations, self._plan.visits, strict=True)
+            Rows(SampleBuffer(route, rate_hz), places) for route, places in zip(routes, self._plan.visits, strict=True)
         ]
         now_ns = bus.clock.now_ns()
-        start_up = StartUp([rows.pending for rows in self._rows], judge, now_ns) if judge else None
-        self._health = Health(self._rows, self._plan.watched, start_up, self._note)
-        self._link = self._troubles.of("", "link")
-        self._refused = self._troubles.of("", "refused")
+        start_up = StartUp([rows.buffer for rows in self._rows], judge, now_ns) if judge else None
+        self._health = StreamHealth(self._rows, self._plan.watched, start_up, self._note)
+        self._link = self._faults.of("", "link")
+        self._refused = self._faults.of("", "refused")
         self._refused_before = Counter(bus.refused)
         self._period_rate_hz = rate_hz * self._plan.split
         self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
@@ -186,7 +186,7 @@ class Streaming:
     def _lost(self, rows: Rows, count: int, why: str) -> None:
         """Readings of one sensor are missing: `count` that are now known to be, or more and more."""
         self._count_lost(rows, count)
-        lost = self._troubles.of(rows.pending.station.sensor.name, "lost")
+        lost = self._faults.of(rows.buffer.route.sensor.name, "lost")
         lost.happened(self._bus.clock.now_ns(), f"no reading: {why}", count)
 
     def _set_up_again(self) -> None:
@@ -213,7 +213,7 @@ class Streaming:
         self._begun += self._newest + 1
         for rows in self._rows:
             self._count_lost(rows, rows.missing(self._newest))
-            rows.pending.missing = True
+            rows.buffer.missing = True
             rows.restart()
         self._newest = -1
         self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
@@ -225,12 +225,12 @@ class Streaming:
         self._heard_ns = now_ns
 
     def _count_lost(self, rows: Rows, count: int) -> None:
-        self.summary.lost[rows.pending.station.sensor.name] += count
+        self.summary.lost[rows.buffer.route.sensor.name] += count
 
     def _forget_channels(self) -> None:
         """The microcontroller has switched the multiplexer since a driver last did."""
         for rows in self._rows:
-            bus = rows.pending.driver.registers.bus
+            bus = rows.buffer.driver.registers.bus
             if isinstance(bus, MuxChannel):
                 bus.mux.selected = None
 
@@ -250,8 +250,8 @@ class Streaming:
             self._count_lost(rows, rows.missing(self._newest))
         self._write(last=True)
         now_ns = self._bus.clock.now_ns()
-        self._troubles.close(now_ns)
-        self.summary.silent = [rows.pending.station.sensor.name for rows in self._rows if rows.pending.silent(now_ns)]
+        self._faults.close(now_ns)
+        self.summary.silent = [rows.buffer.route.sensor.name for rows in self._rows if rows.buffer.silent(now_ns)]
 
     def _count_silence(self, lost: bool) -> None:
         """Frames that should have come since something was last heard are lost too, if the link is (`lost`, or so long
@@ -270,20 +270,20 @@ class Streaming:
         """Decode and write what is trusted."""
         self._written_ns = self._bus.clock.now_ns()
         for rows in self._rows:
-            count = len(rows.pending.times_ns) if last else self._health.trusted_rows(rows)
+            count = len(rows.buffer.times_ns) if last else self._health.trusted_rows(rows)
             if count:
-                self._intake.write(rows.pending, count, self._written_ns)
+                self._intake.write(rows.buffer, count, self._written_ns)
                 self._health.written(rows, count)
-        self._troubles.settle(self._written_ns)
+        self._faults.settle(self._written_ns)
         self._progress(self.summary.frames)
 
     def _note(self, rows: Rows, kind: str, text: str) -> None:
         """Something happened to a sensor."""
-        self._troubles.of(rows.pending.station.sensor.name, kind).happened(self._bus.clock.now_ns(), text)
+        self._faults.of(rows.buffer.route.sensor.name, kind).happened(self._bus.clock.now_ns(), text)
 
     def _note_of_all(self, at_ns: int, kind: str, text: str) -> None:
         """Something happened to the array as a whole."""
-        self._troubles.of("", kind).happened(at_ns, text)
+        self._faults.of("", kind).happened(at_ns, text)
 
     def _event(self, sensor: str, at_ns: int, kind: str, text: str) -> None:
         """Write an event down, and tell it."""

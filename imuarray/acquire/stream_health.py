@@ -10,9 +10,9 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from imuarray.acquire.pending import HELD_S
+from imuarray.acquire.sample_buffer import HELD_S
 from imuarray.acquire.start_up import StartUp
-from imuarray.acquire.stream_plan import WatchPlace
+from imuarray.acquire.stream_plan import ReadbackPlace
 from imuarray.acquire.stream_rows import Rows, readings_at
 from imuarray.bus.serial_bus import Samples
 from imuarray.errors import SensorError
@@ -25,24 +25,24 @@ Note = Callable[[Rows, str, str], None]
 class _Check:
     """One register of one chip."""
 
-    watched: WatchPlace
+    watched: ReadbackPlace
     good_rows: int = 0
     """Rows that waited when this register was last right."""
     wrong: int = 0
 
 
-class Health:
+class StreamHealth:
     """All sensors'. `ill` are those that must be set up again."""
 
     def __init__(
-        self, rows: Sequence[Rows], watched: Sequence[WatchPlace], start_up: StartUp | None, note: Note
+        self, rows: Sequence[Rows], watched: Sequence[ReadbackPlace], start_up: StartUp | None, note: Note
     ) -> None:
         self.ill: dict[int, Rows] = {}
         self._rows = rows
         self._start_up = start_up
         self._note = note
         self._checks = {
-            id(item): [_Check(place) for place in watched if place.station is item.pending.station] for item in rows
+            id(item): [_Check(place) for place in watched if place.route is item.buffer.route] for item in rows
         }
 
     def look(self, came: Mapping[int, Samples], rate: float) -> None:
@@ -53,7 +53,7 @@ class Health:
                 if place.number in came:
                     values = readings_at(place, came[place.number], rate)
                     for time_ns, part in zip(values.times_ns.tolist(), values.parts.tolist(), strict=True):
-                        self._judge(rows, check, part[0], bisect_left(rows.pending.times_ns, time_ns))
+                        self._judge(rows, check, part[0], bisect_left(rows.buffer.times_ns, time_ns))
 
     def _judge(self, rows: Rows, check: _Check, value: int, before: int) -> None:
         """One value of one register, and how many rows waited before it was read. Twice wrong is wrong."""
@@ -64,7 +64,7 @@ class Health:
         check.wrong += 1
         if check.wrong != 2:
             return
-        rows.pending.distrust(check.good_rows)
+        rows.buffer.distrust(check.good_rows)
         if id(rows) not in self.ill:
             self.ill[id(rows)] = rows
             address, wanted = setting.register.address, setting.into(value)
@@ -73,70 +73,70 @@ class Health:
     def tick(self, now_ns: int) -> None:
         """Who stands still, and who came up wrong."""
         for rows in self._rows:
-            row = rows.pending.frozen_since()
+            row = rows.buffer.frozen_since()
             if row is not None and id(rows) not in self.ill:
-                lasted_s = (rows.pending.times_ns[-1] - rows.pending.still_since_ns(row)) * 1e-9
-                rows.pending.thaw()
-                rows.pending.distrust(row)
+                lasted_s = (rows.buffer.times_ns[-1] - rows.buffer.still_since_ns(row)) * 1e-9
+                rows.buffer.thaw()
+                rows.buffer.distrust(row)
                 self.ill[id(rows)] = rows
                 self._note(rows, "frozen", f"the same reading for {lasted_s:.2f} s")
         if self._start_up is not None:
             self._judge_start(self._start_up, now_ns, last=False)
 
     def _judge_start(self, start_up: StartUp, now_ns: int, *, last: bool) -> None:
-        whose = {id(rows.pending): rows for rows in self._rows}
-        for pending, verdict in start_up.verdicts(now_ns, last=last):
-            rows = whose[id(pending)]
+        whose = {id(rows.buffer): rows for rows in self._rows}
+        for buffer, verdict in start_up.verdicts(now_ns, last=last):
+            rows = whose[id(buffer)]
             if verdict.text:
                 self._note(rows, "start_up", verdict.text)
             if verdict.fault:
-                pending.distrust(0)
-                pending.condemned = start_up.hopeless(pending)
-                if not pending.condemned:
+                buffer.distrust(0)
+                buffer.condemned = start_up.hopeless(buffer)
+                if not buffer.condemned:
                     self.ill[id(rows)] = rows
 
     def set_up_again(self, now_ns: int) -> None:
         """Configure the ill; the stream is stopped. One that can't be stays ill."""
         for key, rows in list(self.ill.items()):
             try:
-                rows.pending.driver.identify()
-                rows.pending.driver.configure()
+                rows.buffer.driver.identify()
+                rows.buffer.driver.configure()
             except (OSError, SensorError) as error:
                 self._note(rows, "configuration", f"can't be set up again: {error}")
                 continue
             del self.ill[key]
-            rows.pending.trust()
-            rows.pending.begin_anew()
+            rows.buffer.trust()
+            rows.buffer.begin_anew()
             for check in self._checks[id(rows)]:
-                check.wrong, check.good_rows = 0, len(rows.pending.times_ns)
+                check.wrong, check.good_rows = 0, len(rows.buffer.times_ns)
             self._note(rows, "reconfigured", "set up again")
             if self._start_up is not None:
-                self._start_up.again(rows.pending, now_ns)
+                self._start_up.again(rows.buffer, now_ns)
 
     def doubt_everything(self) -> None:
         """The chips may have lost their supply: all of them are ill, since they were last seen to be well."""
         for rows in self._rows:
-            rows.pending.distrust(self._vouched(rows))
+            rows.buffer.distrust(self._vouched(rows))
             self.ill[id(rows)] = rows
 
     def trusted_rows(self, rows: Rows) -> int:
         """How many of the waiting rows can be written; as suspect if nobody could vouch for them in `HELD_S`."""
-        if self._start_up is not None and self._start_up.holds(rows.pending):
+        if self._start_up is not None and self._start_up.holds(rows.buffer):
             return 0
-        pending = rows.pending
-        waiting, held = len(pending.times_ns), pending.held_rows
+        buffer = rows.buffer
+        waiting, held = len(buffer.times_ns), buffer.held_rows
         if id(rows) in self.ill:  # flagged already
             return waiting
         vouched = self._vouched(rows)
-        if waiting - vouched > max(HELD_S * pending.row_rate_hz, held):
-            pending.suspect.append((vouched, waiting))
+        if waiting - vouched > max(HELD_S * buffer.row_rate_hz, held):
+            buffer.suspect.append((vouched, waiting))
             for check in self._checks[id(rows)]:
                 check.good_rows = waiting
         return max(0, min(self._vouched(rows), waiting - held))
 
     def _vouched(self, rows: Rows) -> int:
         """Rows that were followed by a look at every register which found it right."""
-        return min((check.good_rows for check in self._checks[id(rows)]), default=len(rows.pending.times_ns))
+        return min((check.good_rows for check in self._checks[id(rows)]), default=len(rows.buffer.times_ns))
 
     def written(self, rows: Rows, count: int) -> None:
         """The oldest `count` rows were written and are gone."""
@@ -148,9 +148,9 @@ class Health:
         if self._start_up is not None:
             self._judge_start(self._start_up, now_ns, last=True)
         for rows in self._rows:
-            waiting = len(rows.pending.times_ns)
+            waiting = len(rows.buffer.times_ns)
             for check in self._checks[id(rows)]:
-                setting, registers = check.watched.setting, rows.pending.driver.registers
+                setting, registers = check.watched.setting, rows.buffer.driver.registers
                 try:
                     found = [registers.read_back(setting.register) for _ in range(2)]
                 except OSError:
@@ -158,9 +158,9 @@ class Health:
                 if any(value & setting.mask == setting.value for value in found):
                     check.good_rows = waiting
             first = self._vouched(rows)
-            frozen = rows.pending.frozen_since()
+            frozen = rows.buffer.frozen_since()
             if frozen is not None:
                 self._note(rows, "frozen", "the same reading until the end")
                 first = min(first, frozen)
             if first < waiting:
-                rows.pending.distrust(first)
+                rows.buffer.distrust(first)

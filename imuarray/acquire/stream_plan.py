@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imuarray.acquire.stations import Station
+from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.bus.mux import MuxChannel
 from imuarray.bus.serial_link import PollList, Request
 from imuarray.drivers import OnDemandDriver
@@ -50,17 +50,17 @@ class Place:
 
 
 @dataclass(frozen=True)
-class WatchPlace:
-    """Where one register of one station is read back."""
+class ReadbackPlace:
+    """Where one register of one route is read back."""
 
-    station: Station
+    route: SensorRoute
     setting: Setting
     place: Place
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Lists for the microcontroller, and where to look: the visits of each station, in order, and the registers.
+    """Lists for the microcontroller, and where to look: the visits of each route, in order, and the registers.
 
     `split` periods of the microcontroller are one frame; its frame numbers count periods.
     """
@@ -68,7 +68,7 @@ class Plan:
     split: int
     lists: tuple[PollList, ...]
     visits: tuple[tuple[Place, ...], ...]
-    watched: tuple[WatchPlace, ...]
+    watched: tuple[ReadbackPlace, ...]
 
 
 class _Lists:
@@ -80,11 +80,11 @@ class _Lists:
         self._sizes: dict[tuple[int, int], int] = {}
         self._selected: dict[tuple[int, int], tuple[int, int, int]] = {}
 
-    def visit(self, station: Station, visit: Visit, every: int, offset: int) -> Place:
+    def visit(self, route: SensorRoute, visit: Visit, every: int, offset: int) -> Place:
         """Put a visit at the end of its list, behind a switch to its channel if another is selected there."""
         key = every, offset
         number = self._numbers.setdefault(key, len(self._numbers))
-        ages = [self._select(key, station)] if isinstance(station.driver.registers.bus, MuxChannel) else []
+        ages = [self._select(key, route)] if isinstance(route.driver.registers.bus, MuxChannel) else []
         own = [self._ask(key, request) for request in visit.requests]
         first = own[0] + 2
         stop = first + visit.requests[0].read
@@ -92,11 +92,11 @@ class _Lists:
             number, every, offset, (*ages, *own), own[0], first, min(first + visit.skipped, stop), stop, visit.busy
         )
 
-    def _select(self, key: tuple[int, int], station: Station) -> int:
-        """Where it is told whether the channel of `station` could be selected."""
-        bus = station.driver.registers.bus
+    def _select(self, key: tuple[int, int], route: SensorRoute) -> int:
+        """Where it is told whether the channel of `route` could be selected."""
+        bus = route.driver.registers.bus
         if not isinstance(bus, MuxChannel):
-            raise TypeError(f"{station.sensor.name} is behind no multiplexer")
+            raise TypeError(f"{route.sensor.name} is behind no multiplexer")
         address, channel, age = self._selected.get(key, (-1, -1, -1))
         if (address, channel) != (bus.mux.address, bus.number):
             setting = pca9544a.ENABLE(1) | pca9544a.CHANNEL(bus.number)
@@ -116,51 +116,51 @@ class _Lists:
         return tuple(PollList(*key, tuple(self._asked[key])) for key in self._numbers)
 
 
-def plan(stations: Sequence[Station], rate_hz: float) -> Plan:
-    """The plan for reading `stations` in `rate_hz` frames a second; ValueError for one whose queue is drained."""
-    split = _split(stations, rate_hz)
+def plan(routes: Sequence[SensorRoute], rate_hz: float) -> Plan:
+    """The plan for reading `routes` in `rate_hz` frames a second; ValueError for one whose queue is drained."""
+    split = _split(routes, rate_hz)
     period_rate_hz = rate_hz * split
     lists = _Lists()
     places: dict[int, tuple[Place, ...]] = {}
-    segments = list(dict.fromkeys(station.segment for station in stations))
-    ordered = sorted(stations, key=lambda station: segments.index(station.segment))
-    for station in ordered:
-        visits = visits_of(station.sensor)
-        offsets, every = _rhythm(station, visits, rate_hz, split)
-        places[id(station)] = tuple(
-            lists.visit(station, visit, every, offset) for visit, offset in zip(visits, offsets, strict=True)
+    segments = list(dict.fromkeys(route.segment for route in routes))
+    ordered = sorted(routes, key=lambda route: segments.index(route.segment))
+    for route in ordered:
+        visits = visits_of(route.sensor)
+        offsets, every = _rhythm(route, visits, rate_hz, split)
+        places[id(route)] = tuple(
+            lists.visit(route, visit, every, offset) for visit, offset in zip(visits, offsets, strict=True)
         )
-    wanted = [(station, setting) for station in ordered for setting in station.driver.watched]
+    wanted = [(route, setting) for route in ordered for setting in route.driver.watched]
     sweep = max(1, math.floor(SWEEP_S / 2 * period_rate_hz))
     watched = tuple(
-        WatchPlace(
-            station, setting, lists.visit(station, _read_back(station, setting), sweep, index * sweep // len(wanted))
+        ReadbackPlace(
+            route, setting, lists.visit(route, _read_back(route, setting), sweep, index * sweep // len(wanted))
         )
-        for index, (station, setting) in enumerate(wanted)
+        for index, (route, setting) in enumerate(wanted)
     )
-    return Plan(split, lists.finished(), tuple(places[id(station)] for station in stations), watched)
+    return Plan(split, lists.finished(), tuple(places[id(route)] for route in routes), watched)
 
 
-def _read_back(station: Station, setting: Setting) -> Visit:
-    address = station.driver.registers.address
+def _read_back(route: SensorRoute, setting: Setting) -> Visit:
+    address = route.driver.registers.address
     register = setting.register
     return Visit((Request(address, bytes([register.address]), register.readback_bytes),))
 
 
-def _split(stations: Sequence[Station], rate_hz: float) -> int:
+def _split(routes: Sequence[SensorRoute], rate_hz: float) -> int:
     """Into how many periods a frame is split: one if no result of a conversion is too old a frame later."""
-    drivers = [station.driver for station in stations if isinstance(station.driver, OnDemandDriver)]
+    drivers = [route.driver for route in routes if isinstance(route.driver, OnDemandDriver)]
     return max((math.ceil(1e9 / rate_hz / driver.lasting_ns - 1e-6) for driver in drivers), default=1)
 
 
-def _rhythm(station: Station, visits: Sequence[Visit], rate_hz: float, split: int) -> tuple[list[int], int]:
+def _rhythm(route: SensorRoute, visits: Sequence[Visit], rate_hz: float, split: int) -> tuple[list[int], int]:
     """In which period after the first each visit is, and after how many periods it all begins anew; `split` of them
     are a frame.
     """
     period_ns = 1e9 / (rate_hz * split)
     waits = [math.ceil((visit.wait_ns + _SLACK_NS) / period_ns) if visit.wait_ns else 0 for visit in visits]
     offsets = [sum(waits[: index + 1]) for index in range(len(waits))]
-    chip_rate_hz = station.sensor.chip_rate_hz
+    chip_rate_hz = route.sensor.chip_rate_hz
     if len(visits) > 1:
         return offsets, max(offsets[-1] + 1, math.ceil(rate_hz * split / chip_rate_hz), split)
     return offsets, split * max(1, math.floor(rate_hz / (_SLACK * chip_rate_hz)))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.acquire.pending import Pending
+from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.acquire.stream_plan import Place
 from imuarray.bus.serial_bus import Samples
 from imuarray.bus.serial_link import AGE_HELD, AGE_NOBODY
@@ -61,8 +61,8 @@ def _ages(payload: npt.NDArray[np.uint8], position: int) -> npt.NDArray[np.int64
 class Rows:
     """Fills the rows of one sensor, whose readings consist of the visits at `places`."""
 
-    def __init__(self, pending: Pending, places: tuple[Place, ...]) -> None:
-        self.pending = pending
+    def __init__(self, buffer: SampleBuffer, places: tuple[Place, ...]) -> None:
+        self.buffer = buffer
         self.places = places
         self.restart()
 
@@ -82,18 +82,18 @@ class Rows:
         count = len(readings.numbers)
         if count == 0:
             return 0, readings.failure
-        pending, every = self.pending, self.places[-1].every
+        buffer, every = self.buffer, self.places[-1].every
         gaps = np.diff(readings.numbers, prepend=self._last) // every - 1
-        rows = len(pending.times_ns)
-        if pending.set_up_again:
-            pending.reconfigured.append(rows)
-            pending.set_up_again = False
-        pending.lost_before += [rows + int(row) for row in np.flatnonzero(gaps)]
-        if pending.missing and not gaps[0]:
-            pending.lost_before.insert(len(pending.lost_before) - np.count_nonzero(gaps), rows)
-        pending.missing = False
-        pending.times_ns += readings.times_ns.tolist()
-        pending.bursts += readings.parts.tobytes()
+        rows = len(buffer.times_ns)
+        if buffer.set_up_again:
+            buffer.reconfigured.append(rows)
+            buffer.set_up_again = False
+        buffer.lost_before += [rows + int(row) for row in np.flatnonzero(gaps)]
+        if buffer.missing and not gaps[0]:
+            buffer.lost_before.insert(len(buffer.lost_before) - np.count_nonzero(gaps), rows)
+        buffer.missing = False
+        buffer.times_ns += readings.times_ns.tolist()
+        buffer.bursts += readings.parts.tobytes()
         self._last = int(readings.numbers[-1])
         return int(gaps.sum()), readings.failure
 

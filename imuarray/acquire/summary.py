@@ -24,6 +24,6 @@ class Summary:
     refused: int = 0
     """Frames of a serial link that were old, repeated, out of order or of an earlier boot, and were not taken."""
     seconds: float = 0.0
-    """How long was recorded: frames and missed frames, a period each (`imuarray.log.pace`)."""
+    """How long was recorded: frames and missed frames, a period each (`imuarray.log.missed_frames`)."""
     logs: list[Path] = field(default_factory=list)
     """The files, in the order of their time: one, unless it was cut into parts."""

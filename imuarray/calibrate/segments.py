@@ -16,7 +16,7 @@ from imuarray.arrays import Floats
 from imuarray.calibrate.model import Described
 from imuarray.errors import CalibrationError, LogError
 from imuarray.log import Log, SensorLog
-from imuarray.log.column import NamedColumn
+from imuarray.log.columns import NamedColumn
 from imuarray.log.format import SATURATED, STALE, SUSPECT, Phase
 
 _MOST_SEGMENTS = 20_000

@@ -35,9 +35,9 @@ def command(run: Path, as_json: bool) -> None:
 
 def describe(log: Log) -> dict[str, Any]:
     """The log as one JSON-ready object."""
-    from imuarray.log.pace import pace_of
+    from imuarray.log.missed_frames import frame_timing
 
-    pace = pace_of(log)
+    timing = frame_timing(log)
     return {
         "log": str(log.path),
         "state": log.state,
@@ -47,8 +47,8 @@ def describe(log: Log) -> dict[str, Any]:
         **_span(log),
         "software": log.software,
         "frame_rate_hz": log.frame_rate_hz or None,
-        "seconds": pace.seconds,
-        "missed": pace.missed,
+        "seconds": timing.seconds,
+        "missed": timing.missed,
         "sensors": [_sensor(sensor) for sensor in log.sensors.values()],
         "phases": [
             {"name": phase.name, "up": phase.up, "start_s": phase.start_ns * 1e-9, "end_s": phase.end_ns * 1e-9}

@@ -27,8 +27,8 @@ from imuarray.commands.log_fused_files import FusedFiles, names_of
 from imuarray.errors import ImuArrayError
 from imuarray.fuse import FaultEvent, FusedBlock, FusionNotes, FusionStream, Watch, live, notes_of
 from imuarray.log import Block
+from imuarray.log.disk_space import WATERMARK, free_bytes
 from imuarray.log.format import SensorHeader
-from imuarray.log.room import WATERMARK, free_bytes
 from imuarray.printable import counted
 from imuarray.units import INERTIAL, READABLE_SI
 

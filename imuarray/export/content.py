@@ -20,7 +20,7 @@ from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SensorHeader
 from imuarray.log.headers import recorded_header
-from imuarray.log.layout import BESIDE_UNITS
+from imuarray.log.layout import TRACK_UNITS
 from imuarray.units import SI_PER_UNIT
 
 _KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal"})
@@ -148,7 +148,7 @@ def _tracks(log: Log) -> Iterator[Table]:
 def _track_column(name: str, column: Any) -> Column:
     if name == "time":
         return _time(column)
-    unit = BESIDE_UNITS[name]
+    unit = TRACK_UNITS[name]
     kind = "<i8" if unit == "ns" else "<f8"
     cells = ("x", "y", "z") if len(column.shape) == 2 else ()
     return Column(name, kind, unit, cells, lambda rows: np.asarray(column[rows], kind))

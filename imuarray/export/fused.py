@@ -14,7 +14,7 @@ from imuarray.errors import ExportError
 from imuarray.export.formats import Wanted
 from imuarray.export.tables import Column, Content, Table
 from imuarray.fuse.fused_file import FORMAT, FORMAT_VERSION, UNITS, fused_columns, rows_of, texts_of
-from imuarray.log.column import NamedColumn
+from imuarray.log.columns import NamedColumn
 
 
 @contextmanager

@@ -36,12 +36,12 @@ from imuarray.atomic import whole_file
 from imuarray.errors import LogError, OutputError, OutputExistsError
 from imuarray.fuse.faults import FaultEvent
 from imuarray.fuse.frames import ENTRIES, FusedBlock
-from imuarray.log.column import NamedColumn
+from imuarray.log.columns import NamedColumn
+from imuarray.log.disk_space import free_bytes, longest_file
 from imuarray.log.format import FUSED
-from imuarray.log.guard import DAMAGE, MAX_TEXT_BYTES, open_file, read_texts
+from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.inspection import refuse_hostile
-from imuarray.log.room import free_bytes, longest_file
-from imuarray.log.unclosed import Unclosed, says_unclosed
+from imuarray.log.untrusted_input import DAMAGE, MAX_TEXT_BYTES, open_file, read_texts
 from imuarray.printable import printable
 from imuarray.units import INERTIAL
 
@@ -68,7 +68,7 @@ class FusedHead:
 
 def is_fused(path: Path) -> bool:
     """Whether a file says that it is a fused result; nothing else in it was looked at."""
-    with suppress(*DAMAGE), h5py.File(Unclosed(path), "r") as file:
+    with suppress(*DAMAGE), h5py.File(UnclosedFile(path), "r") as file:
         return bool(file.attrs.get("format") == FORMAT)
     return False
 
@@ -116,7 +116,7 @@ def fused_columns(path: str | PathLike[str]) -> Iterator[tuple[dict[str, str], d
     """
     with _opened(Path(path)) as file:
         try:
-            with h5py.File(Unclosed(Path(path)), "r") as inspected:
+            with h5py.File(UnclosedFile(Path(path)), "r") as inspected:
                 refuse_hostile(file, inspected, str(path))
             said = {name: _text(value) for name, value in file.attrs.items() if isinstance(value, str | bytes)}
             version = file.attrs.get("format_version")
@@ -133,10 +133,10 @@ def fused_columns(path: str | PathLike[str]) -> Iterator[tuple[dict[str, str], d
 
 def _opened(path: Path) -> h5py.File:
     """The file, be it that it is being written, or that its writing was cut short; LogError."""
-    if not path.is_file() or not says_unclosed(path):
+    if not path.is_file() or not is_marked_open(path):
         return open_file(path)
     try:
-        return h5py.File(Unclosed(path, looks=False), "r")
+        return h5py.File(UnclosedFile(path, check_heaps=False), "r")
     except OSError:
         raise LogError(f"{path}: was never closed, and is damaged") from None
 

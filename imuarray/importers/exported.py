@@ -24,9 +24,9 @@ from imuarray.export.formats import CSV_MAGIC
 from imuarray.importers import Importer, Summary, unreadable
 from imuarray.log import Block, LogWriter, Stimulus
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SOURCES, ClockRow, Event, Phase, SensorHeader
-from imuarray.log.guard import check_note
-from imuarray.log.layout import BESIDE, STIMULI, Columns, Group, sensor_group
+from imuarray.log.layout import STIMULI, TRACK_COLUMNS, Columns, Group, sensor_group
 from imuarray.log.preamble import Preamble
+from imuarray.log.untrusted_input import check_note
 from imuarray.printable import printable
 
 MAGICS: Mapping[bytes, str] = MappingProxyType(
@@ -90,12 +90,12 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
         raise SourceError(f"{where}: source is {str(head.get('source'))[:40]!r}; allowed are {', '.join(SOURCES)}")
     try:
         tables = {str(name): dict(about) for name, about in head["tables"].items()}
-        sensors = [about for name, about in tables.items() if name not in BESIDE]
+        sensors = [about for name, about in tables.items() if name not in TRACK_COLUMNS]
         said = {name: head[name] for name in ("source", "epoch", "config", "software")}
         said["frame_rate_hz"] = head.get("frame_rate_hz", 0.0)  # earlier exports don't say it
         listed = [{name: about[name] for name in _FIELDS} for about in sensors]
         preamble = Preamble.from_json(json.dumps({**said, "sensors": listed}))
-        wanted = {f"sensors/{header.name}" for header in preamble.sensors} | set(tables).intersection(BESIDE)
+        wanted = {f"sensors/{header.name}" for header in preamble.sensors} | set(tables).intersection(TRACK_COLUMNS)
         if set(tables) != wanted or not preamble.sensors:
             raise ValueError("tables and sensors have different names")
         for header, about in zip(preamble.sensors, sensors, strict=True):
@@ -105,13 +105,13 @@ def checked_head(head: Mapping[str, Any], where: str) -> Head:
         raise SourceError(f"{where}: {error}") from None
     except _NOT_READABLE as error:
         raise SourceError(f"{where}: its header is unreadable: {printable(str(error))[:200]}") from None
-    groups = {name: _columns_of(name, tables[name].get("columns"), where) for name in BESIDE if name in tables}
+    groups = {name: _columns_of(name, tables[name].get("columns"), where) for name in TRACK_COLUMNS if name in tables}
     return Head(preamble, groups)
 
 
 def _columns_of(name: str, said: Any, where: str) -> tuple[str, ...]:
     """Return the columns of a group besides the sensors: those listed, otherwise all; SourceError."""
-    every = tuple(column for column, _, _ in BESIDE[name])
+    every = tuple(column for column, _, _ in TRACK_COLUMNS[name])
     if said is None:
         return every
     if not isinstance(said, list) or "time" not in said or (name not in STIMULI and len(said) < len(every)):
@@ -166,7 +166,7 @@ def write_log(
                     rows[header.name] += len(columns["time"])
                     span.add(columns["time"])
             for name in head.groups:
-                there = tuple(column for column in BESIDE[name] if column[0] in head.groups[name])
+                there = tuple(column for column in TRACK_COLUMNS[name] if column[0] in head.groups[name])
                 for columns in read(Group(name, there), ("x", "y", "z")):
                     _append_beside(log, name, columns)
             for phase in phases:
@@ -209,10 +209,10 @@ def _append_beside(log: LogWriter, name: str, columns: Columns) -> None:
     if name in STIMULI:
         missing = {
             column: np.full((len(columns["time"]), *tail), np.nan)
-            for column, _, tail in BESIDE[name]
+            for column, _, tail in TRACK_COLUMNS[name]
             if column not in columns
         }
         log.stimulus(name, Stimulus(**columns, **missing))
         return
-    for row in zip(*(columns[column].tolist() for column, _, _ in BESIDE[name]), strict=True):
+    for row in zip(*(columns[column].tolist() for column, _, _ in TRACK_COLUMNS[name]), strict=True):
         log.clocks(ClockRow(*row))

@@ -22,11 +22,11 @@ from imuarray.importers.cells import Block, Column, Table, nanoseconds
 from imuarray.importers.exported import MAX_HEADER_BYTES, Head, checked_head, notes_of, parse_header, write_log
 from imuarray.importers.mapping import FileTable
 from imuarray.log.format import ARRIVAL
-from imuarray.log.guard import MAX_TEXT_BYTES
-from imuarray.log.layout import BESIDE_UNITS, Columns, Group
+from imuarray.log.layout import TRACK_UNITS, Columns, Group
+from imuarray.log.untrusted_input import MAX_TEXT_BYTES
 from imuarray.printable import printable
 
-_UNITS = {"pressure": "Pa", ARRIVAL: "s", **BESIDE_UNITS}
+_UNITS = {"pressure": "Pa", ARRIVAL: "s", **TRACK_UNITS}
 _S = 1_000_000_000
 
 

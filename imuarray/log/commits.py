@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
-from imuarray.log.guard import DAMAGE
 from imuarray.log.journal import JournalReader, Mark
 from imuarray.log.layout import NOTES, Columns, Group
+from imuarray.log.untrusted_input import DAMAGE
 from imuarray.printable import counted
 
 COMMITS = "commits"

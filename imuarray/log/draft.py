@@ -17,11 +17,11 @@ import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.log import groups
+from imuarray.log.disk_space import Allowance, write_errors
 from imuarray.log.format import CACHE_BYTES, Event, Phase
-from imuarray.log.layout import BESIDE, CHUNK, NOTES, STIMULI, Columns, Group, Notes, groups_of
+from imuarray.log.layout import CHUNK, NOTES, STIMULI, TRACK_COLUMNS, Columns, Group, Notes, groups_of
 from imuarray.log.preamble import Preamble
-from imuarray.log.room import Allowance, write_errors
-from imuarray.log.texts import CHECK_SUMS, check_sums
+from imuarray.log.text_checksums import CHECK_SUMS, check_sums
 
 if sys.platform != "win32":
     import fcntl
@@ -136,9 +136,9 @@ class Draft:
                 self._write_rows(self.groups[number], number, count)
 
     def _write_rows(self, group: Group, number: int, count: int) -> None:
-        if group.path in BESIDE and group.path not in self.file:
+        if group.path in TRACK_COLUMNS and group.path not in self.file:
             self._room.ask(_EMPTY_BYTES)
-            groups.create_beside(self.file, group.path, self._epoch, self._chunk, groups.COMPRESSED)
+            groups.create_track(self.file, group.path, self._epoch, self._chunk, groups.COMPRESSED)
         self._room.ask(count * group.row_bytes)
         self._asked += count * group.row_bytes
         rows = group.joined(self._waiting[number])

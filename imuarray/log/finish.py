@@ -14,18 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imuarray.errors import DiskFullError, LogError
+from imuarray.log.disk_space import reserve_of, sync_folder, unwritable
 from imuarray.log.draft import Draft, sweep
 from imuarray.log.format import Event
 from imuarray.log.journal import JournalLock, JournalReader, journal_of
-from imuarray.log.layout import BESIDE, NOTES, Group, Notes, groups_of
+from imuarray.log.layout import NOTES, TRACK_COLUMNS, Group, Notes, groups_of
 from imuarray.log.reader import Log
-from imuarray.log.room import reserve_of, sync_folder, unwritable
 
 _ROWS = 1 << 16
 _LEFT = "the log is left as it was"
 
 
-class Recovered(NamedTuple):
+class Recovery(NamedTuple):
     """A log that was finished: rows by sensor; `changed` is False if there was nothing to do. `kept` is the name of a
     journal that holds more than could be read, or another log.
     """
@@ -42,7 +42,7 @@ def recover(
     *,
     force: bool = False,
     now: datetime | None = None,
-) -> Recovered:
+) -> Recovery:
     """Finish the interrupted log at `path`, in its place or as `output`; a finished one is copied to `output`.
 
     One whose journal is not there is finished only with `force`. An event says when (`now`; None: this moment) and how
@@ -70,7 +70,7 @@ def recover(
     finally:
         if lock is not None:
             lock.close()
-    return Recovered(rows, changed, None if kept is None else kept.name)
+    return Recovery(rows, changed, None if kept is None else kept.name)
 
 
 def _is_journal_of(log: Log) -> bool:
@@ -156,7 +156,7 @@ def _rewrite(log: Log, target: Path, progress: Callable[[int], None], added: tup
 
 def _columns(log: Log, group: Group) -> Mapping[str, Any] | None:
     """The stored columns of a group, None if the log hasn't got it."""
-    if group.path in BESIDE:
+    if group.path in TRACK_COLUMNS:
         track = {"truth": log.truth, "reference": log.reference, "clocks": log.clocks}[group.path]
         return None if track is None else track._asdict()
     sensor = log[group.path.removeprefix("sensors/")]

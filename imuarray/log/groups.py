@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from imuarray.log.format import ARRIVAL, FORMAT, FORMAT_VERSION, LONG_NAME, PLOTS, SensorHeader
-from imuarray.log.layout import BESIDE, BESIDE_UNITS, STIMULI, Group, sensor_group
+from imuarray.log.layout import STIMULI, TRACK_COLUMNS, TRACK_UNITS, Group, sensor_group
 from imuarray.log.preamble import Preamble
 from imuarray.units import SI_NAME, SI_PER_UNIT
 
@@ -93,12 +93,12 @@ def create_sensor(
     return group
 
 
-def create_beside(file: h5py.File, name: str, epoch: str, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
-    """Create a group of `BESIDE`, empty."""
-    group = create_columns(file, Group(name, BESIDE[name]), chunk, storage)
+def create_track(file: h5py.File, name: str, epoch: str, chunk: int, storage: Mapping[str, Any]) -> h5py.Group:
+    """Create a group of `TRACK_COLUMNS`, empty."""
+    group = create_columns(file, Group(name, TRACK_COLUMNS[name]), chunk, storage)
     group["time"].attrs["units"] = f"nanoseconds since {epoch}"
-    for column, _, _ in BESIDE[name][1:]:
-        group[column].attrs["units"] = BESIDE_UNITS[column]
+    for column, _, _ in TRACK_COLUMNS[name][1:]:
+        group[column].attrs["units"] = TRACK_UNITS[column]
     if name in STIMULI:
         group.attrs.update(_PLOTTED, signal="specific_force", auxiliary_signals=["angular_rate"])
         group.create_dataset("axis", data=["X", "Y", "Z"], dtype=_TEXT)

@@ -19,8 +19,8 @@ from h5py import h5a, h5d, h5fd, h5g, h5i, h5l, h5o, h5s, h5t, h5z
 
 from imuarray.errors import LogError
 from imuarray.log.format import FORMAT, MOST_SENSORS, PLOTS
-from imuarray.log.guard import DAMAGE, MAX_TEXT_BYTES, read_texts
-from imuarray.log.heaps import Inspected
+from imuarray.log.hdf5_heaps import HeapCheckedFile
+from imuarray.log.untrusted_input import DAMAGE, MAX_TEXT_BYTES, read_texts
 from imuarray.printable import printable
 
 MAX_DEPTH = 4
@@ -55,7 +55,7 @@ def inspect(path: Path, file: h5py.File) -> list[str]:
     """
     damaged: list[str] = []
     try:
-        with h5py.File(Inspected(path), "r") as inspected:
+        with h5py.File(HeapCheckedFile(path), "r") as inspected:
             _look_at_attributes(_Place(h5o.open(file.id, b"/"), b""), f"{path}: /")
             kind = inspected.attrs.get("format")
             if isinstance(kind, str | bytes) and kind in (FORMAT, FORMAT.encode()):
@@ -68,7 +68,7 @@ def inspect(path: Path, file: h5py.File) -> list[str]:
 def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: list[str] | None = None) -> None:
     """LogError for anything that leads outside the file, is reached twice, or declares what the file can't hold.
 
-    `inspected` is the same file as it is `Inspected`: its texts are read, last, for that costs most. What HDF5 can't
+    `inspected` is the same file as it is `HeapCheckedFile`: its texts are read, last, for that costs most. What HDF5 can't
     make sense of is an error of its own, or, where `damaged` is given, is noted there by its path.
     """
     size = file.id.get_filesize()

@@ -22,16 +22,16 @@ import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.log import groups as hdf5
-from imuarray.log.column import Column, LiveGroup
+from imuarray.log.columns import Column, LiveGroup
 from imuarray.log.commits import COMMITS, CommittedRows, read_commits
 from imuarray.log.draft import Draft
 from imuarray.log.format import Event, Phase
-from imuarray.log.guard import DAMAGE
+from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.inspection import inspect, refuse_hostile
 from imuarray.log.journal import JournalReader, journal_of
-from imuarray.log.layout import BESIDE, NOTES, Columns, Group, Notes, groups_of
+from imuarray.log.layout import NOTES, TRACK_COLUMNS, Columns, Group, Notes, groups_of
 from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
-from imuarray.log.unclosed import Unclosed, says_unclosed
+from imuarray.log.untrusted_input import DAMAGE
 
 _SENSORS = "sensors/"
 
@@ -53,7 +53,7 @@ class LiveView:
         notes = Notes()
         notes.add({"text": np.asarray(parts.pop(NOTES)["text"])})
         end_ns = max((int(part["time"][-1]) + 1 for part in parts.values() if len(part["time"])), default=0)
-        beside = {name: part for name in BESIDE if len((part := parts.pop(name))["time"])}
+        beside = {name: part for name in TRACK_COLUMNS if len((part := parts.pop(name))["time"])}
         self._items: dict[str, Any] = {
             "sensors": {path.removeprefix(_SENSORS): parts[path] for path in sorted(parts)},
             "phases": _table(("start", "end", "name", "up"), notes.phases_until(end_ns)),
@@ -106,7 +106,7 @@ def _table(names: tuple[str, ...], rows: list[Phase] | list[Event]) -> dict[str,
     return table
 
 
-class Rebuilt(h5py.File):  # type: ignore[misc]  # h5py ships no types
+class RebuiltFile(h5py.File):  # type: ignore[misc]  # h5py ships no types
     """A log made again from its journal, in a file that has no name any more."""
 
     preamble: Preamble
@@ -114,7 +114,9 @@ class Rebuilt(h5py.File):  # type: ignore[misc]  # h5py ships no types
     has_journal = True
 
 
-def open_interrupted(path: Path, *, thorough: bool = False, journal_fd: int | None = None) -> LiveView | Rebuilt | None:
+def open_interrupted(
+    path: Path, *, thorough: bool = False, journal_fd: int | None = None
+) -> LiveView | RebuiltFile | None:
     """The view of an unfinished log at `path`; None if it is finished, or none at all; LogError.
 
     `thorough` checks every commit at once, as is done where the journal is missing. `journal_fd` is the journal, open,
@@ -164,7 +166,7 @@ def _journal(path: Path, fd: int | None, known: Preamble | None) -> tuple[Journa
 def _open(path: Path) -> h5py.File | None:
     """The HDF5 file, None if HDF5 can't open it."""
     try:
-        return h5py.File(Unclosed(path, looks=False), "r")
+        return h5py.File(UnclosedFile(path, check_heaps=False), "r")
     except DAMAGE:
         return None
 
@@ -177,9 +179,9 @@ def is_unfinished(file: h5py.File) -> bool:
 def stored_preamble(path: Path) -> Preamble | None:
     """The preamble in the unfinished file at `path`; None if it is damaged, or not there. What h5py raises on damage.
 
-    Its heap of texts is checked before HDF5 believes it (`imuarray.log.heaps`).
+    Its heap of texts is checked before HDF5 believes it (`imuarray.log.hdf5_heaps`).
     """
-    with h5py.File(Unclosed(path), "r") as inspected:
+    with h5py.File(UnclosedFile(path), "r") as inspected:
         text = inspected.attrs.get(PREAMBLE)
         stored_crc = inspected.attrs.get(PREAMBLE_CRC)
     if not isinstance(text, str):
@@ -203,7 +205,7 @@ def _is_sound(path: Path, file: h5py.File) -> bool:
 def may_be_unfinished(path: Path) -> bool:
     """Whether a log should be looked at so: it says so, it has a journal, or HDF5 can't open it."""
     try:
-        return journal_of(path).is_file() if not path.is_file() else says_unclosed(path) or journal_of(path).is_file()
+        return journal_of(path).is_file() if not path.is_file() else is_marked_open(path) or journal_of(path).is_file()
     except OSError:
         return False
 
@@ -214,7 +216,7 @@ def _view(
     """The file as far as it is good, and the journal (or `why` there is none); None where the file is of no use."""
     preamble = known if journal is None else journal.preamble
     try:
-        with h5py.File(Unclosed(path), "r") as inspected:
+        with h5py.File(UnclosedFile(path), "r") as inspected:
             refuse_hostile(file, inspected, str(path))
         if preamble is not None:
             return LiveView(file, journal, _content(path, file, preamble, journal, why, thorough))
@@ -261,7 +263,7 @@ def _newest_ns(groups: tuple[Group, ...], committed: CommittedRows) -> Mapping[i
     return newest
 
 
-def rebuilt(journal: JournalReader) -> Rebuilt:
+def rebuilt(journal: JournalReader) -> RebuiltFile:
     """The log that a journal holds, made anew in a temporary file that is gone when it is closed; LogError."""
     with tempfile.TemporaryDirectory(prefix="imuarray-") as folder:
         draft = Draft(Path(folder) / "rebuilt.h5", journal.preamble)
@@ -269,7 +271,7 @@ def rebuilt(journal: JournalReader) -> Rebuilt:
             for record in journal.records():
                 draft.append(record.group, journal.groups[record.group].decode(record.payload, record.rows))
             draft.close()
-            file = Rebuilt(draft.part, "r")
+            file = RebuiltFile(draft.part, "r")
             file.preamble, file.losses = journal.preamble, tuple(journal.damage)
             return file
         finally:

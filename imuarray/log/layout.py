@@ -1,7 +1,7 @@
 """Which columns a log has: groups of equally long columns, and how a stretch of rows of a group stands as bytes.
 
 A block of rows is its columns one after the other, little-endian, in the order of the group. The order of the groups is
-that of the sensors, then those of `BESIDE` and `notes` (phases and events, a line of JSON each, as bytes).
+that of the sensors, then those of `TRACK_COLUMNS` and `notes` (phases and events, a line of JSON each, as bytes).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from imuarray.errors import LogError
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
-from imuarray.log.guard import check_note
+from imuarray.log.untrusted_input import check_note
 
 CHUNK = 4096
 """Rows per chunk: about 40 s at 100 Hz; 24 KiB of counts."""
@@ -86,10 +86,10 @@ STIMULUS: _Columns = (
 )
 CLOCKS: _Columns = tuple((name.removesuffix("_ns"), "<i8", ()) for name in ClockRow._fields)
 
-BESIDE: Mapping[str, _Columns] = MappingProxyType({"truth": STIMULUS, "reference": STIMULUS, "clocks": CLOCKS})
-"""What a log may have beside its sensors; a group is there if it has rows."""
+TRACK_COLUMNS: Mapping[str, _Columns] = MappingProxyType({"truth": STIMULUS, "reference": STIMULUS, "clocks": CLOCKS})
+"""The groups that a log may have besides its sensors; a group exists if it has rows."""
 
-BESIDE_UNITS: Mapping[str, str] = MappingProxyType(
+TRACK_UNITS: Mapping[str, str] = MappingProxyType(
     {"specific_force": "m s-2", "angular_rate": "rad s-1", "temperature": "degC"}
     | {name: "ns" for name, _, _ in CLOCKS if name != "time"}
 )
@@ -110,11 +110,11 @@ def sensor_group(header: SensorHeader) -> Group:
 
 def groups_of(sensors: Iterable[SensorHeader]) -> tuple[Group, ...]:
     """All groups of a log with these sensors, in their order."""
-    beside = (Group(name, columns) for name, columns in BESIDE.items())
+    beside = (Group(name, columns) for name, columns in TRACK_COLUMNS.items())
     return (*(sensor_group(header) for header in sensors), *beside, Group(NOTES, ((_TEXT, "<u1", ()),)))
 
 
-class Begun(NamedTuple):
+class OpenPhase(NamedTuple):
     """A phase that has begun and whose end is not known yet; `end_ns` is when it ends at the latest."""
 
     start_ns: int
@@ -129,7 +129,7 @@ class Notes:
 
     phases: list[Phase] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    begun: list[Begun] = field(default_factory=list)
+    begun: list[OpenPhase] = field(default_factory=list)
 
     def add(self, columns: Columns) -> None:
         """Read rows of the group `notes`; LogError."""
@@ -142,7 +142,7 @@ class Notes:
                 elif kind == "event":
                     self.events.append(Event(*fields))
                 else:
-                    self.begun.append(Begun(*fields))
+                    self.begun.append(OpenPhase(*fields))
         except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
             raise LogError(f"phases and events can't be read: {error}") from None
 
@@ -154,7 +154,8 @@ class Notes:
         return [*self.phases, *(phase for phase in lasting if phase.end_ns > phase.start_ns)]
 
 
-def note_columns(note: Phase | Event | Begun) -> dict[str, npt.NDArray[np.uint8]]:
+def note_columns(note: Phase | Event | OpenPhase) -> dict[str, npt.NDArray[np.uint8]]:
     """A note as rows of the group `notes`."""
-    line = json.dumps({type(note).__name__.lower(): note}, default=lambda number: number.item()) + "\n"
+    kind = "phase" if isinstance(note, Phase) else "event" if isinstance(note, Event) else "begun"
+    line = json.dumps({kind: note}, default=lambda number: number.item()) + "\n"
     return {_TEXT: np.frombuffer(line.encode("ascii"), np.uint8)}

@@ -23,11 +23,11 @@ import h5py
 from imuarray.errors import DiskFullError, ImuArrayError, LogError
 from imuarray.log import groups as hdf5
 from imuarray.log.commits import COMMITS, block_crc, row_of, width
+from imuarray.log.disk_space import FULL, Allowance, Reserve, free_bytes, sync_folder, unwritable, write_errors
 from imuarray.log.format import CACHE_BYTES, Event
 from imuarray.log.journal import JournalLock, JournalWriter, Mark
-from imuarray.log.layout import BESIDE, CHUNK, Columns, groups_of, note_columns
+from imuarray.log.layout import CHUNK, TRACK_COLUMNS, Columns, groups_of, note_columns
 from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
-from imuarray.log.room import FULL, Allowance, Reserve, free_bytes, sync_folder, unwritable, write_errors
 
 QUEUE_BLOCKS = 1024
 """Blocks that may wait for a slow disk; then `put` waits too."""
@@ -71,8 +71,8 @@ class LiveFile:
         self.file.attrs.update({PREAMBLE: text, PREAMBLE_CRC: zlib.crc32(text.encode())})
         for header in preamble.sensors:
             hdf5.create_sensor(self.file, header, preamble.epoch, chunk, hdf5.PLAIN)
-        for name in BESIDE:
-            hdf5.create_beside(self.file, name, preamble.epoch, chunk, hdf5.PLAIN)
+        for name in TRACK_COLUMNS:
+            hdf5.create_track(self.file, name, preamble.epoch, chunk, hdf5.PLAIN)
         hdf5.create_columns(self.file, self._groups[-1], chunk, hdf5.PLAIN)
         columns = width(self._groups)
         self.file.create_dataset(COMMITS, (0, columns), "<i8", maxshape=(None, columns), chunks=(_COMMIT_ROWS, columns))

@@ -20,14 +20,14 @@ import h5py
 
 from imuarray.errors import LogError, LogWarning
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase
-from imuarray.log.guard import DAMAGE, open_file, positive, read_texts
 from imuarray.log.inspection import inspect
-from imuarray.log.interrupted import LiveView, Rebuilt, is_unfinished, may_be_unfinished, open_interrupted
+from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_be_unfinished, open_interrupted
 from imuarray.log.journal import is_running
 from imuarray.log.preamble import Preamble
 from imuarray.log.sensor_log import SensorLog
-from imuarray.log.texts import changed_parts
+from imuarray.log.text_checksums import changed_parts
 from imuarray.log.tracks import ClockTrack, Track, clocks_of, track_of
+from imuarray.log.untrusted_input import DAMAGE, open_file, positive, read_texts
 
 
 class Log:
@@ -86,7 +86,7 @@ class Log:
     @property
     def preamble(self) -> Preamble | None:
         """What an unfinished log was begun with; None for one that is finished."""
-        return self._file.preamble if isinstance(self._file, LiveView | Rebuilt) else None
+        return self._file.preamble if isinstance(self._file, LiveView | RebuiltFile) else None
 
     @property
     def state(self) -> str:
@@ -100,7 +100,7 @@ class Log:
         """What of an unfinished log's acknowledged rows can't be read any more, and which parts of a finished one are
         not as they were written, a line each. A damaged row of a finished log is a LogError when it is read.
         """
-        if isinstance(self._file, LiveView | Rebuilt):
+        if isinstance(self._file, LiveView | RebuiltFile):
             return self._file.losses
         if self._damaged:
             return tuple(f"{path} is damaged and left out" for path in self._damaged)
@@ -119,7 +119,7 @@ class Log:
     @property
     def is_rebuilt(self) -> bool:
         """Whether the HDF5 file of an unfinished log was of no use, and everything comes from its journal."""
-        return isinstance(self._file, Rebuilt)
+        return isinstance(self._file, RebuiltFile)
 
     @property
     def epoch(self) -> str:
@@ -257,7 +257,7 @@ def _open(path: Path, thorough: bool, journal_fd: int | None) -> tuple[h5py.File
     return _open_unfinished(path, thorough), []
 
 
-def _open_unfinished(path: Path, thorough: bool) -> LiveView | Rebuilt:
+def _open_unfinished(path: Path, thorough: bool) -> LiveView | RebuiltFile:
     """A log that was closed in good order and never finished, and whose journal is gone."""
     unfinished = open_interrupted(path, thorough=thorough)
     if unfinished is None:  # it was finished a moment ago

@@ -21,11 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import DiskFullError, ImuArrayError
+from imuarray.log.disk_space import WATERMARK
 from imuarray.log.format import ClockRow, Event, Phase, SensorHeader
 from imuarray.log.journal import journal_of
-from imuarray.log.layout import Begun, Notes
+from imuarray.log.layout import Notes, OpenPhase
 from imuarray.log.live import KEPT
-from imuarray.log.room import WATERMARK
 from imuarray.log.writer import SYNC_S, Block, LogWriter, Stimulus
 
 _LEAD_NS = 5_000_000_000
@@ -222,7 +222,7 @@ class RotatingWriter:
         """Each part's share of the phases; those that are not over go on to its end."""
         start_ns, end_ns = self._span_ns(number)
         end_ns = min(end_ns, max(self._last_ns.values()) + 1)
-        for phase in Notes(self._phases, begun=[Begun(*phase) for phase in self._begun]).phases_until(end_ns):
+        for phase in Notes(self._phases, begun=[OpenPhase(*phase) for phase in self._begun]).phases_until(end_ns):
             if phase.start_ns < end_ns and phase.end_ns > start_ns:
                 part.phase(phase._replace(start_ns=max(phase.start_ns, start_ns), end_ns=min(phase.end_ns, end_ns)))
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
-from imuarray.log.column import DATASET, UNREADABLE, LiveGroup, NamedColumn
+from imuarray.log.columns import DATASET, UNREADABLE, LiveGroup, NamedColumn
 from imuarray.log.format import FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, ThermometerScale
 from imuarray.units import QUANTITIES, SI_PER_UNIT
 

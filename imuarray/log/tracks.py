@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from imuarray.errors import LogError
-from imuarray.log.column import DATASET, GROUP, NamedColumn
+from imuarray.log.columns import DATASET, GROUP, NamedColumn
 from imuarray.log.layout import CLOCKS
 
 

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from imuarray.errors import LogError
-from imuarray.log.guard import DAMAGE
 from imuarray.log.reader import Log
 from imuarray.log.sensor_log import SensorLog
+from imuarray.log.untrusted_input import DAMAGE
 from imuarray.printable import counted
 
 _ROWS = 1 << 16

@@ -20,14 +20,14 @@ import numpy.typing as npt
 
 from imuarray import __version__
 from imuarray.errors import DiskFullError, ImuArrayError, LogBusyError, LogError, OutputExistsError
+from imuarray.log.disk_space import WATERMARK
 from imuarray.log.draft import Draft
 from imuarray.log.finish import finish
 from imuarray.log.format import MOST_SENSORS, ClockRow, Event, Phase, SensorHeader
 from imuarray.log.journal import is_running
-from imuarray.log.layout import CHUNK, CLOCKS, STIMULI, Begun, Columns, note_columns
+from imuarray.log.layout import CHUNK, CLOCKS, STIMULI, Columns, OpenPhase, note_columns
 from imuarray.log.live import KEPT, Live
 from imuarray.log.preamble import Preamble
-from imuarray.log.room import WATERMARK
 from imuarray.log.sensor_log import SensorLog
 
 SYNC_S = 1.0
@@ -137,7 +137,7 @@ class LogWriter:
         """Name a stretch of time that ends at `phase.end_ns` at the latest: a log that is cut short has it too. `phase`
         with the same start and name ends it.
         """
-        self._put(len(self._groups) - 1, note_columns(Begun(*phase)))
+        self._put(len(self._groups) - 1, note_columns(OpenPhase(*phase)))
 
     def event(self, event: Event) -> None:
         """Note that something happened."""
@@ -206,7 +206,7 @@ class LogWriter:
             for columns in stretches:
                 live.put(number, columns)
         notes = self._draft.notes
-        noted: list[Phase | Event | Begun] = [*notes.phases, *notes.events, *notes.begun]
+        noted: list[Phase | Event | OpenPhase] = [*notes.phases, *notes.events, *notes.begun]
         for note in noted:
             live.put(len(self._groups) - 1, note_columns(note))
 

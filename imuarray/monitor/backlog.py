@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imuarray.errors import LogError
-from imuarray.log.guard import DAMAGE
+from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.window import STRIDE, Gaps, gaps_of
 
 AT_ONCE = 1 << 19

@@ -9,8 +9,8 @@ import numpy as np
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import ImuArrayError
-from imuarray.log.pace import frame_period_ns, missed_by_all
-from imuarray.log.room import WATERMARK, free_bytes
+from imuarray.log.disk_space import WATERMARK, free_bytes
+from imuarray.log.missed_frames import frame_period_ns, missed_by_all
 from imuarray.monitor.fused import fused_beside, fused_now
 from imuarray.monitor.held import HeldLog
 from imuarray.monitor.snapshot import WRITTEN, Disk, FusedView, SensorView, Snapshot

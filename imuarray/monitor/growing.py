@@ -14,13 +14,13 @@ import h5py
 from imuarray.errors import LogError
 from imuarray.log.commits import COMMITS, Commit, read_commits
 from imuarray.log.groups import sensor_attributes
-from imuarray.log.guard import DAMAGE
+from imuarray.log.hdf5_superblock import UnclosedFile
 from imuarray.log.inspection import refuse_hostile
 from imuarray.log.interrupted import stored_preamble
 from imuarray.log.journal import JournalReader, is_running, journal_of
 from imuarray.log.layout import NOTES, Group
 from imuarray.log.preamble import Preamble
-from imuarray.log.unclosed import Unclosed
+from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.backlog import Backlog
 from imuarray.monitor.held import Attributes
 from imuarray.monitor.snapshot import FINISHED, INTERRUPTED, WRITTEN
@@ -113,11 +113,11 @@ class Growing:
 def _opened(path: Path, preamble: Preamble) -> h5py.File:
     """The HDF5 file of a log with that preamble; LogError."""
     try:
-        file = h5py.File(Unclosed(path, looks=False), "r")
+        file = h5py.File(UnclosedFile(path, check_heaps=False), "r")
     except DAMAGE:
         raise LogError(f"{path}: is not there yet, or damaged") from None
     try:
-        with h5py.File(Unclosed(path), "r") as inspected:
+        with h5py.File(UnclosedFile(path), "r") as inspected:
             refuse_hostile(file, inspected, str(path))
         known = stored_preamble(path)
         if known is not None and known.identity != preamble.identity:

@@ -11,7 +11,7 @@ import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.log import Log, SensorLog
-from imuarray.log.column import Column, LiveGroup
+from imuarray.log.columns import Column, LiveGroup
 from imuarray.monitor.window import Rows
 
 Attributes = Mapping[str, Any]

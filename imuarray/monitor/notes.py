@@ -13,7 +13,7 @@ import numpy.typing as npt
 from imuarray.errors import LogError
 from imuarray.log.format import Event
 from imuarray.log.layout import Notes
-from imuarray.log.pace import MISSED
+from imuarray.log.missed_frames import MISSED
 
 KEPT = 50
 """Events that are kept to be shown."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from imuarray.log.hdf5_superblock import is_marked_open
 from imuarray.log.journal import journal_of
-from imuarray.log.unclosed import says_unclosed
 from imuarray.monitor.backlog import Backlog
 from imuarray.monitor.held import Attributes
 from imuarray.monitor.notes import FusionNotes
@@ -64,5 +64,5 @@ def look(path: Path) -> tuple[object, ...]:
     """What is there under the name of a log, to see whether that changed: its file, and that of its journal."""
     unclosed = False
     with contextlib.suppress(OSError):
-        unclosed = says_unclosed(path)
+        unclosed = is_marked_open(path)
     return identity(path), identity(journal_of(path)), unclosed

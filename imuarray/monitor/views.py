@@ -10,7 +10,7 @@ from imuarray.calibrate.segments import degc_of, has_zero
 from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
 from imuarray.log import SensorLog
 from imuarray.log.format import FLAGS
-from imuarray.log.pace import is_read_once_a_frame, missing_rows
+from imuarray.log.missed_frames import is_read_once_a_frame, missing_rows
 from imuarray.monitor.snapshot import Floats, SensorView
 from imuarray.monitor.window import Gaps, Window
 

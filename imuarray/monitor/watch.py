@@ -15,9 +15,9 @@ from pathlib import Path
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import ImuArrayError, reason_of
-from imuarray.log.guard import DAMAGE
 from imuarray.log.journal import JournalReader, is_running
 from imuarray.log.rotate import part_of
+from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.compose import snapshot_of
 from imuarray.monitor.growing import Growing
 from imuarray.monitor.snapshot import WAITING, WRITTEN, Snapshot

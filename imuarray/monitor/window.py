@@ -4,7 +4,7 @@ Frames are read there and back: a sensor that comes first in one frame comes las
 may be anything up to two periods away, but the row after that is two periods away. Steps over two rows are therefore
 what is looked at. A frame that was missed makes two of them a period longer; one that is delayed by more than a
 quarter of a period makes one of them longer by that. Where the log tells its frame rate, what is missing is told better
-by that (`imuarray.log.pace`).
+by that (`imuarray.log.missed_frames`).
 """
 
 from __future__ import annotations

@@ -19,9 +19,9 @@ import numpy as np
 from imuarray.array import ArrayConfig, SensorConfig
 from imuarray.arrays import Integers
 from imuarray.log import SensorLog
-from imuarray.log.column import NamedColumn
+from imuarray.log.columns import NamedColumn
 from imuarray.log.format import LOST_BEFORE
-from imuarray.log.pace import frames_in
+from imuarray.log.missed_frames import frames_in
 
 _CLOCK_NS = 2500
 _SWITCH_CLOCKS = 19

@@ -10,7 +10,7 @@ import pytest
 
 from imuarray.acquire import connect, record
 from imuarray.acquire.channels import channel_of
-from imuarray.acquire.stations import route, there_and_back
+from imuarray.acquire.sensor_routes import routes_of, there_and_back
 
 
 @pytest.fixture
@@ -20,8 +20,8 @@ def connected(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> Calla
     def make(**channels: int | None) -> tuple[Any, list[Any]]:
         array = an_array(**channels)
         bus = tapped(array)
-        stations = connect(array, bus)
-        return bus, [channel_of(part, stations, 40) for part in there_and_back(stations)[0]]
+        routes = connect(array, bus)
+        return bus, [channel_of(part, routes, 40) for part in there_and_back(routes)[0]]
 
     return make
 
@@ -86,7 +86,7 @@ def test_it_asks_without_selecting(connected: Callable[..., Any]) -> None:
 def test_witnesses_take_turns_and_say_what_they_saw(connected: Callable[..., Any]) -> None:
     bus, (first, _) = connected(B1=0, A=0, B2=1)
     bus.transfer(0x70, b"\x04")
-    seen = {(first.right(), first.seen.station.sensor.name)[1] for _ in range(len(first.witnesses))}
+    seen = {(first.right(), first.seen.route.sensor.name)[1] for _ in range(len(first.witnesses))}
     assert seen == {"A", "B1"}
 
 
@@ -101,5 +101,5 @@ def test_nothing_is_lost_to_the_question(
 def test_route_alone_changes_nothing(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
     array = an_array(A1=0, A2=1)
     bus = tapped(array)
-    route(array, bus)
+    routes_of(array, bus)
     assert bus.calls == []

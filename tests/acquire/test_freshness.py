@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.acquire.freshness import Freshness
-from imuarray.acquire.pending import Pending
+from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.array import ArrayConfig, SensorConfig, parse_array
 from imuarray.log.format import LOST_BEFORE, STALE
 
@@ -128,12 +128,12 @@ def test_a_frozen_chip_is_noticed_all_the_same(kind: str, told: str, sensor: str
     assert 9.0 * SECOND < events[0].time_ns < (10.0 + within_s) * SECOND
 
 
-def reading_since(pending: Pending, gaps_ms: list[float]) -> int | None:
+def reading_since(buffer: SampleBuffer, gaps_ms: list[float]) -> int | None:
     at_ns = 0
     for gap_ms in gaps_ms:
         at_ns += round(gap_ms * MS)
-        pending.add(bytes(pending.driver.burst), at_ns)
-    return pending.frozen_since()
+        buffer.add(bytes(buffer.driver.burst), at_ns)
+    return buffer.frozen_since()
 
 
 @pytest.mark.parametrize(("gap_ms", "frozen"), [(20.0, True), (0.5, False), (15.0, False), (18.4, True)])
@@ -141,8 +141,8 @@ def test_readings_that_repeat_faster_than_the_chip_measures_are_not_frozen(
     gap_ms: float, frozen: bool, an_array: Callable[..., Any], tapped: Callable[..., Any]
 ) -> None:
     """50 readings take a second at 50 Hz; in a burst of frames they take less, and then 50 equal ones mean nothing."""
-    from imuarray.acquire.stations import route
+    from imuarray.acquire.sensor_routes import routes_of
 
     array = an_array(B=0)
-    (station,) = route(array, tapped(array))
-    assert (reading_since(Pending(station, 50.0), [gap_ms] * 50) is not None) == frozen
+    (route,) = routes_of(array, tapped(array))
+    assert (reading_since(SampleBuffer(route, 50.0), [gap_ms] * 50) is not None) == frozen

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.intake import AHEAD_NS, Intake, in_order, selected
 from imuarray.acquire.record import record
-from imuarray.acquire.trouble import Troubles
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.drivers.fifo_clock import FifoClock
@@ -56,10 +56,10 @@ def test_a_row_takes_over_what_the_refused_ones_before_it_said() -> None:
 
 
 class Waiting:
-    """Rows that wait, as `Pending` gives them."""
+    """Rows that wait, as `SampleBuffer` gives them."""
 
     def __init__(self, *blocks: list[int]) -> None:
-        self.station: Any = SimpleNamespace(sensor=SimpleNamespace(name="A"))
+        self.route: Any = SimpleNamespace(sensor=SimpleNamespace(name="A"))
         self.blocks = [np.array(times, np.int64) for times in blocks]
 
     def take(self, count: int, epoch_ns: int) -> Block:
@@ -75,8 +75,8 @@ def test_a_row_ahead_of_the_clock_does_not_shut_out_those_behind_it() -> None:
         append=lambda name, block: stored.extend(zip(block.time.tolist(), block.status.tolist(), strict=True))
     )
     lost = {"A": 0}
-    troubles = Troubles(lambda sensor, at_ns, kind, message: told.append(Event(at_ns - 100, sensor, kind, message)))
-    intake = Intake(log, 100, lambda name, block: None, troubles, lost)
+    faults = FaultEpisodes(lambda sensor, at_ns, kind, message: told.append(Event(at_ns - 100, sensor, kind, message)))
+    intake = Intake(log, 100, lambda name, block: None, faults, lost)
     waiting: Any = Waiting([110, 120, 120 + 4277 * S, 130], [125], [140, 150])
     assert AHEAD_NS == S  # what a fitted clock may be off, and far less than an invented time
     for now_ns in (140, 145, 150):

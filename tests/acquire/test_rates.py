@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from imuarray.acquire.pending import HELD_S
 from imuarray.acquire.record import record
+from imuarray.acquire.sample_buffer import HELD_S
+from imuarray.acquire.sensor_routes import connect
 from imuarray.acquire.start_up import Verdict
-from imuarray.acquire.stations import connect
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.drivers import OnDemandDriver
@@ -175,10 +175,10 @@ def test_a_conversion_that_is_asked_for_seldom_is_taken(tmp_path: Path) -> None:
     array = parse_array('[array]\nname="a"\n[[sensor]]\nname="S"\nchip="bmp180"\naddress=0x77\n')
     for pause_s in (0.15, 0.2, 10.0):
         with open_bus("emulated:", array) as bus:
-            (station,) = connect(array, bus)
+            (route,) = connect(array, bus)
             bursts = 0
             for _ in range(30):
-                bursts += bool(station.driver.fetch())
+                bursts += bool(route.driver.fetch())
                 bus.clock.sleep_until(bus.clock.now_ns() + round(pause_s * 1e9))
             assert bursts >= 8
 
@@ -186,14 +186,14 @@ def test_a_conversion_that_is_asked_for_seldom_is_taken(tmp_path: Path) -> None:
 def test_a_conversion_from_before_a_stop_of_the_program_is_not_taken() -> None:
     array = parse_array('[array]\nname="a"\n[[sensor]]\nname="S"\nchip="bmp180"\naddress=0x77\n')
     with open_bus("emulated:", array) as bus:
-        (station,) = connect(array, bus)
+        (route,) = connect(array, bus)
         for _ in range(20):  # until a pressure is being converted
-            station.driver.fetch()
+            route.driver.fetch()
             bus.clock.sleep_until(bus.clock.now_ns() + 6 * MS)
-            if isinstance(station.driver, OnDemandDriver) and (station.driver.ready_ns or 0) > bus.clock.now_ns():
+            if isinstance(route.driver, OnDemandDriver) and (route.driver.ready_ns or 0) > bus.clock.now_ns():
                 break
         bus.clock.sleep_until(bus.clock.now_ns() + 60_000 * MS)
-        assert station.driver.fetch() == b""
+        assert route.driver.fetch() == b""
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import connect, record
+from imuarray.acquire.sensor_routes import routes_of, there_and_back
 from imuarray.acquire.service import Service
-from imuarray.acquire.stations import route, there_and_back
 from imuarray.array import load_array, parse_array
 from imuarray.bus import open_bus
 from imuarray.errors import OutputExistsError, SensorError
@@ -35,8 +35,8 @@ def logged(path: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_there_and_back(an_array: Callable[..., Any], tapped: Callable[..., Any]) -> None:
     array = an_array(A=0, B=1, G=0, M=1, P=None)
-    there, back = there_and_back(route(array, tapped(array)))
-    names = [[[station.sensor.name for station in segment] for segment in order] for order in (there, back)]
+    there, back = there_and_back(routes_of(array, tapped(array)))
+    names = [[[route.sensor.name for route in segment] for segment in order] for order in (there, back)]
     assert names == [[["A", "G"], ["B", "M"], ["P"]], [["P"], ["B", "M"], ["A", "G"]]]
 
 

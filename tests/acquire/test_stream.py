@@ -46,8 +46,8 @@ def stream(
     """Record, doing things at times (s of the recording) on the way; the summary, and when it started."""
     todo = sorted((at or {}).items())
     with bench.bus() as bus:
-        stations = connect(array, bus)
-        assert streams(bus, stations)
+        routes = connect(array, bus)
+        assert streams(bus, routes)
         bench.taps.clear()
         start_ns = bench.now_ns()
 
@@ -57,9 +57,9 @@ def stream(
                     return True
             return False
 
-        headers = [header_of(station.sensor, station.driver.header()) for station in stations]
+        headers = [header_of(route.sensor, route.driver.header()) for route in routes]
         with LogWriter(path, headers, source=bus.source, epoch="1970-01-01T00:00:00Z") as log:
-            recording = Streaming(stations, bus, log, rate_hz, start_ns, **further)
+            recording = Streaming(routes, bus, log, rate_hz, start_ns, **further)
             recording.run(seconds, stopped)
     return recording.summary, start_ns
 
@@ -391,10 +391,10 @@ def test_a_queue_is_not_streamed(an_array: Callable[..., ArrayConfig]) -> None:
     text = '[array]\nname="a"\n[[sensor]]\nname="A"\nchip="adxl345"\naddress=0x53\nrange=2\nfifo=true\n'
     array = parse_array(text)
     with Bench(array).bus() as bus:
-        stations = connect(array, bus)
-        assert not streams(bus, stations)
+        routes = connect(array, bus)
+        assert not streams(bus, routes)
         with pytest.raises(ValueError, match="sensor A: a queue is drained by its driver"):
-            plan(stations, 50)
+            plan(routes, 50)
 
 
 def test_no_room_for_so_many_lists(

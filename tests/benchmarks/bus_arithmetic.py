@@ -13,7 +13,7 @@ from typing import Any
 from compare import Row, row
 
 from imuarray.acquire.poll import Poll
-from imuarray.acquire.stations import connect
+from imuarray.acquire.sensor_routes import connect
 from imuarray.array import load_array
 from imuarray.bus import open_bus
 from imuarray.log.writer import LogWriter

@@ -18,7 +18,7 @@ from firmware_emulator.adapter import Adapter, Message
 from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.device_file import device_files
 from imuarray.acquire.record import record
-from imuarray.acquire.stations import connect
+from imuarray.acquire.sensor_routes import connect
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import open_bus
 from imuarray.bus.linux import LinuxBus

@@ -18,8 +18,8 @@ import numpy as np
 
 from imuarray.errors import LogError
 from imuarray.log import open_log
+from imuarray.log.hdf5_superblock import _checksum
 from imuarray.log.journal import journal_of
-from imuarray.log.unclosed import _checksum
 
 MEMORY = 2 << 30
 LONGEST_S = 20

@@ -20,11 +20,11 @@ import imuarray.log.writer as writing
 from imuarray.cli import main
 from imuarray.errors import DiskFullError, LogError, LogWarning
 from imuarray.log import Block, LogWriter, open_log
-from imuarray.log.column import Column
+from imuarray.log.columns import Column
 from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase, SensorHeader
+from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.journal import JournalReader, journal_of
-from imuarray.log.unclosed import Unclosed, says_unclosed
 from imuarray.log.verify import verify
 
 HEADERS = (
@@ -122,7 +122,7 @@ def test_a_log_that_is_written_is_read_from_its_file_after_any_number_of_commits
 
 def test_it_is_read_and_not_changed(run: Path) -> None:
     before = {path: path.read_bytes() for path in run.parent.iterdir()}
-    assert says_unclosed(run)
+    assert is_marked_open(run)
     check(run)
     with open_log(run) as log:
         assert (log.state, log.is_rebuilt) == ("interrupted", False)
@@ -248,7 +248,7 @@ def test_no_room_to_recover_does_not_say_that_nothing_was_recorded(run: Path, mo
     def full(fd: int, start: int, length: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("imuarray.log.room._allocate", full)
+    monkeypatch.setattr("imuarray.log.disk_space._allocate", full)
     with pytest.raises(DiskFullError, match=r"no room left on the disk; the log is left as it was$"):
         recover(run)
     assert {path: path.read_bytes() for path in run.parent.iterdir()} == before
@@ -270,7 +270,7 @@ def test_the_journal_of_another_log_is_not_believed(run: Path, tmp_path: Path) -
 @pytest.mark.parametrize("damage", ["removed data", "wrong data", "wrong table", "cut", "empty", "no superblock"])
 def test_with_a_damaged_file_it_comes_from_the_journal(run: Path, damage: str) -> None:
     content = bytearray(run.read_bytes())
-    with h5py.File(Unclosed(run), "r") as file:
+    with h5py.File(UnclosedFile(run), "r") as file:
         chunk = file["sensors/Acc/counts"].id.get_chunk_info(3)
         table = file["commits"].id.get_chunk_info(0)
     if damage.endswith("data"):
@@ -295,7 +295,7 @@ def test_with_a_damaged_file_it_comes_from_the_journal(run: Path, damage: str) -
 
 def test_wrong_data_before_the_last_commit_are_read_from_the_journal(run: Path) -> None:
     content = bytearray(run.read_bytes())
-    with h5py.File(Unclosed(run), "r") as file:
+    with h5py.File(UnclosedFile(run), "r") as file:
         chunk = file["sensors/Acc/counts"].id.get_chunk_info(0)
     content[chunk.byte_offset + 10] ^= 1
     run.write_bytes(content)
@@ -441,11 +441,11 @@ def test_the_check_sum_of_an_unclosed_file_is_hdf5s_own(tmp_path: Path) -> None:
         file.attrs["x"] = 5
         file.flush()
         shutil.copy(tmp_path / "a.h5", tmp_path / "b.h5")
-    assert says_unclosed(tmp_path / "b.h5")
-    assert not says_unclosed(tmp_path / "a.h5")
+    assert is_marked_open(tmp_path / "b.h5")
+    assert not is_marked_open(tmp_path / "a.h5")
     with pytest.raises(OSError, match="already open for write"):
         h5py.File(tmp_path / "b.h5", "r")
-    with h5py.File(Unclosed(tmp_path / "b.h5"), "r") as file:
+    with h5py.File(UnclosedFile(tmp_path / "b.h5"), "r") as file:
         assert file.attrs["x"] == 5
     closed = (tmp_path / "a.h5").read_bytes()[:48]
-    assert Unclosed(tmp_path / "b.h5").read(12) == closed[:12]
+    assert UnclosedFile(tmp_path / "b.h5").read(12) == closed[:12]

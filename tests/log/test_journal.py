@@ -15,7 +15,7 @@ import imuarray.log.salvage as salvage
 from imuarray.errors import LogError
 from imuarray.log.format import Event, Phase, SensorHeader
 from imuarray.log.journal import JournalLock, JournalReader, JournalWriter, Mark, journal_of
-from imuarray.log.layout import Begun, Notes, groups_of, note_columns
+from imuarray.log.layout import Notes, OpenPhase, groups_of, note_columns
 from imuarray.log.preamble import Preamble
 
 SENSORS = (
@@ -379,7 +379,12 @@ def test_phases_and_events_are_lines() -> None:
 def test_a_phase_that_was_never_ended_goes_on_to_the_end() -> None:
     notes = Notes(
         [Phase(0, 50, "z_up", "+Z"), Phase(0, 50, "z_up", "+Z")],
-        begun=[Begun(0, 10**9, "z_up"), Begun(50, 10**9, "room"), Begun(60, 70, "heat"), Begun(200, 10**9, "cool")],
+        begun=[
+            OpenPhase(0, 10**9, "z_up"),
+            OpenPhase(50, 10**9, "room"),
+            OpenPhase(60, 70, "heat"),
+            OpenPhase(200, 10**9, "cool"),
+        ],
     )
     assert notes.phases_until(100) == [
         Phase(0, 50, "z_up", "+Z"),

@@ -22,8 +22,8 @@ from imuarray.cli import main
 from imuarray.errors import DiskFullError, LogBusyError, LogError, LogWarning, OutputExistsError
 from imuarray.log import Block, Log, LogWriter, Stimulus, open_log, room
 from imuarray.log.format import Event, Phase
+from imuarray.log.hdf5_superblock import is_marked_open
 from imuarray.log.journal import JournalLock, is_running, journal_of
-from imuarray.log.unclosed import says_unclosed
 
 Writer = Callable[..., LogWriter]
 
@@ -399,7 +399,7 @@ def test_a_log_that_could_not_be_finished_never_passes_as_finished(
         log.event(Event(7, "Gyro", "note", "early"))
         log.phase(Phase(5, 9005, "static"))
         log.flush()
-    assert not says_unclosed(path)
+    assert not is_marked_open(path)
     for has_journal in (True, False):
         if not has_journal:
             journal_of(path).unlink()

@@ -16,9 +16,9 @@ from firmware_emulator.array import EmulatedBus, open_array
 from firmware_emulator.board import Board
 from firmware_emulator.faults import faults_from
 from firmware_emulator.faulty_board import with_faults
-from imuarray.acquire import trouble
+from imuarray.acquire import fault_episode
 from imuarray.acquire.poll import Poll
-from imuarray.acquire.stations import connect
+from imuarray.acquire.sensor_routes import connect
 from imuarray.acquire.summary import Summary
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.log.format import Event
@@ -109,6 +109,8 @@ def night(
         wall = datetime(2026, 3, 1, tzinfo=UTC)
         poll = Poll(stations, bus, memory, rate_hz, epoch_ns, wall_time=wall, judge=judge)  # type: ignore[arg-type]
         poll.truth = None
-        with patch.object(trouble, "LONGEST_QUIET_NS", trouble.QUIET_NS if each else trouble.LONGEST_QUIET_NS):
+        with patch.object(
+            fault_episode, "LONGEST_QUIET_NS", fault_episode.QUIET_NS if each else fault_episode.LONGEST_QUIET_NS
+        ):
             poll.run(seconds, stopped)
     return Night(memory, poll.summary, -epoch_ns, bus)

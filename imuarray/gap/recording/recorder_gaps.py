@@ -19,7 +19,7 @@ from scipy.special import pdtrc
 from imuarray.arrays import Integers
 from imuarray.log import Log, SensorLog
 from imuarray.log.format import Event
-from imuarray.log.pace import MISSED
+from imuarray.log.missed_frames import MISSED
 from imuarray.simulate.timeline import Filled, Timeline
 
 MISSING = 1.5

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from imuarray.arrays import Integers, Reals
 from imuarray.errors import LogError
-from imuarray.log.column import NamedColumn
+from imuarray.log.columns import NamedColumn
 
 BLOCK = 16384
 """Rows per block; a whole number of the log's chunks."""

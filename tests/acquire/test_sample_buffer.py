@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imuarray.acquire.pending import Pending
-from imuarray.acquire.stations import route
+from imuarray.acquire.sample_buffer import SampleBuffer
+from imuarray.acquire.sensor_routes import routes_of
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.log.format import LOST_BEFORE, RECONFIGURED, SUSPECT
@@ -19,9 +19,9 @@ KINDS = ("add", "add", "add", "add", "miss", "cut", "distrust", "trust", "set up
 STEPS = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 7)), max_size=80)
 
 
-def pending() -> Pending:
-    (station,) = route(ARRAY, open_bus("emulated:", ARRAY))
-    return Pending(station, 50.0)
+def buffer() -> SampleBuffer:
+    (route,) = routes_of(ARRAY, open_bus("emulated:", ARRAY))
+    return SampleBuffer(route, 50.0)
 
 
 def burst_of(code: int) -> bytes:
@@ -56,7 +56,7 @@ class Plain:
 @settings(max_examples=300, deadline=None)
 @given(STEPS)
 def test_flags_stay_with_their_rows(steps: list[tuple[str, int]]) -> None:
-    ours, plain, now_ns = pending(), Plain(), 0
+    ours, plain, now_ns = buffer(), Plain(), 0
     for step, number in steps:
         row = max(len(plain.rows) - number, 0)
         if step == "add":
@@ -91,7 +91,7 @@ FRAME_NS = 20_000_000
 
 def test_a_reading_that_stands_still_is_told_from_one_that_hardly_moves() -> None:
     """24 equal readings, a second's worth of a slow poll; at 50 Hz it takes the second."""
-    ours = pending()
+    ours = buffer()
     for index in range(200):
         ours.add(burst_of(index // 20), index * FRAME_NS)  # a step every twenty readings
     assert ours.frozen_since() is None
@@ -103,7 +103,7 @@ def test_a_reading_that_stands_still_is_told_from_one_that_hardly_moves() -> Non
 
 
 def test_a_frozen_chip_that_a_set_up_did_not_change_is_flagged_from_its_first_reading_on() -> None:
-    ours = pending()
+    ours = buffer()
     for index in range(60):
         ours.add(burst_of(5), index * FRAME_NS)
     assert ours.frozen_since() == 0
@@ -125,8 +125,8 @@ STEP_NS = 5_000_000_000
 
 def test_a_reading_that_stands_still_is_found_across_rows_that_were_written() -> None:
     """24 equal readings are too many to wait for at one in five seconds; the two newest rows wait."""
-    (station,) = route(ARRAY, open_bus("emulated:", ARRAY))
-    ours = Pending(station, 0.2)
+    (route,) = routes_of(ARRAY, open_bus("emulated:", ARRAY))
+    ours = SampleBuffer(route, 0.2)
     assert ours.held_rows == 2  # ten seconds of them
     for index in range(30):
         ours.add(burst_of(index), index * STEP_NS)
@@ -151,4 +151,4 @@ def test_a_reading_that_stands_still_is_found_across_rows_that_were_written() ->
 
 
 def test_at_a_usual_rate_rows_wait_for_a_second_and_a_quarter() -> None:
-    assert pending().held_rows == 62  # of 50 a second: 50 readings that stand still are no chance
+    assert buffer().held_rows == 62  # of 50 a second: 50 readings that stand still are no chance

@@ -23,13 +23,13 @@ LONGEST = 1 << 24
 """Of a heap; it holds as many texts as fit into 4 KiB, or one that is longer: a configuration is the longest."""
 
 
-class Inspected(io.RawIOBase):
+class HeapCheckedFile(io.RawIOBase):
     """The bytes of a file, for h5py's driver for Python files; OSError (EBADMSG) for a heap that does not add up."""
 
-    def __init__(self, path: Path, *, looks: bool = True) -> None:
-        """`looks`: heaps are checked; not for reading numbers, among which anything may stand."""
+    def __init__(self, path: Path, *, check_heaps: bool = True) -> None:
+        """`check_heaps`: heaps are checked; not for reading numbers, among which anything may stand."""
         self._file = path.open("rb", buffering=0)
-        self._looks = looks
+        self._check_heaps = check_heaps
         self._at = 0
         self._good: set[int] = set()
 
@@ -55,7 +55,7 @@ class Inspected(io.RawIOBase):
         """As every file does, but for heaps."""
         view = memoryview(buffer).cast("B")
         count = os.preadv(self._file.fileno(), [view], self._at)
-        if self._looks:
+        if self._check_heaps:
             self._look(bytes(view[:count]))
         self._at += count
         return count

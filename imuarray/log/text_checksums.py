@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from imuarray.log.format import THERMOMETER_ATTRIBUTES
-from imuarray.log.guard import DAMAGE, read_texts
+from imuarray.log.untrusted_input import DAMAGE, read_texts
 
 CHECK_SUMS = "text_crc32"
 """The root attribute: a CRC-32 for each of `PARTS`."""

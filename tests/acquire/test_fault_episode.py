@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_emulator.faults import BUS_FAULTS, FAULTS
-from imuarray.acquire.trouble import Trouble
+from imuarray.acquire.fault_episode import FaultEpisode
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reliability"))
 from night import array_of, night
@@ -32,29 +32,29 @@ def is_end(message: str) -> bool:
 
 
 class Heard:
-    """A trouble and what it told."""
+    """A episode and what it told."""
 
     def __init__(self) -> None:
         self.events: list[tuple[int, str]] = []
-        self.trouble = Trouble("bus", "times", lambda at_ns, kind, message: self.events.append((at_ns, message)))
+        self.episode = FaultEpisode("bus", "times", lambda at_ns, kind, message: self.events.append((at_ns, message)))
 
 
 def test_what_lasts_is_told_at_both_ends() -> None:
     heard = Heard()
-    heard.trouble.begin(0, "hangs")
+    heard.episode.begin(0, "hangs")
     for at_s in range(1, 300):
-        heard.trouble.settle(at_s * SECOND)
+        heard.episode.settle(at_s * SECOND)
     assert heard.events == [(0, "hangs")]
-    heard.trouble.over(300 * SECOND, "works again")
+    heard.episode.over(300 * SECOND, "works again")
     assert heard.events[1:] == [(300 * SECOND, "works again, after 300.0 s")]
 
 
 def test_what_lasts_until_the_log_ends() -> None:
     heard = Heard()
-    heard.trouble.begin(5 * SECOND, "hangs")
-    heard.trouble.close(65 * SECOND)
+    heard.episode.begin(5 * SECOND, "hangs")
+    heard.episode.close(65 * SECOND)
     assert heard.events[1:] == [(65 * SECOND, "still so when the log ended, after 60.0 s")]
-    heard.trouble.close(66 * SECOND)
+    heard.episode.close(66 * SECOND)
     assert len(heard.events) == 2
 
 
@@ -62,10 +62,10 @@ def test_what_comes_and_goes_is_one_trouble_ever_longer() -> None:
     """Every 5 s for an hour: told as over after 1, 2 and 4 s of quiet, and then not before it stays away for 8 s."""
     heard = Heard()
     for at_s in range(0, 3600, 5):
-        heard.trouble.settle(at_s * SECOND)
-        heard.trouble.begin(at_s * SECOND, "hangs")
-        heard.trouble.over(at_s * SECOND + SECOND // 2, "works again")
-    heard.trouble.settle(3700 * SECOND)
+        heard.episode.settle(at_s * SECOND)
+        heard.episode.begin(at_s * SECOND, "hangs")
+        heard.episode.over(at_s * SECOND + SECOND // 2, "works again")
+    heard.episode.settle(3700 * SECOND)
     assert [at_ns / SECOND for at_ns, _ in heard.events] == [0, 0.5, 5, 5.5, 10, 10.5, 15, 3595.5]
     assert heard.events[-1][1] == "works again, in all 717 times in 3580.5 s"
 
@@ -74,13 +74,13 @@ def test_after_an_hour_of_peace_it_is_a_new_trouble() -> None:
     heard = Heard()
     for start_s in (0, 4000):
         for at_s in (start_s, start_s + 3):
-            heard.trouble.settle(at_s * SECOND)
-            heard.trouble.begin(at_s * SECOND, "hangs")
-            heard.trouble.over(at_s * SECOND + 1, "works again")
+            heard.episode.settle(at_s * SECOND)
+            heard.episode.begin(at_s * SECOND, "hangs")
+            heard.episode.over(at_s * SECOND + 1, "works again")
             told = len(heard.events)
-            heard.trouble.settle(at_s * SECOND + 2)
+            heard.episode.settle(at_s * SECOND + 2)
         assert told in (3, 7)  # the second time it waits for two seconds
-        heard.trouble.settle((start_s + 6) * SECOND)
+        heard.episode.settle((start_s + 6) * SECOND)
 
 
 @given(
@@ -93,16 +93,16 @@ def test_whatever_happens_events_are_few_and_their_counts_add_up(
     heard, now_ns, total = Heard(), 0, 0
     for pause_s, count, lasts in happenings:
         now_ns += round(pause_s * SECOND)
-        heard.trouble.settle(now_ns)
+        heard.episode.settle(now_ns)
         if lasts:
-            heard.trouble.begin(now_ns, "bad 1")
+            heard.episode.begin(now_ns, "bad 1")
             now_ns += SECOND // 10
-            heard.trouble.over(now_ns, "well")
+            heard.episode.over(now_ns, "well")
             total += 1
         else:
-            heard.trouble.happened(now_ns, f"bad {count}", count)
+            heard.episode.happened(now_ns, f"bad {count}", count)
             total += count
-    heard.trouble.close(now_ns + round(rest_s * SECOND))
+    heard.episode.close(now_ns + round(rest_s * SECOND))
     times = [at_ns for at_ns, _ in heard.events]
     assert all(sum(start <= at_ns < start + HOUR for at_ns in times) <= MOST + 1 for start in times)
     ends = [is_end(message) for _, message in heard.events]

@@ -6,41 +6,41 @@ from collections.abc import Callable, Sequence
 
 from imuarray.acquire.adapter import HUNG, REMOVED, Adapter
 from imuarray.acquire.channels import channel_of
-from imuarray.acquire.pending import Pending
-from imuarray.acquire.trouble import Troubles
-from imuarray.acquire.watch import Watch, frames_of
+from imuarray.acquire.configuration_readback import ConfigurationReadback, frames_of
+from imuarray.acquire.fault_episode import FaultEpisodes
+from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.bus.mux import MuxChannel
 from imuarray.clock import Clock
 
 
-class Segment:
-    """Sensors that are connected together, in their order. `troubles` hears of what concerns all of them, `lose` of
+class BusSegment:
+    """Sensors that are connected together, in their order. `faults` hears of what concerns all of them, `lose` of
     every sensor in it when the adapter was removed.
     """
 
     def __init__(
         self,
-        items: list[Pending],
-        everybody: Sequence[Pending],
+        items: list[SampleBuffer],
+        everybody: Sequence[SampleBuffer],
         adapter: Adapter,
         clock: Clock,
         rate_hz: float,
-        troubles: Troubles,
+        faults: FaultEpisodes,
         lose: Callable[[Adapter, int], None],
     ) -> None:
         self.items = items
-        self.key = items[0].station.segment
+        self.key = items[0].route.segment
         self.adapter = adapter
-        here, everywhere = [item.station for item in items], [item.station for item in everybody]
+        here, everywhere = [item.route for item in items], [item.route for item in everybody]
         self.channel = channel_of(here, everywhere, frames_of(rate_hz))
-        doubtful = [id(station) for station in self.channel.twins] if self.channel else []
-        self._misrouted = troubles.of("", "channel")
-        self._hang = troubles.of("", "bus", id(adapter))
-        self._removal = troubles.of("", "adapter", id(adapter))
+        doubtful = [id(route) for route in self.channel.twins] if self.channel else []
+        self._misrouted = faults.of("", "channel")
+        self._hang = faults.of("", "bus", id(adapter))
+        self._removal = faults.of("", "adapter", id(adapter))
         self._lose = lose
-        self._twins = [item for item in items if id(item.station) in doubtful]
-        shared = {item.station.sensor.address for item in self._twins if item.queue is not None}
-        self._queues = [item for item in everybody if item.queue is not None and item.station.sensor.address in shared]
+        self._twins = [item for item in items if id(item.route) in doubtful]
+        shared = {item.route.sensor.address for item in self._twins if item.queue is not None}
+        self._queues = [item for item in everybody if item.queue is not None and item.route.sensor.address in shared]
         self._marks: list[int] = []
         self._clock = clock
         bus = items[0].driver.registers.bus
@@ -94,9 +94,9 @@ class Segment:
             if isinstance(bus, MuxChannel):  # the multiplexer may have been without its supply
                 bus.mux.selected = None
 
-    def has_returned(self, pending: Pending) -> bool:
+    def has_returned(self, buffer: SampleBuffer) -> bool:
         """Ask whether anybody is at the sensor's address: whatever comes back but `REMOVED`, the adapter is there."""
-        registers = pending.driver.registers
+        registers = buffer.driver.registers
         try:
             registers.bus.transfer(registers.address)
         except OSError as error:
@@ -105,7 +105,7 @@ class Segment:
             self.answered()
         return not self.adapter.removed
 
-    def confirm(self, watch: Watch, lost: dict[str, int]) -> bool:
+    def confirm(self, readback: ConfigurationReadback, lost: dict[str, int]) -> bool:
         """Was it the right channel up to now? If not, what its twins said is thrown away, and counted in `lost`.
 
         Where a hung bus can't be asked nothing is believed either.
@@ -115,15 +115,15 @@ class Segment:
         right = not self.adapter.down and self.channel.right()
         if right:
             if self.channel.seen:
-                watch.saw(self.channel.seen)
+                readback.saw(self.channel.seen)
             if self.channel.doubted:
-                watch.doubts(self.channel.doubted)
+                readback.doubts(self.channel.doubted)
             self._marks = [len(item.times_ns) for item in self._twins]
             return True
         for item, mark in zip(self._twins, self._marks, strict=True):
-            lost[item.station.sensor.name] += item.cut(mark)
+            lost[item.route.sensor.name] += item.cut(mark)
         if not self.adapter.down:
-            names = ", ".join(item.station.sensor.name for item in self._twins)
+            names = ", ".join(item.route.sensor.name for item in self._twins)
             text = f"channel {self.key} was not connected: readings of {names} are thrown away"
             self._misrouted.happened(self._clock.now_ns(), text)
         for item in self._queues:  # drained in another's place: what was in them is lost

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.acquire.recovery import Recovery
-from imuarray.acquire.stations import Station
+from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.array import SensorConfig
 from imuarray.drivers import FifoDriver, OnDemandDriver
 from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
@@ -44,10 +44,10 @@ seldom that it takes longer to tell a frozen reading from chance, rows from befo
 
 
 @dataclass
-class Pending:
-    """Bursts of one station that wait to be written; row numbers count from the oldest one that waits."""
+class SampleBuffer:
+    """Bursts of one route that wait to be written; row numbers count from the oldest one that waits."""
 
-    station: Station
+    route: SensorRoute
     rate_hz: float
     """Frames per second."""
     times_ns: list[int] = field(default_factory=list)
@@ -70,11 +70,11 @@ class Pending:
     _last: npt.NDArray[Any] | None = None
 
     def __post_init__(self) -> None:
-        self.driver = self.station.driver
+        self.driver = self.route.driver
         self.clocks = 9 * (self.driver.burst + 3)  # BUS-02
         self._visited_ns = -(1 << 62)
         self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
-        sensor = self.station.sensor
+        sensor = self.route.sensor
         self._on_demand = sensor.spec.on_demand
         self._converter = self.driver if isinstance(self.driver, OnDemandDriver) else None
         self._pace_ns = 1e9 * max(1 / sensor.chip_rate_hz, self._frames_of_a_reading() / self.rate_hz)
@@ -126,7 +126,7 @@ class Pending:
         """False for a chip so slow that the next frame is soon enough for its next sample; none is missed for it."""
         if self.always_due:
             return True
-        if now_ns + _NEXT_FRAME / self.rate_hz <= self._visited_ns + 1e9 / self.station.sensor.chip_rate_hz:
+        if now_ns + _NEXT_FRAME / self.rate_hz <= self._visited_ns + 1e9 / self.route.sensor.chip_rate_hz:
             return False
         self._visited_ns = now_ns
         return True
@@ -262,7 +262,7 @@ class Pending:
         """
         decoded = self.driver.decode(self._bytes(count))
         status = decoded.status.copy()
-        if self.station.sensor.chip_rate_hz > self.rate_hz:
+        if self.route.sensor.chip_rate_hz > self.rate_hz:
             status &= ~np.uint16(OVERRUN)
         for rows, flag in (
             (self.lost_before, LOST_BEFORE),

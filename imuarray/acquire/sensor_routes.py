@@ -20,7 +20,7 @@ def _nobody_asks() -> None:
 
 
 @dataclass(frozen=True)
-class Station:
+class SensorRoute:
     """One sensor, its driver, and the segment of the bus on which it sits (channels of one mux exclude each other)."""
 
     sensor: SensorConfig
@@ -30,11 +30,11 @@ class Station:
     """SensorError when a driver of the kernel has the sensor's address now."""
 
 
-def route(array: ArrayConfig, bus: OpenBus) -> list[Station]:
-    """A station for every sensor of `array`; nothing is sent yet."""
+def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
+    """A route for every sensor of `array`; nothing is sent yet."""
     mux = Pca9544a(bus, array.mux.address) if array.mux else None
     ask: Callable[[int, str | None], None] | None = getattr(bus, "claim", None)
-    stations = []
+    routes = []
     for sensor in array.sensors:
         segment: Bus = bus
         if sensor.bus is not None:
@@ -44,8 +44,8 @@ def route(array: ArrayConfig, bus: OpenBus) -> list[Station]:
         drivers = FIFO_DRIVERS if sensor.fifo else DRIVERS
         driver = drivers[sensor.chip](segment, sensor, bus.clock)
         claim = _nobody_asks if ask is None else partial(_claim, ask, sensor)
-        stations.append(Station(sensor, driver, sensor.bus or sensor.channel, claim))
-    return stations
+        routes.append(SensorRoute(sensor, driver, sensor.bus or sensor.channel, claim))
+    return routes
 
 
 def _channel_bus(bus: OpenBus, path: str, name: str) -> Bus:
@@ -56,26 +56,26 @@ def _channel_bus(bus: OpenBus, path: str, name: str) -> Bus:
         raise BusUrlError(f"{name}: bus {path}: {error.strerror or error}") from error
 
 
-def connect(array: ArrayConfig, bus: OpenBus) -> list[Station]:
+def connect(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
     """Identify and configure every sensor; SensorError names the first that belongs to somebody else, is missing, wrong
     or refuses its configuration, or has lost it by the time that the last one is configured.
     """
-    stations = route(array, bus)
+    routes = routes_of(array, bus)
     _claim_mux(array, bus)
-    for station in stations:
-        station.claim()
-    for station in stations:
-        station.driver.identify()
-    mark_twins(stations)
-    for station in stations:
+    for route in routes:
+        route.claim()
+    for route in routes:
+        route.driver.identify()
+    mark_twins(routes)
+    for route in routes:
         try:
-            station.driver.configure()
+            route.driver.configure()
         except OSError as error:
-            name, place = station.sensor.name, station.sensor.place
+            name, place = route.sensor.name, route.sensor.place
             raise SensorError(
                 f"{name} at {place}: the bus fails while it is configured: {error.strerror or error}"
             ) from error
-    return stations
+    return routes
 
 
 def _claim_mux(array: ArrayConfig, bus: OpenBus) -> None:
@@ -101,7 +101,7 @@ def _claim(ask: Callable[[int, str | None], None], sensor: SensorConfig) -> None
         ) from error
 
 
-def there_and_back(stations: Sequence[Station]) -> tuple[list[list[Station]], list[list[Station]]]:
+def there_and_back(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorRoute]], list[list[SensorRoute]]]:
     """The visiting order of even and of odd frames, segment by segment, forth and back: a frame ends where the next
     begins.
 
@@ -109,8 +109,8 @@ def there_and_back(stations: Sequence[Station]) -> tuple[list[list[Station]], li
     the configuration is kept in both directions; the spacing of a sensor's readings alternates by the time that the
     other segments take, and each reading has its own time.
     """
-    segments: dict[int | str | None, list[Station]] = {}
-    for station in stations:
-        segments.setdefault(station.segment, []).append(station)
+    segments: dict[int | str | None, list[SensorRoute]] = {}
+    for route in routes:
+        segments.setdefault(route.segment, []).append(route)
     forth = list(segments.values())
     return forth, forth[::-1]

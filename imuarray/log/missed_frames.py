@@ -35,7 +35,7 @@ MISSED = re.compile(r"(in all )?(\d+) frames? missed")
 """What an event of the kind "late" says: how many frames were missed when a delay began, or in the whole of it."""
 
 
-class Pace(NamedTuple):
+class FrameTiming(NamedTuple):
     """Missed frames (None: not known) and duration of a log in seconds."""
 
     missed: int | None
@@ -106,7 +106,7 @@ def missed_by_all(missing: Sequence[tuple[int, int]], frame_period_ns: int) -> i
     return min((count + (first_ns - begins_ns) // frame_period_ns for first_ns, count in missing), default=None)
 
 
-def pace_of(log: Log) -> Pace:
+def frame_timing(log: Log) -> FrameTiming:
     """Missed frames and duration of `log`.
 
     Where the log lies on a known grid of frames the duration is that of its frames and missed frames, to one frame
@@ -122,7 +122,7 @@ def pace_of(log: Log) -> Pace:
     by_rows = missed_by_all(missing, period_ns)
     by_events = missed_by_events(log.events)
     if by_rows is None:
-        return Pace(by_events or None if period_ns else None, _span_s(log))
+        return FrameTiming(by_events or None if period_ns else None, _span_s(log))
     # Rows tell to one frame how many are missing between them, and nothing of what was missed behind the last one.
     complete = log.state == "finished" and all(event.kind != "recovered" for event in log.events)
     if by_events is None or (by_events == 0 and by_rows > 1):
@@ -131,12 +131,12 @@ def pace_of(log: Log) -> Pace:
         missed = by_events if complete else max(by_events, by_rows)
     lost = (max(count - by_rows, 0) for _, count in missing)
     frames = max(len(sensor) + (count if count > 1 else 0) for sensor, count in zip(once, lost, strict=True))
-    return Pace(missed, duration_s(frames, missed, log.frame_rate_hz))
+    return FrameTiming(missed, duration_s(frames, missed, log.frame_rate_hz))
 
 
 def missed_frames(log: Log) -> int | None:
     """Frames that were missed in `log`; None where it does not say: it tells no frame rate, or is of another clock."""
-    return pace_of(log).missed
+    return frame_timing(log).missed
 
 
 def _span_s(log: Log) -> float:

@@ -16,16 +16,16 @@ from imuarray.bus import open_bus
 from imuarray.commands.info import describe
 from imuarray.log import Block, LogWriter, open_log
 from imuarray.log.format import Event, SensorHeader
-from imuarray.log.pace import (
+from imuarray.log.missed_frames import (
     duration_s,
     frame_period_ns,
+    frame_timing,
     frames_in,
     is_read_once_a_frame,
     missed_by_all,
     missed_by_events,
     missed_frames,
     missing_rows,
-    pace_of,
 )
 
 PERIOD_NS = 10_000_000
@@ -154,7 +154,7 @@ def test_a_recorder_that_is_blocked(tmp_path: Path, name: str, sensors: str) -> 
     assert not left
     assert (summary.frames, summary.missed, summary.seconds) == (2000 - missed, missed, 40.0)
     with open_log(tmp_path / "run.h5") as log:
-        assert pace_of(log) == (missed, 40.0)
+        assert frame_timing(log) == (missed, 40.0)
         assert describe(log)["seconds"] == 40.0
         assert describe(log)["missed"] == missed
 
@@ -172,7 +172,7 @@ def test_files_are_made_in_no_time_of_the_recording(tmp_path: Path, monkeypatch:
         summary = record(array, bus, tmp_path / "run.h5", rate_hz=50, seconds=4)
     assert (summary.frames, summary.missed, summary.seconds) == (200, 0, 4.0)
     with open_log(tmp_path / "run.h5") as log:
-        assert pace_of(log) == (0, 4.0)
+        assert frame_timing(log) == (0, 4.0)
 
 
 def test_parts_tell_what_was_missed_in_each(tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_parts_tell_what_was_missed_in_each(tmp_path: Path) -> None:
     paces = []
     for path in summary.logs:
         with open_log(path) as log:
-            paces.append(pace_of(log))
+            paces.append(frame_timing(log))
     assert paces == [(12, 5.0), (12, 5.0), (9, 5.0), (0, 5.0)]
 
 
@@ -203,7 +203,7 @@ def test_a_log_of_another_clock_lasts_from_its_first_row_to_its_last(tmp_path: P
         times = np.array([0, 100_000_000, 900_000_000])
         writer.append("Acc", Block(times, np.zeros((3, 3), np.int16), np.zeros(3, np.uint16)))
     with open_log(path) as log:
-        assert pace_of(log) == (None, 1.0)
+        assert frame_timing(log) == (None, 1.0)
     assert duration_s(113, 1887, 50.0) == 40.0
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from imuarray.acquire import record
+from imuarray.acquire.fault_episode import FaultEpisode
 from imuarray.acquire.start_up import Verdict
-from imuarray.acquire.trouble import Trouble
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.cli import main
@@ -191,17 +191,17 @@ def test_a_sensor_that_comes_up_wrong_for_good_is_trusted_no_more(bad_night: Cal
 
 def test_troubles_are_told_when_they_begin_and_when_they_lasted() -> None:
     told = list[Any]()
-    trouble = Trouble("lost", "readings lost", lambda *event: told.append(event))
+    episode = FaultEpisode("lost", "readings lost", lambda *event: told.append(event))
     for at_ms in range(0, 500, 20):
-        trouble.happened(at_ms * MS, "gone")
-    trouble.settle(1000 * MS)
+        episode.happened(at_ms * MS, "gone")
+    episode.settle(1000 * MS)
     assert told == [(0, "lost", "gone")]
-    trouble.happened(1400 * MS, "gone")  # less than a second later: the same trouble
-    trouble.settle(2401 * MS)
-    trouble.settle(9000 * MS)
+    episode.happened(1400 * MS, "gone")  # less than a second later: the same episode
+    episode.settle(2401 * MS)
+    episode.settle(9000 * MS)
     assert told[1:] == [(1400 * MS, "lost", "in all 26 readings lost in 1.4 s")]
-    trouble.happened(9500 * MS, "gone")
-    trouble.close(9600 * MS)
+    episode.happened(9500 * MS, "gone")
+    episode.close(9600 * MS)
     assert told[2:] == [(9500 * MS, "lost", "gone")]
 
 

@@ -10,12 +10,12 @@ from collections.abc import Callable, Hashable, Mapping
 from types import MappingProxyType
 
 QUIET_NS = 1_000_000_000
-"""What comes back within this is the same trouble. Doubled each time that it comes back later than that, but within
+"""What comes back within this is the same episode. Doubled each time that it comes back later than that, but within
 `RELAPSE_NS`."""
 LONGEST_QUIET_NS = 900_000_000_000
 RELAPSE_NS = 3_600_000_000_000
 MOST_EVENTS_AN_HOUR = 28
-"""Of one kind of trouble of one sensor: with quiet times of 1, 2, ... 512 and then 900 seconds between its episodes no
+"""Of one kind of episode of one sensor: with quiet times of 1, 2, ... 512 and then 900 seconds between its episodes no
 more than 14 of them begin in an hour."""
 
 Tell = Callable[[int, str, str], None]
@@ -36,8 +36,8 @@ UNITS: Mapping[str, str] = MappingProxyType(
 """What is counted, by kind; "times" for the others."""
 
 
-class Trouble:
-    """One kind of trouble of one sensor; `tell` hears of it.
+class FaultEpisode:
+    """One kind of episode of one sensor; `tell` hears of it.
 
     `happened` is for what happens now and then and is over when it stays away, `begin` and `over` for what lasts in
     between. What happened once has no end of its own: the event says it all.
@@ -110,29 +110,29 @@ class Trouble:
         self._ended_ns = self.last_ns
 
 
-class Troubles:
-    """All troubles of a recording; `tell` hears of them."""
+class FaultEpisodes:
+    """All faults of a recording; `tell` hears of them."""
 
     def __init__(self, tell: Note) -> None:
         self._tell = tell
-        self._all: dict[tuple[str, str, Hashable], Trouble] = {}
+        self._all: dict[tuple[str, str, Hashable], FaultEpisode] = {}
 
-    def of(self, sensor: str, kind: str, which: Hashable = None) -> Trouble:
-        """The trouble of this kind of `sensor` ("": the array); of several of a kind `which`."""
+    def of(self, sensor: str, kind: str, which: Hashable = None) -> FaultEpisode:
+        """The episode of this kind of `sensor` ("": the array); of several of a kind `which`."""
         key = sensor, kind, which
         if key not in self._all:
-            self._all[key] = Trouble(kind, UNITS.get(kind, "times"), self._teller(sensor))
+            self._all[key] = FaultEpisode(kind, UNITS.get(kind, "times"), self._teller(sensor))
         return self._all[key]
 
     def _teller(self, sensor: str) -> Tell:
         return lambda at_ns, kind, message: self._tell(sensor, at_ns, kind, message)
 
     def settle(self, now_ns: int) -> None:
-        """See `Trouble.settle`."""
-        for trouble in self._all.values():
-            trouble.settle(now_ns)
+        """See `FaultEpisode.settle`."""
+        for episode in self._all.values():
+            episode.settle(now_ns)
 
     def close(self, now_ns: int) -> None:
-        """See `Trouble.close`."""
-        for trouble in self._all.values():
-            trouble.close(now_ns)
+        """See `FaultEpisode.close`."""
+        for episode in self._all.values():
+            episode.close(now_ns)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from imuarray.acquire.channels import Witness
-from imuarray.acquire.pending import Pending
+from imuarray.acquire.sample_buffer import SampleBuffer
 from imuarray.errors import SensorError
 from imuarray.facts.registers import Setting
 
@@ -32,7 +32,7 @@ def frames_of(rate_hz: float) -> int:
 class _Check:
     """One register of one chip; without a `setting`, whose its address is."""
 
-    pending: Pending
+    buffer: SampleBuffer
     setting: Setting | None
     good_rows: int = 0
     """Rows that were waiting when this register was last right."""
@@ -40,26 +40,26 @@ class _Check:
     """Wrong reads in a row."""
 
 
-class Watch:
-    """The checks of all stations, and whose turn it is."""
+class ConfigurationReadback:
+    """The checks of all routes, and whose turn it is."""
 
     def __init__(
         self,
-        pending: Sequence[Pending],
+        buffers: Sequence[SampleBuffer],
         rate_hz: float,
-        report: Callable[[Pending, str, str], None],
+        report: Callable[[SampleBuffer, str, str], None],
         witnesses: Iterable[Witness] = (),
     ) -> None:
-        """`pending` in visiting order; `report` (sensor, kind of event, message) is told when a chip has lost its
+        """`buffers` in visiting order; `report` (sensor, kind of event, message) is told when a chip has lost its
         configuration or its address; the registers of `witnesses` are read by others, who say what they saw.
         """
-        self._checks = [_Check(item, setting) for item in pending for setting in (*item.driver.watched, None)]
-        self._of = {id(item): [check for check in self._checks if check.pending is item] for item in pending}
+        self._checks = [_Check(item, setting) for item in buffers for setting in (*item.driver.watched, None)]
+        self._of = {id(item): [check for check in self._checks if check.buffer is item] for item in buffers}
         self._by_setting = {
-            (id(check.pending.station), check.setting): check for check in self._checks if check.setting is not None
+            (id(check.buffer.route), check.setting): check for check in self._checks if check.setting is not None
         }
-        elsewhere = {(id(witness.station), witness.setting) for witness in witnesses}
-        self._in_turn = [check for check in self._checks if (id(check.pending.station), check.setting) not in elsewhere]
+        elsewhere = {(id(witness.route), witness.setting) for witness in witnesses}
+        self._in_turn = [check for check in self._checks if (id(check.buffer.route), check.setting) not in elsewhere]
         self._report = report
         self._next = 0
         reads = sum(check.setting is not None for check in self._in_turn)
@@ -67,7 +67,7 @@ class Watch:
 
     def due(self) -> list[_Check]:
         """This frame's checks: those that were wrong last time first, then the next in turn."""
-        again = [check for check in self._checks if check.wrong == 1 and check.pending.recovery is None]
+        again = [check for check in self._checks if check.wrong == 1 and check.buffer.recovery is None]
         turn: list[_Check] = []
         reads, index, count = 0, self._next, len(self._in_turn)
         for _ in range(count):
@@ -76,20 +76,20 @@ class Watch:
                 break
             reads += check.setting is not None
             index = (index + 1) % count
-            if check.wrong != 1 and check.pending.recovery is None:
+            if check.wrong != 1 and check.buffer.recovery is None:
                 turn.append(check)
         self._next = index
         return again + turn
 
     def saw(self, witness: Witness) -> None:
         """Somebody has read that register, and it is right."""
-        check = self._by_setting[id(witness.station), witness.setting]
+        check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = 0
-        check.good_rows = len(check.pending.times_ns)
+        check.good_rows = len(check.buffer.times_ns)
 
     def doubts(self, witness: Witness) -> None:
         """Somebody has read that register, and it is not as configured."""
-        check = self._by_setting[id(witness.station), witness.setting]
+        check = self._by_setting[id(witness.route), witness.setting]
         check.wrong = max(check.wrong, 1)
 
     def run(self, check: _Check) -> None:
@@ -97,14 +97,14 @@ class Watch:
         if check.setting is None:
             self._ask(check)
             return
-        registers = check.pending.driver.registers
+        registers = check.buffer.driver.registers
         try:
             found = registers.read_back(check.setting.register)
         except OSError:
             return
         if found & check.setting.mask == check.setting.value:
             check.wrong = 0
-            check.good_rows = len(check.pending.times_ns)
+            check.good_rows = len(check.buffer.times_ns)
         else:
             address, wanted = check.setting.register.address, check.setting.into(found)
             text = f"register {address:#04x} reads {found:#04x}, configured {wanted:#04x}"
@@ -113,7 +113,7 @@ class Watch:
     def _ask(self, check: _Check) -> None:
         """Whose is the address? One answer is enough."""
         try:
-            check.pending.station.claim()
+            check.buffer.route.claim()
         except SensorError as error:
             check.wrong = 1
             self._wrong(check, "taken", str(error))
@@ -121,42 +121,42 @@ class Watch:
         except OSError:
             return
         check.wrong = 0
-        check.good_rows = len(check.pending.times_ns)
+        check.good_rows = len(check.buffer.times_ns)
 
     def _wrong(self, check: _Check, kind: str, message: str) -> None:
         check.wrong += 1
         if check.wrong == 2:
-            check.pending.distrust(check.good_rows)
-            self._report(check.pending, kind, message)
+            check.buffer.distrust(check.good_rows)
+            self._report(check.buffer, kind, message)
 
-    def restart(self, pending: Pending) -> None:
+    def restart(self, buffer: SampleBuffer) -> None:
         """All of its registers have just been seen to be right, or it was set up."""
-        for check in self._of[id(pending)]:
+        for check in self._of[id(buffer)]:
             check.wrong = 0
-            check.good_rows = len(pending.times_ns)
+            check.good_rows = len(buffer.times_ns)
 
     def finish(self) -> None:
         """Check everything once more (twice where it is wrong), and flag what can't be: no row stays in doubt."""
         for check in self._checks:
-            if check.pending.recovery is None:
+            if check.buffer.recovery is None:
                 self.run(check)
                 if check.wrong == 1:
                     self.run(check)
         for checks in self._of.values():
-            self.give_up(checks[0].pending)
+            self.give_up(checks[0].buffer)
 
-    def give_up(self, pending: Pending) -> None:
+    def give_up(self, buffer: SampleBuffer) -> None:
         """Nobody can vouch for the rows that wait: flag them."""
-        trusted = self.trusted_rows(pending)
-        if trusted < len(pending.times_ns):
-            pending.suspect.append((trusted, len(pending.times_ns)))
-            self.restart(pending)
+        trusted = self.trusted_rows(buffer)
+        if trusted < len(buffer.times_ns):
+            buffer.suspect.append((trusted, len(buffer.times_ns)))
+            self.restart(buffer)
 
-    def trusted_rows(self, pending: Pending) -> int:
+    def trusted_rows(self, buffer: SampleBuffer) -> int:
         """How many of the waiting rows have been vouched for by a later check of every register."""
-        return min(check.good_rows for check in self._of[id(pending)])
+        return min(check.good_rows for check in self._of[id(buffer)])
 
-    def taken(self, pending: Pending, count: int) -> None:
+    def taken(self, buffer: SampleBuffer, count: int) -> None:
         """The oldest `count` rows were written and are gone."""
-        for check in self._of[id(pending)]:
+        for check in self._of[id(buffer)]:
             check.good_rows = max(check.good_rows - count, 0)

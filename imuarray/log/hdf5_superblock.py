@@ -13,7 +13,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from imuarray.log.heaps import Inspected
+from imuarray.log.hdf5_heaps import HeapCheckedFile
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _FLAGS = 11
@@ -22,7 +22,7 @@ _LENGTH = 44
 """Bytes of a superblock of version 3 with 8-byte addresses; its check sum follows (HDF5 file format, II.A)."""
 
 
-def says_unclosed(path: Path) -> bool:
+def is_marked_open(path: Path) -> bool:
     """Whether a file says that it was open for writing when it was last heard of."""
     with path.open("rb") as file:
         head = file.read(_LENGTH)
@@ -33,12 +33,12 @@ def _is_version_3(head: bytes) -> bool:
     return len(head) == _LENGTH and head[:8] == _SIGNATURE and head[8] == 3 and head[9] == 8
 
 
-class Unclosed(Inspected):
+class UnclosedFile(HeapCheckedFile):
     """The bytes of a file, its superblock without flags and with its real end; for h5py's driver for Python files."""
 
-    def __init__(self, path: Path, *, looks: bool = True) -> None:
-        """`looks` as of `Inspected`."""
-        super().__init__(path, looks=looks)
+    def __init__(self, path: Path, *, check_heaps: bool = True) -> None:
+        """`check_heaps` as of `HeapCheckedFile`."""
+        super().__init__(path, check_heaps=check_heaps)
         head = os.pread(self._file.fileno(), _LENGTH + 4, 0)
         self._head = head
         if _is_version_3(head[:_LENGTH]) and head[_LENGTH:] == _checksum(head[:_LENGTH]):

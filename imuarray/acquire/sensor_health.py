@@ -1,0 +1,236 @@
+"""Who is unwell, since when, and what is done about it: silence, lost configuration, frozen readings, a wrong start.
+
+Rows about which there is doubt wait or are flagged; the sensor is looked for or set up again (`recovery`); events tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imuarray.acquire.adapter import HUNG
+from imuarray.acquire.configuration_readback import ConfigurationReadback
+from imuarray.acquire.fault_episode import QUIET_NS, FaultEpisode, FaultEpisodes
+from imuarray.acquire.freshness import Freshness
+from imuarray.acquire.recovery import Recovery
+from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer
+from imuarray.acquire.start_up import StartUp
+from imuarray.log.format import OVERRUN
+from imuarray.log.writer import Block
+
+AWAY_NS = 250_000_000
+"""A sensor that has been silent for so long is looked for instead of read, ever less often; one that holds the clock
+costs everybody time, and is left alone after two frames."""
+IDLE_NS = 1_000_000_000
+"""A queue that gives nothing for so long has stopped."""
+
+
+class _SensorState:
+    """What is told about one sensor, and when."""
+
+    def __init__(self, buffer: SampleBuffer, faults: FaultEpisodes) -> None:
+        self.name = buffer.route.sensor.name
+        self._faults = faults
+        self.lost = faults.of(self.name, "lost")
+        self.stale = faults.of(self.name, "stale")
+        self.overrun = faults.of(self.name, "overrun")
+        self.frozen = faults.of(self.name, "frozen")
+        self.unwell: list[FaultEpisode] = []
+        self.freshness = Freshness(buffer.route.sensor)
+        self.last_row_ns: int | None = None
+        self.rows = 0
+
+    def tell(self, at_ns: int, kind: str, message: str) -> None:
+        """Something happened to it."""
+        self._faults.of(self.name, kind).happened(at_ns, message)
+
+    def falls_ill(self, at_ns: int, kind: str, message: str) -> None:
+        """It is not well until it was set up again."""
+        episode = self._faults.of(self.name, kind)
+        episode.begin(at_ns, message)
+        self.unwell.append(episode)  # a kernel driver that takes a chip configures it too: two at once
+
+    def is_ill(self, kind: str) -> bool:
+        """Whether it was told that it is not well in that way."""
+        return self._faults.of(self.name, kind) in self.unwell
+
+
+class SensorHealth:
+    """All sensors'. `lost` counts readings that never arrived, by sensor."""
+
+    def __init__(
+        self,
+        buffers: Sequence[SampleBuffer],
+        readback: ConfigurationReadback,
+        start_up: StartUp | None,
+        faults: FaultEpisodes,
+        lost: dict[str, int],
+    ) -> None:
+        self._buffers = buffers
+        self._readback = readback
+        self._start_up = start_up
+        self._lost = lost
+        self._states = {id(item): _SensorState(item, faults) for item in buffers}
+
+    # In a frame -----------------------------------------------------------------------------------------------------
+
+    def lost(self, buffer: SampleBuffer, at_ns: int, error: OSError | None) -> None:
+        """A reading did not arrive; None: it was not even asked for, the bus hangs or its adapter was removed."""
+        state = self._states[id(buffer)]
+        count = self._count(buffer, at_ns)
+        if error is None:
+            return
+        state.lost.happened(at_ns, f"no reading: {error.strerror or error} (errno {error.errno})", count)
+        if buffer.silent_since_ns is None:
+            buffer.silent_since_ns = at_ns
+        elif error.errno in HUNG or at_ns - buffer.silent_since_ns >= AWAY_NS:
+            buffer.recovery = Recovery(buffer.route, at_ns, look=True)
+
+    def set_up_later(self, buffer: SampleBuffer, at_ns: int) -> None:
+        """Its adapter was removed: it may lose its supply, and is set up when the adapter is there again."""
+        buffer.recovery = Recovery(buffer.route, at_ns, look=False)
+
+    def step(self, buffer: SampleBuffer, now_ns: int) -> OSError | None:
+        """In place of a reading: a piece of the way back. What the bus said, if it failed."""
+        recovery = buffer.recovery
+        state = self._states[id(buffer)]
+        count = self._count(buffer, now_ns)
+        if state.lost.on:
+            state.lost.happened(now_ns, "", count)
+        if recovery is None or recovery.waits(now_ns):
+            return None
+        recovery.go_on(now_ns)
+        if recovery.refusal and not state.is_ill("taken"):  # and the watch, which asks now and then, has not seen it
+            state.falls_ill(now_ns, "taken", recovery.refusal)
+        if recovery.done:
+            self._recovered(buffer, recovery, state, now_ns)
+        return recovery.failure if isinstance(recovery.failure, OSError) else None
+
+    def arrived(self, buffer: SampleBuffer, at_ns: int) -> None:
+        """The first reading after a visit that failed, before it is added: what it came too late for is lost."""
+        state = self._states[id(buffer)]
+        count = self._count(buffer, at_ns)
+        if state.lost.on:
+            state.lost.count += count
+
+    def _count(self, buffer: SampleBuffer, at_ns: int) -> int:
+        """Readings that are now known to be lost."""
+        count = buffer.overdue(at_ns)
+        self._lost[self._states[id(buffer)].name] += count
+        buffer.missing |= count > 0
+        return count
+
+    def _recovered(self, buffer: SampleBuffer, recovery: Recovery, state: _SensorState, now_ns: int) -> None:
+        took_s = (now_ns - recovery.since_ns) * 1e-9
+        buffer.recovery = None
+        buffer.silent_since_ns = None
+        state.last_row_ns = now_ns
+        state.lost.over(now_ns)
+        for episode in state.unwell:
+            episode.over(now_ns, told=True)  # by what follows
+        state.unwell.clear()
+        if recovery.intact:
+            state.tell(now_ns, "back", f"answers again, configured as it was, after {took_s:.2f} s")
+        else:
+            self._readback.give_up(buffer)
+            buffer.trust()
+            buffer.begin_anew()
+            state.tell(now_ns, "reconfigured", f"set up again after {took_s:.2f} s")
+            if self._start_up is not None:
+                self._start_up.again(buffer, now_ns)
+        self._readback.restart(buffer)
+
+    def not_as_it_was(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
+        """The watch found that a chip is not configured as it was, or not ours; its rows are flagged already."""
+        self._states[id(buffer)].falls_ill(at_ns, kind, message)
+        buffer.recovery = Recovery(buffer.route, at_ns, look=False)
+
+    # Now and then ---------------------------------------------------------------------------------------------------
+
+    def tick(self, now_ns: int) -> None:
+        """Who stands still, who came up wrong, what is over."""
+        for buffer in self._buffers:
+            state = self._states[id(buffer)]
+            if buffer.recovery is None:
+                self._see_whether_it_moves(buffer, state, now_ns)
+        if self._start_up is not None:
+            self._judge(self._start_up, now_ns, last=False)
+
+    def _see_whether_it_moves(self, buffer: SampleBuffer, state: _SensorState, now_ns: int) -> None:
+        if len(buffer.times_ns) != state.rows or state.last_row_ns is None:
+            state.rows, state.last_row_ns = len(buffer.times_ns), now_ns
+        buffer.flag_what_is_frozen_still()
+        row = buffer.frozen_since()
+        if row is not None:
+            began_ns = buffer.still_since_ns(row)
+            buffer.thaw()
+            buffer.distrust(row)
+            state.frozen.begin(now_ns, f"the same reading for {(now_ns - began_ns) * 1e-9:.2f} s")
+        elif buffer.queue is not None and now_ns - state.last_row_ns > IDLE_NS:
+            state.frozen.begin(now_ns, f"nothing in its queue for {IDLE_NS * 1e-9:.0f} s")
+        else:
+            if state.frozen.lasts and buffer.moves:
+                state.frozen.over(now_ns, told=True)  # by the event that it was set up again
+            return
+        buffer.recovery = Recovery(buffer.route, now_ns, look=False)
+
+    def _judge(self, start_up: StartUp, now_ns: int, *, last: bool) -> None:
+        for buffer, verdict in start_up.verdicts(now_ns, last=last):
+            if verdict.text:
+                self._states[id(buffer)].tell(now_ns, "start_up", verdict.text)
+            if not verdict.fault:
+                continue
+            buffer.distrust(0)
+            if start_up.hopeless(buffer):
+                buffer.condemned = True
+            elif not last:
+                buffer.recovery = Recovery(buffer.route, now_ns, look=False)
+
+    def finish(self, now_ns: int) -> None:
+        """The log ends: judge what there is."""
+        for buffer in self._buffers:
+            buffer.flag_what_is_frozen_still()
+            if buffer.recovery is None and (row := buffer.frozen_since()) is not None:
+                buffer.distrust(row)
+                self._states[id(buffer)].tell(now_ns, "frozen", "the same reading until the end")
+        if self._start_up is not None:
+            self._judge(self._start_up, now_ns, last=True)
+
+    # Writing --------------------------------------------------------------------------------------------------------
+
+    def trusted_rows(self, buffer: SampleBuffer, now_ns: int) -> int:
+        """How many of the waiting rows can be written: later checks found the chip as configured, and later readings
+        that it doesn't stand still.
+        """
+        if self._start_up is not None and self._start_up.holds(buffer):
+            return 0
+        rows = len(buffer.times_ns)
+        if buffer.recovery is not None and now_ns - buffer.recovery.since_ns > HELD_S * 1e9:
+            self._readback.give_up(buffer)
+            return rows
+        held = buffer.held_rows
+        if rows - self._readback.trusted_rows(buffer) > max(HELD_S * buffer.row_rate_hz, held):
+            self._readback.give_up(buffer)
+        return min(self._readback.trusted_rows(buffer), rows - held)
+
+    def written(self, buffer: SampleBuffer, block: Block, epoch_ns: int) -> None:
+        """Tell of what only the decoded status shows."""
+        state = self._states[id(buffer)]
+        state.rows -= len(block.time)
+        if buffer.queue is None and buffer.driver.tells_fresh:
+            late = state.freshness.overdue(block.time, block.status, buffer.doubtful_rows)
+            if late.any():
+                _tell_at(block.time[late] + epoch_ns, state.stale, "no new reading, though it must have one by then")
+        if (block.status & OVERRUN).any():
+            overrun = block.time[(block.status & OVERRUN) != 0] + epoch_ns
+            _tell_at(overrun, state.overrun, "samples passed unread: the chip had nowhere to keep them")
+
+
+def _tell_at(times_ns: npt.NDArray[np.int64], episode: FaultEpisode, message: str) -> None:
+    """One episode at all these times, or several if it was over in between."""
+    for part in np.split(times_ns, np.flatnonzero(np.diff(times_ns) > QUIET_NS) + 1):
+        if len(part):
+            episode.settle(int(part[0]))
+            episode.happened(int(part[0]), message, len(part), int(part[-1]))
