@@ -1,16 +1,177 @@
-"""What is read without switching, and what can go wrong on the way there: a bus that hangs, another channel."""
+"""One segment of the bus (a multiplexer channel, or a bus of its own): its adapter, its sensors, and its identity.
+
+`Adapter` is the I2C adapter as the poll loop sees it: whether it hangs, whether it is plugged in, and how long a clock
+of it takes. A hung bus (a wire held low) costs a time-out per transaction. Two time-outs in a row with no answer in
+between are blamed on the bus and not on a sensor; the bus is then tried ever less often until something answers. An
+unplugged adapter ends every transaction with ENODEV and is looked for at a steady rate.
+
+`Channel` verifies that the selected channel is the one that is connected. A multiplexer that missed its command leaves
+the old channel connected, and chips that share an address would answer for each other. The readings of a chip with a
+twin (the same address on another channel) are accepted only after a witness was read in the same visit: a register
+whose configured value differs between the twins, or a chip that has no twin. Where there is no witness, the
+multiplexer's control byte is read back, which does not detect a switch that is stuck.
+"""
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Sequence
 
-from imuarray.acquire.adapter import HUNG, REMOVED, Adapter
-from imuarray.acquire.channels import channel_of
 from imuarray.acquire.configuration_readback import ConfigurationReadback, frames_of
 from imuarray.acquire.fault_episode import FaultEpisodes
 from imuarray.acquire.sample_buffer import SampleBuffer
-from imuarray.bus.mux import MuxChannel
+from imuarray.acquire.sensor_routes import SensorRoute, Witness, twins_of, witnesses_of
+from imuarray.bus.protocol import MuxChannel
 from imuarray.clock import Clock
+from imuarray.facts import pca9544a
+
+HUNG = frozenset({errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY})
+"""What Linux adapters say when the bus does not come free (LNX-43, LNX-44, LNX-47)."""
+REMOVED = frozenset({errno.ENODEV})
+"""What a bus says whose adapter was unplugged (`imuarray.bus.linux`)."""
+SEARCH_NS = 250_000_000
+"""Between two looks for an adapter that was removed."""
+FIRST_PAUSE_NS = 50_000_000
+LONGEST_PAUSE_NS = 400_000_000
+SLACK_NS = 1_000_000
+"""A reading that took so much longer than its bits need was interrupted: its time is not known better than that."""
+
+
+class Adapter:
+    """One adapter. `silent_until_ns`: nothing is sent before; `hangs` and `removed` while it is so."""
+
+    def __init__(self) -> None:
+        self.hangs = False
+        self.removed = False
+        self.silent_until_ns = -(1 << 62)
+        self.time_outs = 0
+        self.clock_ns = 1e9
+        self._pause_ns = FIRST_PAUSE_NS
+
+    @property
+    def down(self) -> bool:
+        """Whether nothing that is behind it can be asked."""
+        return self.hangs or self.removed
+
+    def was_removed(self, now_ns: int) -> bool:
+        """A transaction ended with one of `REMOVED`; whether that is when the adapter went."""
+        began = not self.removed
+        self.removed = True
+        self.silent_until_ns = now_ns + SEARCH_NS
+        return began
+
+    def returned(self) -> None:
+        """It is there again."""
+        self.removed = False
+        self.silent_until_ns = -(1 << 62)
+
+    def timed_out(self, now_ns: int) -> bool:
+        """A transaction ended with one of `HUNG`; whether that is when the bus began to hang."""
+        self.time_outs += 1
+        if self.time_outs < 2:
+            return False
+        began = not self.hangs
+        self.hangs = True
+        self.silent_until_ns = now_ns + self._pause_ns
+        self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
+        return began
+
+    def answered(self) -> bool:
+        """Something was heard; whether that ended a hang."""
+        ended = self.hangs
+        self.hangs = False
+        self.time_outs = 0
+        self._pause_ns = FIRST_PAUSE_NS
+        return ended
+
+    def start_of(self, begun_ns: int, ended_ns: int, clocks: int) -> tuple[int, bool]:
+        """When a burst of so many clocks that was asked for and given between these times was on the wire, and whether
+        that is certain.
+
+        A clock takes what it took in the quickest burst so far. The rest of the time is the machine's: if that is more
+        than `SLACK_NS` the middle of what is possible is wrong by half of it at most.
+        """
+        took_ns = ended_ns - begun_ns
+        if took_ns < clocks * self.clock_ns:
+            self.clock_ns = took_ns / clocks
+        slack_ns = took_ns - clocks * self.clock_ns
+        if slack_ns <= SLACK_NS:
+            return begun_ns, True
+        return begun_ns + round(slack_ns / 2), False
+
+
+class Channel:
+    """One channel of a multiplexer, and who on it can tell that it is connected; `twins` have a twin elsewhere.
+
+    The registers that can tell are asked in turn, at most `limit` of them, so that this is also a look at whether they
+    are as configured: `seen` is the one that was right last time, `doubted` one that answered and was not.
+    """
+
+    def __init__(
+        self, bus: MuxChannel, here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int
+    ) -> None:
+        self._mux = bus.mux
+        self._order = (pca9544a.ENABLE(1) | pca9544a.CHANNEL(bus.number)).value
+        self.twins = [route for route in here if twins_of(route, everywhere)]
+        found = [witness for route in here for witness in witnesses_of(route, everywhere)]
+        self.witnesses = sorted(found, key=lambda witness: not witness.others)[:limit]  # a register tells most
+        self.seen: Witness | None = None
+        self.doubted: Witness | None = None
+        self._turn = 0
+
+    def right(self) -> bool:
+        """Ask the next witness; if it doesn't say yes, the multiplexer's control byte and the other witnesses.
+
+        A chip that was reset or is gone says neither yes nor no: it can't make a right channel wrong.
+        """
+        self.seen = self.doubted = None
+        if self.witnesses:
+            self._turn = (self._turn + 1) % len(self.witnesses)
+            if self._hear(self.witnesses[self._turn]):
+                return True
+        if not self._read_back():
+            return False
+        for witness in self.witnesses:
+            verdict = self._hear(witness)
+            if verdict is not None:
+                return verdict
+        return True
+
+    def _hear(self, witness: Witness) -> bool | None:
+        """Yes, no, or None from a chip that is silent or reads neither what it should nor what its twin does."""
+        registers, setting = witness.route.driver.registers, witness.setting
+        try:
+            register = setting.register
+            block = self._mux.bus.transfer(registers.address, bytes([register.address]), register.readback_bytes)
+            found = block[0] & setting.mask
+        except OSError:
+            return None
+        if found == setting.value:
+            self.seen = witness
+            return True
+        if found in witness.others:
+            return False
+        self.doubted = witness
+        return None if witness.others else True
+
+    def _read_back(self) -> bool:
+        """Does the multiplexer's control byte say this channel?"""
+        try:
+            control = self._mux.bus.transfer(self._mux.address, read=1)[0]
+        except OSError:
+            return False
+        return control & (pca9544a.ENABLE.mask | pca9544a.CHANNEL.mask) == self._order
+
+    def forget(self) -> None:
+        """Select anew before the next transaction."""
+        self._mux.selected = None
+
+
+def channel_of(here: Sequence[SensorRoute], everywhere: Sequence[SensorRoute], limit: int) -> Channel | None:
+    """The channel of these routes, if anybody on it could be taken for somebody else."""
+    bus = here[0].driver.registers.bus
+    channel = Channel(bus, here, everywhere, limit) if isinstance(bus, MuxChannel) else None
+    return channel if channel is not None and channel.twins else None
 
 
 class BusSegment:

@@ -1,11 +1,11 @@
-"""Are the chips still configured as they were? One register a frame is read back, in turn, and two wrong reads count.
+"""Reads the configuration registers of all chips back, a few per frame in turn; two wrong reads in a row count.
 
-A chip that was reset by a glitch on its supply goes on measuring with other settings and says nothing (the paper's
-BMA1, run 10). Each watched register is read at least once in `SWEEP_S`, so that such a chip is noticed within a second;
-the rows since its last good check are flagged, and an event says what was found. A bit that keeps the two bytes of a
-reading together is such a setting too. Checks ride on the segment of the bus that is selected anyway: they cost one
-read, never a switch; those that also tell which channel is connected (`imuarray.acquire.channels`) are read anyway and
-take no turn. Once a sweep each address is asked whether a driver of the kernel has taken it.
+A chip that a supply glitch has reset goes on measuring with its default settings and does not report it (the paper's
+BMA1, run 10). Each register is read at least once in `SWEEP_S`, so that a reset is noticed within a second; the rows
+since the last good check are flagged, and an event says what was read. The bit that keeps the two bytes of a reading
+together is one of the settings. A check uses the bus segment that is selected anyway: it costs one read, never a
+switch. Registers that also identify the connected channel (`imuarray.acquire.bus_segment`) are read there and take no
+turn here. Once a sweep the kernel is asked whether one of its drivers has claimed the address.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from imuarray.acquire.channels import Witness
 from imuarray.acquire.sample_buffer import SampleBuffer
+from imuarray.acquire.sensor_routes import Witness
 from imuarray.errors import SensorError
 from imuarray.facts.registers import Setting
 

@@ -13,8 +13,7 @@ from types import MappingProxyType
 
 from imuarray.acquire.sensor_routes import SensorRoute, routes_of
 from imuarray.array import ArrayConfig
-from imuarray.bus.mux import Pca9544a
-from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
 from imuarray.drivers import SelfTest
 from imuarray.errors import SensorError
 from imuarray.facts import adxl345, bma180, bmp180, hmc5883, l3g4200d, pca9544a

@@ -1,16 +1,313 @@
-"""Why does a bus not work? One line a check, with what to do; nothing is changed."""
+"""Diagnoses why a bus does not work: one line per check, with advice; nothing is changed.
+
+The checks cover the machine (device files, permissions), what the kernel says of an I2C bus (adapter, clock, abilities,
+drivers that own our addresses), the port of a microcontroller, and the folder that logs are recorded into. A `Machine`
+is a file tree below a root folder, a user, and what only a living kernel can tell, so that a test can make one up.
+"""
 
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
+import fcntl
+import os
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
-from imuarray.acquire.doctor_i2c import buses_of, i2c_checks
-from imuarray.acquire.doctor_logs import log_checks
-from imuarray.acquire.doctor_machine import Check, Machine, permission
-from imuarray.array import ArrayConfig
+from imuarray.array import ArrayConfig, SensorConfig
+from imuarray.drivers import DRIVERS
 from imuarray.errors import ImuArrayError
+from imuarray.facts import bmp180
+from imuarray.log.disk_space import RESERVE, WATERMARK
+from imuarray.log.journal import is_running
+from imuarray.log.layout import sensor_group
+from imuarray.log.preamble import header_of
+
+I2C_FUNCS = 0x0705  # LNX-03
+
+
+class Check(NamedTuple):
+    """What was looked at, whether it is well, what was found, and what to do if it isn't."""
+
+    name: str
+    ok: bool
+    found: str
+    advice: str = ""
+
+
+def functionality(device: Path) -> int | None:
+    """The bits with which an adapter says what it can (LNX-30); None if it can't be asked."""
+    try:
+        fd = os.open(device, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        answer = fcntl.ioctl(fd, I2C_FUNCS, bytes(struct.calcsize("L")))
+        return int(struct.unpack("L", answer)[0])
+    except OSError:
+        return None
+    finally:
+        os.close(fd)
+
+
+def free_bytes(folder: Path) -> int:
+    """Bytes that may still be written there; OSError."""
+    room = os.statvfs(folder)
+    return room.f_bavail * room.f_frsize
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What is asked of a machine: its file tree, who asks, and what only a living kernel can tell."""
+
+    root: Path = Path("/")
+    user: int = field(default_factory=os.getuid)
+    groups: frozenset[int] = field(default_factory=lambda: frozenset((*os.getgroups(), os.getgid())))
+    functionality: Callable[[Path], int | None] = functionality
+    free_bytes: Callable[[Path], int] = free_bytes
+
+    def path(self, absolute: str) -> Path:
+        """Where something of this machine is."""
+        return self.root / absolute.lstrip("/")
+
+    def text(self, absolute: str) -> str:
+        """The line in a file of the kernel's; "" if there is none."""
+        try:
+            return self.path(absolute).read_text(encoding="utf-8", errors="replace").strip()
+        except OSError:
+            return ""
+
+
+def permission(machine: Machine, device: str) -> Check:
+    """May this user read and write a device file that is there?"""
+    try:
+        about = machine.path(device).stat()
+    except OSError as error:
+        return Check("permission", False, f"{device}: {error.strerror}", "look at the folders above it")
+    shift = 6 if about.st_uid == machine.user else 3 if about.st_gid in machine.groups else 0
+    group = _group(machine, about.st_gid)
+    found = f"{device}: group {group}, mode {about.st_mode & 0o777:04o}"
+    if machine.user == 0 or about.st_mode >> shift & 0o6 == 0o6:
+        return Check("permission", True, found)
+    if about.st_mode & 0o060 == 0o060 and about.st_gid:
+        return Check("permission", False, found, f"sudo adduser $USER {group}, then log in again")
+    advice = 'sudo groupadd --system i2c; a udev rule: KERNEL=="i2c-[0-9]*", GROUP="i2c", MODE="0660"'
+    return Check("permission", False, found, advice)
+
+
+def _group(machine: Machine, number: int) -> str:
+    """A group's name, by the machine's own list."""
+    for line in machine.text("/etc/group").splitlines():
+        name, _, rest = line.partition(":")
+        if rest.split(":")[1:2] == [str(number)]:
+            return name
+    return str(number)
+
+
+DEVICES = "/sys/bus/i2c/devices"
+DEFAULT_HZ = 100_000
+"""Of i2c-bcm2835, and of most others (LNX-17)."""
+_FUNC_I2C = 1
+_QUIRKS = {
+    "bcm2835": "can't wait for a chip that holds the clock (LNX-11), takes one read a transaction (LNX-10)",
+    "i2c-gpio": "is moved by software: times are less certain",
+}
+_FASTER = (
+    "on a Raspberry Pi dtparam=i2c_arm_baudrate=400000 in config.txt; elsewhere clock-frequency in the device tree"
+)
+
+
+def buses_of(array: ArrayConfig | None, path: str) -> list[str]:
+    """The device files that an array needs: the root bus of the URL, then the buses that sensors name."""
+    named = [sensor.bus for sensor in array.sensors if sensor.bus] if array else []
+    return list(dict.fromkeys([path or (named[0] if named else ""), *named]))
+
+
+def i2c_checks(machine: Machine, array: ArrayConfig | None, buses: Sequence[str], rate_hz: float) -> list[Check]:
+    """All of them, for each of `buses`; one that isn't there is not asked further. Without an array nobody knows whose
+    addresses are meant: drivers of the kernel are named, and not judged.
+    """
+    checks: list[Check] = []
+    for device in buses:
+        found = there(machine, device)
+        checks.append(found)
+        if found.ok:
+            checks += [permission(machine, device), *abilities(machine, device)]
+            checks += owners(machine, array, device, device == buses[0]) if array else bound(machine, device)
+    if checks and checks[0].ok:
+        checks.append(clock(machine, array, buses[0], rate_hz))
+    return [*checks, *(address_0x77(machine, array) if array else [])]
+
+
+def _number(machine: Machine, device: str) -> str:
+    """N of /dev/i2c-N, also where the name is a link to it."""
+    return os.path.realpath(machine.path(device)).rpartition("-")[2]
+
+
+def there(machine: Machine, device: str) -> Check:
+    """Is there an adapter, and a device file for it?"""
+    adapters = sorted(path.name for path in machine.path(DEVICES).glob("i2c-[0-9]*"))
+    if not adapters:
+        advice = "enable I2C: on a Raspberry Pi raspi-config, or dtparam=i2c_arm=on in config.txt; then restart"
+        return Check("adapter", False, "this machine has no I2C bus", advice)
+    if machine.path(device).exists() and device:
+        name = machine.text(f"{DEVICES}/i2c-{_number(machine, device)}/name") or "without a name"
+        return Check("adapter", True, f"{device}: {name}")
+    if not machine.path("/sys/class/i2c-dev").is_dir():
+        advice = "sudo modprobe i2c-dev; for good: echo i2c-dev | sudo tee /etc/modules-load.d/i2c-dev.conf"
+        return Check("module i2c-dev", False, f"not loaded: no {device or 'device file'} for {adapters[0]}", advice)
+    files = sorted(f"/dev/{path.name}" for path in machine.path("/dev").glob("i2c-[0-9]*"))
+    return Check(
+        "adapter", False, f"{device or 'no bus named'}; there are {', '.join(files)}", "name one that is there"
+    )
+
+
+def abilities(machine: Machine, device: str) -> Iterator[Check]:
+    """Can it carry plain I2C messages, and what is odd about it?"""
+    bits = machine.functionality(machine.path(device))
+    if bits is not None and not bits & _FUNC_I2C:
+        yield Check("abilities", False, f"{device}: SMBus only", "plain I2C messages are needed: use another adapter")
+    elif bits is not None:
+        yield Check("abilities", True, f"{device}: plain I2C (functionality {bits:#010x})")
+    name = machine.text(f"{DEVICES}/i2c-{_number(machine, device)}/name")
+    for known, odd in _QUIRKS.items():
+        if known in name:
+            yield Check("quirks", True, f"{device}: {known} {odd}")
+
+
+def owners(machine: Machine, array: ArrayConfig, device: str, is_root: bool) -> Iterator[Check]:
+    """Has a driver of the kernel one of our addresses on this bus (LNX-12)?"""
+    number = _number(machine, device)
+    ours = {sensor.address: sensor.name for sensor in array.sensors if _is_on(sensor, device, is_root)}
+    if is_root and array.mux is not None:
+        ours[array.mux.address] = "the multiplexer"
+    for address, name in sorted(ours.items()):
+        link = machine.path(f"{DEVICES}/{number}-{address:04x}/driver")
+        if link.is_symlink():
+            driver = link.readlink().name
+            unbind = f"echo {number}-{address:04x} | sudo tee /sys/bus/i2c/drivers/{driver}/unbind"
+            channels = _channels(machine, f"{DEVICES}/{number}-{address:04x}")
+            if channels:
+                unbind += f"; or leave out mux and give each sensor its bus: {channels}"
+            yield Check("kernel driver", False, f"{device} {address:#04x} ({name}) belongs to {driver}", unbind)
+    if not any(machine.path(f"{DEVICES}/{number}-{address:04x}/driver").is_symlink() for address in ours):
+        yield Check("kernel driver", True, f"{device}: none has one of our addresses")
+
+
+def bound(machine: Machine, device: str) -> Iterator[Check]:
+    """Which drivers of the kernel have addresses on this bus? One is in the way of a sensor at its own alone."""
+    number = _number(machine, device)
+    places = sorted(path for path in machine.path(DEVICES).glob(f"{number}-*") if (path / "driver").is_symlink())
+    for path in places:
+        owner = (path / "driver").readlink().name
+        address = int(path.name.partition("-")[2], 16)
+        yield Check("kernel driver", True, f"{device} {address:#04x} belongs to {owner}: no sensor there can be read")
+    if not places:
+        yield Check("kernel driver", True, f"{device}: none has an address")
+
+
+def _is_on(sensor: SensorConfig, device: str, is_root: bool) -> bool:
+    return sensor.bus == device or (sensor.bus is None and is_root)
+
+
+def _channels(machine: Machine, place: str) -> str:
+    """The buses behind a multiplexer that the kernel drives (LNX-21)."""
+    links = sorted(machine.path(place).glob("channel-[0-9]*"))
+    return ", ".join(f"{link.name} is /dev/{link.resolve().name}" for link in links)
+
+
+def clock(machine: Machine, array: ArrayConfig | None, device: str, rate_hz: float) -> Check:
+    """How fast is the bus, and is that enough for frames at `rate_hz`?"""
+    path = machine.path(f"{DEVICES}/i2c-{_number(machine, device)}/of_node/clock-frequency")
+    try:
+        clock_hz = int.from_bytes(path.read_bytes()[:4], "big")
+    except OSError:
+        clock_hz = 0
+    said = f"{clock_hz / 1000:g} kHz" if clock_hz else f"not told; {DEFAULT_HZ / 1000:g} kHz is usual"
+    if array is None:
+        return Check("bus clock", True, said)
+    most_hz = (clock_hz or DEFAULT_HZ) / frame_clocks(array)
+    found = f"{said}: at most {most_hz:.0f} frames of this array a second"
+    return Check("bus clock", most_hz >= rate_hz or not clock_hz, found, _FASTER)
+
+
+def frame_clocks(array: ArrayConfig) -> int:
+    """Clocks of a frame that reads every sensor once, without its checks: BUS-02, BUS-04."""
+    channels = {sensor.channel for sensor in array.sensors if sensor.channel is not None}
+    return sum(9 * (DRIVERS[sensor.chip].burst + 3) for sensor in array.sensors) + 18 * len(channels)
+
+
+def address_0x77(machine: Machine, array: ArrayConfig) -> list[Check]:
+    """A multiplexer at 0x77 and a BMP180, which has no other address, answer together (PCA-11)."""
+    (address,) = bmp180.ADDRESSES
+    advice = "strap the multiplexer's address pins to one of 0x70 to 0x76, or no BMP180 behind it can be read"
+    if array.mux is not None and array.mux.address == address:
+        return [Check("address 0x77", False, "the multiplexer has the BMP180's address", advice)]
+    shared = []
+    for sensor in array.sensors:
+        if sensor.chip == "bmp180" and sensor.bus is not None:
+            parent = machine.path(f"{DEVICES}/i2c-{_number(machine, sensor.bus)}/mux_device")
+            if parent.is_symlink() and parent.readlink().name.endswith(f"-{address:04x}"):
+                shared.append(sensor.name)
+    found = f"{', '.join(shared)}: the multiplexer before it has its address"
+    return [Check("address 0x77", False, found, advice)] if shared else []
+
+
+NIGHT_S = 12 * 3600.0
+_LIVE = 2.0
+"""A log and its journal, while it is written."""
+
+
+def log_checks(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> list[Check]:
+    """All of them."""
+    if not folder.is_dir():
+        return [Check("folder", False, f"{folder}: there is none", f"mkdir -p {folder}")]
+    writable = os.access(folder, os.W_OK | os.X_OK)
+    checks = [Check("folder", writable, f"{folder}", "choose another, or change its owner")]
+    return [*checks, room(machine, array, folder, rate_hz), *left_over(machine, folder)]
+
+
+def room(machine: Machine, array: ArrayConfig | None, folder: Path, rate_hz: float) -> Check:
+    """How long can this array be logged before a log ends itself for want of room? Without one: is there any room?"""
+    free = machine.free_bytes(folder)
+    advice = f"make room: a log ends itself when less than {WATERMARK >> 20} MiB are free; --rotate 1h needs half"
+    if array is None:
+        return Check("disk", free > WATERMARK + RESERVE, f"{free / 2**20:.0f} MiB free", advice)
+    rows = ((sensor, min(rate_hz, sensor.chip_rate_hz)) for sensor in array.sensors)
+    rate = sum(sensor_group(header_of(sensor, {})).row_bytes * row_rate for sensor, row_rate in rows) * _LIVE
+    seconds = max(0.0, free - WATERMARK - RESERVE) / rate
+    found = f"{free / 2**20:.0f} MiB free: about {_about(seconds / 3600)} at {rate_hz:g} frames a second"
+    return Check("disk", seconds >= NIGHT_S, found, advice)
+
+
+def _about(hours: float) -> str:
+    """As precisely as such a guess can be."""
+    if hours < 10:
+        return f"{hours:.1f} h"
+    return f"{hours:.0f} h" if hours < 48 else f"{hours / 24:.0f} days"
+
+
+def left_over(machine: Machine, folder: Path) -> Iterator[Check]:
+    """Logs that were never finished, and what else a process that is gone has left."""
+    clean = True
+    for journal in sorted(folder.glob("*.journal")):
+        log = journal.with_suffix("")
+        if is_running(log):
+            yield Check("journal", True, f"{log.name} is being written")
+        else:
+            clean = False
+            left = f"{journal.name} is left over: its log was never finished"
+            yield Check("journal", False, left, f"imuarray recover {log}")
+    for part in sorted(folder.glob(".*.part")):
+        process = part.name.split(".")[-2]
+        if process.isdigit() and not machine.path(f"/proc/{process}").exists():
+            clean = False
+            yield Check("draft", False, f"{part.name} was left by a program that is gone", f"rm {part}")
+    if clean:
+        yield Check("left-overs", True, "none")
+
 
 __all__ = ["Check", "Machine", "examine", "serial_checks"]
 

@@ -14,13 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.acquire.adapter import REMOVED, Adapter
-from imuarray.acquire.bus_segment import BusSegment
+from imuarray.acquire.bus_segment import REMOVED, Adapter, BusSegment
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.configuration_readback import ConfigurationReadback
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.intake import Intake
-from imuarray.acquire.sample_buffer import SampleBuffer
+from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_health import SensorHealth
 from imuarray.acquire.sensor_routes import SensorRoute, there_and_back
 from imuarray.acquire.start_up import Judge, StartUp

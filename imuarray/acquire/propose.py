@@ -12,8 +12,7 @@ import tomli_w
 
 from imuarray.acquire.detect import MUX, Found
 from imuarray.array import SensorConfig
-from imuarray.bus.mux import Pca9544a
-from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.bus.protocol import Bus, OpenBus, Pca9544a
 from imuarray.drivers import DRIVERS
 from imuarray.errors import SensorError
 from imuarray.printable import printable

@@ -16,8 +16,8 @@ from imuarray.acquire.summary import Summary
 from imuarray.array import ArrayConfig
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event, Phase, SensorHeader
-from imuarray.log.headers import header_of
 from imuarray.log.missed_frames import duration_s
+from imuarray.log.preamble import header_of
 from imuarray.log.rotate import RotatingWriter, Writer
 from imuarray.log.writer import Block, LogWriter
 

@@ -1,6 +1,14 @@
-"""Who is unwell, since when, and what is done about it: silence, lost configuration, frozen readings, a wrong start.
+"""The health of polled sensors: silence, lost configuration, frozen readings, a wrong start, and what is done about
+each.
 
-Rows about which there is doubt wait or are flagged; the sensor is looked for or set up again (`recovery`); events tell.
+Rows that are in doubt wait or are flagged; the sensor is looked for or configured again (`imuarray.acquire.recovery`);
+events report it.
+
+`Freshness` decides whether a chip must have had a new reading. A chip's data-ready flag says whether there is a new
+reading since the last read. Two reads may follow each other closely (a late frame, a burst of frames after a stall); an
+old reading is then normal. It is an error when more time has passed since the last new reading than the chip needs for
+one at the slow end of its oscillator. Chips without such a flag can't be judged so: two equal readings may be chance;
+`SampleBuffer.frozen_since` tests for those.
 """
 
 from __future__ import annotations
@@ -10,15 +18,51 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from imuarray.acquire.adapter import HUNG
+from imuarray.acquire.bus_segment import HUNG, SLACK_NS
 from imuarray.acquire.configuration_readback import ConfigurationReadback
 from imuarray.acquire.fault_episode import QUIET_NS, FaultEpisode, FaultEpisodes
-from imuarray.acquire.freshness import Freshness
 from imuarray.acquire.recovery import Recovery
 from imuarray.acquire.sample_buffer import HELD_S, SampleBuffer
 from imuarray.acquire.start_up import StartUp
-from imuarray.log.format import OVERRUN
+from imuarray.array import SensorConfig
+from imuarray.drivers.fifo_clock import TOLERANCE
+from imuarray.log.format import LOST_BEFORE, OVERRUN, RECONFIGURED, STALE, SUSPECT
 from imuarray.log.writer import Block
+
+_UNRELATED = LOST_BEFORE | RECONFIGURED | SUSPECT
+"""Rows before which the chip may have been read without our hearing of it, or was not as configured."""
+
+
+class Freshness:
+    """Of one sensor, block after block."""
+
+    def __init__(self, sensor: SensorConfig) -> None:
+        self.longest_ns = round(1e9 / (sensor.chip_rate_hz * (1 - TOLERANCE))) + 2 * SLACK_NS
+        self._fetched_ns: int | None = None
+
+    def overdue(
+        self, times_ns: npt.NDArray[np.int64], status: npt.NDArray[np.uint16], doubtful: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[np.bool_]:
+        """(n,) True for rows that are stale though the chip must have had something new.
+
+        `times_ns` (n,) are the times of the reads, `status` (n,) their flags; `doubtful` (n,) marks reads whose time is
+        uncertain, or before which another read may have taken the new reading. Such a read is not judged, and the time
+        since the one before it says nothing either.
+        """
+        unrelated = doubtful | ((status & _UNRELATED) != 0)
+        stale = (status & STALE) != 0
+        late = np.zeros(len(times_ns), bool)
+        for row, (at_ns, is_stale, is_unrelated) in enumerate(
+            zip(times_ns.tolist(), stale.tolist(), unrelated.tolist(), strict=True)
+        ):
+            if is_unrelated:
+                self._fetched_ns = None
+            elif not is_stale or self._fetched_ns is None:
+                self._fetched_ns = at_ns
+            else:
+                late[row] = at_ns - self._fetched_ns > self.longest_ns
+        return late
+
 
 AWAY_NS = 250_000_000
 """A sensor that has been silent for so long is looked for instead of read, ever less often; one that holds the clock

@@ -1,18 +1,20 @@
-"""Which sensor is reached how, and in which order a frame visits them."""
+"""The route to each sensor (its bus segment and driver), the order in which a frame visits them, and witnesses of
+channels.
+"""
 
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
-from imuarray.acquire.channels import mark_twins
 from imuarray.array import ArrayConfig, SensorConfig
-from imuarray.bus.mux import Pca9544a
-from imuarray.bus.protocol import Bus, OpenBus
+from imuarray.bus.protocol import Bus, MuxChannel, OpenBus, Pca9544a
 from imuarray.drivers import DRIVERS, FIFO_DRIVERS, Driver
 from imuarray.errors import BusUrlError, SensorError
+from imuarray.facts.registers import Setting
 
 
 def _nobody_asks() -> None:
@@ -28,6 +30,14 @@ class SensorRoute:
     segment: int | str | None
     claim: Callable[[], None] = _nobody_asks
     """SensorError when a driver of the kernel has the sensor's address now."""
+
+
+class Witness(NamedTuple):
+    """One register of one chip, and what it would read on the other channels: nothing where the chip has no twin."""
+
+    route: SensorRoute
+    setting: Setting
+    others: frozenset[int]
 
 
 def routes_of(array: ArrayConfig, bus: OpenBus) -> list[SensorRoute]:
@@ -114,3 +124,45 @@ def there_and_back(routes: Sequence[SensorRoute]) -> tuple[list[list[SensorRoute
         segments.setdefault(route.segment, []).append(route)
     forth = list(segments.values())
     return forth, forth[::-1]
+
+
+def twins_of(route: SensorRoute, everywhere: Iterable[SensorRoute]) -> list[SensorRoute]:
+    """Stations at the same address of other channels."""
+    if not isinstance(route.driver.registers.bus, MuxChannel):
+        return []
+    return [
+        other
+        for other in everywhere
+        if other.segment != route.segment
+        and isinstance(other.driver.registers.bus, MuxChannel)
+        and other.sensor.address == route.sensor.address
+    ]
+
+
+def mark_twins(routes: Sequence[SensorRoute]) -> None:
+    """Make twins that are configured alike differ in a register on which nothing depends; before they are set up."""
+    alike: dict[int, SensorRoute] = {}
+    for route in routes:
+        twins = twins_of(route, routes)
+        if twins and not witnesses_of(route, routes):
+            alike.update((id(one), one) for one in (route, *twins))
+    for route in alike.values():
+        route.driver.mark(int(route.segment or 0) + 1)
+
+
+def witnesses_of(route: SensorRoute, everywhere: Sequence[SensorRoute]) -> list[Witness]:
+    """The watched registers in which this chip differs from all its twins, also after one of them was reset; all of
+    them if it has none.
+    """
+    twins = twins_of(route, everywhere)
+    found = []
+    for setting in route.driver.watched:
+        theirs = [
+            {other.value for other in twin.driver.watched if other.register == setting.register}
+            for twin in twins
+            if twin.sensor.chip == route.sensor.chip
+        ]
+        mine = {setting.value, setting.register.reset & setting.mask}
+        if len(theirs) == len(twins) and all(values and not values & mine for values in theirs):
+            found.append(Witness(route, setting, frozenset().union(*theirs)))
+    return found

@@ -14,16 +14,13 @@ from datetime import UTC, datetime
 
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.intake import Intake
-from imuarray.acquire.sample_buffer import SampleBuffer
+from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_routes import SensorRoute
 from imuarray.acquire.start_up import Judge, StartUp
 from imuarray.acquire.stream_health import StreamHealth
-from imuarray.acquire.stream_plan import plan
-from imuarray.acquire.stream_rows import LINK, Rows
+from imuarray.acquire.stream_plan import LINK, Rows, plan
 from imuarray.acquire.summary import Summary
-from imuarray.bus.mux import MuxChannel
-from imuarray.bus.protocol import OpenBus
+from imuarray.bus.protocol import MuxChannel, OpenBus
 from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import LinkError
 from imuarray.errors import BusUrlError

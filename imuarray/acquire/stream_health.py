@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 from imuarray.acquire.sample_buffer import HELD_S
 from imuarray.acquire.start_up import StartUp
-from imuarray.acquire.stream_plan import ReadbackPlace
-from imuarray.acquire.stream_rows import Rows, readings_at
+from imuarray.acquire.stream_plan import ReadbackPlace, Rows, readings_at
 from imuarray.bus.serial_bus import Samples
 from imuarray.errors import SensorError
 

@@ -19,8 +19,8 @@ from imuarray.export.tables import Column, Content, Table
 from imuarray.fuse.fused_file import is_fused
 from imuarray.log import Log, SensorLog, open_log
 from imuarray.log.format import FORMAT, FORMAT_VERSION, SensorHeader
-from imuarray.log.headers import recorded_header
 from imuarray.log.layout import TRACK_UNITS
+from imuarray.log.sensor_log import recorded_header
 from imuarray.units import SI_PER_UNIT
 
 _KNOWN = frozenset({field.name for field in fields(SensorHeader)} | {"orientation", "NX_class", "signal"})

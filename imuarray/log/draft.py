@@ -16,10 +16,26 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
-from imuarray.log import groups
 from imuarray.log.disk_space import Allowance, write_errors
 from imuarray.log.format import CACHE_BYTES, Event, Phase
-from imuarray.log.layout import CHUNK, NOTES, STIMULI, TRACK_COLUMNS, Columns, Group, Notes, groups_of
+from imuarray.log.layout import (
+    CHUNK,
+    COMPRESSED,
+    LIBVER,
+    NOTES,
+    STIMULI,
+    TRACK_COLUMNS,
+    Columns,
+    Group,
+    Notes,
+    attach_scales,
+    create_sensor,
+    create_track,
+    groups_of,
+    log_attributes,
+    write_plots,
+    write_table,
+)
 from imuarray.log.preamble import Preamble
 from imuarray.log.text_checksums import CHECK_SUMS, check_sums
 
@@ -101,7 +117,7 @@ class Draft:
         try:
             with write_errors(path):
                 self.part.unlink(missing_ok=True)
-                self.file = h5py.File(self.part, "w", libver=groups.LIBVER, rdcc_nbytes=CACHE_BYTES)
+                self.file = h5py.File(self.part, "w", libver=LIBVER, rdcc_nbytes=CACHE_BYTES)
                 self._room = Allowance(self.part, path, allocate=durable)
         except LogError:
             with contextlib.suppress(OSError):  # a full disk takes the name, and then not the first bytes
@@ -110,10 +126,10 @@ class Draft:
         try:
             with write_errors(path):
                 self._room.ask(len(self.groups) * _EMPTY_BYTES + len(preamble.config) * 4)
-                self.file.attrs.update(groups.log_attributes(preamble))
+                self.file.attrs.update(log_attributes(preamble))
                 self.file.create_group("sensors")
                 for header in preamble.sensors:
-                    groups.create_sensor(self.file, header, preamble.epoch, chunk, groups.COMPRESSED)
+                    create_sensor(self.file, header, preamble.epoch, chunk, COMPRESSED)
         except BaseException:
             self.discard()
             raise
@@ -138,7 +154,7 @@ class Draft:
     def _write_rows(self, group: Group, number: int, count: int) -> None:
         if group.path in TRACK_COLUMNS and group.path not in self.file:
             self._room.ask(_EMPTY_BYTES)
-            groups.create_track(self.file, group.path, self._epoch, self._chunk, groups.COMPRESSED)
+            create_track(self.file, group.path, self._epoch, self._chunk, COMPRESSED)
         self._room.ask(count * group.row_bytes)
         self._asked += count * group.row_bytes
         rows = group.joined(self._waiting[number])
@@ -210,12 +226,12 @@ class Draft:
                     for name, _, _ in group.columns:
                         if (group.path, name) not in self._known:
                             del self.file[group.path][name]
-                groups.attach_scales(self.file[group.path])
+                attach_scales(self.file[group.path])
         names = [group.path.removeprefix("sensors/") for group in self.groups if "/" in group.path]
         if names:
-            groups.write_plots(self.file, names)
-        groups.write_table(self.file, "phases", Phase._fields, self.notes.phases_until(self._end_ns), _RENAMED)
-        groups.write_table(self.file, "events", Event._fields, self.notes.events, _RENAMED)
+            write_plots(self.file, names)
+        write_table(self.file, "phases", Phase._fields, self.notes.phases_until(self._end_ns), _RENAMED)
+        write_table(self.file, "events", Event._fields, self.notes.events, _RENAMED)
         self.file.attrs[CHECK_SUMS] = np.array(check_sums(self.file), np.uint32)
         self.file.close()
         self._room.trim()

@@ -68,8 +68,8 @@ def inspect(path: Path, file: h5py.File) -> list[str]:
 def refuse_hostile(file: h5py.File, inspected: h5py.File, where: str, damaged: list[str] | None = None) -> None:
     """LogError for anything that leads outside the file, is reached twice, or declares what the file can't hold.
 
-    `inspected` is the same file as it is `HeapCheckedFile`: its texts are read, last, for that costs most. What HDF5 can't
-    make sense of is an error of its own, or, where `damaged` is given, is noted there by its path.
+    `inspected` is the same file opened through `HeapCheckedFile`: its texts are read last, which costs most. What HDF5
+    can't decode is an error of its own, or, where `damaged` is given, is noted there by its path.
     """
     size = file.id.get_filesize()
     root = _Place(h5o.open(file.id, b"/"), b"")

@@ -21,7 +21,6 @@ import numpy as np
 import numpy.typing as npt
 
 from imuarray.errors import LogError
-from imuarray.log import groups as hdf5
 from imuarray.log.columns import Column, LiveGroup
 from imuarray.log.commits import COMMITS, CommittedRows, read_commits
 from imuarray.log.draft import Draft
@@ -29,7 +28,16 @@ from imuarray.log.format import Event, Phase
 from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
 from imuarray.log.inspection import inspect, refuse_hostile
 from imuarray.log.journal import JournalReader, journal_of
-from imuarray.log.layout import NOTES, TRACK_COLUMNS, Columns, Group, Notes, groups_of
+from imuarray.log.layout import (
+    NOTES,
+    TRACK_COLUMNS,
+    Columns,
+    Group,
+    Notes,
+    groups_of,
+    log_attributes,
+    sensor_attributes,
+)
 from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
 from imuarray.log.untrusted_input import DAMAGE
 
@@ -44,8 +52,8 @@ class LiveView:
         self._file, self._journal, self._committed = file, journal, content.committed
         self.preamble, self.losses = content.preamble, content.losses
         self.has_journal = journal is not None
-        self.attrs = hdf5.log_attributes(self.preamble)
-        attributes = {_SENSORS + header.name: hdf5.sensor_attributes(header) for header in self.preamble.sensors}
+        self.attrs = log_attributes(self.preamble)
+        attributes = {_SENSORS + header.name: sensor_attributes(header) for header in self.preamble.sensors}
         parts = {}
         for number, (group, tail) in enumerate(zip(groups_of(self.preamble.sensors), content.tail, strict=True)):
             columns = {name: _column(content.committed, number, group, name, tail[name]) for name in tail}

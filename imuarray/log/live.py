@@ -21,12 +21,23 @@ from typing import NamedTuple
 import h5py
 
 from imuarray.errors import DiskFullError, ImuArrayError, LogError
-from imuarray.log import groups as hdf5
 from imuarray.log.commits import COMMITS, block_crc, row_of, width
 from imuarray.log.disk_space import FULL, Allowance, Reserve, free_bytes, sync_folder, unwritable, write_errors
 from imuarray.log.format import CACHE_BYTES, Event
 from imuarray.log.journal import JournalLock, JournalWriter, Mark
-from imuarray.log.layout import CHUNK, TRACK_COLUMNS, Columns, groups_of, note_columns
+from imuarray.log.layout import (
+    CHUNK,
+    LIBVER,
+    PLAIN,
+    TRACK_COLUMNS,
+    Columns,
+    create_columns,
+    create_sensor,
+    create_track,
+    groups_of,
+    log_attributes,
+    note_columns,
+)
 from imuarray.log.preamble import PREAMBLE, PREAMBLE_CRC, Preamble
 
 QUEUE_BLOCKS = 1024
@@ -52,7 +63,7 @@ class LiveFile:
         self._chunk = chunk
         part = path.with_name(f".{path.name}.{os.getpid()}.live.part")
         part.unlink(missing_ok=True)
-        self.file = h5py.File(part, "w", libver=hdf5.LIBVER, rdcc_nbytes=CACHE_BYTES)
+        self.file = h5py.File(part, "w", libver=LIBVER, rdcc_nbytes=CACHE_BYTES)
         self._room = Allowance(part, path)
         try:
             self._room.ask((len(self._groups) + 1) * _EMPTY_BYTES + len(preamble.config) * 8)
@@ -66,14 +77,14 @@ class LiveFile:
             raise
 
     def _create(self, preamble: Preamble, chunk: int) -> None:
-        self.file.attrs.update(hdf5.log_attributes(preamble))
+        self.file.attrs.update(log_attributes(preamble))
         text = preamble.to_json()
         self.file.attrs.update({PREAMBLE: text, PREAMBLE_CRC: zlib.crc32(text.encode())})
         for header in preamble.sensors:
-            hdf5.create_sensor(self.file, header, preamble.epoch, chunk, hdf5.PLAIN)
+            create_sensor(self.file, header, preamble.epoch, chunk, PLAIN)
         for name in TRACK_COLUMNS:
-            hdf5.create_track(self.file, name, preamble.epoch, chunk, hdf5.PLAIN)
-        hdf5.create_columns(self.file, self._groups[-1], chunk, hdf5.PLAIN)
+            create_track(self.file, name, preamble.epoch, chunk, PLAIN)
+        create_columns(self.file, self._groups[-1], chunk, PLAIN)
         columns = width(self._groups)
         self.file.create_dataset(COMMITS, (0, columns), "<i8", maxshape=(None, columns), chunks=(_COMMIT_ROWS, columns))
         self.file.swmr_mode = True

@@ -1,19 +1,25 @@
-"""What a log says once, before its first row: sensors, epoch, source, configuration. It stands in the journal too, so
-that a log can be had from its journal alone.
+"""What a log states once, before its first row: sensors, epoch, source, configuration; and the header of each sensor.
+
+It stands in the journal as well, so that a log can be rebuilt from its journal alone.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.format import MOST_SENSORS, SensorHeader
 from imuarray.printable import printable
 from imuarray.units import QUANTITIES, SI_PER_UNIT
+
+if TYPE_CHECKING:
+    from imuarray.array import SensorConfig
+
 
 PREAMBLE = "preamble"
 """The attribute of an unfinished HDF5 file that holds it; a finished one has none."""
@@ -109,3 +115,26 @@ def _is_extra(name: Any, value: Any) -> bool:
     known = {field.name for field in fields(SensorHeader)} | _OWN_ATTRIBUTES
     fits = _is_number(value) and abs(value) < 1 << 63
     return _is_word(name) and name not in known and (fits or (isinstance(value, str) and len(value) <= _LONGEST_TEXT))
+
+
+def header_of(sensor: SensorConfig, extra: Mapping[str, int | float | str]) -> SensorHeader:
+    """The header of a configured sensor; `extra` holds what only its chip knows (a barometer's calibration words)."""
+    spec = sensor.spec
+    barometer = spec.quantity == "pressure"
+    x, y, z = sensor.position_mm
+    return SensorHeader(
+        name=sensor.name,
+        chip=sensor.chip,
+        quantity=spec.quantity,
+        unit=spec.unit,
+        range=sensor.range or 0.0,
+        sensitivity=sensor.sensitivity,
+        rate_hz=sensor.chip_rate_hz,
+        bandwidth_hz=sensor.chip_bandwidth_hz,
+        axes=sensor.axes,
+        position_mm=(x, y, z),
+        columns=("ut", "up") if barometer else ("x", "y", "z"),
+        has_temperature=spec.has_thermometer and not sensor.fifo,
+        compensated=("temperature", "pressure") if barometer else (),
+        extra=extra,
+    )

@@ -19,6 +19,7 @@ from weakref import WeakValueDictionary
 import h5py
 
 from imuarray.errors import LogError, LogWarning
+from imuarray.log.columns import ClockTrack, Track, clocks_of, track_of
 from imuarray.log.format import FORMAT, FORMAT_VERSION, FUSED, SOURCES, Event, Phase
 from imuarray.log.inspection import inspect
 from imuarray.log.interrupted import LiveView, RebuiltFile, is_unfinished, may_be_unfinished, open_interrupted
@@ -26,7 +27,6 @@ from imuarray.log.journal import is_running
 from imuarray.log.preamble import Preamble
 from imuarray.log.sensor_log import SensorLog
 from imuarray.log.text_checksums import changed_parts
-from imuarray.log.tracks import ClockTrack, Track, clocks_of, track_of
 from imuarray.log.untrusted_input import DAMAGE, open_file, positive, read_texts
 
 

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from imuarray.axes import orientation_of
 from imuarray.errors import LogError
 from imuarray.log.columns import DATASET, UNREADABLE, LiveGroup, NamedColumn
-from imuarray.log.format import FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, ThermometerScale
-from imuarray.units import QUANTITIES, SI_PER_UNIT
+from imuarray.log.format import FLAGS, THERMOMETER_ATTRIBUTES, TRIADS, SensorHeader, ThermometerScale
+from imuarray.units import QUANTITIES, SI_PER_UNIT, Quantity
 
 _EDGE_ROWS = 4096
 
@@ -217,3 +217,26 @@ def first_at(time: NamedColumn, at_ns: int, rows: int | None = None) -> int:
         middle = (low + high) // 2
         low, high = (middle, high) if time[middle] < at_ns else (low, middle)
     return low + int(np.searchsorted(time[low:high], at_ns))
+
+
+def recorded_header(sensor: SensorLog) -> SensorHeader:
+    """The header with which a log like the one that `sensor` is from would be written."""
+    x, y, z = sensor.position_mm.tolist()
+    columns = {"pressure": ("ut", "up"), "temperature": ("t",)}.get(sensor.quantity, ("x", "y", "z"))
+    compensated = {"pressure": ("temperature", "pressure"), "temperature": ("temperature",)}.get(sensor.quantity, ())
+    return SensorHeader(
+        name=sensor.name,
+        chip=sensor.chip,
+        quantity=cast(Quantity, sensor.quantity),
+        unit=sensor.unit,
+        range=sensor.range,
+        sensitivity=sensor.sensitivity,
+        rate_hz=sensor.rate_hz,
+        bandwidth_hz=sensor.bandwidth_hz,
+        axes=sensor.axes,
+        position_mm=(x, y, z),
+        columns=columns,
+        has_temperature=sensor.temperature_counts is not None,
+        compensated=compensated,
+        extra={} if sensor.thermometer is None else sensor.thermometer.attributes,
+    )

@@ -13,12 +13,11 @@ import h5py
 
 from imuarray.errors import LogError
 from imuarray.log.commits import COMMITS, Commit, read_commits
-from imuarray.log.groups import sensor_attributes
 from imuarray.log.hdf5_superblock import UnclosedFile
 from imuarray.log.inspection import refuse_hostile
 from imuarray.log.interrupted import stored_preamble
 from imuarray.log.journal import JournalReader, is_running, journal_of
-from imuarray.log.layout import NOTES, Group
+from imuarray.log.layout import NOTES, Group, sensor_attributes
 from imuarray.log.preamble import Preamble
 from imuarray.log.untrusted_input import DAMAGE
 from imuarray.monitor.backlog import Backlog

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.acquire import record
-from imuarray.acquire.adapter import Adapter
+from imuarray.acquire.bus_segment import Adapter
 from imuarray.log import open_log
 
 MS = 1_000_000

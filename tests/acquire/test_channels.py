@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from imuarray.acquire import connect, record
-from imuarray.acquire.channels import channel_of
+from imuarray.acquire.bus_segment import channel_of
 from imuarray.acquire.sensor_routes import routes_of, there_and_back
 
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from imuarray.acquire.doctor import Check, Machine, examine
-from imuarray.acquire.doctor_i2c import frame_clocks
+from imuarray.acquire.doctor import Check, Machine, examine, frame_clocks
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.cli import main
 from imuarray.errors import BusUrlError

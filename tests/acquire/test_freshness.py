@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.acquire.freshness import Freshness
 from imuarray.acquire.sample_buffer import SampleBuffer
+from imuarray.acquire.sensor_health import Freshness
 from imuarray.array import ArrayConfig, SensorConfig, parse_array
 from imuarray.log.format import LOST_BEFORE, STALE
 

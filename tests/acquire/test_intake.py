@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imuarray.acquire.fault_episode import FaultEpisodes
-from imuarray.acquire.intake import AHEAD_NS, Intake, in_order, selected
 from imuarray.acquire.record import record
+from imuarray.acquire.sample_buffer import AHEAD_NS, Intake, in_order, selected
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
 from imuarray.drivers.fifo_clock import FifoClock

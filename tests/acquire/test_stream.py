@@ -24,7 +24,7 @@ from imuarray.array import ArrayConfig, load_array, parse_array
 from imuarray.bus.serial_bus import SerialBus
 from imuarray.errors import BusUrlError
 from imuarray.log import open_log
-from imuarray.log.headers import header_of
+from imuarray.log.preamble import header_of
 from imuarray.log.writer import LogWriter
 from tests.bus.serial_bench import Bench
 

@@ -33,7 +33,7 @@ from imuarray.fuse.axes import directions
 from imuarray.fuse.least_squares import ConstantGain, whole_gain
 from imuarray.log import Block, Log, LogWriter, SensorLog, open_log
 from imuarray.log.format import SensorHeader
-from imuarray.log.headers import recorded_header
+from imuarray.log.sensor_log import recorded_header
 
 FRAMES, LOOPED, RATE_HZ, TURNS = 200_000, 10_000, 400.0, 15
 LOGGED = 40_000

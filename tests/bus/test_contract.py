@@ -21,7 +21,7 @@ from firmware_emulator.device_file import device_files
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.bus import Bus, open_bus
 from imuarray.bus.linux import LinuxBus
-from imuarray.bus.mux import Pca9544a
+from imuarray.bus.protocol import Pca9544a
 from imuarray.bus.replay import ReplayBus
 from imuarray.bus.transcript import RecordingBus
 from imuarray.errors import BusUrlError

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from imuarray.array import parse_array
 from imuarray.bus import open_bus
-from imuarray.bus.mux import Pca9544a
+from imuarray.bus.protocol import Pca9544a
 
 
 class Wires:

@@ -32,7 +32,7 @@ CHIPS = ("adxl345", "bma180", "bmp180", "hmc5883", "l3g4200d", "pca9544a")
 ACCESSES = ("r", "w", "rw")
 HANGS_S = 10
 CONTROL_EVERY = 25
-READERS = ("imuarray.drivers", "firmware_emulator.chips", "imuarray.bus.mux", "firmware_emulator.mux")
+READERS = ("imuarray.drivers", "firmware_emulator.chips", "imuarray.bus.protocol", "firmware_emulator.mux")
 INERT: dict[tuple[str, str, str], str] = {
     ("bma180", "CTRL_REG0 reset", "0x00 -> 0x20"): "update_image clears itself when the download of power-on ends",
 }

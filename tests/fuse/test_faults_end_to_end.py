@@ -25,7 +25,7 @@ from imuarray.chips import CHIPS
 from imuarray.fuse import FaultEvent, FusedBlock, Watch, fuse, live
 from imuarray.log import open_log
 from imuarray.log.format import SUSPECT
-from imuarray.log.headers import recorded_header
+from imuarray.log.sensor_log import recorded_header
 from imuarray.simulate import Simulation, load_model, plan_of, write_log
 from imuarray.simulate.experiments import EXPERIMENTS, Wanted
 from imuarray.simulate.simulation import effects_of

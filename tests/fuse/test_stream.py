@@ -14,7 +14,7 @@ from imuarray.errors import FusionError
 from imuarray.fuse import TECHNIQUES, Axis, Frames, FusedBlock, FusionStream, Pipeline, QuantityPipeline, fuse, live
 from imuarray.fuse.alignment import Rows, cut
 from imuarray.log import Block, Log, open_log
-from imuarray.log.headers import recorded_header
+from imuarray.log.sensor_log import recorded_header
 from tests.fuse.conftest import Floats, Part, WriteRun, calibration, joined
 from tests.fuse.test_thermal import ELEMENT, heating
 from tests.fuse.test_thermal import known as with_slopes

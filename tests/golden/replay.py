@@ -22,7 +22,7 @@ from firmware_emulator.clock import VirtualClock
 from firmware_emulator.mux import Pca9544a
 from firmware_emulator.wire import Wire
 from imuarray.array import SensorConfig
-from imuarray.bus.mux import Pca9544a as MuxDriver
+from imuarray.bus.protocol import Pca9544a as MuxDriver
 from imuarray.drivers import DRIVERS, FIFO_DRIVERS
 from imuarray.log.format import FLAGS
 

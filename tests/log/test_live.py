@@ -20,7 +20,7 @@ import imuarray.log.live as live
 import imuarray.log.writer as writing
 from imuarray.cli import main
 from imuarray.errors import DiskFullError, LogBusyError, LogError, LogWarning, OutputExistsError
-from imuarray.log import Block, Log, LogWriter, Stimulus, open_log, room
+from imuarray.log import Block, Log, LogWriter, Stimulus, disk_space, open_log
 from imuarray.log.format import Event, Phase
 from imuarray.log.hdf5_superblock import is_marked_open
 from imuarray.log.journal import JournalLock, is_running, journal_of
@@ -468,7 +468,7 @@ HDF5_TEXT = """Can't write data (file write failed: time = Mon Nov 23 12:38:50 2
 def test_hdf5s_paragraphs_become_one_line(
     number: int, kind: type[LogError], said: str, raised: type[Exception]
 ) -> None:
-    error = room.unwritable(Path("run.h5"), raised(HDF5_TEXT.format(number)))
+    error = disk_space.unwritable(Path("run.h5"), raised(HDF5_TEXT.format(number)))
     assert type(error) is kind
     assert str(error).startswith(f"run.h5: {said}")
     assert len(str(error).splitlines()) == 1

@@ -13,7 +13,7 @@ import pytest
 
 from imuarray.cli import main
 from imuarray.errors import DiskFullError
-from imuarray.log import LogWriter, RotatingWriter, open_log, room
+from imuarray.log import LogWriter, RotatingWriter, disk_space, open_log
 from imuarray.log.journal import journal_of
 from tests.reliability import storage_rows as rows
 
@@ -241,7 +241,7 @@ def test_a_draft_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pyte
         pytest.raises(DiskFullError, match="no room left on the disk"),
         LogWriter(tmp_path / "run.h5", rows.SENSORS, source="simulated", epoch=rows.EPOCH) as log,
     ):
-        monkeypatch.setattr(room, "free_bytes", lambda path: 2 * MIB)
+        monkeypatch.setattr(disk_space, "free_bytes", lambda path: 2 * MIB)
         for first in range(0, 100_000, 1000):
             log.append("Acc", rows.block(0, first, 1000))
     assert list(tmp_path.iterdir()) == []

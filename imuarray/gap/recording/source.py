@@ -17,8 +17,7 @@ import numpy as np
 from imuarray.gap.recording.row_timing import EvenRows
 from imuarray.log import SensorLog
 from imuarray.log.format import SensorHeader
-from imuarray.log.headers import recorded_header
-from imuarray.log.sensor_log import first_at
+from imuarray.log.sensor_log import first_at, recorded_header
 from imuarray.log.writer import Block
 from imuarray.simulate.sensor import SimulatedSensor
 from imuarray.simulate.simulation import EVERY_FLAG, Simulation

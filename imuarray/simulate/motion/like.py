@@ -15,9 +15,9 @@ from imuarray.arrays import Integers, Reals
 from imuarray.axes import UP_AXES
 from imuarray.calibrate.segments import chip_thermometer
 from imuarray.errors import LogError
+from imuarray.log.columns import Track
 from imuarray.log.format import Phase
 from imuarray.log.reader import Log
-from imuarray.log.tracks import Track
 from imuarray.simulate.motion.faces import FIELD_LEVEL, GRAVITY_LEVEL, resting, standing_on
 from imuarray.simulate.motion.felt import Felt
 from imuarray.simulate.motion.fields import PhaseField, field_at, field_until_ns
