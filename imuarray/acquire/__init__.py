@@ -2,7 +2,7 @@
 
 from imuarray.acquire.detect import Found, detect, explore
 from imuarray.acquire.record import record
+from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sensor_routes import SensorRoute, connect
-from imuarray.acquire.summary import Summary
 
-__all__ = ["Found", "SensorRoute", "Summary", "connect", "detect", "explore", "record"]
+__all__ = ["Found", "RecordingOptions", "SensorRoute", "Summary", "connect", "detect", "explore", "record"]

@@ -288,7 +288,7 @@ class BusSegment:
             text = f"channel {self.key} was not connected: readings of {names} are thrown away"
             self._misrouted.happened(self._clock.now_ns(), text)
         for item in self._queues:  # drained in another's place: what was in them is lost
-            item.missing = True
+            item.mark_lost()
             if item.queue is not None:
                 item.queue.restart()
         self.channel.forget()

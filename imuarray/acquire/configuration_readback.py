@@ -149,7 +149,7 @@ class ConfigurationReadback:
         """Nobody can vouch for the rows that wait: flag them."""
         trusted = self.trusted_rows(buffer)
         if trusted < len(buffer.times_ns):
-            buffer.suspect.append((trusted, len(buffer.times_ns)))
+            buffer.flag_suspect(trusted, len(buffer.times_ns))
             self.restart(buffer)
 
     def trusted_rows(self, buffer: SampleBuffer) -> int:

@@ -18,16 +18,16 @@ from imuarray.acquire.bus_segment import REMOVED, Adapter, BusSegment
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.configuration_readback import ConfigurationReadback
 from imuarray.acquire.fault_episode import FaultEpisodes
+from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_health import SensorHealth
 from imuarray.acquire.sensor_routes import SensorRoute, there_and_back
-from imuarray.acquire.start_up import Judge, StartUp
-from imuarray.acquire.summary import Summary
+from imuarray.acquire.start_up import StartUp
 from imuarray.bus.protocol import OpenBus
 from imuarray.log.format import Event
 from imuarray.log.missed_frames import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
-from imuarray.log.writer import Block, Stimulus
+from imuarray.log.writer import Stimulus
 from imuarray.printable import counted
 
 BATCH = 1024
@@ -49,31 +49,25 @@ class Poll:
         routes: Sequence[SensorRoute],
         bus: OpenBus,
         log: Writer,
-        rate_hz: float,
+        options: RecordingOptions,
         epoch_ns: int,
-        progress: Callable[[int], None] = lambda frames: None,
-        observe: Callable[[str, Block], None] = lambda sensor, block: None,
-        *,
-        wall_time: datetime | None = None,
-        judge: Judge | None = None,
-        tell: Callable[[Event], None] = lambda event: None,
     ) -> None:
+        """`epoch_ns` is time 0 of the log on the bus's clock."""
         self.clock = bus.clock
         self.log = log
-        self.rate_hz = rate_hz
+        self.rate_hz = rate_hz = options.rate_hz
         self.epoch_ns = epoch_ns
-        self.progress = progress
-        self.tell = tell
+        self.options = options
         self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
         self.buffers = {id(route): SampleBuffer(route, rate_hz) for route in routes}
         items = list(self.buffers.values())
         self.faults = FaultEpisodes(self.event)
-        self.intake = Intake(log, epoch_ns, observe, self.faults, self.summary.lost)
+        self.intake = Intake(log, epoch_ns, options.observe, self.faults, self.summary.lost)
         forth = self._segments(routes)
         self.orders = forth, forth[::-1]
         self.places = [(segment, item) for segment in forth for item in segment.items]
         start_ns = self.clock.now_ns()
-        self.start_up = StartUp(items, judge, start_ns) if judge else None
+        self.start_up = StartUp(items, options.judge, start_ns) if options.judge else None
         self.readback = ConfigurationReadback(
             [item for segment in forth for item in segment.items],
             rate_hz,
@@ -81,7 +75,7 @@ class Poll:
             [witness for segment in forth if segment.channel for witness in segment.channel.witnesses],
         )
         self.health = SensorHealth(items, self.readback, self.start_up, self.faults, self.summary.lost)
-        read = clocks_beside(self.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
+        read = clocks_beside(self.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
         self.clocks = Clocks(read, epoch_ns, log.clocks, self.note)
         self.missed = self.faults.of("", "late")
         self.part = 0
@@ -156,7 +150,8 @@ class Poll:
                 self.part = part
             self.missed.happened(now_ns, text, frames)
             for buffer in self.buffers.values():
-                buffer.missing |= buffer.queue is None and not buffer.route.sensor.spec.on_demand
+                if buffer.queue is None and not buffer.route.sensor.spec.on_demand:
+                    buffer.mark_lost()
         return frames
 
     def wait(self, due_ns: int, stopped: Callable[[], bool]) -> None:
@@ -271,8 +266,8 @@ class Poll:
             segment.answered()
         start_ns, certain = adapter.start_of(now_ns, self.clock.now_ns(), buffer.clocks)
         self.summary.uncertain += not certain
-        buffer.silent_since_ns = None
-        if buffer.failed:
+        buffer.end_silence()
+        if buffer.has_failed:
             self.health.arrived(buffer, start_ns)
         buffer.add(burst, start_ns, doubtful=again or not certain)
 
@@ -291,7 +286,7 @@ class Poll:
         """Note that something happened to a sensor, or to the array."""
         event = Event(at_ns - self.epoch_ns, sensor, kind, text)
         self.log.event(event)
-        self.tell(event)
+        self.options.tell(event)
 
     def finish(self) -> None:
         """Vouch for what was read, or flag it; write it; tell the end of what events began."""
@@ -315,7 +310,7 @@ class Poll:
         if self.truth_rows:
             self.log.stimulus("truth", _truth_block(self.truth_rows, self.epoch_ns))
             self.truth_rows = []
-        self.progress(self.summary.frames)
+        self.options.progress(self.summary.frames)
 
 
 def _truth_block(rows: Sequence[tuple[int, Any]], epoch_ns: int) -> Stimulus:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -51,48 +50,44 @@ HELD_S = 10.0
 seldom that it takes longer to tell a frozen reading from chance, rows from before that are written."""
 
 
-@dataclass
 class SampleBuffer:
-    """Bursts of one route that wait to be written; row numbers count from the oldest one that waits."""
+    """Bursts of the sensor at `route`, read in `rate_hz` frames per second, until they are written.
 
-    route: SensorRoute
-    rate_hz: float
-    """Frames per second."""
-    times_ns: list[int] = field(default_factory=list)
-    bursts: bytearray = field(default_factory=bytearray)
-    lost_before: list[int] = field(default_factory=list)
-    overrun: list[int] = field(default_factory=list)
-    reconfigured: list[int] = field(default_factory=list)
-    doubtful: list[int] = field(default_factory=list)
-    """Rows whose time is uncertain, or before which the chip may have been read unheard."""
-    suspect: list[tuple[int, int | None]] = field(default_factory=list)
-    """Stretches of rows [first, last) in which the configuration was wrong; last None: still is."""
-    missing: bool = False
-    failed: bool = False
-    """A visit has failed since the last reading of a sensor that converts when it is asked to."""
-    set_up_again: bool = False
-    condemned: bool = False
-    """Nothing that it says is to be trusted any more."""
-    recovery: Recovery | None = None
-    silent_since_ns: int | None = None
-    _last: npt.NDArray[Any] | None = None
+    Row numbers count from the oldest row that waits. All flags are set through methods.
+    """
 
-    def __post_init__(self) -> None:
-        self.driver = self.route.driver
+    def __init__(self, route: SensorRoute, rate_hz: float) -> None:
+        self.route = route
+        self.driver = route.driver
+        self.rate_hz = rate_hz
+        self._times_ns: list[int] = []
+        self._bursts = bytearray()
+        self._lost_before: list[int] = []
+        self._overrun: list[int] = []
+        self._reconfigured: list[int] = []
+        self._doubtful: list[int] = []  # rows whose time is uncertain, or before which another read may have occurred
+        self._suspect: list[tuple[int, int | None]] = []  # [first, end) of misconfigured rows; end None: until `trust`
+        self._missing = False
+        self._failed = False
+        self._set_up_again = False
+        self._condemned = False
+        self._recovery: Recovery | None = None
+        self._silent_since_ns: int | None = None
+        self._last: npt.NDArray[Any] | None = None
         self.clocks = 9 * (self.driver.burst + 3)  # BUS-02
         self._visited_ns = -(1 << 62)
         self.queue = self.driver.queue if isinstance(self.driver, FifoDriver) else None
         sensor = self.route.sensor
         self._on_demand = sensor.spec.on_demand
         self._converter = self.driver if isinstance(self.driver, OnDemandDriver) else None
-        self._pace_ns = 1e9 * max(1 / sensor.chip_rate_hz, self._frames_of_a_reading() / self.rate_hz)
+        self._reading_period_ns = 1e9 * max(1 / sensor.chip_rate_hz, self._frames_of_a_reading() / self.rate_hz)
         self._awaited_ns: int | None = None
         self._overdue = 0
-        own_pace = self.queue is not None or sensor.spec.on_demand
-        self.always_due = own_pace or sensor.chip_rate_hz >= self.rate_hz
-        self.row_rate_hz = sensor.chip_rate_hz if own_pace else min(self.rate_hz, sensor.chip_rate_hz)
+        has_own_rate = self.queue is not None or sensor.spec.on_demand
+        self.always_due = has_own_rate or sensor.chip_rate_hz >= self.rate_hz
+        self.row_rate_hz = sensor.chip_rate_hz if has_own_rate else min(self.rate_hz, sensor.chip_rate_hz)
         if self._on_demand:
-            self.row_rate_hz = 1e9 / self._pace_ns
+            self.row_rate_hz = 1e9 / self._reading_period_ns
         self._frozen_s = _frozen_s(sensor)
         self._frozen_rows = max(_FROZEN_READINGS, math.ceil(self._frozen_s * self.row_rate_hz))
         self.frozen_rows = self._frozen_rows
@@ -101,9 +96,56 @@ class SampleBuffer:
         self._watch_still = False
         self.doubtful_rows = np.zeros(0, bool)
         self.newest_ns: int | None = None
+        # The last reading that was written, its number of repetitions since the chip was configured, and since when.
         self._written_reading = b""
         self._written_run = self._written_since_ns = 0
-        """The last reading that was written, how often it had come in a row since the chip was set up, since when."""
+
+    @property
+    def times_ns(self) -> Sequence[int]:
+        """Times of the waiting rows."""
+        return self._times_ns
+
+    @property
+    def recovery(self) -> Recovery | None:
+        """The recovery in progress, None while the sensor is read."""
+        return self._recovery
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a visit has failed since the last reading, of a sensor that converts on demand."""
+        return self._failed
+
+    def mark_lost(self) -> None:
+        """Flag the next row: readings were lost just before it."""
+        self._missing = True
+
+    def recover(self, at_ns: int, *, look: bool) -> None:
+        """Begin a recovery at `at_ns` in place of readings (`Recovery`)."""
+        self._recovery = Recovery(self.route, at_ns, look=look)
+
+    def end_recovery(self) -> None:
+        """The sensor is read again."""
+        self._recovery = None
+        self._silent_since_ns = None
+
+    def note_silence(self, at_ns: int) -> int:
+        """Note that a read at `at_ns` failed; for how many ns reads have been failing."""
+        if self._silent_since_ns is None:
+            self._silent_since_ns = at_ns
+        return at_ns - self._silent_since_ns
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether the last read failed."""
+        return self._silent_since_ns is not None
+
+    def end_silence(self) -> None:
+        """Note that a read succeeded."""
+        self._silent_since_ns = None
+
+    def condemn(self) -> None:
+        """Trust no row of this sensor any more: `trust` has no effect from now on."""
+        self._condemned = True
 
     def _frames_of_a_reading(self) -> int:
         """In how many frames a chip that converts on demand is visited for one reading. A result that would be too old
@@ -120,7 +162,7 @@ class SampleBuffer:
 
     def conversion_before(self, due_ns: int) -> int | None:
         """When the conversion is over whose result would be too old in the frame at `due_ns`; None if there is none."""
-        if self._converter is None or self.recovery is not None:
+        if self._converter is None or self._recovery is not None:
             return None
         ready_ns = self._converter.ready_ns
         return None if ready_ns is None or due_ns - ready_ns <= self._converter.lasting_ns else ready_ns
@@ -140,16 +182,17 @@ class SampleBuffer:
         return True
 
     def overdue(self, at_ns: int) -> int:
-        """A visit at `at_ns` gave nothing: how many readings are lost that were not yet, at the last such visit. One a
-        visit, but of a sensor that converts when it is asked to only what its pace had promised since its last reading.
+        """How many more readings are lost now that a visit at `at_ns` gave none: one per visit; of a sensor that
+        converts on demand the number that its reading period promised since its last reading.
         """
         if not self._on_demand:
             return 1
-        self.failed = True
+        self._failed = True
         if self._awaited_ns is None:
             self._awaited_ns = at_ns
-        before, self._overdue = self._overdue, max(math.floor((at_ns - self._awaited_ns) / self._pace_ns + 0.5), 0)
-        return max(self._overdue - before, 0)
+        known = self._overdue
+        self._overdue = max(math.floor((at_ns - self._awaited_ns) / self._reading_period_ns + 0.5), 0)
+        return max(self._overdue - known, 0)
 
     def silent(self, now_ns: int) -> bool:
         """Whether no reading of the last seconds, or of the last few that were due, was taken by `take`."""
@@ -159,51 +202,69 @@ class SampleBuffer:
     def add(self, burst: bytes, at_ns: int, *, doubtful: bool = False) -> None:
         """One fetch: a reading taken at `at_ns`, or as many as a queue held."""
         if doubtful:
-            self.doubtful.append(len(self.times_ns))
-        if self.missing:
-            self.lost_before.append(len(self.times_ns))
-            self.missing = False
-        if self.set_up_again:
-            self.reconfigured.append(len(self.times_ns))
-            self.set_up_again = False
+            self._doubtful.append(len(self._times_ns))
+        if self._missing:
+            self._lost_before.append(len(self._times_ns))
+            self._missing = False
+        if self._set_up_again:
+            self._reconfigured.append(len(self._times_ns))
+            self._set_up_again = False
         if self._on_demand:
-            self._awaited_ns, self._overdue, self.failed = at_ns + round(self._pace_ns), 0, False
+            self._awaited_ns, self._overdue, self._failed = at_ns + round(self._reading_period_ns), 0, False
         if self.queue is None:
-            self.times_ns.append(at_ns)
+            self._times_ns.append(at_ns)
         else:
             if self.queue.overrun:
-                self.overrun.append(len(self.times_ns))
-            self.times_ns += self.queue.drained
-        self.bursts += burst
+                self._overrun.append(len(self._times_ns))
+            self._times_ns += self.queue.drained
+        self._bursts += burst
+
+    def add_rows(self, times_ns: Sequence[int], bursts: bytes, gaps: Sequence[int]) -> None:
+        """Add readings of a stream, taken at `times_ns`; before rows `gaps` of them (ascending) readings were lost."""
+        rows = len(self._times_ns)
+        if self._set_up_again:
+            self._reconfigured.append(rows)
+            self._set_up_again = False
+        first_lost = [0] if self._missing and 0 not in gaps else []
+        self._lost_before += [rows + row for row in (*first_lost, *gaps)]
+        self._missing = False
+        self._times_ns += times_ns
+        self._bursts += bursts
 
     def cut(self, row: int) -> int:
-        """Throw away rows from `row` on, and how many they were: another chip's readings."""
-        count = max(len(self.times_ns) - row, 0)
+        """Discard the rows from `row` on, which are another chip's readings; returns their number."""
+        count = max(len(self._times_ns) - row, 0)
         if count:
-            self.missing = True
-            self.set_up_again |= any(index >= row for index in self.reconfigured)
-            del self.times_ns[row:], self.bursts[row * self.driver.burst :]
-            self.lost_before = [index for index in self.lost_before if index < row]
-            self.overrun = [index for index in self.overrun if index < row]
-            self.doubtful = [index for index in self.doubtful if index < row]
-            self.reconfigured = [index for index in self.reconfigured if index < row]
-            self.suspect = [(min(first, row), None if last is None else min(last, row)) for first, last in self.suspect]
+            self._missing = True
+            self._set_up_again |= any(index >= row for index in self._reconfigured)
+            del self._times_ns[row:], self._bursts[row * self.driver.burst :]
+            self._lost_before = [index for index in self._lost_before if index < row]
+            self._overrun = [index for index in self._overrun if index < row]
+            self._doubtful = [index for index in self._doubtful if index < row]
+            self._reconfigured = [index for index in self._reconfigured if index < row]
+            self._suspect = [
+                (min(first, row), None if last is None else min(last, row)) for first, last in self._suspect
+            ]
             self._still = min(self._still, row)
         return count
 
     def distrust(self, row: int) -> None:
         """Rows from `row` on are suspect, until `trust`."""
-        self.suspect.append((max(row, 0), None))
+        self._suspect.append((max(row, 0), None))
+
+    def flag_suspect(self, first: int, end: int) -> None:
+        """Rows from `first` up to `end`, not included, are suspect."""
+        self._suspect.append((first, end))
 
     def trust(self) -> None:
-        """Rows from now on are good again."""
-        if not self.condemned:
-            self.suspect = [(first, len(self.times_ns) if last is None else last) for first, last in self.suspect]
+        """Rows from now on are good again, unless the sensor is condemned."""
+        if not self._condemned:
+            self._suspect = [(first, len(self._times_ns) if last is None else last) for first, last in self._suspect]
 
     def begin_anew(self) -> None:
         """The chip was set up: its next reading says so, and may be what its last one was."""
-        self.set_up_again = True
-        self._since_set_up = self._still = len(self.times_ns)
+        self._set_up_again = True
+        self._since_set_up = self._still = len(self._times_ns)
         self._written_run = 0
         self._watch_still = self.frozen_reading is not None
 
@@ -211,7 +272,7 @@ class SampleBuffer:
         """The row from which on the reading has not changed, if that is no longer chance; None otherwise. Rows that
         were written before count, and can't be told any more.
         """
-        rows, enough, oldest = len(self.times_ns), self.frozen_rows, self._since_set_up
+        rows, enough, oldest = len(self._times_ns), self.frozen_rows, self._since_set_up
         if rows == oldest or rows - oldest + self._written_run < enough:
             return None
         reading = self._reading(rows - 1)
@@ -222,44 +283,44 @@ class SampleBuffer:
         while first > oldest and self._reading(first - 1) == reading:
             first -= 1
         before = self._written_run if first == 0 and self._written_reading == reading else 0
-        lasted_ns = self.times_ns[-1] - self.still_since_ns(first)
+        lasted_ns = self._times_ns[-1] - self.still_since_ns(first)
         enough_s = lasted_ns >= _FROZEN_SHARE * self._frozen_s * 1e9
         return first if rows - first + before >= enough and enough_s else None
 
     def still_since_ns(self, row: int) -> int:
         """When the reading that has not changed from `row` on came for the first time."""
         goes_on = row == 0 and self._written_run and self._written_reading == self._reading(0)
-        return self._written_since_ns if goes_on else self.times_ns[row]
+        return self._written_since_ns if goes_on else self._times_ns[row]
 
     def thaw(self) -> None:
         """It was found frozen. If a set-up did not change that, it is given longer before the next: it may be quiet."""
         self.frozen_rows = min(2 * self.frozen_rows, _FROZEN_LONGEST) if self._watch_still else self._frozen_rows
-        self.frozen_reading = self._reading(len(self.times_ns) - 1)
+        self.frozen_reading = self._reading(len(self._times_ns) - 1)
 
     def flag_what_is_frozen_still(self) -> None:
         """Rows after a set-up that say what the frozen chip said before it are no better."""
-        while self._watch_still and self._still < len(self.times_ns):
+        while self._watch_still and self._still < len(self._times_ns):
             self._watch_still = self._reading(self._still) == self.frozen_reading
             if self._watch_still:
-                self.suspect.append((self._still, self._still + 1))
+                self._suspect.append((self._still, self._still + 1))
                 self._still += 1
 
     @property
     def moves(self) -> bool:
         """Whether there is a reading since it was set up, other than the one with which it stood still."""
-        return not self._watch_still and len(self.times_ns) > self._since_set_up
+        return not self._watch_still and len(self._times_ns) > self._since_set_up
 
     def _reading(self, row: int) -> bytes:
         start, part = row * self.driver.burst, self.driver.reading
-        return bytes(self.bursts[start + part.start : start + part.stop])
+        return bytes(self._bursts[start + part.start : start + part.stop])
 
     def counts(self) -> npt.NDArray[Any]:
         """What waits since the chip was set up, as counts."""
-        return self.driver.decode(self._bytes(len(self.times_ns))).counts[self._since_set_up :]
+        return self.driver.decode(self._bytes(len(self._times_ns))).counts[self._since_set_up :]
 
     def _bytes(self, count: int) -> npt.NDArray[np.uint8]:
         size = self.driver.burst
-        return np.frombuffer(bytes(self.bursts[: count * size]), np.uint8).reshape(count, size)
+        return np.frombuffer(bytes(self._bursts[: count * size]), np.uint8).reshape(count, size)
 
     def take(self, count: int, epoch_ns: int) -> Block:
         """Decode the oldest `count` rows, at least one, and forget them; `doubtful_rows` (count,) tells which of them
@@ -273,20 +334,20 @@ class SampleBuffer:
         if self.route.sensor.chip_rate_hz > self.rate_hz:
             status &= ~np.uint16(OVERRUN)
         for rows, flag in (
-            (self.lost_before, LOST_BEFORE),
-            (self.overrun, OVERRUN),
-            (self.reconfigured, RECONFIGURED),
+            (self._lost_before, LOST_BEFORE),
+            (self._overrun, OVERRUN),
+            (self._reconfigured, RECONFIGURED),
         ):
             if rows:
                 status[[row for row in rows if row < count]] |= flag
-        for first, last in self.suspect:
+        for first, last in self._suspect:
             status[first:last] |= SUSPECT
         if not self.driver.tells_fresh:
             status |= self._repeated(decoded.counts)
-        times = np.array(self.times_ns[:count], np.int64) - epoch_ns
-        self.newest_ns = self.times_ns[count - 1]
+        times = np.array(self._times_ns[:count], np.int64) - epoch_ns
+        self.newest_ns = self._times_ns[count - 1]
         self.doubtful_rows = np.zeros(count, bool)
-        self.doubtful_rows[[row for row in self.doubtful if row < count]] = True
+        self.doubtful_rows[[row for row in self._doubtful if row < count]] = True
         self._count_run(count)
         self._forget(count)
         return Block(times, decoded.counts, status, decoded.temperature_counts, decoded.compensated)
@@ -301,21 +362,21 @@ class SampleBuffer:
             first -= 1
         goes_on = first == 0 and self._written_run > 0 and reading == self._written_reading
         if not goes_on:
-            self._written_run, self._written_since_ns = 0, self.times_ns[first]
+            self._written_run, self._written_since_ns = 0, self._times_ns[first]
         self._written_run += count - first
         self._written_reading = reading
 
     def _forget(self, count: int) -> None:
-        del self.times_ns[:count], self.bursts[: count * self.driver.burst]
-        self.lost_before = _later(self.lost_before, count)
-        self.overrun = _later(self.overrun, count)
-        self.doubtful = _later(self.doubtful, count)
-        self.reconfigured = _later(self.reconfigured, count)
+        del self._times_ns[:count], self._bursts[: count * self.driver.burst]
+        self._lost_before = _later(self._lost_before, count)
+        self._overrun = _later(self._overrun, count)
+        self._doubtful = _later(self._doubtful, count)
+        self._reconfigured = _later(self._reconfigured, count)
         self._since_set_up = max(self._since_set_up - count, 0)
         self._still = max(self._still - count, 0)
-        self.suspect = [
+        self._suspect = [
             (max(first - count, 0), None if last is None else last - count)
-            for first, last in self.suspect
+            for first, last in self._suspect
             if last is None or last > count
         ]
 

@@ -127,14 +127,14 @@ class SensorHealth:
         if error is None:
             return
         state.lost.happened(at_ns, f"no reading: {error.strerror or error} (errno {error.errno})", count)
-        if buffer.silent_since_ns is None:
-            buffer.silent_since_ns = at_ns
-        elif error.errno in HUNG or at_ns - buffer.silent_since_ns >= AWAY_NS:
-            buffer.recovery = Recovery(buffer.route, at_ns, look=True)
+        was_silent = buffer.is_silent
+        silent_ns = buffer.note_silence(at_ns)
+        if was_silent and (error.errno in HUNG or silent_ns >= AWAY_NS):
+            buffer.recover(at_ns, look=True)
 
     def set_up_later(self, buffer: SampleBuffer, at_ns: int) -> None:
         """Its adapter was removed: it may lose its supply, and is set up when the adapter is there again."""
-        buffer.recovery = Recovery(buffer.route, at_ns, look=False)
+        buffer.recover(at_ns, look=False)
 
     def step(self, buffer: SampleBuffer, now_ns: int) -> OSError | None:
         """In place of a reading: a piece of the way back. What the bus said, if it failed."""
@@ -163,13 +163,13 @@ class SensorHealth:
         """Readings that are now known to be lost."""
         count = buffer.overdue(at_ns)
         self._lost[self._states[id(buffer)].name] += count
-        buffer.missing |= count > 0
+        if count:
+            buffer.mark_lost()
         return count
 
     def _recovered(self, buffer: SampleBuffer, recovery: Recovery, state: _SensorState, now_ns: int) -> None:
         took_s = (now_ns - recovery.since_ns) * 1e-9
-        buffer.recovery = None
-        buffer.silent_since_ns = None
+        buffer.end_recovery()
         state.last_row_ns = now_ns
         state.lost.over(now_ns)
         for episode in state.unwell:
@@ -189,7 +189,7 @@ class SensorHealth:
     def not_as_it_was(self, buffer: SampleBuffer, at_ns: int, kind: str, message: str) -> None:
         """The watch found that a chip is not configured as it was, or not ours; its rows are flagged already."""
         self._states[id(buffer)].falls_ill(at_ns, kind, message)
-        buffer.recovery = Recovery(buffer.route, at_ns, look=False)
+        buffer.recover(at_ns, look=False)
 
     # Now and then ---------------------------------------------------------------------------------------------------
 
@@ -218,7 +218,7 @@ class SensorHealth:
             if state.frozen.lasts and buffer.moves:
                 state.frozen.over(now_ns, told=True)  # by the event that it was set up again
             return
-        buffer.recovery = Recovery(buffer.route, now_ns, look=False)
+        buffer.recover(now_ns, look=False)
 
     def _judge(self, start_up: StartUp, now_ns: int, *, last: bool) -> None:
         for buffer, verdict in start_up.verdicts(now_ns, last=last):
@@ -228,9 +228,9 @@ class SensorHealth:
                 continue
             buffer.distrust(0)
             if start_up.hopeless(buffer):
-                buffer.condemned = True
+                buffer.condemn()
             elif not last:
-                buffer.recovery = Recovery(buffer.route, now_ns, look=False)
+                buffer.recover(now_ns, look=False)
 
     def finish(self, now_ns: int) -> None:
         """The log ends: judge what there is."""

@@ -14,12 +14,12 @@ from datetime import UTC, datetime
 
 from imuarray.acquire.clocks import Clocks, clocks_beside
 from imuarray.acquire.fault_episode import FaultEpisodes
+from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sample_buffer import Intake, SampleBuffer
 from imuarray.acquire.sensor_routes import SensorRoute
-from imuarray.acquire.start_up import Judge, StartUp
+from imuarray.acquire.start_up import StartUp
 from imuarray.acquire.stream_health import StreamHealth
 from imuarray.acquire.stream_plan import LINK, Rows, plan
-from imuarray.acquire.summary import Summary
 from imuarray.bus.protocol import MuxChannel, OpenBus
 from imuarray.bus.serial_bus import Samples, SerialBus
 from imuarray.bus.serial_link import LinkError
@@ -27,7 +27,6 @@ from imuarray.errors import BusUrlError
 from imuarray.log.format import Event
 from imuarray.log.missed_frames import frames_in
 from imuarray.log.rotate import RotatingWriter, Writer
-from imuarray.log.writer import Block
 from imuarray.printable import counted
 
 WRITE_NS = 1_000_000_000
@@ -56,35 +55,30 @@ class Streaming:
         routes: Sequence[SensorRoute],
         bus: OpenBus,
         log: Writer,
-        rate_hz: float,
+        options: RecordingOptions,
         epoch_ns: int,
-        progress: Callable[[int], None] = lambda frames: None,
-        observe: Callable[[str, Block], None] = lambda sensor, block: None,
-        *,
-        wall_time: datetime | None = None,
-        judge: Judge | None = None,
-        tell: Callable[[Event], None] = lambda event: None,
     ) -> None:
+        """`epoch_ns` is time 0 of the log on the bus's clock."""
         if not isinstance(bus, SerialBus):
             raise TypeError(f"{type(bus).__name__} can't stream")
-        self._bus, self._log, self._epoch_ns, self._rate_hz = bus, log, epoch_ns, rate_hz
-        self._progress, self._tell = progress, tell
+        self._rate_hz = rate_hz = options.rate_hz
+        self._bus, self._log, self._epoch_ns, self._options = bus, log, epoch_ns, options
         self.summary = Summary(lost={route.sensor.name: 0 for route in routes})
         self._faults = FaultEpisodes(self._event)
-        self._intake = Intake(log, epoch_ns, observe, self._faults, self.summary.lost)
+        self._intake = Intake(log, epoch_ns, options.observe, self._faults, self.summary.lost)
         self._plan = plan(routes, rate_hz)
         self._rows = [
             Rows(SampleBuffer(route, rate_hz), places) for route, places in zip(routes, self._plan.visits, strict=True)
         ]
         now_ns = bus.clock.now_ns()
-        start_up = StartUp([rows.buffer for rows in self._rows], judge, now_ns) if judge else None
+        start_up = StartUp([rows.buffer for rows in self._rows], options.judge, now_ns) if options.judge else None
         self._health = StreamHealth(self._rows, self._plan.watched, start_up, self._note)
         self._link = self._faults.of("", "link")
         self._refused = self._faults.of("", "refused")
         self._refused_before = Counter(bus.refused)
         self._period_rate_hz = rate_hz * self._plan.split
         self._silence_ns = max(SILENCE_NS, round(SILENT_PERIODS * self._longest_pause_s() * 1e9))
-        read = clocks_beside(bus.clock, epoch_ns, wall_time or datetime.fromtimestamp(0, UTC))
+        read = clocks_beside(bus.clock, epoch_ns, options.wall_time or datetime.fromtimestamp(0, UTC))
         self._clocks = Clocks(read, epoch_ns, log.clocks, self._note_of_all)
         self._periods: int | None = None  # how many are wanted; `split` of them are a frame
         self._begun = 0  # periods before the stream was last started
@@ -210,7 +204,7 @@ class Streaming:
         self._begun += self._newest + 1
         for rows in self._rows:
             self._count_lost(rows, rows.missing(self._newest))
-            rows.buffer.missing = True
+            rows.buffer.mark_lost()
             rows.restart()
         self._newest = -1
         self._bus.start(self._plan.lists, round(1e6 / self._period_rate_hz))
@@ -272,7 +266,7 @@ class Streaming:
                 self._intake.write(rows.buffer, count, self._written_ns)
                 self._health.written(rows, count)
         self._faults.settle(self._written_ns)
-        self._progress(self.summary.frames)
+        self._options.progress(self.summary.frames)
 
     def _note(self, rows: Rows, kind: str, text: str) -> None:
         """Something happened to a sensor."""
@@ -286,7 +280,7 @@ class Streaming:
         """Write an event down, and tell it."""
         event = Event(at_ns - self._epoch_ns, sensor, kind, text)
         self._log.event(event)
-        self._tell(event)
+        self._options.tell(event)
 
 
 def _until(samples: Samples, number: int) -> Samples:

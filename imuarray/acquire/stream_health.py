@@ -90,8 +90,9 @@ class StreamHealth:
                 self._note(rows, "start_up", verdict.text)
             if verdict.fault:
                 buffer.distrust(0)
-                buffer.condemned = start_up.hopeless(buffer)
-                if not buffer.condemned:
+                if start_up.hopeless(buffer):
+                    buffer.condemn()
+                else:
                     self.ill[id(rows)] = rows
 
     def set_up_again(self, now_ns: int) -> None:
@@ -128,7 +129,7 @@ class StreamHealth:
             return waiting
         vouched = self._vouched(rows)
         if waiting - vouched > max(HELD_S * buffer.row_rate_hz, held):
-            buffer.suspect.append((vouched, waiting))
+            buffer.flag_suspect(vouched, waiting)
             for check in self._checks[id(rows)]:
                 check.good_rows = waiting
         return max(0, min(self._vouched(rows), waiting - held))

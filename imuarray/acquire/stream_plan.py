@@ -240,16 +240,7 @@ class Rows:
             return 0, readings.failure
         buffer, every = self.buffer, self.places[-1].every
         gaps = np.diff(readings.numbers, prepend=self._last) // every - 1
-        rows = len(buffer.times_ns)
-        if buffer.set_up_again:
-            buffer.reconfigured.append(rows)
-            buffer.set_up_again = False
-        buffer.lost_before += [rows + int(row) for row in np.flatnonzero(gaps)]
-        if buffer.missing and not gaps[0]:
-            buffer.lost_before.insert(len(buffer.lost_before) - np.count_nonzero(gaps), rows)
-        buffer.missing = False
-        buffer.times_ns += readings.times_ns.tolist()
-        buffer.bursts += readings.parts.tobytes()
+        buffer.add_rows(readings.times_ns.tolist(), readings.parts.tobytes(), np.flatnonzero(gaps).tolist())
         self._last = int(readings.numbers[-1])
         return int(gaps.sum()), readings.failure
 

@@ -64,7 +64,8 @@ def test_flags_stay_with_their_rows(steps: list[tuple[str, int]]) -> None:
             ours.add(burst_of(now_ns // 1000 % 8000), now_ns)
             plain.add(now_ns)
         elif step == "miss":
-            ours.missing = plain.missing = True
+            ours.mark_lost()
+            plain.missing = True
         elif step == "cut":
             ours.cut(row)
             plain.cut(row)
@@ -84,6 +85,49 @@ def test_flags_stay_with_their_rows(steps: list[tuple[str, int]]) -> None:
             assert block.counts[:, 0].tolist() == [each["at"] // 1000 % 8000 for each in plain.rows[:row]]
             del plain.rows[:row]
     assert ours.times_ns == [each["at"] for each in plain.rows]
+
+
+def test_the_row_behind_the_written_ones_keeps_its_flags() -> None:
+    """The boundary: rows 0 and 1 are written, row 2 is the first that stays, and it is the flagged one."""
+    ours = buffer()
+    ours.add(burst_of(1), 0)
+    ours.add(burst_of(2), 1000)
+    ours.mark_lost()
+    ours.begin_anew()
+    ours.add(burst_of(3), 2000, doubtful=True)
+    assert ours.take(2, 0).status.tolist() == [0, 0]
+    ours.add(burst_of(4), 3000)
+    assert ours.take(2, 0).status.tolist() == [LOST_BEFORE | RECONFIGURED, 0]
+    assert ours.doubtful_rows.tolist() == [True, False]
+
+
+def test_the_row_after_discarded_ones_is_flagged() -> None:
+    ours = buffer()
+    for index in range(3):
+        ours.add(burst_of(index), index * 1000)
+    assert ours.cut(1) == 2
+    ours.add(burst_of(8), 3000)
+    ours.add(burst_of(9), 4000)
+    block = ours.take(3, 0)
+    assert block.counts[:, 0].tolist() == [0, 8, 9]
+    assert block.status.tolist() == [0, LOST_BEFORE, 0]
+
+
+def test_nothing_discarded_is_nothing_lost() -> None:
+    ours = buffer()
+    ours.add(burst_of(1), 0)
+    assert ours.cut(1) == 0
+    ours.add(burst_of(2), 1000)
+    assert ours.take(2, 0).status.tolist() == [0, 0]
+
+
+def test_rows_of_a_stream_are_flagged_where_readings_are_missing() -> None:
+    """Lost rows before the stream and lost rows inside it are both flagged, once each."""
+    ours = buffer()
+    ours.mark_lost()
+    ours.add_rows([0, 1000, 2000], b"".join(map(burst_of, (1, 2, 3))), [2])
+    ours.add_rows([3000, 4000], b"".join(map(burst_of, (4, 5))), [0])
+    assert ours.take(5, 0).status.tolist() == [LOST_BEFORE, 0, LOST_BEFORE, LOST_BEFORE, 0]
 
 
 FRAME_NS = 20_000_000

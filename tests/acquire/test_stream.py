@@ -16,7 +16,7 @@ import pytest
 
 from firmware_emulator import serial_firmware
 from imuarray.acquire import connect
-from imuarray.acquire.poll import Summary
+from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.start_up import Verdict
 from imuarray.acquire.stream import Streaming, streams
 from imuarray.acquire.stream_plan import plan
@@ -59,7 +59,7 @@ def stream(
 
         headers = [header_of(route.sensor, route.driver.header()) for route in routes]
         with LogWriter(path, headers, source=bus.source, epoch="1970-01-01T00:00:00Z") as log:
-            recording = Streaming(routes, bus, log, rate_hz, start_ns, **further)
+            recording = Streaming(routes, bus, log, RecordingOptions(rate_hz, **further), start_ns)
             recording.run(seconds, stopped)
     return recording.summary, start_ns
 

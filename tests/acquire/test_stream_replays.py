@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from imuarray.acquire.summary import Summary
+from imuarray.acquire.recording import Summary
 from imuarray.array import ArrayConfig
 from imuarray.log import open_log
 from tests.acquire.test_stream import LOST, MS, SUSPECT, events, logged, on_the_wire, stream

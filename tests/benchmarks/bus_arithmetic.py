@@ -13,6 +13,7 @@ from typing import Any
 from compare import Row, row
 
 from imuarray.acquire.poll import Poll
+from imuarray.acquire.recording import RecordingOptions
 from imuarray.acquire.sensor_routes import connect
 from imuarray.array import load_array
 from imuarray.bus import open_bus
@@ -64,7 +65,7 @@ def ours(folder: Path, rate_hz: float) -> tuple[float, float, float, float]:
         with LogWriter(
             folder / "frame.h5", headers, source="emulated", epoch="1970-01-01T00:00:00Z", force=True
         ) as log:
-            poll = Poll(stations, bus, log, rate_hz, 0, lambda frames: None)
+            poll = Poll(stations, bus, log, RecordingOptions(rate_hz), 0)
             poll.write = lambda: None  # type: ignore[method-assign]  # the wire is measured, not the file
             clocks, times, transactions = [], [], wire.transactions
             due_ns = bus.clock.now_ns()

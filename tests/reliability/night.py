@@ -18,8 +18,8 @@ from firmware_emulator.faults import faults_from
 from firmware_emulator.faulty_board import with_faults
 from imuarray.acquire import fault_episode
 from imuarray.acquire.poll import Poll
+from imuarray.acquire.recording import RecordingOptions, Summary
 from imuarray.acquire.sensor_routes import connect
-from imuarray.acquire.summary import Summary
 from imuarray.array import ArrayConfig, parse_array
 from imuarray.log.format import Event
 from imuarray.log.writer import Block
@@ -107,7 +107,8 @@ def night(
         stations = connect(array, bus)
         epoch_ns = bus.clock.now_ns()
         wall = datetime(2026, 3, 1, tzinfo=UTC)
-        poll = Poll(stations, bus, memory, rate_hz, epoch_ns, wall_time=wall, judge=judge)  # type: ignore[arg-type]
+        options = RecordingOptions(rate_hz, wall_time=wall, judge=judge)
+        poll = Poll(stations, bus, memory, options, epoch_ns)  # type: ignore[arg-type]
         poll.truth = None
         with patch.object(
             fault_episode, "LONGEST_QUIET_NS", fault_episode.QUIET_NS if each else fault_episode.LONGEST_QUIET_NS
