@@ -12,7 +12,7 @@ import click
 
 if TYPE_CHECKING:
     from imuarray.calibrate import Calibration
-    from imuarray.monitor import Snapshot, Watch
+    from imuarray.monitor import LogMonitor, Snapshot
 
 
 @click.command("monitor")
@@ -62,7 +62,7 @@ def command(
     result: Path | None,
     parent: int | None,
 ) -> None:
-    """Watch a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
+    """LogMonitor a log while it is written: rates, gaps, events, disk, every sensor, the fused output.
 
     Serves a page to this machine's browser; with --text the same in the terminal. It only reads, at low priority, and
     follows a log that is cut into parts.
@@ -76,13 +76,12 @@ def command(
     if once and not (run.exists() or run.with_name(f"{run.stem}_001{run.suffix}").exists()):
         raise click.UsageError(f"{run}: no such file")
     if as_text or as_json:
-        with _watch(run, known, result) as watch:
-            _look_on(watch, every_s, as_json=as_json, once=once)
+        with _monitor(run, known, result) as monitor:
+            _show(monitor, every_s, as_json=as_json, once=once)
     else:
-        from imuarray.monitor.server import serve
+        from imuarray.monitor.server import PageOptions, serve
 
-        serve(
-            run,
+        page = PageOptions(
             host=host,
             port=port,
             calibration=known,
@@ -91,14 +90,15 @@ def command(
             announce=click.echo,
             parent=parent,
         )
+        serve(run, page)
 
 
-def _watch(run: Path, calibration: Calibration | None, result: Path | None) -> Watch:
-    from imuarray.monitor import Watch
-    from imuarray.monitor.priority import step_back
+def _monitor(run: Path, calibration: Calibration | None, result: Path | None) -> LogMonitor:
+    from imuarray.monitor import LogMonitor
+    from imuarray.monitor.server import step_back
 
     step_back()
-    return Watch(run, calibration=calibration, result=result)
+    return LogMonitor(run, calibration=calibration, result=result)
 
 
 def _calibration(path: Path | None) -> Calibration | None:
@@ -107,7 +107,7 @@ def _calibration(path: Path | None) -> Calibration | None:
     return None if path is None else load_calibration(path)
 
 
-def _look_on(watch: Watch, every_s: float, *, as_json: bool, once: bool) -> None:
+def _show(monitor: LogMonitor, every_s: float, *, as_json: bool, once: bool) -> None:
     """Look and show, again and again until the log has ended, or Ctrl-C."""
     from imuarray.commands.monitor_screen import Screen
     from imuarray.monitor.text import lines_of
@@ -115,7 +115,7 @@ def _look_on(watch: Watch, every_s: float, *, as_json: bool, once: bool) -> None
     ends = nullcontext() if once else suppress(KeyboardInterrupt)  # Ctrl-C is the usual end of looking on
     with ends, Screen() as screen:
         while True:
-            snapshot = _counted(watch) if once else watch.refresh(time.monotonic())
+            snapshot = _complete(monitor) if once else monitor.refresh(time.monotonic())
             if as_json:
                 _show_json(snapshot)
             elif once:
@@ -127,10 +127,10 @@ def _look_on(watch: Watch, every_s: float, *, as_json: bool, once: bool) -> None
             screen.rest(every_s)
 
 
-def _counted(watch: Watch) -> Snapshot:
+def _complete(monitor: LogMonitor) -> Snapshot:
     """The first look in which all of the log was counted."""
     while True:
-        snapshot = watch.refresh(time.monotonic())
+        snapshot = monitor.refresh(time.monotonic())
         if snapshot.counted == 1.0:
             return snapshot
 

@@ -1,5 +1,7 @@
-"""The page's figures, drawn by Bokeh in the browser: here are their axes and colours, there comes the data. The page
-names the curves beside the numbers above, in the same colours.
+"""The page's figures, drawn by Bokeh in the browser: axes and colours are defined here, the data come from the
+snapshots.
+
+The page labels the curves next to the numbers above, in the same colours.
 """
 
 from __future__ import annotations

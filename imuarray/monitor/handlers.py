@@ -1,4 +1,4 @@
-"""What the server answers: the page, its parts, the log's snapshot, the figures."""
+"""The HTTP handlers of the page: the page, its parts, the log's snapshot, the figures."""
 
 from __future__ import annotations
 
@@ -6,23 +6,21 @@ import json
 from collections.abc import Awaitable
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bokeh.util.paths import bokehjs_path
 from tornado.escape import url_escape
 from tornado.template import Template
 from tornado.web import Application, HTTPError, RequestHandler
 
-from imuarray.monitor.guard import HEADERS, refusal
-
-if TYPE_CHECKING:
-    from imuarray.monitor.server import Looks
+from imuarray.monitor.access import HEADERS, refusal
+from imuarray.monitor.shared_snapshots import SharedSnapshots
 
 _PARTS = {"page.css": "text/css; charset=utf-8", "page.js": "text/javascript; charset=utf-8"}
 _BOKEH = "bokeh.min.js"
 
 
-class _Guarded(RequestHandler):
+class _CheckedHandler(RequestHandler):
     """GET and HEAD, for whom the page is. A subclass has `get`; of its answer to HEAD, Tornado sends the headers."""
 
     SUPPORTED_METHODS = ("GET", "HEAD")
@@ -31,8 +29,8 @@ class _Guarded(RequestHandler):
         answer: Awaitable[None] | None = self.get(*names)
         return answer
 
-    def initialize(self, looks: Looks, token: str, parts: Traversable) -> None:
-        self.looks, self.token, self.parts = looks, token, parts
+    def initialize(self, snapshots: SharedSnapshots, token: str, parts: Traversable) -> None:
+        self.snapshots, self.token, self.parts = snapshots, token, parts
 
     def set_default_headers(self) -> None:
         for name, value in HEADERS.items():
@@ -50,14 +48,14 @@ class _Guarded(RequestHandler):
         self.finish(f"{status_code} {self._reason}\n")
 
 
-class _Page(_Guarded):
+class _Page(_CheckedHandler):
     def get(self) -> None:
         query = f"?token={url_escape(self.token)}" if self.token else ""
         template = Template(self.parts.joinpath("page.html").read_text(encoding="utf-8"), autoescape="xhtml_escape")
-        self.finish(template.generate(query=query, every_ms=round(self.looks.every_s * 1e3)))
+        self.finish(template.generate(query=query, every_ms=round(self.snapshots.every_s * 1e3)))
 
 
-class _Part(_Guarded):
+class _Part(_CheckedHandler):
     def get(self, name: str) -> None:
         if name == _BOKEH:
             content, kind = (Path(bokehjs_path()) / "js" / _BOKEH).read_bytes(), _PARTS["page.js"]
@@ -68,22 +66,22 @@ class _Part(_Guarded):
         self.finish(content)
 
 
-class _Snapshot(_Guarded):
+class _Snapshot(_CheckedHandler):
     async def get(self) -> None:
         self.set_header("Content-Type", "application/json")
-        self.finish(await self.looks.text())
+        self.finish(await self.snapshots.text())
 
 
-class _Figures(_Guarded):
+class _Figures(_CheckedHandler):
     async def get(self) -> None:
-        figures = await self.looks.figures(self.get_query_argument("theme", "light") or "light")
+        figures = await self.snapshots.figures(self.get_query_argument("theme", "light") or "light")
         self.set_header("Content-Type", "application/json")
         self.finish(json.dumps(figures))
 
 
-def application(looks: Looks, token: str, parts: Traversable) -> Application:
+def application(snapshots: SharedSnapshots, token: str, parts: Traversable) -> Application:
     """The server's answers; every request needs `token`, if there is one. `parts` holds the page."""
-    shared = {"looks": looks, "token": token, "parts": parts}
+    shared = {"snapshots": snapshots, "token": token, "parts": parts}
     names = "|".join((*_PARTS, _BOKEH)).replace(".", r"\.")
     return Application(
         [
@@ -92,14 +90,14 @@ def application(looks: Looks, token: str, parts: Traversable) -> Application:
             (r"/snapshot\.json", _Snapshot, shared),
             (r"/figures\.json", _Figures, shared),
         ],
-        default_handler_class=_NotThere,
+        default_handler_class=_MissingPage,
         default_handler_args=shared,
         compress_response=True,
         log_function=lambda handler: None,
     )
 
 
-class _NotThere(_Guarded):
+class _MissingPage(_CheckedHandler):
     def prepare(self) -> None:
         super().prepare()
         raise HTTPError(404)

@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from imuarray.monitor.notes import HARMLESS
+from imuarray.monitor.event_counts import HARMLESS
 from imuarray.monitor.snapshot import Floats, FusedView, SensorView, Snapshot, Times
 from imuarray.printable import printable
 from imuarray.units import READABLE, READABLE_SI

@@ -1,155 +1,108 @@
-"""The page's server, on Tornado: it looks at the log only when somebody asks, and no more often than once in a while.
+"""The page's server, on Tornado: it reads the log only when a client asks, and at most once per interval.
 
-The page asks again and again (it needs no connection that lasts, so that there is none to lose); several pages share a
-look. Nothing is written anywhere.
+The page polls (it needs no lasting connection, so that none can be lost); several pages share a snapshot. Nothing is
+written.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import signal
 import socket
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from imuarray.calibrate import Calibration
 from imuarray.errors import ImuArrayError, MissingExtraError
-from imuarray.monitor.figures import THEMES, Kind, figures
-from imuarray.monitor.guard import is_own, new_token
-from imuarray.monitor.payload import drawn
-from imuarray.monitor.priority import step_back
-from imuarray.monitor.snapshot import Snapshot
-from imuarray.monitor.watch import SPAN_S, Watch
-from imuarray.units import READABLE, READABLE_SI
+from imuarray.monitor.access import is_own, new_token
+from imuarray.monitor.log_monitor import LogMonitor
+from imuarray.monitor.shared_snapshots import SharedSnapshots
 
 PORT = 8765
+NICENESS = 10
+"""Added to this process's: at equal demand the logger gets ten times as much of a processor."""
 LINGER_S = 3.0
 """How long a page that is looked at is served on when the server is asked to end: it learns how the log ended."""
 
 _STEP_S = 0.2
-_XYZ = ("x", "y", "z")
 
 
-class Looks:
-    """Looks at one log, shared by all who ask; they are made in a thread of their own, one at a time."""
+@dataclass(frozen=True)
+class PageOptions:
+    """How a page is served.
 
-    def __init__(self, watch: Watch, every_s: float) -> None:
-        self.every_s = every_s
-        self._watch = watch
-        self._thread = ThreadPoolExecutor(1, "look")
-        self._lock = asyncio.Lock()
-        self._snapshot: Snapshot | None = None
-        self._text = b"{}"
-        self._is_closed = False
-        self._looked_s = self.asked_s = float("-inf")
+    `host` and `port` (0: any free one) to listen on; `token` that a request must contain (None: a new one, unless only
+    this machine can reach `host`). `calibration` and `result` as of `LogMonitor`. The log is read at most once in
+    `every_s`; `announce` receives the address of the page; the server ends with the process `parent`.
+    """
 
-    async def text(self) -> bytes:
-        """The last look as JSON, or a new one if that is old and there are more looks."""
-        self.asked_s = time.monotonic()
-        async with self._lock:
-            if not self._is_closed and time.monotonic() - self._looked_s > 0.8 * self.every_s:
-                self._looked_s = time.monotonic()
-                await asyncio.get_running_loop().run_in_executor(self._thread, self._look)
-        return self._text
-
-    def _look(self) -> None:
-        self._snapshot = self._watch.refresh(time.monotonic())
-        self._text = json.dumps(drawn(self._snapshot), allow_nan=False, separators=(",", ":")).encode()
-
-    async def figures(self, theme: str) -> dict[str, Any]:
-        """The figures that this log needs."""
-        await self.text()
-        views = self._snapshot.sensors if self._snapshot else ()
-        shown = {(view.columns, view.unit) for view in views}
-        kinds = {Kind("trace", *one) for one in shown}
-        kinds |= {
-            Kind("density", _XYZ, READABLE.get(unit, (1.0, unit))[1]) for columns, unit in shown if columns == _XYZ
-        }
-        kinds |= {Kind("trace", _XYZ, unit) for _, unit in READABLE_SI.values()}
-        make = partial(figures, sorted(kinds), theme if theme in THEMES else "light", SPAN_S)
-        if self._is_closed:
-            return make()
-        return await asyncio.get_running_loop().run_in_executor(self._thread, make)
-
-    def close(self) -> None:
-        """No more looks: who still asks gets the last one."""
-        self._is_closed = True
-        self._thread.shutdown()
-        self._watch.close()
+    host: str = "127.0.0.1"
+    port: int = PORT
+    token: str | None = None
+    calibration: Calibration | None = None
+    result: Path | None = None
+    every_s: float = 1.0
+    announce: Callable[[str], None] = print
+    parent: int | None = None
 
 
-def serve(
-    path: Path,
-    *,
-    host: str = "127.0.0.1",
-    port: int = PORT,
-    token: str | None = None,
-    calibration: Calibration | None = None,
-    result: Path | None = None,
-    every_s: float = 1.0,
-    announce: Callable[[str], None] = print,
-    parent: int | None = None,
-) -> None:
-    """Serve the page of the log at `path` until SIGINT, SIGTERM or the end of the process `parent`; lowers this
-    process's priority. `announce` is told the address, with a new token in it (None) unless only this machine can reach
-    it. `result` as of `Watch`. MissingExtraError without Bokeh, ImuArrayError if nothing can be served there.
+def serve(path: Path, options: PageOptions) -> None:
+    """Serve the page of the log at `path` until SIGINT, SIGTERM or the end of `options.parent`, at low priority.
+
+    MissingExtraError without Bokeh, ImuArrayError if the address can't be served.
     """
     try:
-        import bokeh  # noqa: F401  # says at once what is missing, not at the first figure
+        import bokeh  # noqa: F401  # reports at once what is missing, not at the first figure
         import tornado.web  # noqa: F401
     except ModuleNotFoundError as error:
         raise MissingExtraError(error.name or "bokeh", "monitor") from None
-    wanted = "" if is_own(host) else (token or new_token())
-    listening = _socket(host, port)
-    if parent is None:  # else it did that already
+    token = "" if is_own(options.host) else (options.token or new_token())
+    listening = _socket(options.host, options.port)
+    if options.parent is None:  # else it did that already
         step_back()
-    watch = Watch(path, calibration=calibration, result=result)
-    asyncio.run(_serve(listening, watch, every_s, wanted, host, announce, parent))
+    asyncio.run(_serve(path, listening, token, options))
+
+
+def step_back() -> None:
+    """Lower the priority of this process: recording comes first."""
+    if hasattr(os, "nice"):  # Windows has none
+        with contextlib.suppress(OSError):
+            os.nice(NICENESS)
 
 
 def _socket(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        found = socket.create_server((host.strip("[]"), port), family=family)
+        listening = socket.create_server((host.strip("[]"), port), family=family)
     except OSError as error:
         why = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
         raise ImuArrayError(f"{host}:{port}: can't serve there: {why}; choose another --port or --host") from None
-    found.setblocking(False)
-    return found
+    listening.setblocking(False)
+    return listening
 
 
-async def _serve(
-    listening: socket.socket,
-    watch: Watch,
-    every_s: float,
-    token: str,
-    host: str,
-    announce: Callable[[str], None],
-    parent: int | None,
-) -> None:
+async def _serve(path: Path, listening: socket.socket, token: str, options: PageOptions) -> None:
     from tornado.httpserver import HTTPServer
 
     from imuarray.monitor.handlers import application
 
-    looks = Looks(watch, every_s)
+    monitor = LogMonitor(path, calibration=options.calibration, result=options.result)
+    snapshots = SharedSnapshots(monitor, options.every_s)
     server = HTTPServer(
-        application(looks, token, files("imuarray.monitor")), max_body_size=1 << 10, max_header_size=1 << 14
+        application(snapshots, token, files("imuarray.monitor")), max_body_size=1 << 10, max_header_size=1 << 14
     )
     server.add_socket(listening)
-    announce(address_of(host, listening.getsockname()[1], token))
+    options.announce(address_of(options.host, listening.getsockname()[1], token))
     try:
-        await _until_asked_to_end(looks, parent)
+        await _until_asked_to_end(snapshots, options.parent)
     finally:
         server.stop()
-        looks.close()
+        snapshots.close()
 
 
 def address_of(host: str, port: int, token: str) -> str:
@@ -160,7 +113,7 @@ def address_of(host: str, port: int, token: str) -> str:
     return f"http://{name}:{port}/" + (f"?token={token}" if token else "")
 
 
-async def _until_asked_to_end(looks: Looks, parent: int | None) -> None:
+async def _until_asked_to_end(snapshots: SharedSnapshots, parent: int | None) -> None:
     """Ctrl-C ends it at once; where a page was looking a moment ago, SIGTERM and the end of `parent` a little later."""
     at_once, soon = asyncio.Event(), asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -170,6 +123,6 @@ async def _until_asked_to_end(looks: Looks, parent: int | None) -> None:
     while not (at_once.is_set() or soon.is_set() or (parent is not None and os.getppid() != parent)):
         await asyncio.sleep(_STEP_S)
     end_s = time.monotonic() + LINGER_S
-    watched = time.monotonic() - looks.asked_s < LINGER_S
+    watched = time.monotonic() - snapshots.asked_s < LINGER_S
     while watched and not at_once.is_set() and time.monotonic() < end_s:
         await asyncio.sleep(_STEP_S)

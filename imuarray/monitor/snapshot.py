@@ -1,4 +1,4 @@
-"""What is to be seen of a log at one moment. SI is left here for the units of the sensors: people read g and dps."""
+"""The state of a log at one moment, in the units of the sensors (g, dps), which people read, instead of SI."""
 
 from __future__ import annotations
 

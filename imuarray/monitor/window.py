@@ -1,10 +1,10 @@
-"""The last seconds of one sensor's rows, and how many were delayed or never came, counted while they pass.
+"""The last seconds of one sensor's rows, with counts of delayed and missing rows.
 
-Frames are read there and back: a sensor that comes first in one frame comes last in the next, so that a row's neighbour
-may be anything up to two periods away, but the row after that is two periods away. Steps over two rows are therefore
-what is looked at. A frame that was missed makes two of them a period longer; one that is delayed by more than a
-quarter of a period makes one of them longer by that. Where the log tells its frame rate, what is missing is told better
-by that (`imuarray.log.missed_frames`).
+Frames are read forth and back: a sensor that is first in one frame is last in the next, so that the distance to the
+next row may be anything up to two periods, but the row after that is two periods away. Steps over two rows are
+therefore evaluated. A missed frame makes two of them a period longer; one that is delayed by more than a quarter of a
+period makes one of them longer by that. Where the log states its frame rate, the number of missing rows is determined
+from it instead (`imuarray.log.missed_frames`).
 """
 
 from __future__ import annotations

@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 import pytest
 
-from imuarray.monitor.guard import HEADERS, is_own, new_token, refusal
-from imuarray.monitor.server import Looks, address_of
-from imuarray.monitor.watch import Watch
+from imuarray.monitor.access import HEADERS, is_own, new_token, refusal
+from imuarray.monitor.log_monitor import LogMonitor
+from imuarray.monitor.server import address_of
+from imuarray.monitor.shared_snapshots import SharedSnapshots
 
 ROOT = Path(__file__).parents[2]
 
@@ -164,10 +165,10 @@ def test_who_asks_after_the_last_look_gets_it_again(logger, log_path: Path) -> N
     logger.go_on(1.0)
 
     async def ask() -> tuple[bytes, bytes, int]:
-        looks = Looks(Watch(log_path), every_s=0.0)
-        before = await looks.text()
-        looks.close()
-        return before, await looks.text(), len(await looks.figures("light"))
+        snapshots = SharedSnapshots(LogMonitor(log_path), every_s=0.0)
+        before = await snapshots.text()
+        snapshots.close()
+        return before, await snapshots.text(), len(await snapshots.figures("light"))
 
     before, after, figures = asyncio.run(ask())
     assert json.loads(before)["sensors"][0]["rows"] == 100

@@ -22,7 +22,7 @@ import pytest
 from imuarray.cli import main
 from imuarray.log import LogWriter
 from imuarray.log.format import Event
-from imuarray.monitor import Watch, payload
+from imuarray.monitor import LogMonitor, payload
 from imuarray.monitor.payload import DRAWN, described, drawn
 from imuarray.monitor.text import duration, lines_of
 from tests.monitor.conftest import EPOCH, HEADERS, Logger
@@ -50,7 +50,7 @@ def words(line: str) -> str:
 
 
 def test_the_table(ended: Path) -> None:
-    with Watch(ended) as watch:
+    with LogMonitor(ended) as watch:
         lines = lines_of(watch.refresh(0.0))
     assert lines[0] == "run.h5: finished, 12 s"
     assert lines[1] == "  99.5 of 100 Hz, 5 frames missed, 0 delayed"
@@ -69,7 +69,7 @@ def test_the_table(ended: Path) -> None:
 
 
 def test_the_table_fits_into_80_columns(ended: Path) -> None:
-    with Watch(ended) as watch:
+    with LogMonitor(ended) as watch:
         snapshot = watch.refresh(0.0)
     flags = dict.fromkeys(("stale", "overrun", "saturated", "lost_before", "reconfigured", "suspect"), 1000)
     negative = {"mean": np.full(3, -1999.9), "sd": np.full(3, 100.0), "use": np.ones(3), "temperature_degc": -40.0}
@@ -94,7 +94,7 @@ def test_durations(seconds: float, words: str) -> None:
 
 
 def test_json_says_the_same_in_numbers(ended: Path) -> None:
-    with Watch(ended) as watch:
+    with LogMonitor(ended) as watch:
         found = described(watch.refresh(0.0))
     json.dumps(found, allow_nan=False)
     assert (found["state"], found["missed"], found["delayed"], found["counted"]) == ("finished", 5, 0, 1.0)
@@ -108,7 +108,7 @@ def test_json_says_the_same_in_numbers(ended: Path) -> None:
 
 
 def test_curves_keep_both_ends_of_every_piece(ended: Path) -> None:
-    with Watch(ended) as watch:
+    with LogMonitor(ended) as watch:
         snapshot = watch.refresh(0.0)
     view = snapshot.sensors[0]
     spiked = view.values.copy()
@@ -164,7 +164,7 @@ def test_a_sensor_that_died_is_silent_in_json(died: Path, capsys: pytest.Capture
 
 
 def test_curves_of_a_sensor_that_died_are_empty(died: Path) -> None:
-    with Watch(died) as watch:
+    with LogMonitor(died) as watch:
         (turned,) = (view for view in drawn(watch.refresh(0.0))["sensors"] if view["name"] == "Turned")
     assert turned["trace"] == {"t": [], "x": [], "y": [], "z": []}
     assert turned["density"] is None
@@ -178,7 +178,7 @@ def test_monitor_ends_with_the_log(ended: Path, capsys: pytest.CaptureFixture[st
 
 def test_json_has_the_keys_that_are_promised(ended: Path) -> None:
     """Those of the module's docstring, and no other."""
-    with Watch(ended) as watch:
+    with LogMonitor(ended) as watch:
         found = described(watch.refresh(0.0))
     promised = set(re.findall(r"`(\w+)`", payload.__doc__ or ""))
     told = set(found) | set(found["disk"]) | set(found["sensors"][0]) | set(found["recent"][0]) | set(found["fused"])

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imuarray.monitor.backlog import Backlog
+from imuarray.monitor.log_source import Backlog
 from imuarray.monitor.window import MOST_ROWS, Gaps, Window, gaps_of, period_of
 
 PERIOD_NS = 10_000_000
@@ -107,7 +107,7 @@ def test_rows_without_a_period_are_passed_over() -> None:
 
 
 def test_earlier_rows_are_counted_a_piece_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imuarray.monitor.backlog.AT_ONCE", 100)
+    monkeypatch.setattr("imuarray.monitor.log_source.AT_ONCE", 100)
     time = frames(np.delete(np.arange(1000), [99, 100, 101, 500]))
     closed: list[bool] = []
     backlog = Backlog({"A": (time, 600), "B": (time, 300)}, lambda: closed.append(True))

@@ -21,8 +21,8 @@ from imuarray.fuse.fused_file import LiveFused
 from imuarray.log import LogWriter, RotatingWriter
 from imuarray.log.finish import recover
 from imuarray.log.format import Event, Phase
-from imuarray.monitor import SensorView, Snapshot, Watch
-from imuarray.monitor.notes import KEPT
+from imuarray.monitor import LogMonitor, SensorView, Snapshot
+from imuarray.monitor.event_counts import KEPT
 from tests.monitor.conftest import EPOCH, HEADERS, Logger, rows
 
 GRAVITY = 9.80665
@@ -33,7 +33,7 @@ def sensor(snapshot: Snapshot, name: str) -> SensorView:
 
 
 def test_a_log_that_is_not_there_yet_is_waited_for(log_path: Path) -> None:
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         first = watch.refresh(0.0)
         assert (first.state, first.sensors) == ("waiting", ())
         assert "not there yet" in first.remark
@@ -45,7 +45,7 @@ def test_a_log_that_is_not_there_yet_is_waited_for(log_path: Path) -> None:
 
 def test_sensors_in_their_units_while_they_are_written(logger: Logger, log_path: Path) -> None:
     logger.go_on(4.0)
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         seen = watch.refresh(100.0)
     assert (seen.state, seen.source, seen.epoch) == ("being written", "emulated", EPOCH)
     assert [view.name for view in seen.sensors] == ["Acc", "Turned", "Gyro", "Baro"]
@@ -67,7 +67,7 @@ def test_sensors_in_their_units_while_they_are_written(logger: Logger, log_path:
 
 def test_the_spectrum_holds_the_variance(logger: Logger, log_path: Path) -> None:
     logger.go_on(10.0)
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         spectrum = sensor(watch.refresh(0.0), "Acc").spectrum
     assert spectrum is not None
     assert spectrum.frequency_hz[-1] == pytest.approx(50)
@@ -78,7 +78,7 @@ def test_the_spectrum_holds_the_variance(logger: Logger, log_path: Path) -> None
 
 def test_all_sensors_average_to_what_both_tell(logger: Logger, log_path: Path) -> None:
     logger.go_on(3.0)
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         fused = watch.refresh(0.0).fused
     assert fused is not None and not fused.calibrated and fused.technique == "mean"
     np.testing.assert_allclose(fused.mean["specific_force"], np.array([0.25, -0.5, 1.0]) * GRAVITY, atol=5e-3)
@@ -93,7 +93,7 @@ def test_a_fused_file_beside_it_is_shown_instead(logger: Logger, log_path: Path)
     block = FusedBlock(time, {"angular_rate": np.tile([1.0, 2.0, 3.0], (300, 1))})
     fused_path = log_path.with_name("run_fused.h5")
     write_fused(fused_path, [block], epoch=EPOCH, technique="optimal", log="run.h5")
-    with Watch(log_path, span_s=2.0) as watch:
+    with LogMonitor(log_path, span_s=2.0) as watch:
         fused = watch.refresh(0.0).fused
         assert fused is not None and fused.technique == "optimal"
         assert fused.mean["angular_rate"].tolist() == [1.0, 2.0, 3.0]
@@ -108,7 +108,7 @@ def test_a_fused_file_is_shown_while_it_is_written(logger: Logger, log_path: Pat
     time = np.arange(300, dtype=np.int64) * 10_000_000
     with LiveFused(log_path.with_name("run_fused.h5"), epoch=EPOCH, technique="optimal", log="run.h5") as live:
         live.append(FusedBlock(time, {"angular_rate": np.tile([1.0, 2.0, 3.0], (300, 1))}))
-        with Watch(log_path, span_s=2.0) as watch:
+        with LogMonitor(log_path, span_s=2.0) as watch:
             fused = watch.refresh(0.0).fused
     assert fused is not None and fused.technique == "optimal"
     assert fused.mean["angular_rate"].tolist() == [1.0, 2.0, 3.0]
@@ -121,7 +121,7 @@ def test_a_calibration_that_does_not_fit_is_told(logger: Logger, log_path: Path)
     logger.go_on(1.0)
     with open_log(log_path) as log:
         wrong = Calibration({"Acc": nominal(log["Gyro"])})
-    with Watch(log_path, calibration=wrong) as watch:
+    with LogMonitor(log_path, calibration=wrong) as watch:
         seen = watch.refresh(0.0)
     assert seen.fused is None
     assert seen.not_fused == f"{log_path}, sensor Acc: calibrated as angular_rate in dps, logged as specific_force"
@@ -132,7 +132,7 @@ def test_frames_are_missing_from_all_and_readings_from_one(logger: Logger, log_p
     logger.go_on(5.0)
     logger.now_s += 0.05  # five frames
     logger.go_on(2.0)
-    with Watch(log_path, span_s=3.0) as watch:
+    with LogMonitor(log_path, span_s=3.0) as watch:
         assert watch.refresh(0.0).missed == 5
         logger.go_on(0.1, without=("Gyro",))
         logger.go_on(2.0)
@@ -165,7 +165,7 @@ def test_a_look_costs_what_came_since(log_path: Path, monkeypatch: pytest.Monkey
                 yield record
 
         monkeypatch.setattr(JournalReader, "records", counted)
-        with Watch(log_path, span_s=5.0) as watch:
+        with LogMonitor(log_path, span_s=5.0) as watch:
             seen = watch.refresh(0.0)
             assert sum(decoded) < 3 * 1100
             decoded.clear()
@@ -188,14 +188,14 @@ def test_a_log_is_seen_after_any_number_of_commits(
         for number in range(commits):
             writer.append("Acc", rows("Acc", number * 0.1, 0.1))
             writer.flush()
-        with Watch(log_path, span_s=0.1) as watch:
+        with LogMonitor(log_path, span_s=0.1) as watch:
             seen = watch.refresh(0.0)
     assert (seen.state, seen.remark, seen.sensors[0].rows, seen.missed) == ("being written", "", 10 * commits, 0)
 
 
 def test_events_are_counted_and_the_last_are_kept(logger: Logger, log_path: Path) -> None:
     logger.go_on(0.5)
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         watch.refresh(0.0)
         for number in range(KEPT + 20):
             logger.writer.event(Event(number, "Acc", "stale", f"number {number}"))
@@ -215,7 +215,7 @@ def test_a_machine_that_is_too_slow_all_the_time_tells_what_it_missed(logger: Lo
         logger.writer.event(Event(number, "", "late", text))
     logger.writer.event(Event(9, "Acc", "late", f"7 {why}"))
     logger.writer.flush()
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         seen = watch.refresh(0.0)
     assert (seen.missed, sensor(seen, "Acc").missed) == (43, 0)
 
@@ -224,7 +224,7 @@ def test_missed_frames_are_told_by_the_frame_rate_that_was_asked_for(log_path: P
     """A machine that needs 1.4 periods for every frame: its rows come evenly, and no event tells yet what it missed."""
     writer = LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=100.0)
     writer.keep()
-    with writer, Watch(log_path) as watch:
+    with writer, LogMonitor(log_path) as watch:
         for part in range(5):
             for name in ("Acc", "Turned", "Gyro"):
                 writer.append(name, rows(name, part * 1.4, 1.4, 14_000_000))
@@ -233,7 +233,7 @@ def test_missed_frames_are_told_by_the_frame_rate_that_was_asked_for(log_path: P
             frames = 100 * (part + 1)
             assert (seen.frame_rate_hz, seen.rate_hz) == (100.0, pytest.approx(71.43, abs=0.01))
             assert seen.missed == pytest.approx((frames - 1) * 0.4, abs=1)
-        fresh = Watch(log_path)
+        fresh = LogMonitor(log_path)
         assert fresh.refresh(9.0).missed == seen.missed
         fresh.close()
 
@@ -244,7 +244,7 @@ def test_a_sensor_with_a_queue_and_a_slow_one_keep_a_pace_of_their_own(log_path:
         writer.append("Acc", rows("Acc", 4.05, 2.0))
         writer.append("Turned", rows("Turned", 0.0, 6.0, 20_000_000))
         writer.append("Baro", rows("Baro", 0.0, 6.0, 250_000_000))
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         seen = watch.refresh(0.0)
     told = {view.name: (view.framed, view.missed) for view in seen.sensors if view.rows}
     assert told == {"Acc": (False, 5), "Turned": (True, 0), "Baro": (False, 0)}
@@ -252,7 +252,7 @@ def test_a_sensor_with_a_queue_and_a_slow_one_keep_a_pace_of_their_own(log_path:
 
 def test_quiet_time_and_room(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0)
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         watch.refresh(10.0)
         seen = watch.refresh(17.5)
         assert (seen.state, seen.quiet_s) == ("being written", 7.5)
@@ -267,7 +267,7 @@ def test_quiet_time_and_room(logger: Logger, log_path: Path) -> None:
 
 
 def test_the_end_is_seen_with_the_last_rows(log_path: Path) -> None:
-    watch = Watch(log_path)
+    watch = LogMonitor(log_path)
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
         writer.keep()
         logger = Logger(writer)
@@ -280,14 +280,14 @@ def test_the_end_is_seen_with_the_last_rows(log_path: Path) -> None:
     watch.close()
     assert (ended.state, again.state) == ("finished", "finished")
     assert sensor(ended, "Acc").rows == sensor(again, "Acc").rows == 300
-    with Watch(log_path) as late:
+    with LogMonitor(log_path) as late:
         fresh = late.refresh(0.0)
     assert (fresh.state, fresh.missed, sensor(fresh, "Acc").rows) == ("finished", 0, 300)
     np.testing.assert_allclose(sensor(fresh, "Acc").values, sensor(ended, "Acc").values)
 
 
 def test_another_log_of_that_name_is_begun_anew(log_path: Path) -> None:
-    watch = Watch(log_path)
+    watch = LogMonitor(log_path)
     for number, seconds in enumerate((3.0, 1.0)):
         with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, force=True) as writer:
             writer.keep()
@@ -311,7 +311,7 @@ def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
     )  # fmt: skip
     try:
         assert child.stdout is not None and child.stdout.readline() == b"written\n"
-        watch = Watch(log_path)
+        watch = LogMonitor(log_path)
         assert watch.refresh(0.0).state == "being written"
     finally:
         child.send_signal(signal.SIGKILL)
@@ -319,7 +319,7 @@ def test_a_killed_logger_leaves_an_interrupted_log(log_path: Path) -> None:
         child.stdout.close() if child.stdout else None
     left = watch.refresh(1.0)
     assert (left.state, sensor(left, "Gyro").rows) == ("interrupted", 200)
-    with Watch(log_path) as late:
+    with LogMonitor(log_path) as late:
         fresh = late.refresh(0.0)
         assert (fresh.state, sensor(fresh, "Gyro").rows) == ("interrupted", 200)
     recover(log_path)
@@ -336,7 +336,7 @@ def test_what_is_fused_meanwhile_is_shown_in_every_part(tmp_path: Path, name: st
     with writer, ExitStack() as stack:
         writer.keep()
         writer.starts(0)
-        watch = stack.enter_context(Watch(tmp_path / "night.h5", result=given))
+        watch = stack.enter_context(LogMonitor(tmp_path / "night.h5", result=given))
         for second in range(4):
             for header in HEADERS[:3]:
                 writer.append(header.name, rows(header.name, second, 1.0))
@@ -366,7 +366,7 @@ def fused_rows(start_s: int, force: list[float]) -> FusedBlock:
 
 def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
     path = tmp_path / "night.h5"
-    watch = Watch(path)
+    watch = LogMonitor(path)
     names, total = [], 0
     with RotatingWriter(path, HEADERS, every_s=2.0, source="emulated", epoch=EPOCH) as writer:
         writer.keep()
@@ -386,10 +386,10 @@ def test_a_log_cut_into_parts_is_followed(tmp_path: Path) -> None:
     watch.close()
     assert sorted(set(names)) == [f"night_00{number}.h5" for number in (1, 2, 3)]
     assert seen.remark == "goes on in night_003.h5"
-    with Watch(path) as late:
+    with LogMonitor(path) as late:
         assert late.refresh(0.0).path.name == "night_003.h5"
         assert late.refresh(1.0).remark == ""
-    with Watch(tmp_path / "night_001.h5") as first:  # nobody writes any of it: that part was asked for
+    with LogMonitor(tmp_path / "night_001.h5") as first:  # nobody writes any of it: that part was asked for
         assert first.refresh(0.0).path.name == "night_001.h5"
 
 
@@ -401,7 +401,7 @@ def test_what_was_missed_before_anybody_looked_is_not_forgotten_in_the_next_part
     with RotatingWriter(path, HEADERS, every_s=5.0, source="emulated", epoch=EPOCH) as writer:
         writer.keep()
         writer.starts(0)
-        with Watch(path, span_s=0.5) as watch:
+        with LogMonitor(path, span_s=0.5) as watch:
             for start_s, seconds in ((0.0, 0.7), (0.75, 0.75), (1.5, 1.5), (3.0, 1.5), (4.5, 1.5)):  # five are missing
                 for header in HEADERS[:3]:
                     writer.append(header.name, rows(header.name, start_s, seconds))
@@ -424,7 +424,7 @@ def test_of_a_log_that_goes_on_its_newest_part_is_shown(tmp_path: Path) -> None:
                 writer.append(header.name, rows(header.name, second, 1.0))
         writer.flush()
         for asked in (path, tmp_path / "night_001.h5"):
-            with Watch(asked) as watch:  # the parts before may be being finished just now
+            with LogMonitor(asked) as watch:  # the parts before may be being finished just now
                 seen = next(seen for step in range(500) if (seen := watch.refresh(step)).path.name == "night_003.h5")
             assert (seen.path.name, seen.state) == ("night_003.h5", "being written")
 
@@ -433,13 +433,13 @@ def test_a_part_of_another_recording_is_not_followed(tmp_path: Path) -> None:
     for number, epoch in ((1, EPOCH), (2, "2020-01-01T00:00:00Z")):
         with LogWriter(tmp_path / f"run_00{number}.h5", HEADERS, source="emulated", epoch=epoch) as writer:
             Logger(writer).go_on(1.0)
-    with Watch(tmp_path / "run_001.h5") as watch:
+    with LogMonitor(tmp_path / "run_001.h5") as watch:
         assert watch.refresh(0.0).path.name == "run_001.h5"
 
 
 def test_what_is_no_log_is_told(tmp_path: Path, log_path: Path) -> None:
     log_path.write_bytes(b"no log at all")
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         seen = watch.refresh(0.0)
         assert (seen.state, seen.sensors) == ("waiting", ())
         assert "is no HDF5 file" in seen.remark
@@ -448,7 +448,7 @@ def test_what_is_no_log_is_told(tmp_path: Path, log_path: Path) -> None:
             Logger(writer).go_on(1.0)
         assert watch.refresh(1.0).state == "finished"
     shutil.rmtree(tmp_path)
-    with Watch(log_path) as gone:
+    with LogMonitor(log_path) as gone:
         assert gone.refresh(0.0).state == "waiting"
 
 
@@ -458,7 +458,7 @@ def test_a_sensor_that_died_is_not_shown_as_it_was(log_path: Path, frame_rate_hz
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH, frame_rate_hz=frame_rate_hz) as writer:
         writer.keep()
         logger = Logger(writer)
-        with Watch(log_path) as along:
+        with LogMonitor(log_path) as along:
             for second in range(20):
                 logger.go_on(1.0, without=("Turned",) if second >= 4 else ())
                 seen = along.refresh(float(second))
@@ -476,13 +476,13 @@ def test_a_sensor_that_died_is_not_shown_as_it_was(log_path: Path, frame_rate_hz
 
 def fully_counted(path: Path) -> Snapshot:
     """A look of somebody who comes late, within a few of which all is counted."""
-    with Watch(path) as late:
+    with LogMonitor(path) as late:
         return next(seen for step in range(5) if (seen := late.refresh(float(step))).counted == 1.0)
 
 
 def test_a_sensor_is_silent_after_a_second_and_is_heard_when_it_is_back(logger: Logger, log_path: Path) -> None:
     logger.go_on(4.0)
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         watch.refresh(0.0)
         told = []
         for without in (("Gyro",), ("Gyro",), ("Gyro",), ()):
@@ -494,7 +494,7 @@ def test_a_sensor_is_silent_after_a_second_and_is_heard_when_it_is_back(logger: 
 
 def test_the_fused_noise_is_not_that_of_a_sensor_that_died(logger: Logger, log_path: Path) -> None:
     """Its last rows were fused alone, long before those of the others, and made the scatter theirs."""
-    with Watch(log_path, span_s=2.0) as watch:
+    with LogMonitor(log_path, span_s=2.0) as watch:
         logger.go_on(3.0)
         watch.refresh(0.0)
         logger.go_on(5.0, without=("Turned",))
@@ -508,14 +508,14 @@ def test_a_slow_sensor_is_not_silent_between_its_rows(log_path: Path) -> None:
     with LogWriter(log_path, HEADERS, source="emulated", epoch=EPOCH) as writer:
         writer.append("Acc", rows("Acc", 0.0, 39.5))
         writer.append("Baro", rows("Baro", 0.0, 39.5, 2_000_000_000))
-    with Watch(log_path, span_s=20.0) as watch:
+    with LogMonitor(log_path, span_s=20.0) as watch:
         baro = sensor(watch.refresh(0.0), "Baro")
     assert (baro.silent_s, baro.missed, baro.mean.tolist()) == (None, 0, [1002.5])
 
 
 def test_a_sensor_without_rows_is_shown_as_such(logger: Logger, log_path: Path) -> None:
     logger.go_on(2.0, without=("Acc", "Baro"))
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         seen = watch.refresh(0.0)
     silent = sensor(seen, "Acc")
     assert (silent.rows, silent.rate_hz, silent.use, silent.spectrum) == (0, 0.0, None, None)
@@ -532,14 +532,14 @@ def test_a_file_that_changes_while_it_is_looked_at_is_looked_at_anew(
 ) -> None:
     """As when a log is finished just now: the page says so, and goes on at the next look."""
     logger.go_on(1.0)
-    with Watch(log_path) as watch:
+    with LogMonitor(log_path) as watch:
         assert len(watch.refresh(0.0).sensors) == 4
         with monkeypatch.context() as patch:
 
             def fail(self: object) -> int:
                 raise error
 
-            patch.setattr("imuarray.monitor.growing.Growing.read", fail)
+            patch.setattr("imuarray.monitor.log_source.Growing.read", fail)
             spoilt = watch.refresh(1.0)
         assert (spoilt.state, spoilt.sensors) == ("waiting", ())
         assert spoilt.remark.startswith(str(log_path))

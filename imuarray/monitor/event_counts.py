@@ -1,4 +1,4 @@
-"""What was noted while a log was recorded: the last events, how many of each kind there were, the phase that is on."""
+"""Counts what was noted while a log was recorded: the last events, the number of each kind, and the current phase."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ KEPT = 50
 """Events that are kept to be shown."""
 
 HARMLESS = frozenset({"back", "reconfigured", "clock", "start_up", "recovered"})
-"""Kinds of events that tell of no trouble, or of its end."""
+"""Kinds of events that report no fault, or the end of one."""
 
 _MOST_BYTES = 1 << 20
 """Of earlier notes that are read, the last ones: some ten thousand events."""
 
 
-class FusionNotes:
+class EventCounts:
     """Events and phases that were taken so far."""
 
     def __init__(self) -> None:
@@ -33,8 +33,9 @@ class FusionNotes:
         self._last: deque[Event] = deque(maxlen=KEPT)
         self._on: dict[tuple[int, str], None] = {}
         self.missed = 0
-        """Frames that events tell to have been missed. A machine that is too slow all the time misses frames that the
-        times of its rows don't show: they come evenly, only too seldom."""
+        """Missed frames as reported by events. A machine that is always too slow misses frames that the times of its
+        rows don't show: the rows are evenly spaced, only too far apart.
+        """
         self._missed_first = 0
         self.complete = True
         """Whether all notes of the log were taken; False where there were too many before."""
@@ -66,10 +67,10 @@ class FusionNotes:
         for event in events:
             self._kinds[event.kind] += 1
             self._last.append(event)
-            if event.kind == "late" and not event.sensor and (told := MISSED.match(event.message)):
-                frames = int(told[2])  # "in all" holds what was told when it began
-                self.missed += frames - (self._missed_first if told[1] else 0)
-                self._missed_first = 0 if told[1] else frames
+            if event.kind == "late" and not event.sensor and (match := MISSED.match(event.message)):
+                frames = int(match[2])  # "in all" includes the number of the first event
+                self.missed += frames - (self._missed_first if match[1] else 0)
+                self._missed_first = 0 if match[1] else frames
 
     @property
     def kinds(self) -> Mapping[str, int]:
@@ -78,7 +79,7 @@ class FusionNotes:
 
     @property
     def problems(self) -> int:
-        """Events that tell of trouble."""
+        """Events that report a fault."""
         return sum(count for kind, count in self._kinds.items() if kind not in HARMLESS)
 
     @property

@@ -1,4 +1,6 @@
-"""Who may see the page: this machine, or who has the token; and nothing that another page makes a browser ask for."""
+"""Access control of the page: this machine or the holder of the token, and no request that another page makes a browser
+send.
+"""
 
 from __future__ import annotations
 

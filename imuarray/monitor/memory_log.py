@@ -1,4 +1,4 @@
-"""Rows in memory in the place of a log: what reads a log reads them."""
+"""A log whose rows are in memory, for functions that read a log."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _File:
         """There is nothing to close."""
 
 
-class HeldLog(Log):
+class MemoryLog(Log):
     """A log of rows that are held in memory: `sensors` gives attributes and columns by name; LogError where the
     attributes are no sensor's. It has no phases, no events and no truth, and can't be sent to another process.
     """

@@ -1,6 +1,6 @@
-"""A log watched from outside: `Watch(path).refresh(now_s)` gives what is to be seen of it, at bounded cost.
+"""Monitors a log from outside: `LogMonitor(path).refresh(now_s)` returns a snapshot of it, at bounded cost.
 
-It only reads, follows a log that is cut into parts from one to the next, and starts anew where another log takes the
+It only reads, follows a log that is split into parts from one to the next, and starts again where another log takes the
 name.
 """
 
@@ -18,17 +18,15 @@ from imuarray.errors import ImuArrayError, reason_of
 from imuarray.log.journal import JournalReader, is_running
 from imuarray.log.rotate import part_of
 from imuarray.log.untrusted_input import DAMAGE
-from imuarray.monitor.compose import snapshot_of
-from imuarray.monitor.growing import Growing
+from imuarray.monitor.composition import snapshot_of
+from imuarray.monitor.log_source import Growing, ReadRows, Source, Whole, look
 from imuarray.monitor.snapshot import WAITING, WRITTEN, Snapshot
-from imuarray.monitor.source import Seen, Source, look
-from imuarray.monitor.whole import Whole
 
 SPAN_S = 10.0
 """The last seconds that are shown."""
 
 
-class Watch:
+class LogMonitor:
     """The log at `path`, which need not be there yet, or of that name cut into parts; its last `span_s`. A context
     manager. `result` is where its fused output is written (None: `RUN_fused.h5` beside it).
     """
@@ -82,7 +80,7 @@ class Watch:
                 self._there = look(source.path)
             source = self._turned(source, written)
         self._fresh_s = now_s if rows else self._fresh_s
-        source.backlog.step({name: window.usual_ns for name, window in source.seen.windows.items()})
+        source.backlog.step({name: window.usual_ns for name, window in source.read_rows.windows.items()})
 
     def _found(self) -> Path:
         """The log, or where there is none of that name, its newest part that has begun."""
@@ -102,7 +100,7 @@ class Watch:
             self._remark = f"{path}: not there yet"
             return None
         self._there, self._remark = look(path), ""
-        self._source = _opened(path, Seen(self._span_ns))
+        self._source = _source(path, ReadRows(self._span_ns))
         return self._source
 
     def _turned(self, source: Source, followed: bool) -> Source:
@@ -118,10 +116,10 @@ class Watch:
         goes_on = followed and is_running(parts[0])
         part = parts[0] if goes_on else parts[-1]
         self._there = look(part)
-        for name, window in source.seen.windows.items():
+        for name, window in source.read_rows.windows.items():
             window.gaps += source.backlog.gaps(name)
         source.read()  # what came just before the next part began
-        turned = _opened(part, source.seen if goes_on else Seen(self._span_ns))
+        turned = _source(part, source.read_rows if goes_on else ReadRows(self._span_ns))
         source.close()
         self._source, self._remark = turned, f"goes on in {part.name}"
         turned.read()
@@ -133,15 +131,15 @@ class Watch:
             self._source.close()
         self._source = None
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> LogMonitor:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
 
 
-def _opened(path: Path, seen: Seen) -> Source:
-    return Growing(path, seen) if is_running(path) else Whole(path, seen)
+def _source(path: Path, read_rows: ReadRows) -> Source:
+    return Growing(path, read_rows) if is_running(path) else Whole(path, read_rows)
 
 
 def _parts_behind(path: Path) -> list[Path]:
@@ -168,6 +166,6 @@ def _epoch(path: Path) -> str:
     if is_running(path):
         with JournalReader(path) as journal:
             return journal.preamble.epoch
-    whole = Whole(path, Seen(0))
+    whole = Whole(path, ReadRows(0))
     whole.close()
     return whole.epoch

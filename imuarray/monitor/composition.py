@@ -1,0 +1,329 @@
+"""Builds a snapshot from the rows that were read: sensors in the units of their data sheets, frames, disk space, fused
+output.
+
+The fused output of the last seconds is the result that is written next to the log, else the average of the rows at
+hand.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imuarray.calibrate import Calibration
+from imuarray.calibrate.segments import degc_of, has_zero
+from imuarray.characterise.spectrum import Spectrum, Welch, segment_rows
+from imuarray.errors import ImuArrayError, LogError
+from imuarray.fuse import FusedBlock, fuse
+from imuarray.fuse.fused_file import fused_columns, rows_of
+from imuarray.log import Log, SensorLog, first_at
+from imuarray.log.disk_space import WATERMARK, free_bytes
+from imuarray.log.format import FLAGS
+from imuarray.log.missed_frames import frame_period_ns, is_read_once_a_frame, missed_by_all, missing_rows
+from imuarray.monitor.log_source import Source
+from imuarray.monitor.memory_log import MemoryLog
+from imuarray.monitor.snapshot import WRITTEN, Disk, Floats, FusedView, SensorView, Snapshot
+from imuarray.monitor.window import Gaps, Rows, Window
+from imuarray.units import INERTIAL
+
+_LAST_NS = 1_000_000_000
+"""Of the log, whose mean is shown as what a sensor reads now; one that gave nothing in it is silent."""
+_PATIENCE = 2.5
+"""Periods of a slow sensor before it is silent."""
+_LEAST_ROWS = 128
+"""For a spectrum."""
+_BREAK = 3.0
+"""Periods: behind a longer step the rows are a run of their own."""
+_PRESSURE = "pressure"
+
+
+def view_of(
+    sensor: SensorLog, window: Window, earlier: Gaps, extent: tuple[int, int], frame_period_ns: int = 0
+) -> SensorView:
+    """What is to be seen of a sensor: `sensor` holds the window's rows, `earlier` are gaps before them. `extent` are
+    the times of the first and of the newest row of the log. Frames lie on a grid of `frame_period_ns` (0: on none that
+    is known).
+    """
+    time = window.time
+    values, unit, columns = _values(sensor, window)
+    silent_ns = _silence(window, extent)
+    last = slice(int(np.searchsorted(time, extent[1] - _reach_ns(window))), 0 if silent_ns else len(time))
+    use, peak = _use(sensor, window)
+    degc, relative = _temperature(sensor, window, last)
+    rate_hz = (len(time) - 1) / ((time[-1] - time[0] + silent_ns) * 1e-9) if len(time) > 1 else 0.0
+    usual_hz = 1e9 / window.usual_ns if silent_ns and window.usual_ns else rate_hz
+    framed = is_read_once_a_frame(sensor.rate_hz, usual_hz, frame_period_ns)
+    return SensorView(
+        sensor.name, sensor.chip, sensor.quantity, unit, columns,
+        rows=window.total,
+        first_ns=window.first_ns,
+        rate_hz=float(rate_hz),
+        silent_s=silent_ns * 1e-9 if silent_ns else None,
+        framed=framed,
+        delayed=window.gaps.delayed + earlier.delayed,
+        missed=_missed_rows(window, earlier, silent_ns, frame_period_ns if framed else 0),
+        flags=_flags(window),
+        time=time,
+        values=values,
+        mean=values[last].mean(axis=0) if len(values[last]) else np.full(len(columns), np.nan),
+        sd=values.std(axis=0, ddof=1) if len(time) > 1 else np.full(len(columns), np.nan),
+        use=use,
+        peak_use=peak,
+        temperature_degc=degc,
+        relative=relative,
+        spectrum=_spectrum(window, values) if sensor.is_triad else None,
+    )  # fmt: skip
+
+
+def _reach_ns(window: Window) -> float:
+    """Before the newest row of the log, in which a sensor gives one at least."""
+    return max(float(_LAST_NS), _PATIENCE * window.usual_ns)
+
+
+def _silence(window: Window, extent: tuple[int, int]) -> int:
+    """How long a sensor gave nothing, in ns up to the newest row of the log; 0 for one that is not silent."""
+    begins_ns, ends_ns = extent
+    since_ns = ends_ns - (int(window.newest[-1]) if len(window.newest) else begins_ns)
+    return since_ns if since_ns > _reach_ns(window) else 0
+
+
+def _missed_rows(window: Window, earlier: Gaps, silent_ns: int, frame_period_ns: int) -> int:
+    """Rows that are missing up to the newest one of the log, of a sensor that is read once a frame (0: it is not)."""
+    if frame_period_ns:
+        missing = missing_rows(window.first_ns or 0, window.newest, window.total, frame_period_ns)
+    else:
+        missing = (window.gaps + earlier).missed
+    period_ns = frame_period_ns or window.usual_ns
+    return missing + (round(silent_ns / period_ns) if period_ns else 0)
+
+
+def _values(sensor: SensorLog, window: Window) -> tuple[Floats, str, tuple[str, ...]]:
+    """The rows (n, k) in physical units, the unit, what the columns are called."""
+    counts = np.asarray(window.rows.get("counts", np.empty((0, 3))), float)
+    if sensor.is_triad and sensor.sensitivity > 0:
+        return counts / sensor.sensitivity, sensor.unit, ("x", "y", "z")
+    if _PRESSURE in window.rows:
+        return np.asarray(window.rows[_PRESSURE], float)[:, None] / 100, "hPa", (_PRESSURE,)
+    return counts, "counts", tuple(f"column {number + 1}" for number in range(counts.shape[1]))
+
+
+def _use(sensor: SensorLog, window: Window) -> tuple[Floats | None, Floats | None]:
+    """The share of the range that is used, in the window and at most so far."""
+    full = sensor.range * sensor.sensitivity
+    if not (sensor.is_triad and full > 0 and len(window.time)) or window.peak_lsb is None:
+        return None, None
+    return np.abs(np.asarray(window.rows["counts"], float)).max(axis=0) / full, window.peak_lsb / full
+
+
+def _temperature(sensor: SensorLog, window: Window, last: slice) -> tuple[float | None, bool]:
+    """The mean of the last rows in degC, and whether its zero is unknown; None without a thermometer."""
+    if "temperature" in window.rows:
+        return _finite_mean(window.rows["temperature"][last]), False
+    degc = degc_of(sensor)
+    if "temperature_counts" not in window.rows or degc is None:
+        return None, False
+    zero, step = degc
+    mean = _finite_mean(window.rows["temperature_counts"][last])
+    return None if mean is None else zero + step * mean, not has_zero(sensor)
+
+
+def _finite_mean(rows: Any) -> float | None:
+    finite = np.asarray(rows, float)[np.isfinite(rows)]
+    return float(finite.mean()) if len(finite) else None
+
+
+def _flags(window: Window) -> dict[str, int]:
+    """Rows of the window that bear a flag, by its name."""
+    status = np.asarray(window.rows.get("status", np.empty(0, np.uint16)))
+    counts = {name: int(((status & flag) != 0).sum()) for name, flag in FLAGS.items()}
+    return {name: count for name, count in counts.items() if count}
+
+
+def _spectrum(window: Window, values: Floats) -> Spectrum | None:
+    """The power spectral density of the window's rows in squared units per Hz; None for too few of them."""
+    if len(values) < _LEAST_ROWS or window.period_ns <= 0 or not np.isfinite(values).all():
+        return None
+    welch = Welch(1e9 / window.period_ns, segment_rows(len(values)), values.shape[1])
+    breaks = np.flatnonzero(np.diff(window.time) > _BREAK * window.period_ns) + 1
+    for part in np.split(values, breaks):
+        welch.update(part)
+        welch.end_run()
+    spectrum = welch.result()
+    return spectrum if spectrum.segments else None
+
+
+TECHNIQUE = "mean"
+_PATIENCE_S = (0.02, 0.05, 0.0)
+"""Behind each attempt to read a result at the very moment at which it is written."""
+
+
+def fused_now(log: Log, calibration: Calibration) -> FusedView:
+    """The average of the sensors of `log`, which holds the last seconds; ImuArrayError says why it can't be had."""
+    block = FusedBlock.joined(list(fuse(log, calibration, TECHNIQUE)))
+    return _view(TECHNIQUE, bool(calibration.sensors), block)
+
+
+def fused_beside(path: Path, epoch: str, start_ns: int, given: Path | None = None) -> FusedView | None:
+    """The last rows of the result that is written, or was, beside the log at `path`, from `start_ns` on: `RUN_fused.h5`
+    or the file `given`; of a log cut into parts that of the part (`RUN_001_fused.h5`, `GIVEN_001.h5`) or of the whole.
+    None if it is not there, is of another log or ends before.
+    """
+    cut = re.fullmatch(r"(.+)(_\d{3,})", path.stem)
+    whole, part = (cut[1], cut[2]) if cut else (path.stem, "")
+    if given is None:
+        names = [path.with_name(f"{stem}_fused{path.suffix}") for stem in (path.stem, whole)]
+    else:
+        names = [given.with_stem(given.stem + part), given]
+    for beside in dict.fromkeys(names):
+        for patience_s in _PATIENCE_S if beside.is_file() else ():
+            try:
+                view = _read(beside, epoch, start_ns)
+            except LogError:  # it was being written just then, or is none
+                time.sleep(patience_s)
+                continue
+            if view is not None:
+                return view
+            break
+    return None
+
+
+def _read(path: Path, epoch: str, start_ns: int) -> FusedView | None:
+    """As it is on the disk now, without a lock that could be in the way of whoever writes it. LogError."""
+    with fused_columns(path) as (said, columns):
+        if said.get("epoch") != epoch:
+            return None
+        rows = rows_of(columns)  # the newest may be there in part
+        first = first_at(columns["time"], start_ns, rows)
+        at_ns = np.asarray(columns["time"][first:rows], np.int64)
+        triads: dict[str, Floats] = {
+            name: np.asarray(columns[name][first:rows], float) for name in INERTIAL if name in columns
+        }
+    if len(at_ns) < 2 or not triads:
+        return None
+    return _view(said.get("technique", "fused"), bool(said.get("calibration")), FusedBlock(at_ns, triads))
+
+
+def _view(technique: str, calibrated: bool, block: FusedBlock) -> FusedView:
+    last = block.time >= block.time[-1] - _LAST_NS
+    means, noise = {}, {}
+    for quantity, triad in block.triads.items():
+        known = np.isfinite(triad).all(axis=1)
+        means[quantity] = triad[last & known].mean(axis=0) if (last & known).any() else np.full(3, np.nan)
+        steps = np.diff(triad[known], axis=0)
+        noise[quantity] = np.std(steps, axis=0) / np.sqrt(2) if len(steps) > 1 else np.full(3, np.nan)
+    return FusedView(technique, calibrated, block.time, block.triads, means, noise)
+
+
+_ALIKE = 0.05
+"""Sensors are read in the same frames if their rates differ by no more than this share."""
+_COPIES = 2
+"""A row stands in the journal and in the HDF5 file."""
+
+
+def snapshot_of(
+    source: Source, calibration: Calibration, remark: str, quiet_s: float, result: Path | None = None
+) -> Snapshot:
+    """What is to be seen of `source` now; nothing came for `quiet_s`. `result`: where its fused output is written."""
+    windows, events = source.read_rows.windows, source.read_rows.events
+    begins_ns, ends_ns = _extent(windows.values())
+    for window in windows.values():
+        window.forget((ends_ns or 0) - source.read_rows.span_ns)
+    held = MemoryLog(
+        source.path,
+        {name: (source.attributes[name], window.rows or _no_rows(source, name)) for name, window in windows.items()},
+    )
+    period_ns = frame_period_ns(source.source, source.frame_rate_hz)
+    extent = (begins_ns or 0, ends_ns or 0)
+    views = tuple(
+        view_of(held[name], window, source.backlog.gaps(name), extent, period_ns) for name, window in windows.items()
+    )
+    frames = _frames(views)
+    fused, not_fused = _fused(source, windows, calibration, ends_ns or 0, result)
+    return Snapshot(
+        source.path,
+        source.state,
+        remark,
+        source.source,
+        source.epoch,
+        events.phase if source.state == WRITTEN else "",
+        begins_ns=begins_ns,
+        ends_ns=ends_ns,
+        quiet_s=max(0.0, quiet_s),
+        rate_hz=float(np.median([view.rate_hz for view in frames])) if frames else 0.0,
+        frame_rate_hz=source.frame_rate_hz,
+        delayed=min((view.delayed for view in frames), default=0),
+        missed=max(events.missed, _missed_frames(frames, period_ns)),
+        counted=source.backlog.counted,
+        events=events.kinds,
+        problems=events.problems,
+        recent=events.recent,
+        disk=_disk(source, views),
+        sensors=views,
+        fused=fused,
+        not_fused=not_fused,
+    )
+
+
+def _extent(windows: Iterable[Window]) -> tuple[int | None, int | None]:
+    """The times of the first and of the newest row of the log."""
+    spoken = [window for window in windows if len(window.newest)]
+    firsts = [window.first_ns for window in spoken if window.first_ns is not None]
+    return min(firsts, default=None), max((int(window.newest[-1]) for window in spoken), default=None)
+
+
+def _no_rows(source: Source, name: str) -> Rows:
+    """The columns of a sensor from which nothing came."""
+    columns = max(1, len(np.atleast_1d(source.attributes[name].get("columns", ("x", "y", "z")))))
+    return {"time": np.empty(0, np.int64), "counts": np.empty((0, columns), np.int16)}
+
+
+def _frames(views: Sequence[SensorView]) -> list[SensorView]:
+    """The sensors that are read once a frame: of the inertial ones, the most that have one rate. A frame that was
+    missed is missing from all of them, a reading that was lost from one.
+    """
+    inertial = [view for view in views if view.quantity in INERTIAL and view.rate_hz > 0]
+
+    def alike(view: SensorView) -> list[SensorView]:
+        return [other for other in inertial if abs(other.rate_hz - view.rate_hz) <= _ALIKE * view.rate_hz]
+
+    return max((alike(view) for view in inertial), key=len, default=[])
+
+
+def _missed_frames(frames: Sequence[SensorView], period_ns: int) -> int:
+    """Of all frames, by the grid that they lie on, else by what is missing from every sensor."""
+    framed = [(view.first_ns, view.missed) for view in frames if view.framed and view.first_ns is not None]
+    known = missed_by_all(framed, period_ns)
+    return min((view.missed for view in frames), default=0) if known is None else known
+
+
+def _disk(source: Source, views: Sequence[SensorView]) -> Disk | None:
+    """Room, and how long it lasts; None where the disk does not say."""
+    try:
+        free = free_bytes(source.path)
+    except OSError:
+        return None
+    rates = {f"sensors/{view.name}": view.rate_hz for view in views}
+    written = source.state == WRITTEN
+    taken = _COPIES * sum(source.row_bytes.get(path, 0) * rate for path, rate in rates.items()) if written else 0.0
+    return Disk(free, taken, max(0.0, (free - WATERMARK) / taken) if taken else None)
+
+
+def _fused(
+    source: Source, windows: dict[str, Window], calibration: Calibration, end_ns: int, result: Path | None
+) -> tuple[FusedView | None, str]:
+    """The fused output, or why there is none."""
+    beside = fused_beside(source.path, source.epoch, end_ns - source.read_rows.span_ns, result)
+    if beside is not None:
+        return beside, ""
+    spoken = {name: (source.attributes[name], window.rows) for name, window in windows.items() if len(window.time)}
+    if not spoken:
+        return None, "no readings"
+    try:
+        return fused_now(MemoryLog(source.path, spoken), calibration), ""
+    except ImuArrayError as error:
+        return None, str(error).removeprefix(f"{source.path}: ")

@@ -1,0 +1,313 @@
+"""The sources of a monitor: a log that is being written, read through its journal (`Growing`), and any other (`Whole`).
+
+The reader of a growing log continues from where it was, so that a refresh costs what has arrived since, however long
+the log is. What was before it began is known from the last commits of the HDF5 file, whose rows are read as far as they
+were committed. `Backlog` counts delayed and missed rows from before the monitor began a piece at a time, so that a long
+log makes no refresh longer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import h5py
+import numpy as np
+
+from imuarray.errors import LogError
+from imuarray.log import Log, SensorLog, open_log
+from imuarray.log.commits import COMMITS, Commit, read_commits
+from imuarray.log.hdf5_superblock import UnclosedFile, is_marked_open
+from imuarray.log.inspection import refuse_hostile
+from imuarray.log.interrupted import stored_preamble
+from imuarray.log.journal import JournalReader, is_running, journal_of
+from imuarray.log.layout import NOTES, Group, sensor_attributes
+from imuarray.log.preamble import Preamble
+from imuarray.log.untrusted_input import DAMAGE
+from imuarray.monitor.event_counts import EventCounts
+from imuarray.monitor.memory_log import Attributes
+from imuarray.monitor.snapshot import FINISHED, INTERRUPTED, WRITTEN
+from imuarray.monitor.window import STRIDE, Gaps, Window, gaps_of
+from imuarray.units import INERTIAL
+
+AT_ONCE = 1 << 19
+"""Rows that are read at one look."""
+
+
+class Backlog:
+    """The first rows of time columns by sensor: (column, rows). `close` is called once all of them are counted."""
+
+    def __init__(self, columns: Mapping[str, tuple[Any, int]], close: Callable[[], None] = lambda: None) -> None:
+        self._columns = dict(columns)
+        self._total = sum(rows for _, rows in columns.values())
+        self._done = dict.fromkeys(columns, 0)
+        self._gaps = dict.fromkeys(columns, Gaps())
+        self._close: Callable[[], None] | None = close
+
+    @property
+    def counted(self) -> float:
+        """The share of its rows that were counted."""
+        return sum(self._done.values()) / self._total if self._total else 1.0
+
+    def gaps(self, name: str) -> Gaps:
+        """Of a sensor, as far as they were counted."""
+        return self._gaps.get(name, Gaps())
+
+    def step(self, periods_ns: Mapping[str, float]) -> None:
+        """Count some more rows; what can't be read is passed over, and a sensor of which no period is known."""
+        left = AT_ONCE
+        for name, (column, rows) in self._columns.items():
+            start = self._done[name]
+            stop = min(rows, start + left)
+            if stop > start:
+                self._gaps[name] += _counted(column, start, stop, periods_ns.get(name, 0.0))
+                self._done[name] = stop
+                left -= stop - start
+        if self.counted == 1.0:
+            self.close()
+
+    def close(self) -> None:
+        """Let go of the columns."""
+        if self._close is not None:
+            self._close()
+        self._columns, self._close = {}, None
+
+
+def _counted(column: Any, start: int, stop: int, period_ns: float) -> Gaps:
+    """Gaps that begin in rows `start` to `stop`."""
+    try:
+        return gaps_of(np.asarray(column[start : min(stop + STRIDE, len(column))]), period_ns)
+    except (LogError, *DAMAGE):
+        return Gaps()
+
+
+@dataclass
+class ReadRows:
+    """What was read so far: the last `span_ns` by sensor, and what was told."""
+
+    span_ns: int
+    windows: dict[str, Window] = field(default_factory=dict)
+    events: EventCounts = field(default_factory=EventCounts)
+
+    def expect(self, names: Iterable[str]) -> None:
+        """These sensors: windows of the same ones go on, others begin empty."""
+        names = list(names)
+        if list(self.windows) != names:
+            self.windows = {name: Window(self.span_ns) for name in names}
+
+
+class Source(Protocol):
+    """A log that is read from into `read_rows`; `attributes` of its sensors, `state` as it was last seen."""
+
+    path: Path
+    source: str
+    epoch: str
+    state: str
+    read_rows: ReadRows
+    attributes: dict[str, Attributes]
+    frame_rate_hz: float
+    row_bytes: dict[str, int]
+    backlog: Backlog
+
+    def read(self) -> int:
+        """Add what is new; the number of rows."""
+
+    def close(self) -> None:
+        """Let go of the files."""
+
+
+def identity(path: Path) -> tuple[int, int] | None:
+    """Which file has that name now."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+def look(path: Path) -> tuple[object, ...]:
+    """What is there under the name of a log, to see whether that changed: its file, and that of its journal."""
+    unclosed = False
+    with contextlib.suppress(OSError):
+        unclosed = is_marked_open(path)
+    return identity(path), identity(journal_of(path)), unclosed
+
+
+class Whole:
+    """A log that nobody writes: finished, or interrupted. LogError."""
+
+    def __init__(self, path: Path, read_rows: ReadRows) -> None:
+        self.path, self.read_rows = path, read_rows
+        log = open_log(path)
+        try:
+            self.state = FINISHED if log.state == "finished" else INTERRUPTED
+            self.source, self.epoch, self.frame_rate_hz = log.source, log.epoch, log.frame_rate_hz
+            self.attributes: dict[str, Attributes] = {
+                name: dict(sensor.attributes) for name, sensor in log.sensors.items()
+            }
+            self.row_bytes: dict[str, int] = {}
+            self.backlog = Backlog({}, lambda: None)
+            read_rows.expect(log.sensors)
+            read_rows.events.take_events(sorted(log.events, key=lambda event: event.time_ns))
+        except BaseException:
+            log.close()
+            raise
+        self._log: Log | None = log
+
+    def read(self) -> int:
+        """The last rows, once; then nothing is new."""
+        if self._log is None:
+            return 0
+        log, self._log = self._log, None
+        ends = [int(sensor.time[-1]) for sensor in log.sensors.values() if len(sensor)]
+        start_ns = max(ends, default=0) - self.read_rows.span_ns
+        columns: dict[str, tuple[Any, int]] = {}
+        for name, sensor in log.sensors.items():
+            if not len(sensor):
+                continue
+            first = sensor.between(start_ns, start_ns).start
+            self.read_rows.windows[name].begins_behind(first, sensor.time)
+            self.read_rows.windows[name].add(_rows_of(sensor, first))
+            if sensor.quantity in INERTIAL:
+                columns[name] = (sensor.time, first)
+        self.backlog = Backlog(columns, log.close)
+        return sum(len(sensor) for sensor in log.sensors.values())
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self.backlog.close()
+        if self._log is not None:
+            self._log.close()
+
+
+def _rows_of(sensor: SensorLog, first: int) -> dict[str, Any]:
+    """The columns of a sensor from a row on."""
+    columns = {"time": sensor.time, "counts": sensor.counts, "status": sensor.status}
+    if sensor.temperature_counts is not None:
+        columns["temperature_counts"] = sensor.temperature_counts
+    for name in ("temperature", "pressure") if sensor.quantity == "pressure" else ():
+        try:
+            columns[name] = sensor.compensated(name)
+        except LogError:  # imported without it, say
+            continue
+    return {name: np.asarray(column[first:]) for name, column in columns.items()}
+
+
+_SENSORS = "sensors/"
+_MOST_BYTES = 1 << 25
+"""Of the journal that are read at one look: after a long sleep it takes several to catch up."""
+
+
+class Growing:
+    """A log that is being written. LogError, OSError if it can't be read (yet)."""
+
+    def __init__(self, path: Path, read_rows: ReadRows) -> None:
+        """Of the rows from before the last `read_rows.span_ns` at least are read at the first `read`."""
+        self.path, self.state, self.read_rows = path, WRITTEN, read_rows
+        self._journal_file = identity(journal_of(path))
+        self._reader = JournalReader(path)
+        try:
+            self._begin()
+        except BaseException:
+            self._reader.close()
+            raise
+
+    def _begin(self) -> None:
+        read_rows, preamble = self.read_rows, self._reader.preamble
+        read_rows.expect(header.name for header in preamble.sensors)
+        self.source, self.epoch, self.frame_rate_hz = preamble.source, preamble.epoch, preamble.frame_rate_hz
+        groups = self._reader.groups
+        self.row_bytes = {group.path: group.row_bytes for group in groups}
+        file = _opened(self.path, preamble)
+        try:
+            self.attributes: dict[str, Attributes] = {
+                header.name: sensor_attributes(header) for header in preamble.sensors
+            }
+            commits = read_commits(file[COMMITS][:], preamble.identity, groups)
+            commit = _before(file, groups, commits, read_rows.span_ns)
+            rows = commit.rows if commit else (0,) * len(groups)
+            self._mark = commit.mark if commit else self._reader.start
+            columns = {}
+            for group, count in zip(groups, rows, strict=True):
+                name = group.path.removeprefix(_SENSORS)
+                if group.path == NOTES:
+                    read_rows.events.take_stored(file[NOTES]["text"], count)
+                elif name in read_rows.windows and count:
+                    read_rows.windows[name].begins_behind(count, file[group.path]["time"])
+                    if self.attributes[name].get("quantity") in INERTIAL:
+                        columns[name] = (file[group.path]["time"], count)
+            self.backlog = Backlog(columns, file.close)
+        except BaseException as error:
+            file.close()
+            if isinstance(error, DAMAGE):
+                raise LogError(f"{self.path}: damaged or malformed") from None
+            raise
+
+    def read(self) -> int:
+        """What came into the journal since; where nothing did, whether anybody writes it still."""
+        count = self._drain()
+        if not count and not (self._is_ours() and is_running(self.path)):
+            count = self._drain()  # what was written between the two looks
+            if not count:
+                self.state = INTERRUPTED if self._is_ours() else FINISHED
+        return count
+
+    def _drain(self) -> int:
+        rows, most = 0, self._mark.position + _MOST_BYTES
+        for record in self._reader.records(self._mark):
+            self._mark = record.after
+            group = self._reader.groups[record.group]
+            if group.path == NOTES:
+                self.read_rows.events.take(group.decode(record.payload, record.rows)["text"])
+            elif group.path.startswith(_SENSORS):
+                window = self.read_rows.windows[group.path.removeprefix(_SENSORS)]
+                rows += window.add(group.decode(record.payload, record.rows))
+            if record.after.position > most:
+                break
+        return rows
+
+    def _is_ours(self) -> bool:
+        """Whether the journal by that name is the one that is read."""
+        return identity(journal_of(self.path)) == self._journal_file
+
+    def close(self) -> None:
+        """Let go of the files."""
+        self.backlog.close()
+        self._reader.close()
+
+
+def _opened(path: Path, preamble: Preamble) -> h5py.File:
+    """The HDF5 file of a log with that preamble; LogError."""
+    try:
+        file = h5py.File(UnclosedFile(path, check_heaps=False), "r")
+    except DAMAGE:
+        raise LogError(f"{path}: is not there yet, or damaged") from None
+    try:
+        with h5py.File(UnclosedFile(path), "r") as inspected:
+            refuse_hostile(file, inspected, str(path))
+        known = stored_preamble(path)
+        if known is not None and known.identity != preamble.identity:
+            raise LogError(f"{path}: its journal is another log's")
+        return file
+    except BaseException as error:
+        file.close()
+        if isinstance(error, DAMAGE):
+            raise LogError(f"{path}: is no log that is being written") from None
+        raise
+
+
+def _before(file: h5py.File, groups: Sequence[Group], commits: list[Commit], span_ns: int) -> Commit | None:
+    """The last commit behind which there are `span_ns` at least; None: all of the journal is wanted."""
+    sensors = [(number, group.path) for number, group in enumerate(groups) if group.path.startswith(_SENSORS)]
+
+    def newest_ns(commit: Commit) -> int:
+        times = (file[path]["time"][commit.rows[number] - 1] for number, path in sensors if commit.rows[number])
+        return max((int(time) for time in times), default=0)
+
+    if not commits:
+        return None
+    end_ns = newest_ns(commits[-1])
+    return next((commit for commit in reversed(commits[:-1]) if end_ns - newest_ns(commit) >= span_ns), None)
